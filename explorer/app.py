@@ -1,0 +1,134 @@
+"""Starts the server and gives every browser its own session, worker, stage, and panels."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import socket
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import viser
+
+from explorer.exhibit import Analyst, Exhibit
+from explorer.panels import Change, Panels
+from explorer.session import State
+from explorer.stage import SHOWN, Stage
+from explorer.worker import Worker
+from lpn.errors import InputError, LPNError
+
+log = logging.getLogger(__name__)
+
+
+class Visitor:
+    """One connected browser. Its state belongs to it alone."""
+
+    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit) -> None:
+        self._exhibit = exhibit
+        self._lock = threading.RLock()
+        self._sequence = 0
+        task = next(iter(exhibit.tasks))
+        self._state = State(task, exhibit.model.n_parts)
+        self._analyst = Analyst(exhibit)
+        client.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233))
+        self._panels = Panels(client, exhibit, self._state, self.change, Random())
+        self._stage = Stage(client, exhibit, lambda index: self.change(lambda s: replace(s, selected=index)))
+        self._worker = Worker(self._work, self._failed)
+        self._worker.wake()
+
+    def change(self, change: Change) -> None:
+        """Replace the state by a pure function's result, and ask for an answer when it differs."""
+        with self._lock:
+            changed = change(self._state)
+            if changed is None or changed == self._state:
+                return
+            self._state = changed
+            self._panels.write(changed)
+        self._worker.wake()
+
+    def leave(self) -> None:
+        """The browser is gone: stop its worker."""
+        self._worker.stop()
+
+    def _work(self) -> None:
+        answer = self._analyst.answer(self._state, SHOWN)
+        self._sequence += 1
+        started = time.perf_counter()
+        self._stage.show(answer)
+        self._panels.show(answer, self._sequence, started)
+
+    def _failed(self, error: Exception) -> None:
+        text = str(error) if isinstance(error, LPNError) else f"{type(error).__name__}: the details are in the server's log."
+        self._panels.say("No answer", text)
+
+
+class App:
+    """The running server.
+
+    Raises:
+        InputError: when the address or port cannot be listened on.
+    """
+
+    def __init__(self, exhibit: Exhibit, host: str, port: int) -> None:
+        _check_free(host, port)
+        self.server = viser.ViserServer(host=host, port=port, label="LPN Explorer", verbose=False)
+        # Any page could otherwise ask for a public tunnel to this machine.
+        self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
+        self.server.scene.world_axes.visible = False
+        self._visitors: dict[int, Visitor] = {}
+        self.server.on_client_connect(lambda client: self._connected(client, exhibit))
+        self.server.on_client_disconnect(self._disconnected)
+
+    def close(self) -> None:
+        """Stop every worker and the server."""
+        for visitor in list(self._visitors.values()):
+            visitor.leave()
+        self.server.stop()
+
+    def _connected(self, client: viser.ClientHandle, exhibit: Exhibit) -> None:
+        self._visitors[client.client_id] = Visitor(client, exhibit)
+
+    def _disconnected(self, client: viser.ClientHandle) -> None:
+        visitor = self._visitors.pop(client.client_id, None)
+        if visitor is not None:
+            visitor.leave()
+
+
+def run(data: Path, model: Path, host: str = "127.0.0.1", port: int = 8080) -> None:
+    """Open a model and a data set, serve the explorer, print its address, and return when interrupted.
+
+    Raises:
+        LPNError: when model, data set, or address cannot be used.
+    """
+    _check_free(host, port)
+    app = App(Exhibit(data, model), host, port)
+    shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+    print(f"LPN Explorer is ready: http://{shown}:{port}  (stop with Ctrl-C)", flush=True)
+    try:
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        print("Stopped.")
+    finally:
+        app.close()
+
+
+def _check_free(host: str, port: int) -> None:
+    """viser would silently take the next free port, and nobody would find the page."""
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((host, port))
+    except (OSError, OverflowError) as error:
+        used = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
+        found = f"Port {port} on {host} is in use" if used else f"Port {port} on {host} cannot be listened on ({error})"
+        raise InputError(f"{found}; give another with --port or --host.") from error
+
+
+def _refuse_share(*_: Any, **__: Any) -> None:
+    return None

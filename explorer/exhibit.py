@@ -1,0 +1,160 @@
+"""What all browsers look at and none can change: the model, the data set, its descriptors and results."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+import lpn
+from explorer import overlays
+from explorer.session import State
+from lpn import explain, features, images, metrics, retrieval
+from lpn.datasets import Picture as Entry
+from lpn.datasets import open_dataset
+from lpn.errors import DataError
+from lpn.images import Picture
+from lpn.model import FloatArray, Model
+from lpn.retrieval import Described, Match, Ranking
+from lpn.spec import View
+
+DISPLAY = 384
+"""Side in pixels of the large pictures."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One direction of retrieval with everything precomputed.
+
+    Attributes:
+        name: such as "drone-to-satellite".
+        queries, gallery: the pictures.
+        labels: the place each gallery picture shows, (G,).
+        descriptors: of the gallery, (G, n, D).
+        ranks: 0-based rank of the first true match of each query, -1 when it has none, (Q,).
+        results: recall and AP in percent, see `lpn.metrics.evaluate`.
+    """
+
+    name: str
+    query_view: View
+    gallery_view: View
+    queries: list[Entry]
+    gallery: list[Entry]
+    labels: npt.NDArray[np.int64]
+    descriptors: FloatArray
+    ranks: npt.NDArray[np.int64]
+    results: dict[str, float]
+
+
+class Exhibit:
+    """A model and a data set, opened once for all browsers."""
+
+    def __init__(self, data: Path, model: Path) -> None:
+        self.model: Model = lpn.load(model)
+        self.model_name, self.data_name = model.name, data.resolve().name
+        dataset = open_dataset(data)
+        pairs = [cast("tuple[View, View]", tuple(name.split("-to-"))) for name in dataset.tasks()]
+        known = [pair for pair in pairs if set(pair) <= set(self.model.views)]
+        if not known:
+            raise DataError(
+                f"The test split of {self.data_name} offers {', '.join(dataset.tasks()) or 'no task'}, but the model knows "
+                f"only the views {', '.join(self.model.views)}; give a data set or a model that fit each other."
+            )
+        self.tasks = {task.name: task for task in (self._open(dataset.queries(q), dataset.gallery(g), q, g) for q, g in known)}
+        self.part_names = self.model.spec.partition(known[0][0]).names()
+        self.map_sizes = {view: cast("tuple[int, int]", self._map_size(view)) for view in self.model.views}
+        self._tile = lru_cache(maxsize=256)(self._describe_tile)
+        self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
+        self.entry_picture = lru_cache(maxsize=64)(images.load_picture)
+
+    def tile(self, task: Task, index: int) -> Described:
+        """A gallery picture as the network sees it; kept, because many queries share their tiles."""
+        return self._tile(task.gallery[index].path, task.gallery_view)
+
+    def thumbnail(self, path: Path) -> str:
+        """A 64-pixel JPEG of a picture file as an html address."""
+        return self._thumbnail(path)
+
+    def masks(self, view: View, size: int = DISPLAY) -> npt.NDArray[np.int64]:
+        """The part of each pixel of a size x size picture."""
+        return overlays.part_masks(self.model.spec.partition(view), self.map_sizes[view], size)
+
+    def _open(self, queries: list[Entry], gallery: list[Entry], query_view: View, gallery_view: View) -> Task:
+        query = features.cached_descriptors(self.model, queries, query_view)
+        tiles = features.cached_descriptors(self.model, gallery, gallery_view)
+        query_labels, labels = (np.array([entry.label for entry in entries]) for entries in (queries, gallery))
+        return Task(
+            f"{query_view}-to-{gallery_view}",
+            query_view,
+            gallery_view,
+            queries,
+            gallery,
+            labels,
+            tiles,
+            metrics.ranks(query, query_labels, tiles, labels),
+            metrics.evaluate(query, query_labels, tiles, labels),
+        )
+
+    def _map_size(self, view: View) -> tuple[int, ...]:
+        return self.model.heads(view).cells.shape[1:]
+
+    def _describe_tile(self, path: Path, view: View) -> Described:
+        return retrieval.describe_picture(self.model, images.load_picture(path), view)
+
+    def _make_thumbnail(self, path: Path) -> str:
+        return overlays.data_uri(overlays.square(images.load_picture(path), 64))
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Everything the views draw for one state."""
+
+    state: State
+    task: Task
+    name: str
+    query: Described
+    ranking: Ranking
+    matches: list[Match]
+    chosen: Match
+    tile: Described
+    truth: Match | None
+    seconds: float
+
+
+class Analyst:
+    """Answers one browser's states, keeping what the next state can use again."""
+
+    def __init__(self, exhibit: Exhibit) -> None:
+        self._exhibit = exhibit
+        self._picture_key: object = None
+        self._picture: Picture
+        self._query_key: object = None
+        self._query: Described
+        self._cosines: FloatArray
+
+    def answer(self, state: State, k: int) -> Answer:
+        """Describe, compare, and rank; only what changed since the last state is computed."""
+        started = time.perf_counter()
+        task = self._exhibit.tasks[state.task]
+        entry = task.queries[state.query]
+        source = state.upload or entry.path
+        if self._picture_key != source:
+            self._picture = state.upload.picture if state.upload else self._exhibit.entry_picture(entry.path)
+            self._picture_key = source
+        if self._query_key != (source, task.name, state.angle):
+            self._query = retrieval.describe_picture(self._exhibit.model, self._picture, task.query_view, state.angle)
+            self._cosines = explain.part_cosines(self._query.descriptor, task.descriptors)
+            self._query_key = (source, task.name, state.angle)
+        weights = explain.part_weights(state.n_parts, state.part_values())
+        ranking = retrieval.rank(self._cosines, weights, task.labels, None if state.upload else entry.label)
+        matches = ranking.top(k)
+        chosen = matches[0] if state.selected is None else ranking.find(state.selected)
+        tile = self._exhibit.tile(task, chosen.index)
+        name = state.upload.name if state.upload else entry.name
+        seconds = time.perf_counter() - started
+        return Answer(state, task, name, self._query, ranking, matches, chosen, tile, ranking.truth(), seconds)

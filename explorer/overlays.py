@@ -1,0 +1,176 @@
+"""What is drawn into pictures: part boundaries, heatmaps, captions. Arrays in, arrays out."""
+
+from __future__ import annotations
+
+import base64
+from functools import lru_cache
+from typing import cast
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFont
+
+from lpn import images
+from lpn.images import Picture
+from lpn.model import FloatArray
+from lpn.partition import Partition
+
+Colour = tuple[int, int, int]
+
+# Okabe and Ito's colours, told apart with any colour vision; n above 8 starts over.
+PART_COLOURS: tuple[Colour, ...] = (
+    (230, 159, 0),
+    (86, 180, 233),
+    (0, 178, 128),
+    (214, 133, 181),
+    (240, 228, 66),
+    (90, 140, 255),
+    (213, 94, 0),
+    (170, 170, 170),
+)
+TRUE_COLOUR: Colour = (255, 200, 30)
+FALSE_COLOUR: Colour = (70, 120, 240)
+UNKNOWN_COLOUR: Colour = (130, 130, 130)
+BACKGROUND: Colour = (20, 20, 20)
+TEXT: Colour = (236, 236, 236)
+DIM: Colour = (160, 160, 160)
+
+
+def part_colour(part: int) -> Colour:
+    """The colour of a part wherever it is drawn."""
+    return PART_COLOURS[part % len(PART_COLOURS)]
+
+
+def verdict_colour(true: bool | None) -> Colour:
+    """Frame colour of a match: yellow true, blue false (as in the paper), grey unknown."""
+    return UNKNOWN_COLOUR if true is None else TRUE_COLOUR if true else FALSE_COLOUR
+
+
+def css(colour: Colour) -> str:
+    """A colour for a style sheet."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def square(picture: Picture, size: int) -> Picture:
+    """A picture at display size, as the network sees it: the whole of it, resized to a square."""
+    return images.resize(picture, size, size)
+
+
+def part_masks(partition: Partition, map_size: tuple[int, int], size: int) -> npt.NDArray[np.int64]:
+    """The part of each pixel of a size x size picture, from the model's own cells: (size, size)."""
+    labels = partition.labels(*map_size)
+    rows = np.arange(size) * labels.shape[0] // size
+    columns = np.arange(size) * labels.shape[1] // size
+    return labels[rows[:, None], columns[None, :]]
+
+
+def with_heat(
+    picture: Picture, activation: FloatArray, masks: npt.NDArray[np.int64], part: int | None, opacity: float
+) -> Picture:
+    """Lay a heatmap over a square picture; weak cells stay transparent, so that the picture remains readable.
+
+    With `part`, the scale is that part's own and the rest of the picture is darkened.
+    """
+    size = picture.shape[0]
+    heat = np.clip(cv2.resize(activation, (size, size), interpolation=cv2.INTER_CUBIC), 0.0, 1.0)
+    if part is not None:
+        inside = masks == part
+        low, high = float(heat[inside].min()), float(heat[inside].max())
+        heat = np.where(inside, np.clip((heat - low) / max(high - low, 1e-6), 0.0, 1.0), 0.0)
+    colours = cv2.cvtColor(
+        cv2.applyColorMap((255 * (0.25 + 0.75 * heat)).astype(np.uint8), cv2.COLORMAP_INFERNO), cv2.COLOR_BGR2RGB
+    )
+    alpha = (opacity * np.power(heat, 1.5))[..., None].astype(np.float32)
+    blended = picture * (1.0 - alpha) + colours * alpha
+    if part is not None:
+        blended *= np.where(masks == part, 1.0, 1.0 - 0.55 * opacity)[..., None]
+    return cast(Picture, blended.astype(np.uint8))
+
+
+def with_rings(picture: Picture, partition: Partition, map_size: tuple[int, int], thickness: int = 2) -> Picture:
+    """Draw the true boundary of each part in its colour, on a dark hairline that shows on bright ground."""
+    size = picture.shape[0]
+    drawn = np.ascontiguousarray(picture).copy()
+    for part, (left, top, right, bottom) in enumerate(partition.boxes(*map_size)):
+        inset = thickness // 2 + 1
+        first = (round(left * size) + inset, round(top * size) + inset)
+        second = (round(right * size) - 1 - inset, round(bottom * size) - 1 - inset)
+        cv2.rectangle(drawn, first, second, (0, 0, 0), thickness + 2)
+        cv2.rectangle(drawn, first, second, part_colour(part), thickness)
+    return cast(Picture, drawn)
+
+
+def ring_layer(picture: Picture, masks: npt.NDArray[np.int64], part: int) -> npt.NDArray[np.uint8]:
+    """One part of a picture alone, the rest transparent: (size, size, 4) RGBA."""
+    alpha = np.where(masks == part, 255, 0).astype(np.uint8)
+    return np.dstack([picture, alpha])
+
+
+def framed(picture: Picture, colour: Colour, width: int) -> Picture:
+    """Draw a frame over the border of a picture."""
+    drawn = np.ascontiguousarray(picture).copy()
+    drawn[:width] = drawn[-width:] = colour
+    drawn[:, :width] = drawn[:, -width:] = colour
+    return cast(Picture, drawn)
+
+
+@lru_cache(maxsize=16)
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """The typeface that comes with Pillow, at a pixel size."""
+    return ImageFont.load_default(size)
+
+
+def fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float) -> str:
+    """A text shortened with an ellipsis to fit a width in pixels."""
+    if draw.textlength(text, font=font(size)) <= width:
+        return text
+    while text and draw.textlength(text + "...", font=font(size)) > width:
+        text = text[:-1]
+    return text + "..."
+
+
+def draw_sign(draw: ImageDraw.ImageDraw, x: float, y: float, size: float, true: bool | None) -> None:
+    """A tick, a cross, or nothing, in a box with its top left corner at (x, y): a second sign beside the colour."""
+    colour, width = verdict_colour(true), max(2, round(size / 6))
+    if true:
+        draw.line([(x, y + 0.55 * size), (x + 0.4 * size, y + 0.9 * size), (x + size, y + 0.1 * size)], colour, width, "curve")
+    elif true is not None:
+        draw.line([(x, y), (x + size, y + size)], colour, width)
+        draw.line([(x + size, y), (x, y + size)], colour, width)
+
+
+def draw_squared(draw: ImageDraw.ImageDraw, right: float, middle: float, text: str, size: int, fill: Colour) -> float:
+    """Write "d² text" ending at `right`; Pillow's typeface has no superscript two. Returns where it begins."""
+    draw.text((right, middle), text, fill, font(size), anchor="rm")
+    left = right - draw.textlength(text, font=font(size)) - 0.35 * size
+    draw.text((left, middle - 0.3 * size), "2", fill, font(round(0.62 * size)), anchor="rm")
+    left -= draw.textlength("2", font=font(round(0.62 * size))) + 1
+    draw.text((left, middle), "d", fill, font(size), anchor="rm")
+    return left - draw.textlength("d", font=font(size))
+
+
+def draw_shares(
+    draw: ImageDraw.ImageDraw, box: tuple[float, float, float, float], shares: FloatArray, full: float
+) -> None:
+    """A bar divided into the parts' shares of the distance; `full` is the distance that fills the box."""
+    left, top, right, bottom = box
+    draw.rectangle(box, fill=(48, 48, 48))
+    at = left
+    for part, share in enumerate(shares):
+        end = at + max(float(share), 0.0) / max(full, 1e-9) * (right - left)
+        if end - at >= 0.5:
+            draw.rectangle((at, top, min(end, right), bottom), fill=part_colour(part))
+        at = end
+
+
+def caption(width: int, height: int) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+    """An empty caption on the stage's background."""
+    image = Image.new("RGB", (width, height), BACKGROUND)
+    return image, ImageDraw.Draw(image)
+
+
+def data_uri(picture: Picture, quality: int = 80) -> str:
+    """A JPEG of a picture as an address for an html image."""
+    encoded = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()

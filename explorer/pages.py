@@ -1,0 +1,178 @@
+"""The html of the panels. Everything that comes from a file is escaped; a click is handed to a hidden viser button."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+from explorer import overlays, words
+from explorer.exhibit import Answer, Exhibit, Task
+from lpn.retrieval import Match
+
+STYLE = """<style>
+.lpn{padding:0 .8em;font-size:13px;line-height:1.4}
+.lpn .dim{opacity:.65}
+.lpn h2{font-size:15px;margin:.1em 0}
+.lpn .facts{display:flex;flex-wrap:wrap;gap:.15em .9em}
+.lpn .big{font-size:20px;font-weight:650}
+.lpn .verdict{border-left:4px solid;padding:.25em .6em;margin:.2em 0;background:rgba(128,128,128,.12);border-radius:0 4px 4px 0}
+.lpn .row{display:flex;gap:.6em;align-items:center;padding:1px 5px;border-radius:4px;cursor:pointer;border:1px solid transparent}
+.lpn .row:hover{background:rgba(128,128,128,.18)}
+.lpn .row.chosen{background:rgba(128,128,128,.22);border-color:rgba(200,200,200,.6)}
+.lpn .row img{width:34px;height:34px;border:3px solid;border-radius:3px;box-sizing:border-box;flex:none}
+.lpn .row .what{flex:1;min-width:0}
+.lpn .row .line{display:flex;gap:.5em;white-space:nowrap}
+.lpn .row .name{flex:1;overflow:hidden;text-overflow:ellipsis}
+.lpn .bar{display:flex;height:7px;background:rgba(128,128,128,.25);border-radius:2px;overflow:hidden}
+.lpn .num{font-variant-numeric:tabular-nums}
+.lpn .thumbs{display:grid;grid-template-columns:repeat(4,1fr);gap:5px;margin:.2em 0}
+.lpn .thumb{cursor:pointer;text-align:center;font-size:11px;border:2px solid transparent;border-radius:4px;overflow:hidden}
+.lpn .thumb:hover{border-color:rgba(128,128,128,.8)}
+.lpn .thumb.chosen{border-color:#56b4e9}
+.lpn .thumb img{width:100%;aspect-ratio:1;display:block}
+.lpn .thumb span{display:block;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
+.lpn .pager{display:flex;justify-content:space-between;align-items:center}
+.lpn .pager a{cursor:pointer;padding:0 .7em;font-size:16px}
+.lpn table{border-collapse:collapse;width:100%}
+.lpn td,.lpn th{padding:1px 4px;text-align:right;font-weight:400}
+.lpn td:first-child,.lpn th:first-child{text-align:left}
+.lpn kbd{border:1px solid rgba(128,128,128,.6);border-radius:3px;padding:0 .35em;font-size:11px}
+</style>"""
+
+SIGNS: dict[bool | None, str] = {True: "✓", False: "✗", None: "?"}
+
+
+def hidden(ids: Sequence[str]) -> str:
+    """A style that takes bridge buttons, and the space around them, out of sight."""
+    selectors = ",".join(f'div:has(>[id="{escape(i)}"])' for i in ids)
+    return f"<style>{selectors}{{display:none!important}}</style>"
+
+
+def press(button: str) -> str:
+    """The attribute that hands a click to a viser button."""
+    return f"onclick=\"document.getElementById('{escape(button)}').click()\""
+
+
+def header(exhibit: Exhibit, task: Task) -> str:
+    """Which model, data set, task, n, and how good it is on it."""
+    results = task.results
+    return (
+        f"<div class='lpn' id='lpn-header'><h2>{escape(exhibit.model_name)} "
+        f"<span class='dim'>on</span> {escape(exhibit.data_name)}</h2>"
+        f"<div class='facts dim'><span>{escape(exhibit.model.spec.describe())}</span></div>"
+        f"<div class='facts'><span>{escape(task.query_view)} → {escape(task.gallery_view)}</span>"
+        f"<span class='num'>{len(task.queries):,} queries</span><span class='num'>{len(task.gallery):,} tiles</span></div>"
+        f"<div class='facts num'><span><span class='big'>{results['recall@1']:.1f} %</span> R@1</span>"
+        f"<span class='dim'>R@5 {results['recall@5']:.1f} %</span><span class='dim'>R@10 {results['recall@10']:.1f} %</span>"
+        f"<span class='dim'>AP {results['ap']:.1f} %</span></div></div>"
+    )
+
+
+def verdict(answer: Answer, exhibit: Exhibit) -> str:
+    """The answer in words, and a status line that also tells tests what is shown."""
+    true, headline, reason = words.verdict(answer, exhibit.part_names)
+    colour = overlays.css(overlays.verdict_colour(true))
+    warning = (
+        "" if answer.state.parts_left() else "<div>⚠ Every part is off, so all count equally until one is switched on.</div>"
+    )
+    return (
+        f"<div class='lpn'><div class='verdict' style='border-color:{colour}' id='lpn-verdict'>"
+        f"<b>{SIGNS[true]} {escape(headline)}</b><div>{escape(reason)}</div>{warning}</div></div>"
+    )
+
+
+def status(answer: Answer, sequence: int, drawing: float) -> str:
+    """How long the last answer took to compute and to draw; its attributes say which state the page shows."""
+    state = answer.state
+    return (
+        f"<div class='lpn dim num' id='lpn-status' data-seq='{sequence}' data-query='{state.query}' "
+        f"data-name='{escape(answer.name)}' data-angle='{state.angle:g}' data-chosen='{answer.chosen.index}' "
+        f"data-top='{answer.matches[0].index}'>"
+        f"answered in {1000 * (answer.seconds + drawing):.0f} ms ({1000 * answer.seconds:.0f} computing, {1000 * drawing:.0f} drawing)</div>"
+    )
+
+
+def matches(answer: Answer, exhibit: Exhibit, buttons: Sequence[str]) -> str:
+    """The ranked tiles as rows: picture, rank, sign, name, distance, gap, and the parts' shares."""
+    full = max(match.distance2 for match in answer.matches)
+    rows = [_row(answer, exhibit, match, buttons[i], full) for i, match in enumerate(answer.matches)]
+    truth = answer.truth
+    if truth is not None and truth.rank > len(answer.matches):
+        rows.append(
+            f"<div class='dim' id='lpn-truth'>… true tile {escape(answer.task.gallery[truth.index].name)} is "
+            f"{words.ordinal(truth.rank)}, d² {truth.distance2:.3f}</div>"
+        )
+    return f"<div class='lpn' id='lpn-matches'>{''.join(rows)}</div>"
+
+
+def _row(answer: Answer, exhibit: Exhibit, match: Match, button: str, full: float) -> str:
+    entry = answer.task.gallery[match.index]
+    chosen = " chosen" if match.index == answer.chosen.index else ""
+    colour = overlays.css(overlays.verdict_colour(match.true))
+    segments = "".join(
+        f"<i style='width:{100 * max(float(share), 0) / max(full, 1e-9):.2f}%;background:{overlays.css(overlays.part_colour(i))}' "
+        f"title='part {escape(exhibit.part_names[i])}: {share:.4f}'></i>"
+        for i, share in enumerate(match.shares)
+    )
+    gap = "" if match.gap is None else f"<span class='dim'>+{match.gap:.3f}</span>"
+    return (
+        f"<div class='row{chosen}' data-index='{match.index}' {press(button)} title='Compare with the query'>"
+        f"<img src='{exhibit.thumbnail(entry.path)}' style='border-color:{colour}' alt=''>"
+        f"<div class='what'><div class='line num'><b>{match.rank}</b><b style='color:{colour}'>{SIGNS[match.true]}</b>"
+        f"<span class='name'>{escape(entry.name)}</span><span>{match.distance2:.3f}</span>{gap}</div>"
+        f"<div class='bar'>{segments}</div></div></div>"
+    )
+
+
+def parts_table(answer: Answer, exhibit: Exhibit) -> str:
+    """The compared pair part by part; the shares add up to the distance."""
+    chosen = answer.chosen
+    rows = "".join(
+        f"<tr><td style='color:{overlays.css(overlays.part_colour(i))}'>{escape(name)}</td>"
+        f"<td>{100 * answer.ranking.weights[i]:.0f} %</td><td>{chosen.cosines[i]:+.3f}</td><td>{chosen.shares[i]:.3f}</td></tr>"
+        for i, name in enumerate(exhibit.part_names)
+    )
+    return (
+        f"<div class='lpn num' id='lpn-parts'><table><tr class='dim'><th>part, query with rank {chosen.rank}</th><th>weight</th>"
+        f"<th>cosine</th><th>share of d²</th></tr>{rows}<tr><td>sum</td><td>100 %</td><td>{chosen.score:+.3f}</td>"
+        f"<td><b>{chosen.distance2:.3f}</b></td></tr></table></div>"
+    )
+
+
+def picker(
+    exhibit: Exhibit, task: Task, shown: Sequence[int], query: int | None, page: int, pages: int, buttons: Sequence[str]
+) -> str:
+    """Thumbnails of one page of queries; the last two buttons turn the page."""
+    if not shown:
+        return "<div class='lpn dim' id='lpn-picker'>No picture has this in its name; change the text above.</div>"
+    thumbs = "".join(
+        f"<div class='thumb{' chosen' if i == query else ''}' data-query='{i}' {press(buttons[slot])}>"
+        f"<img src='{exhibit.thumbnail(task.queries[i].path)}' alt=''>"
+        f"<span>{_sign(task, i)} {escape(task.queries[i].name)}</span></div>"
+        for slot, i in enumerate(shown)
+    )
+    pager = (
+        f"<div class='pager'><a {press(buttons[-2])} title='Earlier'>‹</a><span class='dim num'>page {page + 1} of {pages}</span>"
+        f"<a {press(buttons[-1])} title='Later'>›</a></div>"
+    )
+    return f"<div class='lpn' id='lpn-picker'><div class='thumbs'>{thumbs}</div>{pager}</div>"
+
+
+def _sign(task: Task, query: int) -> str:
+    true = bool(task.ranks[query] == 0)
+    return f"<b style='color:{overlays.css(overlays.verdict_colour(true))}'>{SIGNS[true]}</b>"
+
+
+KEYS = (
+    "<div class='lpn dim' style='margin-top:.3em'><kbd>N</kbd> <kbd>P</kbd> next, previous · <kbd>R</kbd> random · <kbd>F</kbd> failure · "
+    "<kbd>J</kbd> <kbd>L</kbd> turn 5° · <kbd>K</kbd> upright · <kbd>H</kbd> heatmap · <kbd>G</kbd> rings · <kbd>X</kbd> take apart · "
+    "<kbd>1</kbd>…<kbd>9</kbd> compare</div>"
+)
+HEAT_NOTE = (
+    "<div class='lpn dim'>Heatmap: channel sum of the last feature map. It belongs to one picture, not to the pair; "
+    "a single part is scaled to itself.</div>"
+)
+PARTS_NOTE = (
+    "<div class='lpn dim'>Switch parts off or weight them: the ranking follows at once. "
+    "R@1 at the top right stays that of all parts alike.</div>"
+)

@@ -1,0 +1,277 @@
+"""The controls of one browser: they read into a `State`, and show an `Answer`. Nothing is computed here."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from random import Random
+from typing import Any, cast
+
+import viser
+
+from explorer import pages, session
+from explorer.exhibit import Answer, Exhibit
+from explorer.session import State, Upload
+from explorer.stage import SHOWN
+from lpn import images
+from lpn.errors import LPNError, PictureError
+
+THUMBS = 12
+MAX_UPLOAD = 30_000_000
+ALL_PARTS = "All parts"
+
+Change = Callable[[State], State | None]
+
+
+class Html:
+    """An html element that is sent again only when its text changed."""
+
+    def __init__(self, gui: viser.GuiApi, content: str = "") -> None:
+        self._handle = gui.add_html(content)
+        self._content = content
+
+    def show(self, content: str) -> None:
+        """Put html into the element."""
+        if content != self._content:
+            self._content = content
+            self._handle.content = content
+
+
+class Panels:
+    """Both panels of one browser: the query on the left, the answer on the right.
+
+    Callbacks never compute: `change` is handed a pure function on the state, and decides what follows.
+    """
+
+    def __init__(
+        self, client: viser.ClientHandle, exhibit: Exhibit, state: State, change: Callable[[Change], None], rng: Random
+    ) -> None:
+        self._client, self._exhibit, self._change, self._rng = client, exhibit, change, rng
+        self._shown: list[int] = []
+        gui = client.gui
+        left = gui.add_panel()
+        with left.add_tab("Query", viser.Icon.DRONE):
+            self._build_query(gui, state)
+        with left.add_tab("Parts", viser.Icon.ADJUSTMENTS):
+            self._build_parts(gui, state)
+        left.dock_left()
+        left.set_width(290)
+        gui.set_panel_label("LPN Explorer")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(370)
+        self._build_answer(gui, state)
+        self._add_keys(gui)
+
+    def _build_query(self, gui: viser.GuiApi, state: State) -> None:
+        exhibit = self._exhibit
+        gui.add_html(pages.STYLE)
+        self._task = gui.add_dropdown("Task", tuple(exhibit.tasks), initial_value=state.task, visible=len(exhibit.tasks) > 1)
+        walk = gui.add_button_group("Go to", ("‹ Previous", "Next ›", "Random", "Failure"))
+        moves: dict[str, Change] = {
+            "‹ Previous": self.previous,
+            "Next ›": self.next,
+            "Random": self.random,
+            "Failure": self.failure,
+        }
+        walk.on_click(lambda _: self._change(moves.get(walk.value, lambda s: s)))
+        self._angle = gui.add_slider("Rotate", -180, 180, 1, state.angle)
+        self._upload = gui.add_upload_button(
+            "Use my own picture", mime_type="image/jpeg,image/png", icon=viser.Icon.UPLOAD
+        )
+        self._upload.on_upload(self._uploaded)
+        with gui.add_folder("Look"):
+            self._rings = gui.add_checkbox("Rings", state.rings)
+            self._exploded = gui.add_checkbox("Take apart", state.exploded)
+            self._heat = gui.add_checkbox("Heatmap", state.heat)
+            self._heat_part = gui.add_dropdown("Heat of", (ALL_PARTS, *exhibit.part_names), initial_value=ALL_PARTS)
+            self._opacity = gui.add_slider("Opacity", 0.0, 1.0, 0.05, state.opacity)
+            gui.add_html(pages.HEAT_NOTE)
+        with gui.add_folder("Pictures"):
+            self._find = gui.add_text("Find name", state.find)
+            self._picker = Html(gui)
+            bridges = [gui.add_button(f"picture {i}") for i in range(THUMBS)]
+            bridges += [gui.add_button("earlier"), gui.add_button("later")]
+            for slot, button in enumerate(bridges[:THUMBS]):
+                button.on_click(self._pick(slot))
+            bridges[-2].on_click(lambda _: self._change(lambda s: replace(s, page=s.page - 1)))
+            bridges[-1].on_click(lambda _: self._change(lambda s: replace(s, page=s.page + 1)))
+            self._picker_buttons = [_uuid(button) for button in bridges]
+            gui.add_html(pages.hidden(self._picker_buttons))
+        self._watch(self._task, self._angle, self._rings, self._exploded, self._heat, self._heat_part, self._opacity)
+        self._watch(self._find)
+
+    def _build_parts(self, gui: viser.GuiApi, state: State) -> None:
+        gui.add_html(pages.PARTS_NOTE)
+        self._enabled, self._weights = [], []
+        for name, on, weight in zip(self._exhibit.part_names, state.enabled, state.weights, strict=True):
+            self._enabled.append(gui.add_checkbox(f"Part {name}", on))
+            self._weights.append(gui.add_slider(f"Weight {name}", 0.0, session.MAX_WEIGHT, 0.05, weight))
+        reset = gui.add_button("All parts equal")
+        reset.on_click(lambda _: self._change(lambda s: replace(s, weights=(), enabled=())))
+        self._watch(*self._enabled, *self._weights)
+
+    def _build_answer(self, gui: viser.GuiApi, state: State) -> None:
+        self._header = Html(gui)
+        self._verdict = Html(gui)
+        self._status = Html(gui, "<div class='lpn dim' id='lpn-status' data-seq='0'>describing the first picture …</div>")
+        with gui.add_folder("Matches"):
+            self._matches = Html(gui)
+            rows = [gui.add_button(f"match {i + 1}") for i in range(SHOWN)]
+            for slot, button in enumerate(rows):
+                button.on_click(self._compare(slot))
+            self._match_buttons = [_uuid(button) for button in rows]
+            gui.add_html(pages.hidden(self._match_buttons))
+        with gui.add_folder("Compared pair"):
+            self._table = Html(gui)
+        gui.add_html(pages.KEYS)
+
+    def _add_keys(self, gui: viser.GuiApi) -> None:
+        commands: list[tuple[str, Any, Change]] = [
+            ("Next picture", "N", self.next),
+            ("Previous picture", "P", self.previous),
+            ("Random picture", "R", self.random),
+            ("Random failure", "F", self.failure),
+            ("Turn left 5°", "J", lambda s: session.turn(s, 5)),
+            ("Turn right 5°", "L", lambda s: session.turn(s, -5)),
+            ("Upright", "K", lambda s: replace(s, angle=0.0)),
+            ("Heatmap on or off", "H", lambda s: replace(s, heat=not s.heat)),
+            ("Rings on or off", "G", lambda s: replace(s, rings=not s.rings)),
+            ("Take the rings apart", "X", lambda s: replace(s, exploded=not s.exploded)),
+        ]
+        for label, key, change in commands:
+            gui.add_command(label, hotkey=key).on_trigger(lambda _, change=change: self._change(change))
+        for slot in range(9):
+            gui.add_command(f"Compare match {slot + 1}", hotkey=cast(Any, str(slot + 1))).on_trigger(self._compare(slot))
+
+    def read(self, state: State) -> State:
+        """The state with every control's value, none of them trusted (a page may send anything)."""
+        task = self._task.value if self._task.value in self._exhibit.tasks else state.task
+        names = self._exhibit.part_names
+        part = names.index(self._heat_part.value) if self._heat_part.value in names else None
+        read = replace(
+            state,
+            angle=session.number(self._angle.value, -180, 180, state.angle),
+            rings=bool(self._rings.value),
+            exploded=bool(self._exploded.value),
+            heat=bool(self._heat.value),
+            heat_part=part,
+            opacity=session.number(self._opacity.value, 0, 1, state.opacity),
+            enabled=tuple(bool(box.value) for box in self._enabled),
+            weights=tuple(
+                session.number(slider.value, 0, session.MAX_WEIGHT, weight)
+                for slider, weight in zip(self._weights, state.weights, strict=True)
+            ),
+        )
+        find = str(self._find.value)[:200]
+        if find != state.find:
+            read = self._searched(replace(read, find=find, page=0))
+        if task != state.task:
+            read = replace(read, task=task, query=0, upload=None, selected=None, page=0)
+        return read
+
+    def write(self, state: State) -> None:
+        """Put a state into the controls that differ from it."""
+        pairs: list[tuple[Any, Any]] = [
+            (self._angle, state.angle),
+            (self._rings, state.rings),
+            (self._exploded, state.exploded),
+            (self._heat, state.heat),
+            *zip(self._enabled, state.enabled, strict=True),
+            *zip(self._weights, state.weights, strict=True),
+        ]
+        for handle, value in pairs:
+            if handle.value != value:
+                handle.value = value
+
+    def show(self, answer: Answer, sequence: int, started: float) -> None:
+        """Show an answer; `started` is when drawing began, by `time.perf_counter`."""
+        exhibit = self._exhibit
+        self._answer = answer
+        with self._client.atomic():
+            self._header.show(pages.header(exhibit, answer.task))
+            self._verdict.show(pages.verdict(answer, exhibit))
+            self._matches.show(pages.matches(answer, exhibit, self._match_buttons))
+            self._table.show(pages.parts_table(answer, exhibit))
+            self._show_picker(answer)
+            self._status.show(pages.status(answer, sequence, time.perf_counter() - started))
+
+    def say(self, title: str, text: str) -> None:
+        """Show an error as a notification that stays until it is closed."""
+        self._client.add_notification(title, text, color="red", auto_close_seconds=None)
+
+    def next(self, state: State) -> State:
+        """The next query."""
+        return session.step(state, 1, self._queries(state))
+
+    def previous(self, state: State) -> State:
+        """The previous query."""
+        return session.step(state, -1, self._queries(state))
+
+    def random(self, state: State) -> State:
+        """Any other query."""
+        return session.random_query(state, self._queries(state), self._rng)
+
+    def failure(self, state: State) -> State | None:
+        """Any other query whose true tile is not first."""
+        failed = session.random_failure(state, self._exhibit.tasks[state.task].ranks.tolist(), self._rng)
+        if failed is None:
+            self._client.add_notification("No failure", "Every query of this task finds its true tile first.")
+        return failed
+
+    def _queries(self, state: State) -> int:
+        return len(self._exhibit.tasks[state.task].queries)
+
+    def _searched(self, state: State) -> State:
+        """A name typed in full is chosen at once."""
+        names = [entry.name for entry in self._exhibit.tasks[state.task].queries]
+        hits = session.found(names, state.find) if state.find.strip() else []
+        return session.choose(state, hits[0], len(names)) if len(hits) == 1 else state
+
+    def _show_picker(self, answer: Answer) -> None:
+        state, task = answer.state, answer.task
+        hits = session.found([entry.name for entry in task.queries], state.find)
+        last = max(-(-len(hits) // THUMBS), 1)
+        page = state.page % last
+        self._shown = hits[page * THUMBS : (page + 1) * THUMBS]
+        query = None if state.upload else state.query
+        self._picker.show(pages.picker(self._exhibit, task, self._shown, query, page, last, self._picker_buttons))
+
+    def _pick(self, slot: int) -> Callable[[Any], None]:
+        def picked(_: Any) -> None:
+            if slot < len(self._shown):
+                query = self._shown[slot]
+                self._change(lambda s: session.choose(s, query, self._queries(s)))
+
+        return picked
+
+    def _compare(self, slot: int) -> Callable[[Any], None]:
+        def compared(_: Any) -> None:
+            if slot < len(self._answer.matches):
+                index = self._answer.matches[slot].index
+                self._change(lambda s: replace(s, selected=index))
+
+        return compared
+
+    def _uploaded(self, _: Any) -> None:
+        file = self._upload.value
+        try:
+            if len(file.content) > MAX_UPLOAD:
+                raise PictureError(f"The picture has {len(file.content) / 1e6:.0f} MB; up to 30 MB are taken, so make it smaller.")
+            name = file.name.replace("\\", "/").rsplit("/", 1)[-1][:80]
+            upload = Upload(name, images.decode_picture(file.content, name))
+        except LPNError as error:
+            self.say("Picture not taken", str(error))
+            return
+        self._change(lambda s: replace(s, upload=upload, angle=0.0, selected=None))
+
+    def _watch(self, *handles: Any) -> None:
+        """Any control that changes makes all be read: the page may have merged two changes into one."""
+        for handle in handles:
+            handle.on_update(lambda _: self._change(self.read))
+
+
+def _uuid(button: viser.GuiButtonHandle) -> str:
+    """The id a button has in the page, which viser keeps private."""
+    return str(button._impl.uuid)
+

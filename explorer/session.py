@@ -1,0 +1,125 @@
+"""What one browser has chosen, as plain data, and the pure functions that change it. No viser here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from random import Random
+from typing import Any
+
+from lpn.images import Picture
+
+MAX_WEIGHT = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Upload:
+    """A picture of the user's own, kept in memory for this browser only."""
+
+    name: str
+    picture: Picture
+
+
+@dataclass(frozen=True)
+class State:
+    """One browser's choices.
+
+    Attributes:
+        task: name of the task, such as "drone-to-satellite".
+        query: position in the task's queries.
+        upload: the user's own picture, shown instead of `query` when given.
+        angle: degrees counter-clockwise the query is turned, -180 .. 180.
+        weights: of each part, 0 .. 2, as set by the sliders.
+        enabled: which parts are switched on.
+        selected: gallery position compared with the query; None follows the top match.
+        heat: whether heatmaps are drawn.
+        heat_part: the part whose heatmap is drawn, None for all together.
+        opacity: of the heatmap, 0 .. 1.
+        rings: whether part boundaries are drawn.
+        exploded: whether the rings are lifted apart.
+        find: text that picture names must contain in the picker.
+        page: page of the picker.
+    """
+
+    task: str
+    n_parts: int
+    query: int = 0
+    upload: Upload | None = None
+    angle: float = 0.0
+    weights: tuple[float, ...] = ()
+    enabled: tuple[bool, ...] = ()
+    selected: int | None = None
+    heat: bool = True
+    heat_part: int | None = None
+    opacity: float = 0.6
+    rings: bool = True
+    exploded: bool = False
+    find: str = ""
+    page: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.weights:
+            object.__setattr__(self, "weights", (1.0,) * self.n_parts)
+        if not self.enabled:
+            object.__setattr__(self, "enabled", (True,) * self.n_parts)
+
+    def part_values(self) -> tuple[float, ...]:
+        """Weight of each part with switched-off parts at 0; equal weights when nothing is left on."""
+        values = tuple(w if on else 0.0 for w, on in zip(self.weights, self.enabled, strict=True))
+        return values if any(values) else (1.0,) * self.n_parts
+
+    def parts_left(self) -> bool:
+        """Whether any part is on with a weight above 0."""
+        return any(w > 0 and on for w, on in zip(self.weights, self.enabled, strict=True))
+
+
+def number(value: Any, low: float, high: float, default: float) -> float:
+    """A value from the page, trusted for nothing: a finite number within low .. high, else the default."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        return default
+    return min(max(float(value), low), high)
+
+
+def wrap(angle: float) -> float:
+    """The same direction within -180 .. 180 degrees (exclusive of -180)."""
+    turned = angle % 360.0
+    return turned - 360.0 if turned > 180.0 else turned
+
+
+def choose(state: State, query: int, queries: int) -> State:
+    """Take another query: its own picture, not turned, compared with its top match."""
+    if not 0 <= query < queries:
+        return state
+    return replace(state, query=query, upload=None, angle=0.0, selected=None)
+
+
+def step(state: State, by: int, queries: int) -> State:
+    """The next or previous query, around the end."""
+    return choose(state, (state.query + by) % queries, queries)
+
+
+def random_query(state: State, queries: int, rng: Random) -> State:
+    """Any other query."""
+    if queries < 2:
+        return state
+    return choose(state, (state.query + rng.randrange(1, queries)) % queries, queries)
+
+
+def random_failure(state: State, ranks: Sequence[int], rng: Random) -> State | None:
+    """Any other query whose true match is not first, or None when there is none; -1 ranks have no true match."""
+    failures = [i for i, rank in enumerate(ranks) if rank > 0]
+    others = [i for i in failures if i != state.query or state.upload is not None]
+    candidates = others or failures
+    return choose(state, rng.choice(candidates), len(ranks)) if candidates else None
+
+
+def turn(state: State, by: float) -> State:
+    """Turn the query further, around the circle."""
+    return replace(state, angle=wrap(state.angle + by))
+
+
+def found(names: Sequence[str], text: str) -> list[int]:
+    """Positions of the names that contain a text, upper and lower case alike."""
+    wanted = text.strip().casefold()
+    return [i for i, name in enumerate(names) if wanted in name.casefold()]

@@ -1,0 +1,335 @@
+"""The 3-D stage: the query and the compared tile with their rings, the links between them, and the ranked tiles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import viser
+
+from explorer import overlays
+from explorer.exhibit import DISPLAY, Answer, Exhibit
+from lpn.images import Picture
+from lpn.retrieval import Described, Match
+from lpn.spec import View
+
+SHOWN = 10
+"""Ranked tiles on the stage."""
+
+_SIDE = 3.3
+_APART = 2.4
+_TOP = 2.2
+_COLUMNS = 5
+_CARD = 1.5
+_CARD_STEP = 1.62
+_CAPTION = 0.36
+_CARDS_TOP = 0.28
+_LIFT = 0.5
+_INWARD = 0.3
+_FOV = 0.45
+_HEIGHT = 8.1
+_WIDTH = 8.3
+_MIDDLE = (0.0, 0.36)
+
+Rotation = tuple[float, float, float, float]
+_UPRIGHT: Rotation = (0.0, 1.0, 0.0, 0.0)
+"""Scene images have y down and face +z away; half a turn about x sets them upright, facing the camera."""
+
+
+class Plane:
+    """A picture on the stage that is sent again only when its pixels changed."""
+
+    def __init__(
+        self, scene: viser.SceneApi, name: str, width: float, height: float, position: tuple[float, float, float]
+    ) -> None:
+        blank = np.full((2, 2, 3), overlays.BACKGROUND, np.uint8)
+        self._shown: npt.NDArray[np.uint8] = blank
+        self.handle = scene.add_image(
+            name,
+            blank,
+            width,
+            height,
+            format="jpeg",
+            jpeg_quality=88,
+            cast_shadow=False,
+            receive_shadow=False,
+            wxyz=_UPRIGHT,
+            position=position,
+        )
+
+    def show(self, picture: npt.NDArray[np.uint8]) -> None:
+        """Put a picture on the plane."""
+        if self._shown.shape != picture.shape or not np.array_equal(self._shown, picture):
+            self._shown = picture
+            self.handle.image = picture
+
+
+class Exhibited:
+    """One large picture: flat, with a caption, or taken apart into its rings along the axis."""
+
+    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, name: str, x: float, n_parts: int) -> None:
+        self._exhibit, self._n, self._x = exhibit, n_parts, x
+        scene = client.scene
+        self._group = scene.add_frame(f"/{name}", show_axes=False, position=(x, _TOP, 0.0))
+        self._flat = Plane(scene, f"/{name}/flat", _SIDE, _SIDE, (0.0, 0.0, 0.0))
+        self._caption = Plane(scene, f"/{name}_caption", _SIDE, _CAPTION, (x, _TOP + _SIDE / 2 + 0.24, 0.0))
+        self._layers: list[viser.ImageHandle] = []
+        self._layer_pictures: list[Picture | None] = [None] * n_parts
+        for part in range(n_parts):
+            layer = scene.add_image(
+                f"/{name}/layer{part}",
+                np.zeros((2, 2, 4), np.uint8),
+                _SIDE,
+                _SIDE,
+                format="png",
+                cast_shadow=False,
+                receive_shadow=False,
+                wxyz=_UPRIGHT,
+                visible=False,
+            )
+            self._layers.append(layer)
+
+    def show(self, picture: Picture, caption: Picture, view: View, exploded: bool, towards: float) -> None:
+        """Draw the picture; `towards` is the side, -1 or 1, an exploded stack opens to."""
+        self._caption.show(caption)
+        self._flat.handle.visible = not exploded
+        self._group.wxyz = _about_y(towards * math.radians(38)) if exploded else (1.0, 0.0, 0.0, 0.0)
+        self._group.position = (self._x + (towards * _INWARD if exploded else 0.0), _TOP, 0.0)
+        if not exploded:
+            self._flat.show(picture)
+        masks = self._exhibit.masks(view)
+        for part, layer in enumerate(self._layers):
+            if exploded and self._layer_pictures[part] is not picture:
+                layer.image = overlays.ring_layer(picture, masks, part)
+                layer.position = (0.0, 0.0, self.depth(part, exploded, view))
+                self._layer_pictures[part] = picture
+            layer.visible = exploded
+
+    def depth(self, part: int, exploded: bool, view: View) -> float:
+        """How far a part stands off the picture's plane, towards the camera: the centre furthest."""
+        if not exploded:
+            return 0.0
+        order = part if self._exhibit.model.spec.partition(view).outside_in else self._n - 1 - part
+        return (order - (self._n - 1) / 2) * _LIFT
+
+    def anchor(self, part: int, height: float, side: float, exploded: bool, view: View) -> tuple[float, float, float]:
+        """Where a link leaves a part: on its left (-1) or right (1) border, in stage coordinates."""
+        left, top, right, bottom = self._exhibit.model.spec.partition(view).boxes(*self._exhibit.map_sizes[view])[part]
+        x = ((right if side > 0 else left) - 0.5) * _SIDE
+        y = min(max(height, (0.5 - bottom) * _SIDE + 0.05), (0.5 - top) * _SIDE - 0.05)
+        z = self.depth(part, exploded, view) + 0.01
+        if exploded:
+            angle = -side * math.radians(-38)
+            x, z = x * math.cos(angle) + z * math.sin(angle), -x * math.sin(angle) + z * math.cos(angle)
+        centre = self._group.position
+        return float(centre[0]) + x, float(centre[1]) + y, z
+
+
+class Stage:
+    """One browser's 3-D view. `on_select` is called with the gallery position of a clicked tile."""
+
+    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, on_select: Callable[[int], None]) -> None:
+        self._client, self._exhibit = client, exhibit
+        self._n = exhibit.model.n_parts
+        scene = client.scene
+        scene.configure_default_lights(cast_shadow=False)
+        self._query = Exhibited(client, exhibit, "query", -_APART, self._n)
+        self._tile = Exhibited(client, exhibit, "tile", _APART, self._n)
+        self._gutter = Plane(scene, "/gutter", 1.3, _SIDE, (0.0, _TOP, 0.02))
+        self._links: viser.LineSegmentsHandle = scene.add_line_segments(
+            "/links",
+            np.zeros((2 * self._n, 2, 3), np.float32),
+            _link_colours(self._n),
+            thickness=2.5,
+            thickness_units="screen",
+        )
+        self._marker = scene.add_image(
+            "/marker",
+            np.full((2, 2, 3), 235, np.uint8),
+            _CARD + 0.08,
+            _CARD + _CAPTION + 0.09,
+            cast_shadow=False,
+            receive_shadow=False,
+            wxyz=_UPRIGHT,
+        )
+        self._indices: list[int] = []
+        self._cards: list[tuple[Plane, Plane]] = []
+        for slot in range(SHOWN):
+            x, y = _card_position(slot)
+            photo = Plane(scene, f"/card{slot}/photo", _CARD, _CARD, (x, y - _CAPTION / 2, 0.0))
+            label = Plane(scene, f"/card{slot}/label", _CARD, _CAPTION, (x, y + _CARD / 2, 0.0))
+            self._cards.append((photo, label))
+            for plane in (photo, label):
+                plane.handle.on_click(self._clicked(slot, on_select))
+        self._aspect = 0.0
+        client.camera.on_update(lambda _: self.fit())
+        self.fit()
+
+    def fit(self) -> None:
+        """Frame the content, whatever the width the panels leave; a person's own orbit is kept until it changes."""
+        camera = self._client.camera
+        aspect = camera.aspect
+        if not math.isfinite(aspect) or abs(aspect - self._aspect) < 0.01 or aspect <= 0:
+            return
+        self._aspect = aspect
+        tangent = math.tan(_FOV / 2)
+        distance = max(_HEIGHT / 2 / tangent, _WIDTH / 2 / (tangent * aspect))
+        with self._client.atomic():
+            camera.fov = _FOV
+            camera.up_direction = (0.0, 1.0, 0.0)
+            camera.position = (*_MIDDLE, distance)
+            camera.look_at = (*_MIDDLE, 0.0)
+
+    def show(self, answer: Answer) -> None:
+        """Draw an answer."""
+        state, task = answer.state, answer.task
+        left = self._decorated(answer, answer.query, task.query_view)
+        right = self._decorated(answer, answer.tile, task.gallery_view)
+        right = overlays.framed(right, overlays.verdict_colour(answer.chosen.true), 6)
+        with self._client.atomic():
+            self._query.show(left, self._query_caption(answer), task.query_view, state.exploded, 1.0)
+            self._tile.show(right, self._tile_caption(answer), task.gallery_view, state.exploded, -1.0)
+            self._gutter.show(self._gutter_picture(answer.chosen))
+            self._links.points = self._link_points(answer)
+            self._show_cards(answer)
+
+    def _decorated(self, answer: Answer, described: Described, view: View) -> Picture:
+        state = answer.state
+        picture = overlays.square(described.picture, DISPLAY)
+        if state.heat:
+            picture = overlays.with_heat(
+                picture, described.activation, self._exhibit.masks(view), state.heat_part, state.opacity
+            )
+        if state.rings:
+            picture = overlays.with_rings(
+                picture, self._exhibit.model.spec.partition(view), self._exhibit.map_sizes[view], 3
+            )
+        return picture
+
+    def _query_caption(self, answer: Answer) -> Picture:
+        turned = f", turned {answer.state.angle:g}°" if answer.state.angle else ""
+        source = "your picture" if answer.state.upload else answer.task.query_view
+        return _title("QUERY", f"{source} {answer.name}{turned}", None)
+
+    def _tile_caption(self, answer: Answer) -> Picture:
+        chosen = answer.chosen
+        name = answer.task.gallery[chosen.index].name
+        return _title(f"RANK {chosen.rank}", f"{answer.task.gallery_view} {name}", chosen.true, chosen.distance2)
+
+    def _gutter_picture(self, chosen: Match) -> Picture:
+        """For each part: its name, cosine, and share of the distance as a bar."""
+        image, draw = overlays.caption(260, 660)
+        rows = _row_heights(self._n)
+        full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)
+        size = 30 if self._n <= 6 else 22
+        small = size - 6
+        for part in range(self._n):
+            y = (0.5 - rows[part] / _SIDE) * 660
+            colour = overlays.part_colour(part)
+            draw.text((130, y - 6), self._exhibit.part_names[part], colour, overlays.font(size), anchor="mb")
+            draw.rectangle((10, y, 250, y + 9), fill=(48, 48, 48))
+            length = 240 * float(chosen.shares[part]) / full
+            if length >= 1:
+                draw.rectangle((10, y, 10 + length, y + 9), fill=colour)
+            below = y + 16 + small / 2
+            if chosen.shares[part] == 0 and chosen.cosines[part] < 1:
+                draw.text((130, below), "off", overlays.DIM, overlays.font(small), anchor="mm")
+            else:
+                cosine = f"cos {chosen.cosines[part]:.2f}"
+                draw.text((10, below), cosine, overlays.DIM, overlays.font(small), anchor="lm")
+                overlays.draw_squared(draw, 250, below, f"{chosen.shares[part]:.3f}", small, overlays.DIM)
+        return np.asarray(image)
+
+    def _link_points(self, answer: Answer) -> npt.NDArray[np.float32]:
+        """Two segments per part: query ring to gutter row, gutter row to tile ring."""
+        state, task = answer.state, answer.task
+        points = np.zeros((2 * self._n, 2, 3), np.float32)
+        for part, height in enumerate(_row_heights(self._n)):
+            points[2 * part, 0] = self._query.anchor(part, height, 1.0, state.exploded, task.query_view)
+            points[2 * part, 1] = (-0.6, _TOP + height - 0.025, 0.03)
+            points[2 * part + 1, 0] = (0.6, _TOP + height - 0.025, 0.03)
+            points[2 * part + 1, 1] = self._tile.anchor(part, height, -1.0, state.exploded, task.gallery_view)
+        return points
+
+    def _show_cards(self, answer: Answer) -> None:
+        task, state = answer.task, answer.state
+        self._indices = [match.index for match in answer.matches]
+        full = max(match.distance2 for match in answer.matches)
+        partition = self._exhibit.model.spec.partition(task.gallery_view)
+        self._marker.visible = answer.chosen.index in self._indices
+        for slot, (photo, label) in enumerate(self._cards):
+            visible = slot < len(answer.matches)
+            photo.handle.visible = label.handle.visible = visible
+            if not visible:
+                continue
+            match = answer.matches[slot]
+            if match.index == answer.chosen.index:
+                x, y = _card_position(slot)
+                self._marker.position = (x, y - 0.01, -0.02)
+            picture = overlays.square(self._exhibit.entry_picture(task.gallery[match.index].path), 224)
+            if state.rings:
+                picture = overlays.with_rings(picture, partition, self._exhibit.map_sizes[task.gallery_view], 1)
+            photo.show(overlays.framed(picture, overlays.verdict_colour(match.true), 7))
+            label.show(_card_label(match, task.gallery[match.index].name, full))
+
+    def _clicked(self, slot: int, on_select: Callable[[int], None]) -> Callable[[Any], None]:
+        def clicked(_: Any) -> None:
+            if slot < len(self._indices):
+                on_select(self._indices[slot])
+
+        return clicked
+
+
+def _card_position(slot: int) -> tuple[float, float]:
+    """Centre of a card, caption included."""
+    row, column = divmod(slot, _COLUMNS)
+    x = (column - (_COLUMNS - 1) / 2) * _CARD_STEP
+    return x, _CARDS_TOP - (_CARD + _CAPTION) / 2 - row * (_CARD + _CAPTION + 0.16)
+
+
+def _row_heights(n: int) -> list[float]:
+    """Where each part's row stands in the gutter, from the top, relative to the pictures' centre."""
+    return [(0.5 - (part + 0.5) / n) * _SIDE for part in range(n)]
+
+
+def _link_colours(n: int) -> npt.NDArray[np.uint8]:
+    colours = np.zeros((2 * n, 2, 3), np.uint8)
+    for part in range(n):
+        colours[2 * part : 2 * part + 2] = overlays.part_colour(part)
+    return colours
+
+
+def _about_y(angle: float) -> Rotation:
+    return math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0
+
+
+def _title(headline: str, text: str, true: bool | None, distance2: float | None = None) -> Picture:
+    image, draw = overlays.caption(528, 58)
+    draw.text((2, 29), headline, overlays.TEXT, overlays.font(26), anchor="lm")
+    x = 2 + draw.textlength(headline, font=overlays.font(26)) + 14
+    if true is not None:
+        overlays.draw_sign(draw, x, 18, 22, true)
+        x += 36
+    right = 526.0
+    if distance2 is not None:
+        right = overlays.draw_squared(draw, right, 29, f"{distance2:.3f}", 24, overlays.TEXT) - 14
+    draw.text((x, 30), overlays.fitted(draw, text, 22, right - x), overlays.DIM, overlays.font(22), anchor="lm")
+    return np.asarray(image)
+
+
+def _card_label(match: Match, name: str, full: float) -> Picture:
+    image, draw = overlays.caption(240, 58)
+    draw.text((2, 20), str(match.rank), overlays.TEXT, overlays.font(26), anchor="lm")
+    x = 8 + draw.textlength(str(match.rank), font=overlays.font(26))
+    if match.true is not None:
+        overlays.draw_sign(draw, x + 2, 11, 17, match.true)
+        x += 28
+    value = f"{match.distance2:.3f}"
+    draw.text((238, 20), value, overlays.TEXT, overlays.font(22), anchor="rm")
+    room = 238 - draw.textlength(value, font=overlays.font(22)) - x - 8
+    draw.text((x, 21), overlays.fitted(draw, name, 20, room), overlays.DIM, overlays.font(20), anchor="lm")
+    overlays.draw_shares(draw, (0, 40, 239, 52), match.shares, full)
+    return np.asarray(image)

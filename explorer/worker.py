@@ -1,0 +1,45 @@
+"""One worker per browser. The newest request wins: requests that come while it works become one."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+log = logging.getLogger(__name__)
+
+
+class Worker:
+    """Runs `work` on a thread of its own after each `wake`, once for any number of wakes meanwhile.
+
+    `work` must read the newest state itself; `failed` is told of an exception, and the worker goes on.
+    """
+
+    def __init__(self, work: Callable[[], None], failed: Callable[[Exception], None]) -> None:
+        self._work, self._failed = work, failed
+        self._requested = threading.Event()
+        self._stopped = False
+        self._thread = threading.Thread(target=self._loop, name="explorer-worker", daemon=True)
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Ask for one more run with the newest state."""
+        self._requested.set()
+
+    def stop(self) -> None:
+        """End the thread after the run in progress."""
+        self._stopped = True
+        self._requested.set()
+
+    def _loop(self) -> None:
+        while True:
+            self._requested.wait()
+            self._requested.clear()
+            if self._stopped:
+                return
+            try:
+                self._work()
+            except Exception as error:
+                if not self._stopped:
+                    log.exception("A browser's request failed")
+                    self._failed(error)

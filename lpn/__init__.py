@@ -1,0 +1,41 @@
+"""LPN: the Local Pattern Network for cross-view geo-localization, and everything that can be computed with it.
+
+`load` opens a trained model, `Partition` says how it cuts a feature map, `metrics` scores a retrieval, and the
+`lpn` command does the rest. Nothing here knows a browser, and torch is imported only where it is needed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lpn import metrics
+from lpn.errors import LPNError, MissingPackage
+from lpn.model import Model
+from lpn.partition import Partition
+from lpn.spec import ModelSpec, View
+
+__version__ = "0.1.0"
+__all__ = ["LPNError", "Model", "ModelSpec", "Partition", "View", "__version__", "load", "metrics"]
+
+
+def load(path: str | Path) -> Model:
+    """Open a trained LPN: an exported `.onnx`, our `.safetensors`, or a published `.pth`.
+
+    The `.onnx` runs without torch; the other two need the extra `train`.
+
+    Raises:
+        ModelFileError: when the file is missing, is not a model, is truncated, or lacks entries.
+        MissingPackage: when torch is needed and not installed.
+    """
+    if Path(path).suffix == ".onnx":
+        from lpn.engine import Engine
+
+        return Engine(path)
+    try:
+        from lpn.checkpoints import load_torch
+    except ModuleNotFoundError as error:
+        raise MissingPackage(
+            f"Opening {Path(path).name} needs the package {error.name}; "
+            "pip install 'lpn-explorer[train]', or export the model to .onnx where torch is installed."
+        ) from error
+    return load_torch(path)

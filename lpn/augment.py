@@ -1,0 +1,54 @@
+"""Random changes to training pictures: one geometric warp, then colour."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import cv2
+import numpy as np
+
+from lpn import images
+from lpn.images import Picture
+from lpn.recipes import Recipe
+
+
+def place_draw(recipe: Recipe, rng: np.random.Generator) -> tuple[float, bool]:
+    """What all views of a place share this time: an angle in degrees, and whether they are mirrored."""
+    return float(rng.uniform(-1, 1)) * recipe.place_rotation, bool(recipe.flip and rng.random() < 0.5)
+
+
+def augment(
+    picture: Picture, recipe: Recipe, rng: np.random.Generator, angle: float, mirror: bool, satellite: bool
+) -> Picture:
+    """One random version of a picture at the recipe's size: (size, size, 3) uint8.
+
+    Args:
+        angle: degrees the whole place is turned, mirror: whether it is mirrored, see `place_draw`.
+        satellite: whether the satellite's extra rotation applies.
+    """
+    size = recipe.size
+    resized = images.resize(picture, size, size)
+    if mirror:
+        resized = cast(Picture, np.ascontiguousarray(resized[:, ::-1]))
+    angle += float(rng.uniform(-1, 1)) * recipe.rotation
+    if satellite:
+        angle += float(rng.uniform(-1, 1)) * recipe.satellite_rotation
+    scale = math.exp(float(rng.uniform(-1, 1)) * recipe.scale)
+    matrix = cv2.getRotationMatrix2D(((size - 1) / 2, (size - 1) / 2), angle, scale)
+    matrix[:, 2] += rng.uniform(-1, 1, 2) * recipe.shift * size
+    border = cv2.BORDER_REFLECT_101 if recipe.scale or recipe.rotation else cv2.BORDER_REPLICATE
+    warped = cv2.warpAffine(resized, matrix, (size, size), flags=cv2.INTER_LINEAR, borderMode=border)
+    return _recolour(cast(Picture, warped), recipe.colour, rng) if recipe.colour else cast(Picture, warped)
+
+
+def _recolour(picture: Picture, strength: float, rng: np.random.Generator) -> Picture:
+    """Brightness, colour cast, contrast, and now and then grey."""
+    values = picture.astype(np.float32)
+    gain = (1 + 0.3 * strength * rng.uniform(-1, 1)) * (1 + 0.15 * strength * rng.uniform(-1, 1, 3))
+    values = values * gain.astype(np.float32) + np.float32(20 * strength * rng.uniform(-1, 1))
+    mean = values.mean()
+    values = mean + (values - mean) * np.float32(1 + 0.3 * strength * rng.uniform(-1, 1))
+    if rng.random() < 0.2 * strength:
+        values[:] = values.mean(axis=2, keepdims=True)
+    return cast(Picture, np.clip(values, 0, 255).astype(np.uint8))

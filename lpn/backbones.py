@@ -1,0 +1,139 @@
+"""The convolutional networks under LPN: ResNet-18, ResNet-50, and VGG-16 with batch normalisation.
+
+Parameter names are torchvision's, so its weights and the published checkpoints load as they are; the final
+pooling and class layers do not exist here, because LPN reads the last feature map.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, cast
+
+import torch
+from torch import Tensor, nn
+
+from lpn.errors import InputError
+
+BackboneName = Literal["resnet18", "resnet50", "vgg16_bn"]
+LastLayer = Literal["layer3", "layer4"]
+
+
+class BasicBlock(nn.Module):
+    """Two 3 x 3 convolutions and a shortcut (He et al. 2016, ResNet-18)."""
+
+    expansion = 1
+
+    def __init__(self, in_channels: int, width: int, stride: int = 1) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(in_channels, width, 3, stride, 1, bias=False)
+        self.bn1 = nn.BatchNorm2d(width)
+        self.conv2 = nn.Conv2d(width, width, 3, 1, 1, bias=False)
+        self.bn2 = nn.BatchNorm2d(width)
+        self.downsample = _shortcut(in_channels, width, stride)
+
+    def forward(self, x: Tensor) -> Tensor:
+        out = torch.relu(self.bn1(self.conv1(x)))
+        out = self.bn2(self.conv2(out))
+        return torch.relu(out + (x if self.downsample is None else self.downsample(x)))
+
+
+class Bottleneck(nn.Module):
+    """1 x 1, 3 x 3 (which carries the stride), 1 x 1 convolutions and a shortcut (ResNet-50)."""
+
+    expansion = 4
+
+    def __init__(self, in_channels: int, width: int, stride: int = 1) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(in_channels, width, 1, bias=False)
+        self.bn1 = nn.BatchNorm2d(width)
+        self.conv2 = nn.Conv2d(width, width, 3, stride, 1, bias=False)
+        self.bn2 = nn.BatchNorm2d(width)
+        self.conv3 = nn.Conv2d(width, 4 * width, 1, bias=False)
+        self.bn3 = nn.BatchNorm2d(4 * width)
+        self.downsample = _shortcut(in_channels, 4 * width, stride)
+
+    def forward(self, x: Tensor) -> Tensor:
+        out = torch.relu(self.bn1(self.conv1(x)))
+        out = torch.relu(self.bn2(self.conv2(out)))
+        out = self.bn3(self.conv3(out))
+        return torch.relu(out + (x if self.downsample is None else self.downsample(x)))
+
+
+class ResNet(nn.Module):
+    """A ResNet up to its last feature map: (B, 3, H, W) -> (B, channels, H/16, W/16) with `last_stride` 1.
+
+    `last_layer` "layer3" leaves layer4 out; the map then has a quarter or half of the channels and, at stride 2 as
+    usual for layer3, the same 1/16 resolution. `last_stride` is layer4's stride, 1 as published or 2.
+    """
+
+    def __init__(
+        self, block: type[BasicBlock | Bottleneck], depths: list[int], last_layer: LastLayer, last_stride: int
+    ) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(3, 64, 7, 2, 3, bias=False)
+        self.bn1 = nn.BatchNorm2d(64)
+        self.maxpool = nn.MaxPool2d(3, 2, 1)
+        channels = 64
+        self.stages: list[str] = []
+        for index, depth in enumerate(depths[: 3 if last_layer == "layer3" else 4]):
+            width, stride = 64 * 2**index, (1, 2, 2, last_stride)[index]
+            blocks = [block(channels, width, stride)]
+            channels = width * block.expansion
+            blocks += [block(channels, width) for _ in range(depth - 1)]
+            self.stages.append(f"layer{index + 1}")
+            self.add_module(self.stages[-1], nn.Sequential(*blocks))
+        self.channels = channels
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = self.maxpool(torch.relu(self.bn1(self.conv1(x))))
+        for stage in self.stages:
+            x = self.get_submodule(stage)(x)
+        return x
+
+
+class VGG16(nn.Module):
+    """VGG-16 with batch normalisation up to its last pooling: (B, 3, H, W) -> (B, 512, H/32, W/32)."""
+
+    channels = 512
+
+    def __init__(self) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        channels = 3
+        for width, depth in ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3)):
+            for _ in range(depth):
+                layers += [nn.Conv2d(channels, width, 3, padding=1), nn.BatchNorm2d(width), nn.ReLU(inplace=True)]
+                channels = width
+            layers.append(nn.MaxPool2d(2, 2))
+        self.features = nn.Sequential(*layers)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return cast(Tensor, self.features(x))
+
+
+def build_backbone(name: BackboneName, last_layer: LastLayer = "layer4", last_stride: int = 1) -> ResNet | VGG16:
+    """The named network with random weights (He initialisation).
+
+    Raises:
+        InputError: for an unknown name.
+    """
+    network: ResNet | VGG16
+    if name == "resnet18":
+        network = ResNet(BasicBlock, [2, 2, 2, 2], last_layer, last_stride)
+    elif name == "resnet50":
+        network = ResNet(Bottleneck, [3, 4, 6, 3], last_layer, last_stride)
+    elif name == "vgg16_bn":
+        network = VGG16()
+    else:
+        raise InputError(f"The backbone is {name!r}; expected resnet18, resnet50, or vgg16_bn.")
+    for module in network.modules():
+        if isinstance(module, nn.Conv2d):
+            nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+            if module.bias is not None:
+                nn.init.zeros_(module.bias)
+    return network
+
+
+def _shortcut(in_channels: int, out_channels: int, stride: int) -> nn.Sequential | None:
+    if stride == 1 and in_channels == out_channels:
+        return None
+    return nn.Sequential(nn.Conv2d(in_channels, out_channels, 1, stride, bias=False), nn.BatchNorm2d(out_channels))

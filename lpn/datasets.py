@@ -1,0 +1,110 @@
+"""Data set folders in University-1652's layout: which pictures they hold, and of which place.
+
+    train/{satellite,drone,street,google}/<id>/*.jpg|jpeg|png
+    test/{query,gallery}_{satellite,drone,street}/<id>/*.jpg|jpeg|png
+
+The label of a picture is its folder's integer name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations
+from pathlib import Path
+
+from lpn.errors import DataError
+from lpn.images import SUFFIXES
+
+TRAIN_FOLDERS = ("satellite", "drone", "street", "google")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture file.
+
+    Attributes:
+        path: the file.
+        label: the place it shows, from its folder's integer name.
+        name: how it is shown to people: the folder's name, and the file's where a place has several.
+    """
+
+    path: Path
+    label: int
+    name: str
+
+
+class Dataset:
+    """A folder in University-1652's layout. Pictures are listed when asked for, in order of place and file name."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def train(self, folder: str) -> list[Picture]:
+        """Pictures of train/<folder> (satellite, drone, street, or google), empty where the folder is absent."""
+        return _pictures(self.root / "train" / folder)
+
+    def queries(self, view: str) -> list[Picture]:
+        """Pictures of test/query_<view>.
+
+        Raises:
+            DataError: when there are none.
+        """
+        return self._test("query", view)
+
+    def gallery(self, view: str) -> list[Picture]:
+        """Pictures of test/gallery_<view>.
+
+        Raises:
+            DataError: when there are none.
+        """
+        return self._test("gallery", view)
+
+    def tasks(self) -> list[str]:
+        """The retrieval tasks the test split offers, such as "drone-to-satellite", the usual ones first."""
+        pairs = sorted(permutations(("drone", "satellite", "street"), 2), key=lambda pair: "satellite" not in pair)
+        return [
+            f"{query}-to-{gallery}"
+            for query, gallery in pairs
+            if (self.root / "test" / f"query_{query}").is_dir() and (self.root / "test" / f"gallery_{gallery}").is_dir()
+        ]
+
+    def _test(self, role: str, view: str) -> list[Picture]:
+        folder = self.root / "test" / f"{role}_{view}"
+        pictures = _pictures(folder)
+        if not pictures:
+            found = "no pictures in it" if folder.is_dir() else "no such folder"
+            raise DataError(
+                f"{self.root.name} has {found} at test/{role}_{view}; expected test/{role}_{view}/<number>/*.jpg, "
+                "as in University-1652."
+            )
+        return pictures
+
+
+def open_dataset(root: str | Path) -> Dataset:
+    """Open a data set folder.
+
+    Raises:
+        DataError: when there is no such folder, or it has neither a train nor a test folder.
+    """
+    root = Path(root)
+    if not root.is_dir():
+        raise DataError(f"There is no data set folder at {root}; check the path.")
+    if not (root / "train").is_dir() and not (root / "test").is_dir():
+        inside = ", ".join(sorted(p.name for p in root.iterdir())[:5]) or "nothing"
+        raise DataError(f"{root} holds {inside}; expected the folders train and test, as in University-1652.")
+    return Dataset(root)
+
+
+def _pictures(folder: Path) -> list[Picture]:
+    pictures: list[Picture] = []
+    for place in sorted(p for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []:
+        if not place.name.isdecimal():
+            raise DataError(
+                f"The folder {place.name} in {folder.parent.name}/{folder.name} is not a number; expected one folder per "
+                "place, named by its number, so rename or remove it."
+            )
+        files = sorted(file for file in place.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+        for file in files:
+            name = place.name if len(files) == 1 else f"{place.name}/{file.stem}"
+            pictures.append(Picture(file, int(place.name), name))
+    return pictures

@@ -1,0 +1,113 @@
+"""An exported LPN on ONNX Runtime: pictures in, part embeddings and feature map out, and the heads to explain them.
+
+The exported file is one graph per group of views that share weights. Each graph also yields its own heads, as
+outputs that depend on nothing, so a file explains itself and nothing but ONNX Runtime is needed to read it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import onnxruntime as ort
+
+from lpn.errors import InputError, ModelFileError
+from lpn.files import fingerprint
+from lpn.model import FloatArray, Heads, Model
+from lpn.spec import ModelSpec, View
+
+FORMAT = "lpn-explorer-onnx/1"
+OUTPUTS = ("parts", "features")
+HEAD_OUTPUTS = ("head_weight", "head_bias", "cells")
+
+
+class Engine(Model):
+    """A model that runs from `.onnx` files on the CPU, without torch.
+
+    Args:
+        path: the file written by `lpn export`; files of further view groups lie beside it.
+        threads: threads per forward pass; by default as many as the machine has cores.
+
+    Raises:
+        ModelFileError: when a file is missing, damaged, or was not written by `lpn export`.
+    """
+
+    def __init__(self, path: str | Path, threads: int | None = None) -> None:
+        path = Path(path)
+        options = ort.SessionOptions()
+        options.log_severity_level = 4
+        options.intra_op_num_threads = threads or os.cpu_count() or 1
+        options.inter_op_num_threads = 1
+        self._sessions: dict[str, ort.InferenceSession] = {}
+        self._heads: dict[str, Heads] = {}
+        session = _open(path, options)
+        metadata = _metadata(session, path)
+        self.spec = ModelSpec.from_json(metadata["spec"])
+        self.fingerprint = fingerprint(path)
+        for group, name in _group_files(metadata, self.spec, path).items():
+            session = session if name == path.name else _open(path.with_name(name), options)
+            self._sessions.update(dict.fromkeys(group.split("+"), session))
+
+    def run(self, images: FloatArray, view: View) -> tuple[FloatArray, FloatArray]:
+        """One forward pass: part embeddings (B, n, D) and feature map (B, C, h, w)."""
+        self._check_size(images, view)
+        parts, features = self._sessions[view].run(list(OUTPUTS), {"images": images})
+        return cast(FloatArray, parts), cast(FloatArray, features)
+
+    def part_embeddings(self, images: Any, view: View) -> FloatArray:
+        """Raw head outputs (B, n, D); the feature map is not fetched."""
+        batch = self._batch(images, view)
+        self._check_size(batch, view)
+        session = self._sessions[view]
+        chunks = [session.run(["parts"], {"images": batch[i : i + 16]})[0] for i in range(0, len(batch), 16)]
+        if not chunks:
+            return np.zeros((0, self.n_parts, self.spec.embedding), np.float32)
+        return cast(FloatArray, np.concatenate(cast("list[FloatArray]", chunks)))
+
+    def heads(self, view: View) -> Heads:
+        """The affine heads and cell weights for exact explanation, read from the graph once."""
+        self.check_view(view)
+        if view not in self._heads:
+            blank = np.zeros((1, 3, *self.input_size), np.float32)
+            outputs = self._sessions[view].run(list(HEAD_OUTPUTS), {"images": blank})
+            self._heads[view] = Heads(*(cast(FloatArray, output) for output in outputs))
+        return self._heads[view]
+
+    def _check_size(self, images: FloatArray, view: View) -> None:
+        self.check_view(view)
+        if images.shape[2:] != self.input_size:
+            raise InputError(
+                f"The images are {images.shape[2]} x {images.shape[3]}; this exported model takes "
+                f"{self.input_size[0]} x {self.input_size[1]}, so resize them or export the model for that size."
+            )
+
+
+def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
+    if not path.is_file():
+        raise ModelFileError(f"There is no model file at {path}; check the path.")
+    try:
+        return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # ONNX Runtime's own classes all derive from RuntimeError or from Exception directly
+        raise ModelFileError(f"{path.name} is not an ONNX model or is truncated; export the model again.") from error
+
+
+def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
+    metadata = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map)
+    names = {output.name for output in session.get_outputs()}
+    if metadata.get("format") != FORMAT or not {*OUTPUTS, *HEAD_OUTPUTS} <= names:
+        raise ModelFileError(f"{path.name} is an ONNX model but not one written by `lpn export`; export your LPN with it.")
+    return metadata
+
+
+def _group_files(metadata: dict[str, str], spec: ModelSpec, path: Path) -> dict[str, str]:
+    try:
+        files: Any = json.loads(metadata["files"])
+        groups = {"+".join(group) for group in spec.groups()}
+        if set(files) != groups or any(Path(name).name != name for name in files.values()):
+            raise ValueError
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        raise ModelFileError(f"{path.name} does not say which files hold its views; export the model again.") from error
+    return cast("dict[str, str]", files)

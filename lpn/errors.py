@@ -1,0 +1,40 @@
+"""What can go wrong, as one small hierarchy. Every message is one sentence meant for the person at the keyboard.
+
+    LPNError
+    ├── ModelFileError   a model file is missing, damaged, or of a kind we cannot use
+    ├── DataError        a data set folder is missing, empty, or not laid out as expected
+    ├── PictureError     a picture cannot be read
+    ├── StoreError       a descriptor store cannot be read or written
+    ├── InputError       an array or option has the wrong shape, type, or value
+    └── MissingPackage   a feature needs a package of an extra that is not installed
+"""
+
+from __future__ import annotations
+
+
+class LPNError(Exception):
+    """Base of all errors a user can cause and mend; the message says what was found, expected, and what to do."""
+
+
+class ModelFileError(LPNError):
+    """A model file is missing, damaged, or of a kind that cannot be used."""
+
+
+class DataError(LPNError):
+    """A data set folder is missing, empty, or not laid out as expected."""
+
+
+class PictureError(LPNError):
+    """A picture cannot be read."""
+
+
+class StoreError(LPNError):
+    """A descriptor store cannot be read or written."""
+
+
+class InputError(LPNError):
+    """An array or option has the wrong shape, type, or value."""
+
+
+class MissingPackage(LPNError):
+    """A feature needs a package of an extra that is not installed."""

@@ -1,0 +1,95 @@
+"""From a PyTorch LPN to `.onnx`: one graph per group of views that share weights, each carrying its heads."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import warnings
+from pathlib import Path
+from typing import cast
+
+import onnx
+import torch
+from torch import Tensor, nn
+
+from lpn.checkpoints import TorchModel, load_torch
+from lpn.engine import FORMAT, HEAD_OUTPUTS, OUTPUTS
+from lpn.errors import InputError
+from lpn.files import write_whole
+from lpn.spec import View
+
+
+class _Graph(nn.Module):
+    """An LPN at test time for one view, heads folded to affine maps."""
+
+    def __init__(self, model: TorchModel, view: View) -> None:
+        super().__init__()
+        self.branch = model.network.branch(view)
+        heads = model.heads(view)
+        self.leaky = model.spec.activation == "leaky_relu"
+        self.weight = nn.Buffer(torch.from_numpy(heads.weight))
+        self.bias = nn.Buffer(torch.from_numpy(heads.bias))
+        self.partition = nn.Buffer(torch.from_numpy(heads.cells))
+
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        features = cast(Tensor, self.branch(images))
+        pooled = torch.matmul(self.partition.flatten(1), features.flatten(2).transpose(1, 2))
+        parts = torch.matmul(self.weight, pooled.unsqueeze(3)).squeeze(3) + self.bias
+        if self.leaky:
+            parts = nn.functional.leaky_relu(parts, 0.1)
+        return parts, features, self.weight, self.bias, self.partition
+
+
+def export(model: str | Path, out: str | Path) -> list[Path]:
+    """Export a `.pth` or `.safetensors` model for ONNX Runtime.
+
+    The first group of views is written to `out`; a group that shares no weights with it, such as the street view,
+    to a file beside it (`out` with the views' names before the suffix). Outputs: `parts` (B, n, D), `features`
+    (B, C, h, w), and, independent of the input, `head_weight` (n, D, C), `head_bias` (n, D), `cells` (n, h, w).
+
+    Returns:
+        The files written.
+
+    Raises:
+        InputError: when `out` does not end in .onnx.
+        ModelFileError: when the model cannot be loaded.
+    """
+    out = Path(out)
+    if out.suffix != ".onnx":
+        raise InputError(f"The output is named {out.name}; expected a name ending in .onnx.")
+    loaded = load_torch(model)
+    groups = loaded.spec.groups()
+    files = {"+".join(g): out.name if g == groups[0] else f"{out.stem}.{'+'.join(g)}.onnx" for g in groups}
+    metadata = {"format": FORMAT, "spec": loaded.spec.to_json(), "files": json.dumps(files)}
+    graphs = {out.with_name(files["+".join(group)]): _graph(loaded, group[0], metadata) for group in groups}
+    for path, graph in reversed(graphs.items()):
+        write_whole(path, graph)
+    return list(graphs)
+
+
+def _graph(model: TorchModel, view: View, metadata: dict[str, str]) -> bytes:
+    """Trace one view with a dynamic batch and return the serialised graph."""
+    height, width = model.input_size
+    example = torch.zeros(2, 3, height, width)
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        program = torch.onnx.export(
+            _Graph(model, view).eval(),
+            (example,),
+            input_names=["images"],
+            output_names=[*OUTPUTS, *HEAD_OUTPUTS],
+            dynamic_shapes={"images": {0: torch.export.Dim("batch", min=1)}},
+            dynamo=True,
+            optimize=True,
+            verbose=False,
+        )
+    assert program is not None
+    proto = program.model_proto
+    onnx.helper.set_model_props(proto, metadata)
+    buffer = io.BytesIO()
+    onnx.save_model(proto, buffer)
+    return buffer.getvalue()
+
+

@@ -1,0 +1,287 @@
+"""Descriptors of many pictures, kept on disk: a folder that a later step can read, resume, or check.
+
+    descriptors.npy   (N, n, D) float32, memory-mapped when read, each part of norm 1/sqrt(n)
+    manifest.json     format, model fingerprint, view, angle, and for each row its file with size and time
+
+The manifest is written last, so a folder with a manifest is complete. While pictures are being described, the rows
+lie in `descriptors.part` and `progress.json` says how many of them are good.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from lpn import images
+from lpn.datasets import Picture
+from lpn.errors import DataError, LPNError, PictureError, StoreError
+from lpn.files import write_whole
+from lpn.model import FloatArray, Model
+from lpn.spec import View
+
+FORMAT = "lpn-descriptors/1"
+
+_BATCH = 8
+
+
+@dataclass(frozen=True)
+class Row:
+    """The file behind one row: its path (relative to the described folder), size in bytes, and time of change."""
+
+    file: str
+    size: int
+    time_ns: int
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a store holds.
+
+    Attributes:
+        fingerprint: of the model; descriptors of another model cannot be compared with these.
+        view: the branch used.
+        rotate: degrees counter-clockwise the pictures were turned first.
+        n_parts, embedding: n and D.
+        rows: the file of each row.
+    """
+
+    fingerprint: str
+    view: str
+    rotate: float
+    n_parts: int
+    embedding: int
+    rows: tuple[Row, ...]
+    format: str = FORMAT
+
+    def to_json(self) -> bytes:
+        """The manifest as a JSON file."""
+        return json.dumps(asdict(self), indent=1).encode()
+
+    @classmethod
+    def from_json(cls, data: bytes, name: str) -> Manifest:
+        """Read what `to_json` wrote; StoreError when it is something else."""
+        try:
+            values: Any = json.loads(data)
+            if values.pop("format") != FORMAT:
+                raise ValueError("another format")
+            rows = tuple(Row(str(r["file"]), int(r["size"]), int(r["time_ns"])) for r in values.pop("rows"))
+            return cls(rows=rows, **values)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise StoreError(f"{name} is not a manifest of descriptors ({FORMAT}); describe the pictures again.") from error
+
+    def comparable(self, other: Manifest) -> bool:
+        """Whether rows of the same file may be taken over from another store."""
+        return (self.fingerprint, self.view, self.rotate) == (other.fingerprint, other.view, other.rotate)
+
+
+@dataclass(frozen=True, eq=False)
+class Store:
+    """A complete store. `descriptors` is (N, n, D) float32, memory-mapped, read-only."""
+
+    manifest: Manifest
+    descriptors: FloatArray
+
+
+def open_store(folder: str | Path) -> Store:
+    """Open a store.
+
+    Raises:
+        StoreError: when the folder is not a complete store or its files do not fit each other.
+    """
+    folder = Path(folder)
+    if not (folder / "manifest.json").is_file():
+        unfinished = " (its description was not finished; run lpn describe again)" if (folder / "progress.json").is_file() else ""
+        raise StoreError(f"{folder} has no manifest.json, so it is not a store of descriptors{unfinished}.")
+    manifest = Manifest.from_json((folder / "manifest.json").read_bytes(), "manifest.json")
+    expected = (len(manifest.rows), manifest.n_parts, manifest.embedding)
+    try:
+        descriptors = np.load(folder / "descriptors.npy", mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise StoreError(f"descriptors.npy in {folder} is missing or damaged; describe the pictures again.") from error
+    if descriptors.shape != expected or descriptors.dtype != np.float32:
+        raise StoreError(
+            f"descriptors.npy in {folder} is {descriptors.dtype} {descriptors.shape}, but its manifest says float32 "
+            f"{expected}; describe the pictures again."
+        )
+    return Store(manifest, cast(FloatArray, descriptors))
+
+
+def describe(
+    model: Model,
+    files: Sequence[Path],
+    view: View,
+    out: str | Path,
+    root: Path | None = None,
+    rotate: float = 0.0,
+    title: str = "Describing",
+) -> Store:
+    """Describe picture files into a store, mirror included; what is there already is not computed again.
+
+    Killed at any moment, the next call goes on where it stood. A complete store in `out` of the same model, view, and
+    angle hands over the rows of files that did not change.
+
+    Args:
+        files: the pictures, in the order of the rows.
+        out: the store's folder.
+        root: folder that the file names in the manifest are relative to.
+        rotate: degrees counter-clockwise each picture is turned first, corners black.
+        title: shown beside the progress bar.
+
+    Raises:
+        PictureError: naming the first file that is not a picture, before anything is computed where its header tells.
+        StoreError: when `out` cannot be written.
+    """
+    model.check_view(view)
+    out = Path(out)
+    rows = tuple(_row(file, root) for file in files)
+    manifest = Manifest(model.fingerprint, view, float(rotate), model.n_parts, model.spec.embedding, rows)
+    before = _complete(out)
+    if before is not None and before.manifest == manifest:
+        return before
+    for file in files:
+        images.check_header(file)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        _fill(model, files, manifest, out, before, title)
+        os.replace(out / "descriptors.part", out / "descriptors.npy")
+        write_whole(out / "manifest.json", manifest.to_json())
+        (out / "progress.json").unlink(missing_ok=True)
+    except OSError as error:
+        raise StoreError(f"The store {out} cannot be written ({error.strerror}); free space or choose another folder.") from error
+    return open_store(out)
+
+
+def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, rotate: float = 0.0) -> FloatArray:
+    """Descriptors (N, n, D) of pictures, from the user's cache where they were described before.
+
+    The cache is `$LPN_CACHE`, else `lpn-explorer` in `$XDG_CACHE_HOME` or `~/.cache`; it may be deleted at any time.
+    """
+    files = [picture.path.resolve() for picture in pictures]
+    identity = json.dumps([model.fingerprint, view, rotate, [str(file) for file in files]])
+    folder = cache_folder() / "descriptors" / hashlib.sha256(identity.encode()).hexdigest()[:24]
+    turned = f", turned {rotate:g}°" if rotate else ""
+    return describe(model, files, view, folder, rotate=rotate, title=f"Describing {view}{turned}").descriptors
+
+
+def cache_folder() -> Path:
+    """Where descriptors are kept between runs."""
+    if given := os.environ.get("LPN_CACHE"):
+        return Path(given)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpn-explorer"
+
+
+def pictures_below(folder: str | Path) -> list[Path]:
+    """All picture files below a folder, in order of path.
+
+    Raises:
+        DataError: when there is no such folder or no picture in it.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise DataError(f"There is no folder of pictures at {folder}; check the path.")
+    files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in images.SUFFIXES and file.is_file())
+    if not files:
+        raise DataError(f"{folder} holds no pictures; expected files ending in {', '.join(images.SUFFIXES)}.")
+    return files
+
+
+def _row(file: Path, root: Path | None) -> Row:
+    try:
+        stat = file.stat()
+    except OSError as error:
+        raise PictureError(f"The picture {file} cannot be read ({error.strerror}); check the path.") from error
+    return Row(str(file.relative_to(root) if root else file), stat.st_size, stat.st_mtime_ns)
+
+
+def _complete(folder: Path) -> Store | None:
+    """The complete store in a folder, or None when there is none that can be used."""
+    try:
+        return open_store(folder)
+    except StoreError:
+        return None
+
+
+def _fill(
+    model: Model, files: Sequence[Path], manifest: Manifest, out: Path, before: Store | None, title: str
+) -> None:
+    """Compute all rows into `descriptors.part`, noting in `progress.json` how many are on disk."""
+    part, progress_file = out / "descriptors.part", out / "progress.json"
+    done = _resumable(manifest, part, progress_file)
+    shape = (len(files), manifest.n_parts, manifest.embedding)
+    if done == 0:
+        progress_file.unlink(missing_ok=True)
+        array = np.lib.format.open_memmap(part, mode="w+", dtype=np.float32, shape=shape)
+    else:
+        array = np.lib.format.open_memmap(part, mode="r+")
+    known = _known_rows(manifest, before)
+    bounds = [*range(done, len(files), _BATCH), len(files)]
+    batches = [range(a, b) for a, b in pairwise(bounds)]
+    for batch, prepared in _prepared(model, files, manifest.rotate, known, batches, done, title):
+        for i in batch:
+            if i in known:
+                array[i] = known[i]
+        fresh = [i for i in batch if i not in known]
+        if fresh:
+            array[fresh] = model.descriptors(prepared, cast(View, manifest.view))
+        array.flush()
+        write_whole(progress_file, json.dumps({"done": batch.stop, "manifest": manifest.to_json().decode()}).encode())
+    del array
+
+
+def _prepared(
+    model: Model,
+    files: Sequence[Path],
+    rotate: float,
+    known: dict[int, FloatArray],
+    batches: Sequence[range],
+    done: int,
+    title: str,
+) -> Iterator[tuple[range, FloatArray]]:
+    """Batches ready for the model, the next one decoded while the caller computes."""
+
+    def prepare(batch: range) -> FloatArray:
+        pictures = [images.load_picture(files[i]) for i in batch if i not in known]
+        turned = [images.prepare(images.rotate(picture, rotate), model.input_size) for picture in pictures]
+        return np.stack(turned) if turned else np.zeros((0, 3, *model.input_size), np.float32)
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with ThreadPoolExecutor(1) as pool, Progress(*columns) as bar:
+        task = bar.add_task(title, total=len(files), completed=done)
+        ahead = pool.submit(prepare, batches[0]) if batches else None
+        for position, batch in enumerate(batches):
+            assert ahead is not None
+            current = ahead.result()
+            ahead = pool.submit(prepare, batches[position + 1]) if position + 1 < len(batches) else None
+            yield batch, current
+            bar.update(task, completed=batch.stop)
+
+
+def _resumable(manifest: Manifest, part: Path, progress_file: Path) -> int:
+    """How many rows an interrupted run of this very manifest left on disk."""
+    try:
+        saved: Any = json.loads(progress_file.read_bytes())
+        same = Manifest.from_json(saved["manifest"].encode(), "progress.json") == manifest
+        array = np.load(part, mmap_mode="r", allow_pickle=False)
+        fits = array.shape == (len(manifest.rows), manifest.n_parts, manifest.embedding)
+        done = int(saved["done"])
+        return done if same and fits and 0 <= done <= len(manifest.rows) else 0
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, LPNError):
+        return 0
+
+
+def _known_rows(manifest: Manifest, before: Store | None) -> dict[int, FloatArray]:
+    """Rows that a complete store of the same kind already has."""
+    if before is None or not manifest.comparable(before.manifest):
+        return {}
+    have = {row: i for i, row in enumerate(before.manifest.rows)}
+    return {i: before.descriptors[have[row]] for i, row in enumerate(manifest.rows) if row in have}

@@ -1,0 +1,106 @@
+"""From a picture file to what the network is fed, in the published order: turn, resize (bicubic), normalise."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import BinaryIO, cast
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from lpn.errors import PictureError
+
+Picture = npt.NDArray[np.uint8]
+"""An RGB picture, (H, W, 3) uint8."""
+
+SUFFIXES = (".jpg", ".jpeg", ".png")
+MAX_PIXELS = 50_000_000
+
+_MEAN = np.array([0.485, 0.456, 0.406], dtype=np.float32)
+_STD = np.array([0.229, 0.224, 0.225], dtype=np.float32)
+_SCALE = (1.0 / (255.0 * _STD)).astype(np.float32)
+_OFFSET = (-_MEAN / _STD).astype(np.float32)
+
+
+def load_picture(path: str | Path) -> Picture:
+    """Read a picture file as RGB, turned upright where its EXIF data say so: (H, W, 3) uint8.
+
+    Raises:
+        PictureError: when there is no such file or it is not a readable picture.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise PictureError(f"The picture {path.name} cannot be read ({error.strerror}); check the path.") from error
+    return decode_picture(data, path.name)
+
+
+def decode_picture(data: bytes, name: str) -> Picture:
+    """Decode the bytes of a JPEG, PNG, or other common picture file; `name` is used in messages only.
+
+    Raises:
+        PictureError: when they are not a picture, or one of more than 50 megapixels.
+    """
+    _check_size(io.BytesIO(data), name)
+    try:
+        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    except cv2.error:
+        decoded = None
+    if decoded is None:
+        raise PictureError(f"{name} is not a picture that can be read; expected a JPEG or PNG file.")
+    return cast(Picture, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
+
+
+def check_header(path: Path) -> None:
+    """Raise PictureError when a file's header already tells that it is not a picture we can read."""
+    try:
+        with path.open("rb") as file:
+            _check_size(file, path.name)
+    except OSError as error:
+        raise PictureError(f"The picture {path.name} cannot be read ({error.strerror}); check the path.") from error
+
+
+def _check_size(file: BinaryIO, name: str) -> None:
+    """Refuse a decompression bomb from its header, before anything is decoded."""
+    try:
+        with Image.open(file) as header:
+            width, height = header.size
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise PictureError(f"{name} is not a picture that can be read; expected a JPEG or PNG file.") from error
+    if width * height > MAX_PIXELS:
+        raise PictureError(
+            f"{name} is {width} x {height} pixels; at most {MAX_PIXELS // 1_000_000} megapixels are read, so make it smaller."
+        )
+
+
+def rotate(picture: Picture, degrees: float) -> Picture:
+    """Turn a picture about its centre on its own canvas, counter-clockwise, corners black (Table IV)."""
+    if degrees % 360 == 0:
+        return picture
+    height, width = picture.shape[:2]
+    matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), degrees, 1.0)
+    return cast(Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_LINEAR))
+
+
+def resize(picture: Picture, height: int, width: int) -> Picture:
+    """Bicubic resize with anti-aliasing to (height, width, 3), without crop, as the published code does."""
+    if picture.shape[:2] == (height, width):
+        return picture
+    return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BICUBIC))
+
+
+def normalise(picture: Picture) -> npt.NDArray[np.float32]:
+    """ImageNet normalisation: (H, W, 3) uint8 to (3, H, W) float32."""
+    scaled = picture.astype(np.float32)
+    scaled *= _SCALE
+    scaled += _OFFSET
+    return np.ascontiguousarray(scaled.transpose(2, 0, 1))
+
+
+def prepare(picture: Picture, size: tuple[int, int]) -> npt.NDArray[np.float32]:
+    """Resize to (height, width) and normalise: (3, height, width) float32, ready for a model."""
+    return normalise(resize(picture, *size))

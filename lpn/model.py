@@ -1,0 +1,111 @@
+"""What every loaded model can do, whether it runs in PyTorch or from an exported graph."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.errors import InputError
+from lpn.spec import ModelSpec, View
+
+FloatArray = npt.NDArray[np.float32]
+
+_CHUNK = 16
+
+
+@dataclass(frozen=True)
+class Heads:
+    """The test-time heads, affine: part i embeds as `A[i] @ sum_cells(cells[i] * map) + c[i]`.
+
+    Attributes:
+        weight: A, (n, D, C) float32.
+        bias: c, (n, D) float32.
+        cells: the partition's cell weights, (n, h, w) float32.
+    """
+
+    weight: FloatArray
+    bias: FloatArray
+    cells: FloatArray
+
+
+class Model(ABC):
+    """A trained LPN, ready to describe pictures.
+
+    Images are (B, 3, H, W) float32, RGB, ImageNet-normalised (see `lpn.images`), as NumPy array or torch tensor.
+    """
+
+    spec: ModelSpec
+    fingerprint: str
+    """Hexadecimal digest of the model file: descriptors are comparable only under the same fingerprint."""
+
+    @property
+    def n_parts(self) -> int:
+        """Number of parts n of a descriptor."""
+        return self.spec.n_parts
+
+    @property
+    def input_size(self) -> tuple[int, int]:
+        """(height, width) in pixels of the pictures the model was trained on."""
+        return self.spec.input_size
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The views that have a branch, in the order satellite, street, drone."""
+        return self.spec.views
+
+    @abstractmethod
+    def run(self, images: FloatArray, view: View) -> tuple[FloatArray, FloatArray]:
+        """One forward pass: part embeddings (B, n, D) and feature map (B, C, h, w)."""
+
+    @abstractmethod
+    def heads(self, view: View) -> Heads:
+        """The affine heads and cell weights for exact explanation."""
+
+    def part_embeddings(self, images: Any, view: View) -> FloatArray:
+        """Raw head outputs of one forward pass, (B, n, D) float32, in the checkpoint's classifier order.
+
+        Raises:
+            InputError: when images are not (B, 3, H, W) float32 or the model has no such view.
+        """
+        batch = self._batch(images, view)
+        chunks = [self.run(batch[i : i + _CHUNK], view)[0] for i in range(0, len(batch), _CHUNK)]
+        return np.concatenate(chunks) if chunks else np.zeros((0, self.n_parts, self.spec.embedding), np.float32)
+
+    def descriptors(self, images: Any, view: View, mirror: bool = True) -> FloatArray:
+        """Descriptors for retrieval, (B, n, D) float32, each part of norm 1/sqrt(n).
+
+        With `mirror`, the head outputs of the picture and of its horizontal mirror are added first, as published.
+
+        Raises:
+            InputError: as for `part_embeddings`.
+        """
+        raw = self.part_embeddings(images, view)
+        if mirror:
+            raw = raw + self.part_embeddings(np.ascontiguousarray(self._batch(images, view)[..., ::-1]), view)
+        return normalise(raw)
+
+    def check_view(self, view: str) -> None:
+        """Raise InputError unless the model has the view."""
+        if view not in self.views:
+            raise InputError(f"This model has no {view!r} view; it has {', '.join(self.views)}.")
+
+    def _batch(self, images: Any, view: View) -> FloatArray:
+        self.check_view(view)
+        if hasattr(images, "detach"):
+            images = images.detach().cpu().numpy()
+        batch = np.asarray(images)
+        if batch.ndim != 4 or batch.shape[1] != 3 or not np.issubdtype(batch.dtype, np.floating):
+            raise InputError(
+                f"The images are {batch.dtype} of shape {batch.shape}; expected float32 (B, 3, H, W), ImageNet-normalised."
+            )
+        return cast(FloatArray, batch.astype(np.float32, copy=False))
+
+
+def normalise(raw: FloatArray) -> FloatArray:
+    """Scale each part of (..., n, D) head outputs to norm 1/sqrt(n), so that the whole has norm 1."""
+    norms = np.linalg.norm(raw, axis=-1, keepdims=True) * np.sqrt(raw.shape[-2])
+    return cast(FloatArray, (raw / np.maximum(norms, 1e-12)).astype(np.float32))

@@ -1,0 +1,174 @@
+"""Which cell of a feature map belongs to which part: the one source for pooling, explanation, and drawing.
+
+LPN (Wang et al., section III-B) cuts the last feature map into square rings around its centre. Pooling a part is
+a weighted sum over cells, `part_i = sum_cells weights[i, cell] * map[cell]`, so a partition is fully described by
+its weights, whatever is averaged and whether the map is first resized.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.errors import InputError
+
+Kind = Literal["rings", "rows", "columns", "whole"]
+Weighting = Literal["published", "area"]
+Box = tuple[float, float, float, float]
+
+KINDS: tuple[Kind, ...] = ("rings", "rows", "columns", "whole")
+WEIGHTINGS: tuple[Weighting, ...] = ("published", "area")
+
+
+@dataclass(frozen=True)
+class Partition:
+    """A way to cut a feature map into `n` parts.
+
+    Attributes:
+        kind: "rings" (square rings around the centre), "rows" (horizontal strips, top to bottom), "columns"
+            (vertical strips, left to right), or "whole" (the baseline: one part, n = 1).
+        n: number of parts, at least 1.
+        weighting: how a ring is averaged. "published" divides a ring's sum by the area of its whole box, the inner
+            part counted as zeros, as the released LPN does; "area" divides by the ring's own area, as the paper's
+            text says. Strips and the whole map are plain means in either case.
+        outside_in: number rings from the outermost (part 0) to the centre, as the released CVUSA/CVACT models do
+            for the satellite; otherwise part 0 is the centre.
+        align_corners: how a map too small for n rings is resized bilinearly (true for the University-1652 models,
+            false for CVUSA/CVACT).
+    """
+
+    kind: Kind = "rings"
+    n: int = 4
+    weighting: Weighting = "published"
+    outside_in: bool = False
+    align_corners: bool = True
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError(f"The partition kind is {self.kind!r}; expected one of {', '.join(KINDS)}.")
+        if self.weighting not in WEIGHTINGS:
+            raise InputError(f"The ring weighting is {self.weighting!r}; expected one of {', '.join(WEIGHTINGS)}.")
+        if self.n < 1 or (self.kind == "whole" and self.n != 1):
+            raise InputError(f"A {self.kind!r} partition cannot have {self.n} parts; use n = 1 or more rings or strips.")
+
+    def grid(self, height: int, width: int) -> tuple[int, int]:
+        """Rows and columns of the grid that `labels` are given on.
+
+        It is the feature map itself, unless that has too few cells: rings need 2n along each side (the released
+        code resizes such a map to 2n x 2n), strips need n along theirs.
+        """
+        if height < 1 or width < 1:
+            raise InputError(f"The feature map is {height} x {width}; expected at least 1 x 1.")
+        if self.kind == "rings" and self.n > 1:
+            return max(height, 2 * self.n), max(width, 2 * self.n)
+        if self.kind == "rows":
+            return max(height, self.n), width
+        if self.kind == "columns":
+            return height, max(width, self.n)
+        return height, width
+
+    def labels(self, height: int, width: int) -> npt.NDArray[np.int64]:
+        """The part of each grid cell: (rows, columns) of `grid`, values 0 .. n-1, each present at least once.
+
+        Where strips do not divide the map, adjacent strips share a row or column (adaptive pooling); its label is
+        the strip that holds its middle, and `weights` have both.
+        """
+        rows, columns = self.grid(height, width)
+        if self.kind in ("rows", "columns"):
+            length = rows if self.kind == "rows" else columns
+            strip = (2 * np.arange(length) + 1) * self.n // (2 * length)
+            return np.broadcast_to(strip[:, None] if self.kind == "rows" else strip[None, :], (rows, columns)).copy()
+        labels = np.full((rows, columns), self.n - 1, dtype=np.int64)
+        for ring in range(self.n - 2, -1, -1):
+            top, bottom, left, right = self._ring_box(rows, columns, ring)
+            labels[top:bottom, left:right] = ring
+        return self.n - 1 - labels if self.outside_in else labels
+
+    def weights(self, height: int, width: int) -> npt.NDArray[np.float32]:
+        """The weight of each feature map cell in each part's pooling: (n, height, width) float32.
+
+        `einsum("nhw,chw->nc", weights, map)` is the pooled map. The bilinear resize of a small map is folded in, so
+        these are always weights of real cells. With "area" weighting each part sums to one.
+        """
+        if self.kind in ("rows", "columns"):
+            return self._strip_weights(height, width)
+        rows, columns = self.grid(height, width)
+        labels = self.labels(height, width)
+        weights = np.zeros((self.n, rows, columns))
+        for part in range(self.n):
+            ring = self.n - 1 - part if self.outside_in else part
+            if self.weighting == "area":
+                area = np.count_nonzero(labels == part)
+            else:
+                top, bottom, left, right = self._ring_box(rows, columns, ring)
+                area = (bottom - top) * (right - left)
+            weights[part] = (labels == part) / area
+        if (rows, columns) != (height, width):
+            to_rows = _bilinear(height, rows, self.align_corners)
+            to_columns = _bilinear(width, columns, self.align_corners)
+            weights = np.einsum("nij,ih,jw->nhw", weights, to_rows, to_columns)
+        return weights.astype(np.float32)
+
+    def boxes(self, height: int, width: int) -> list[Box]:
+        """The outer border of each part as (left, top, right, bottom) in fractions of the picture, 0 .. 1.
+
+        A ring is its box less the box of the next ring inside; a strip is its box.
+        """
+        rows, columns = self.grid(height, width)
+        boxes: list[Box] = []
+        for part in range(self.n):
+            if self.kind == "rows":
+                boxes.append((0.0, part / self.n, 1.0, (part + 1) / self.n))
+            elif self.kind == "columns":
+                boxes.append((part / self.n, 0.0, (part + 1) / self.n, 1.0))
+            else:
+                ring = self.n - 1 - part if self.outside_in else part
+                top, bottom, left, right = self._ring_box(rows, columns, ring)
+                boxes.append((left / columns, top / rows, right / columns, bottom / rows))
+        return boxes
+
+    def names(self) -> list[str]:
+        """A short name for each part, as a person would say it: "1 centre", "2", "3", "4 outer"."""
+        if self.n == 1:
+            return ["1 whole"]
+        first, last = {"rows": ("top", "bottom"), "columns": ("left", "right")}.get(self.kind, ("centre", "outer"))
+        if self.outside_in:
+            first, last = last, first
+        return [f"1 {first}", *(str(i + 1) for i in range(1, self.n - 1)), f"{self.n} {last}"]
+
+    def _ring_box(self, rows: int, columns: int, ring: int) -> tuple[int, int, int, int]:
+        """Rows top:bottom and columns left:right of ring's box (0 = centre); the last box is the whole grid."""
+        if ring == self.n - 1:
+            return 0, rows, 0, columns
+        down, across = (ring + 1) * (rows // (2 * self.n)), (ring + 1) * (columns // (2 * self.n))
+        return rows // 2 - down, rows // 2 + down, columns // 2 - across, columns // 2 + across
+
+    def _strip_weights(self, height: int, width: int) -> npt.NDArray[np.float32]:
+        """Adaptive average pooling to n x 1 or 1 x n: strip i covers floor(i L / n) .. ceil((i + 1) L / n)."""
+        self.grid(height, width)
+        weights = np.zeros((self.n, height, width), dtype=np.float32)
+        length = height if self.kind == "rows" else width
+        for part in range(self.n):
+            strip = slice(part * length // self.n, -(-(part + 1) * length // self.n))
+            covered = weights[part, strip, :] if self.kind == "rows" else weights[part, :, strip]
+            covered[...] = 1.0 / covered.size
+        return weights
+
+
+def _bilinear(source: int, target: int, align_corners: bool) -> npt.NDArray[np.float64]:
+    """The (target, source) matrix of a bilinear resize along one side."""
+    if align_corners:
+        position = np.arange(target) * ((source - 1) / max(target - 1, 1))
+    else:
+        position = np.maximum((np.arange(target) + 0.5) * (source / target) - 0.5, 0.0)
+    lower = np.minimum(position.astype(int), source - 1)
+    upper = np.minimum(lower + 1, source - 1)
+    fraction = position - lower
+    matrix = np.zeros((target, source))
+    rows = np.arange(target)
+    np.add.at(matrix, (rows, lower), 1.0 - fraction)
+    np.add.at(matrix, (rows, upper), fraction)
+    return matrix

@@ -1,0 +1,122 @@
+"""Named training recipes: every number that decides what a training does, in one place."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+from lpn.errors import InputError
+from lpn.partition import Weighting
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How to train. The defaults are the paper's recipe for University-1652."""
+
+    backbone: Literal["resnet18", "resnet50", "vgg16_bn"] = "resnet50"
+    """Network under the parts."""
+    last_layer: Literal["layer3", "layer4"] = "layer4"
+    """Where a ResNet is cut; layer3 costs about half and keeps the 16 x 16 map of a 256-pixel picture."""
+    n_parts: int = 4
+    """Parts per descriptor; 1 is the baseline with global average pooling."""
+    weighting: Weighting = "published"
+    """How a ring is averaged: published (divided by its whole box) or area (its own mean)."""
+    shared: bool = True
+    """Satellite and drone share their weights."""
+    size: int = 256
+    """Height and width in pixels of the pictures the network is fed."""
+    dropout: float = 0.5
+    """Dropout in the heads (0.5 in the paper; the released script passes 0.75)."""
+
+    epochs: int = 120
+    """Passes over all places, one picture of each view per place."""
+    batch: int = 8
+    """Places per step; each step sees one picture of every view of each."""
+    optimizer: Literal["sgd", "adamw"] = "sgd"
+    """SGD has momentum 0.9 with Nesterov."""
+    lr: float = 0.01
+    """Learning rate of the heads."""
+    backbone_ratio: float = 0.1
+    """Learning rate of the backbone relative to the heads'."""
+    schedule: Literal["step", "cosine"] = "step"
+    """Step: x 0.1 after `decay_epoch`. Cosine: down to 0 at the end."""
+    decay_epoch: int = 80
+    """When the step schedule decays."""
+    warmup_epochs: int = 0
+    """Epochs of linear rise of the rate from 0."""
+    weight_decay: float = 5e-4
+    """Weight decay."""
+    ema: float = 0.0
+    """Decay of an exponential moving average of the weights, which is then what is saved and tested; 0 for none."""
+
+    instance: float = 1.0
+    """Weight of the instance loss: cross-entropy over places, for each part and view (equation 4 of the paper)."""
+    reduction: Literal["sum", "mean"] = "sum"
+    """How the instance losses of parts and views are put together; the paper sums, a mean keeps their weight for any n."""
+    label_smoothing: float = 0.0
+    """Smoothing of the targets of both losses."""
+    contrastive: float = 0.0
+    """Weight of a symmetric InfoNCE loss between each view's descriptors and the satellite's, over the batch."""
+    temperature: float = 0.07
+    """Temperature of the contrastive loss."""
+
+    rotation: float = 0.0
+    """Each picture is turned by up to this many degrees either way, on its own."""
+    satellite_rotation: float = 90.0
+    """Satellites are turned further by up to this many degrees either way."""
+    place_rotation: float = 0.0
+    """All views of a place are turned together by up to this many degrees either way."""
+    shift: float = 10 / 256
+    """Random shift, as a share of the size (padding 10 pixels at the edge and cropping, at 256)."""
+    scale: float = 0.0
+    """Random scale, up to exp(+-scale)."""
+    colour: float = 0.0
+    """Strength 0 .. 1 of random brightness, contrast, colour cast, and grey."""
+    flip: bool = True
+    """Mirror all views of a place, half of the time."""
+
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """Arithmetic of the forward pass; auto is bfloat16 where the processor has it, else float32."""
+    seed: int = 0
+    """Seed of initialisation, order, and augmentation."""
+
+    def __post_init__(self) -> None:
+        for name in ("n_parts", "size", "epochs", "batch"):
+            if getattr(self, name) < 1:
+                raise InputError(f"The recipe has {name} = {getattr(self, name)}; expected 1 or more.")
+        if self.instance <= 0 and self.contrastive <= 0:
+            raise InputError("The recipe has no loss: instance and contrastive are both 0; give one of them a weight.")
+
+    def to_json(self) -> str:
+        """One line of JSON."""
+        return json.dumps(asdict(self))
+
+
+RECIPES: dict[str, Recipe] = {
+    "university1652": Recipe(),
+    "small": Recipe(
+        backbone="resnet18",
+        last_layer="layer3",
+        dropout=0.3,
+        epochs=24,
+        batch=32,
+        optimizer="adamw",
+        lr=5e-4,
+        backbone_ratio=0.3,
+        schedule="cosine",
+        warmup_epochs=2,
+        weight_decay=0.01,
+        ema=0.99,
+        reduction="mean",
+        label_smoothing=0.1,
+        contrastive=1.0,
+        rotation=10.0,
+        satellite_rotation=0.0,
+        place_rotation=15.0,
+        shift=0.06,
+        scale=0.15,
+        colour=1.0,
+    ),
+}
+"""university1652: the paper's. small: for some hundred places, from an ImageNet backbone."""

@@ -1,0 +1,127 @@
+"""One query against a gallery: describe the picture, compare part by part, rank under any part weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn import explain, images
+from lpn.images import Picture
+from lpn.model import FloatArray, Model, normalise
+from lpn.spec import View
+
+
+@dataclass(frozen=True)
+class Described:
+    """A picture as the network sees it.
+
+    Attributes:
+        picture: the turned picture, (H, W, 3) uint8.
+        descriptor: parts of norm 1/sqrt(n), (n, D).
+        activation: channel sum of the last feature map, (h, w), 0 .. 1.
+    """
+
+    picture: Picture
+    descriptor: FloatArray
+    activation: FloatArray
+
+
+@dataclass(frozen=True)
+class Match:
+    """One ranked tile.
+
+    Attributes:
+        rank: 1 for the nearest.
+        index: position in the gallery.
+        score: weighted mean cosine, -1 .. 1.
+        distance2: squared distance 2 - 2 score.
+        gap: how much further the next tile is (squared distance), None for the last one.
+        cosines: of each part, (n,).
+        shares: each part's exact contribution to distance2, (n,).
+        true: whether it shows the query's place; None when that is not known.
+    """
+
+    rank: int
+    index: int
+    score: float
+    distance2: float
+    gap: float | None
+    cosines: FloatArray
+    shares: FloatArray
+    true: bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """A whole gallery in the order of its distance to one query, under one set of part weights.
+
+    Attributes:
+        cosines: each part's cosine with the query, (G, n).
+        weights: the part weights, summing to one, (n,).
+        scores: weighted mean cosines, (G,).
+        order: gallery positions from nearest to farthest, (G,).
+        relevant: which gallery pictures show the query's place, (G,) bool; None when that is not known.
+    """
+
+    cosines: FloatArray
+    weights: FloatArray
+    scores: FloatArray
+    order: npt.NDArray[np.int64]
+    relevant: npt.NDArray[np.bool_] | None
+
+    def match(self, position: int) -> Match:
+        """The match at a 0-based position of the order."""
+        index = int(self.order[position])
+        last = position + 1 >= len(self.order)
+        return Match(
+            rank=position + 1,
+            index=index,
+            score=float(self.scores[index]),
+            distance2=2.0 - 2.0 * float(self.scores[index]),
+            gap=None if last else 2.0 * float(self.scores[index] - self.scores[self.order[position + 1]]),
+            cosines=self.cosines[index],
+            shares=explain.contributions(self.cosines[index], self.weights),
+            true=None if self.relevant is None else bool(self.relevant[index]),
+        )
+
+    def top(self, k: int) -> list[Match]:
+        """The k nearest, or all when there are fewer."""
+        return [self.match(position) for position in range(min(k, len(self.order)))]
+
+    def find(self, index: int) -> Match:
+        """The match that is gallery picture `index`."""
+        return self.match(int(np.flatnonzero(self.order == index)[0]))
+
+    def truth(self) -> Match | None:
+        """The nearest true match; None when there is none or it is not known."""
+        if self.relevant is None or not self.relevant.any():
+            return None
+        return self.match(int(np.argmax(self.relevant[self.order])))
+
+
+def describe_picture(model: Model, picture: Picture, view: View, angle: float = 0.0) -> Described:
+    """Turn a picture by `angle` degrees counter-clockwise and describe it, mirror included, in one batch of two."""
+    turned = images.rotate(picture, angle)
+    prepared = images.prepare(turned, model.input_size)
+    parts, features = model.run(np.stack([prepared, prepared[..., ::-1]]), view)
+    descriptor = normalise(cast(FloatArray, parts[0] + parts[1]))
+    return Described(turned, descriptor, explain.activation(features[0]))
+
+
+def rank(
+    cosines: FloatArray, weights: FloatArray, labels: npt.NDArray[np.int64] | None = None, label: int | None = None
+) -> Ranking:
+    """Rank a gallery by weighted part cosines; ties keep gallery order.
+
+    Args:
+        cosines: of every gallery picture's parts with the query's, (G, n), see `explain.part_cosines`.
+        weights: part weights that sum to one, (n,).
+        labels: the place each gallery picture shows, (G,); needed with `label`.
+        label: the place the query shows, or None when unknown.
+    """
+    scores = cosines @ weights
+    relevant = None if labels is None or label is None else labels == label
+    return Ranking(cosines, weights, scores, np.argsort(-scores, kind="stable"), relevant)

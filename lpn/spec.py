@@ -1,0 +1,112 @@
+"""What an LPN is made of, as plain data: shared by training, checkpoints, export, and the engine (no torch here)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal, cast
+
+from lpn.errors import InputError, ModelFileError
+from lpn.partition import Partition, Weighting
+
+View = Literal["satellite", "street", "drone"]
+Activation = Literal["none", "leaky_relu"]
+
+VIEWS: tuple[View, ...] = ("satellite", "street", "drone")
+BRANCH: dict[View, str] = {"satellite": "model_1", "street": "model_2", "drone": "model_3"}
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """The architecture of an LPN.
+
+    Attributes:
+        backbone: "resnet18", "resnet50", or "vgg16_bn".
+        last_layer: where a ResNet ends, "layer3" or "layer4".
+        last_stride: stride of a ResNet's layer4, 1 (published) or 2.
+        views: the views with a branch, in the order satellite, street, drone.
+        shared: satellite and drone (or, without a drone, satellite and street) use the same weights.
+        n_parts: parts per descriptor; 1 is the baseline.
+        layout: "university" (square rings for every view), "cvusa" (rings outside in for the satellite, rows for
+            the street), or "strips" (columns for every view, the paper's Figure 4).
+        weighting: how a ring is averaged, see `Partition`.
+        activation: between BatchNorm and Dropout in the head; "none" as released.
+        embedding: dimension D of a part's embedding.
+        classes: size of the class layer used in training.
+        dropout: probability in the head, in training only.
+        input_size: (height, width) in pixels of the picture the network is fed.
+    """
+
+    backbone: str = "resnet50"
+    last_layer: str = "layer4"
+    last_stride: int = 1
+    views: tuple[View, ...] = ("satellite", "street", "drone")
+    shared: bool = True
+    n_parts: int = 4
+    layout: Literal["university", "cvusa", "strips"] = "university"
+    weighting: Weighting = "published"
+    activation: Activation = "none"
+    embedding: int = 512
+    classes: int = 701
+    dropout: float = 0.5
+    input_size: tuple[int, int] = (256, 256)
+
+    def __post_init__(self) -> None:
+        if not self.views or any(view not in VIEWS for view in self.views):
+            raise InputError(f"The views are {self.views}; expected one to three of {', '.join(VIEWS)}.")
+        object.__setattr__(self, "views", tuple(v for v in VIEWS if v in self.views))
+        if self.n_parts < 1:
+            raise InputError(f"The number of parts is {self.n_parts}; expected 1 or more.")
+
+    def partition(self, view: View) -> Partition:
+        """How the feature map of `view` is cut."""
+        if self.n_parts == 1:
+            return Partition("whole", 1)
+        if self.layout == "strips":
+            return Partition("columns", self.n_parts)
+        if self.layout == "cvusa":
+            if view == "street":
+                return Partition("rows", self.n_parts)
+            return Partition("rings", self.n_parts, self.weighting, outside_in=True, align_corners=False)
+        return Partition("rings", self.n_parts, self.weighting)
+
+    def owner(self, view: View) -> View:
+        """The view whose branch holds the weights used for `view`."""
+        if self.shared and view != "satellite" and "satellite" in self.views:
+            if view == "drone" or "drone" not in self.views:
+                return "satellite"
+        return view
+
+    def groups(self) -> list[tuple[View, ...]]:
+        """Views that share weights and partition, and therefore one exported graph."""
+        keys = {view: (self.owner(view), self.partition(view)) for view in self.views}
+        ordered = list(dict.fromkeys(keys.values()))
+        return [tuple(view for view in self.views if keys[view] == key) for key in ordered]
+
+    def to_json(self) -> str:
+        """One line of JSON, read back by `from_json`."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> ModelSpec:
+        """Read what `to_json` wrote.
+
+        Raises:
+            ModelFileError: when the text is not such a description.
+        """
+        try:
+            values: Any = json.loads(text)
+            known = {field.name for field in fields(cls)}
+            if not isinstance(values, dict) or set(cast("dict[str, Any]", values)) - known:
+                raise ValueError("unknown entries")
+            values["views"] = tuple(values["views"])
+            values["input_size"] = tuple(int(v) for v in values["input_size"])
+            return cls(**values)
+        except (ValueError, KeyError, TypeError, InputError) as error:
+            raise ModelFileError(f"The model's description cannot be read ({error}); export or train it again.") from error
+
+    def describe(self) -> str:
+        """One line for a header or a log: "LPN resnet18/layer3, n = 4, 256 x 256"."""
+        backbone = self.backbone if self.last_layer == "layer4" else f"{self.backbone}/{self.last_layer}"
+        name = "Baseline" if self.n_parts == 1 else "LPN"
+        return f"{name} {backbone}, n = {self.n_parts}, {self.input_size[0]} x {self.input_size[1]}"

@@ -1,0 +1,145 @@
+"""The real app on real files, and a real browser."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
+
+from tests import worlds
+
+QUIET = ["--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run"]
+
+
+@dataclass(frozen=True)
+class Running:
+    """A running app and the files it was started on."""
+
+    url: str
+    data: Path
+    model: Path
+
+
+@pytest.fixture(scope="session")
+def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """`lpn explore` as a process of its own."""
+    folder = tmp_path_factory.mktemp("app")
+    data, model = worlds.make_dataset(folder / "places"), worlds.make_model(folder)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(data), "--model", str(model), "--port", str(port)]
+    environment = {**os.environ, "LPN_CACHE": str(folder / "cache")}
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
+    )
+    assert process.stdout is not None
+    said: list[str] = []
+    url = None
+    for line in process.stdout:
+        said.append(line)
+        if found := re.search(r"ready: (http://\S+)", line):
+            url = found[1]
+            break
+    try:
+        assert url, "the app ended without an address: " + "".join(said)
+        yield Running(url, data, model)
+    finally:
+        process.terminate()
+        process.stdout.close()
+        process.wait(timeout=20)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Headless Chromium: the system's where there is one, else playwright's own."""
+    with sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=QUIET)
+        yield launched
+        launched.close()
+
+
+class Explorer:
+    """A page of the app, spoken to as a person would."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.status = page.locator("#lpn-status")
+        self.verdict = page.locator("#lpn-verdict")
+        self.rows = page.locator("#lpn-matches .row")
+
+    def open(self, url: str) -> None:
+        """Load the page and wait for the first answer."""
+        self.page.goto(url)
+        expect(self.status).not_to_have_attribute("data-seq", "0", timeout=60_000)
+        self.page.wait_for_timeout(500)
+        notice = self.page.locator(".mantine-Notification-closeButton")
+        if notice.count():
+            notice.first.click()
+            expect(notice).to_have_count(0)
+
+    def sequence(self) -> int:
+        """Number of answers shown so far."""
+        return int(self.status.get_attribute("data-seq") or 0)
+
+    def expect_status(self, name: str, value: str) -> None:
+        """Wait until the page shows an answer with this attribute."""
+        expect(self.status).to_have_attribute(f"data-{name}", value, timeout=20_000)
+        self.page.wait_for_timeout(120)
+
+    def field(self, label: str) -> Locator:
+        """The text or number box in the row of a label."""
+        row = self.page.locator(f'label:text-is("{label}")').locator("xpath=ancestor::div[contains(@class,'Flex')][1]")
+        return row.locator("input").last
+
+    def fill(self, label: str, value: str) -> None:
+        """Type a value into a control."""
+        self.page.wait_for_timeout(80)
+        box = self.field(label)
+        box.fill(value)
+        box.press("Enter")
+
+    def tick(self, label: str, on: bool) -> None:
+        """Switch a checkbox."""
+        self.page.wait_for_timeout(80)
+        self.field(label).set_checked(on)
+
+    def tab(self, name: str) -> None:
+        """Open a tab of a panel."""
+        self.page.get_by_role("tab", name=name).click()
+
+    def stage(self) -> bytes:
+        """A picture of the 3-D stage."""
+        self.page.wait_for_timeout(700)
+        return self.page.locator("canvas").first.screenshot()
+
+
+@pytest.fixture
+def contexts(browser: Browser) -> Iterator[Callable[[], BrowserContext]]:
+    """Makes browser profiles that share nothing; all are closed at the end."""
+    made: list[BrowserContext] = []
+
+    def make() -> BrowserContext:
+        made.append(browser.new_context(viewport={"width": 1456, "height": 835}))
+        return made[-1]
+
+    yield make
+    for context in made:
+        context.close()
+
+
+@pytest.fixture
+def explorer(app: Running, contexts: Callable[[], BrowserContext]) -> Explorer:
+    """The app opened in a fresh browser."""
+    opened = Explorer(contexts().new_page())
+    opened.open(app.url)
+    return opened

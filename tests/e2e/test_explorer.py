@@ -1,0 +1,199 @@
+"""What a person does with the app, and what the page then shows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from playwright.sync_api import BrowserContext, expect
+
+import lpn
+from lpn import datasets, explain, images, retrieval
+from lpn.retrieval import Ranking
+from tests import worlds
+from tests.e2e.conftest import Explorer, Running
+
+
+def expected(app: Running, name: str, angle: float = 0.0, weights: tuple[float, ...] = (1, 1, 1, 1)) -> Ranking:
+    """The ranking of a drone query, computed without the app."""
+    model, dataset = lpn.load(app.model), datasets.open_dataset(app.data)
+    query = next(entry for entry in dataset.queries("drone") if entry.name == name)
+    gallery = dataset.gallery("satellite")
+    tiles = np.stack([images.prepare(images.load_picture(entry.path), model.input_size) for entry in gallery])
+    described = retrieval.describe_picture(model, images.load_picture(query.path), "drone", angle)
+    cosines = explain.part_cosines(described.descriptor, model.descriptors(tiles, "satellite"))
+    labels = np.array([entry.label for entry in gallery])
+    return retrieval.rank(cosines, explain.part_weights(4, weights), labels, query.label)
+
+
+def assert_shows(explorer: Explorer, app: Running, ranking: Ranking) -> None:
+    """The rows are the expected tiles, in order, with sign, distance, and bars that add up to it."""
+    names = [entry.name for entry in datasets.open_dataset(app.data).gallery("satellite")]
+    matches = ranking.top(10)
+    expect(explorer.rows).to_have_count(10)
+    full = max(match.distance2 for match in matches)
+    for row, match in zip(explorer.rows.all(), matches, strict=True):
+        text = row.inner_text()
+        assert row.get_attribute("data-index") == str(match.index)
+        assert names[match.index] in text
+        assert ("✓" if match.true else "✗") in text
+        shown = float(re.search(r"\d\.\d{3}", text)[0])  # type: ignore[index]
+        assert shown == pytest.approx(match.distance2, abs=1.1e-3)
+        widths = row.locator(".bar i").evaluate_all("bars => bars.map(b => parseFloat(b.style.width))")
+        assert sum(widths) == pytest.approx(100 * match.distance2 / full, abs=0.1)
+
+
+def difference(first: bytes, second: bytes) -> float:
+    """Share of pixels that differ visibly between two screenshots."""
+    one, two = (cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).astype(int) for png in (first, second))
+    return float((np.abs(one - two).max(axis=2) > 25).mean())
+
+
+def test_page_says_what_is_shown_and_draws_it(explorer: Explorer, app: Running) -> None:
+    header = explorer.page.locator("#lpn-header")
+    for text in ("model.onnx", "places", "n = 4", "drone → satellite", "14 queries", "14 tiles", "R@1"):
+        expect(header).to_contain_text(text)
+    expect(explorer.status).to_contain_text("ms")
+    picture = cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_COLOR)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 2000
+    assert_shows(explorer, app, expected(app, "0007"))
+
+
+def test_query_is_chosen_by_name_thumbnail_and_key(explorer: Explorer, app: Running) -> None:
+    before = explorer.stage()
+    explorer.fill("Find name", "0011")
+    explorer.expect_status("name", "0011")
+    assert_shows(explorer, app, expected(app, "0011"))
+    assert difference(before, explorer.stage()) > 0.05
+    explorer.fill("Find name", "")
+    explorer.page.locator(".thumb[data-query='2']").click()
+    explorer.expect_status("name", "0009")
+    explorer.page.locator("canvas").first.hover()
+    explorer.page.keyboard.press("n")
+    explorer.expect_status("name", "0010")
+    explorer.page.get_by_role("button", name="‹ Previous").click()
+    explorer.expect_status("name", "0009")
+
+
+def test_rotation_by_slider_and_key_changes_picture_and_ranking(explorer: Explorer, app: Running) -> None:
+    before = explorer.stage()
+    explorer.fill("Rotate", "90")
+    explorer.expect_status("angle", "90")
+    assert_shows(explorer, app, expected(app, "0007", 90))
+    assert difference(before, explorer.stage()) > 0.02
+    explorer.page.keyboard.press("Escape")
+    explorer.page.locator("canvas").first.hover()
+    explorer.page.evaluate("document.activeElement.blur()")
+    explorer.page.keyboard.press("j")
+    explorer.expect_status("angle", "95")
+    expect(explorer.field("Rotate")).to_have_value("95")
+    explorer.page.wait_for_timeout(100)
+    explorer.page.keyboard.press("k")
+    explorer.expect_status("angle", "0")
+    assert_shows(explorer, app, expected(app, "0007"))
+
+
+def test_dragging_ends_on_the_last_value_without_a_queue(explorer: Explorer) -> None:
+    thumb = explorer.page.locator('[role="slider"][aria-valuemax="180"]')
+    box = thumb.bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    mouse = explorer.page.mouse
+    mouse.move(x, y)
+    mouse.down()
+    for step in range(60):
+        mouse.move(x + 0.7 * step, y)
+    mouse.up()
+    explorer.page.wait_for_timeout(2500)
+    shown = float(explorer.field("Rotate").input_value())
+    assert shown > 30
+    explorer.expect_status("angle", f"{shown:g}")
+    assert explorer.sequence() <= 62
+
+
+def test_switching_a_part_off_reranks_exactly(explorer: Explorer, app: Running) -> None:
+    explorer.tab("Parts")
+    first = explorer.sequence()
+    explorer.tick("Part 4 outer", False)
+    expect(explorer.status).not_to_have_attribute("data-seq", str(first))
+    expect(explorer.page.locator("#lpn-parts")).to_contain_text("33 %")
+    assert_shows(explorer, app, expected(app, "0007", weights=(1, 1, 1, 0)))
+    explorer.fill("Weight 1 centre", "2")
+    expect(explorer.page.locator("#lpn-parts")).to_contain_text("50 %")
+    assert_shows(explorer, app, expected(app, "0007", weights=(2, 1, 1, 0)))
+    explorer.page.get_by_role("button", name="All parts equal").click()
+    expect(explorer.page.locator("#lpn-parts")).to_contain_text("25 %")
+    assert_shows(explorer, app, expected(app, "0007"))
+
+
+def test_a_chosen_match_is_compared_with_the_query(explorer: Explorer, app: Running) -> None:
+    match = expected(app, "0007").match(2)
+    before = explorer.stage()
+    explorer.rows.nth(2).click()
+    explorer.expect_status("chosen", str(match.index))
+    expect(explorer.rows.nth(2)).to_have_class(re.compile("chosen"))
+    parts = explorer.page.locator("#lpn-parts")
+    expect(parts).to_contain_text("rank 3")
+    expect(parts).to_contain_text(f"{match.distance2:.3f}")
+    assert difference(before, explorer.stage()) > 0.02
+
+
+def test_a_tile_on_the_stage_can_be_clicked(explorer: Explorer, app: Running) -> None:
+    canvas = explorer.page.locator("canvas").first
+    box = canvas.bounding_box()
+    assert box is not None
+    columns = [0.12, 0.31, 0.5, 0.69, 0.88]
+    left, right = 290, 1456 - 370
+    explorer.page.wait_for_timeout(500)
+    explorer.page.mouse.click(left + columns[3] * (right - left), 0.62 * 835)
+    index = expected(app, "0007").match(3).index
+    explorer.expect_status("chosen", str(index))
+
+
+def test_heatmap_and_rings_can_be_hidden_and_rings_taken_apart(explorer: Explorer) -> None:
+    shown = explorer.stage()
+    explorer.page.keyboard.press("h")
+    explorer.page.wait_for_timeout(300)
+    without_heat = explorer.stage()
+    assert difference(shown, without_heat) > 0.01
+    expect(explorer.field("Heatmap")).not_to_be_checked()
+    explorer.page.keyboard.press("g")
+    explorer.page.wait_for_timeout(300)
+    assert difference(without_heat, explorer.stage()) > 0.01
+    explorer.page.keyboard.press("x")
+    explorer.page.wait_for_timeout(300)
+    assert difference(without_heat, explorer.stage()) > 0.05
+
+
+def test_a_picture_of_ones_own(explorer: Explorer, tmp_path: Path) -> None:
+    own = tmp_path / "<b>mine.png"
+    worlds.write(own, worlds.place(77))
+    explorer.page.locator("input[type=file]").set_input_files(str(own))
+    explorer.expect_status("name", own.name)
+    expect(explorer.verdict).to_contain_text("Your picture")
+    expect(explorer.rows.first).to_contain_text("?")
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"not a picture")
+    explorer.page.locator("input[type=file]").set_input_files(str(broken))
+    expect(explorer.page.get_by_text("broken.png is not a picture that can be read")).to_be_visible()
+    explorer.expect_status("name", own.name)
+
+
+def test_a_second_browser_is_not_disturbed(
+    explorer: Explorer, app: Running, contexts: Callable[[], BrowserContext]
+) -> None:
+    other = Explorer(contexts().new_page())
+    other.open(app.url)
+    before = (other.status.get_attribute("data-seq"), other.verdict.inner_text(), other.rows.all_inner_texts())
+    explorer.fill("Rotate", "-60")
+    explorer.expect_status("angle", "-60")
+    explorer.rows.nth(1).click()
+    explorer.page.get_by_role("button", name="Next ›").click()
+    explorer.expect_status("name", "0008")
+    other.page.wait_for_timeout(500)
+    assert (other.status.get_attribute("data-seq"), other.verdict.inner_text(), other.rows.all_inner_texts()) == before
+    expect(other.field("Rotate")).to_have_value("0")

@@ -1,0 +1,83 @@
+"""A small data set in University-1652's layout, drawn here, and an untrained LPN for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+from lpn.checkpoints import save
+from lpn.export import export
+from lpn.images import Picture, rotate
+from lpn.network import LPN
+from lpn.spec import ModelSpec
+
+SIZE = 96
+
+
+def place(seed: int) -> Picture:
+    """A plan view of an invented place: ground, roads, and roofs in colours of its own."""
+    rng = np.random.default_rng(seed)
+    picture = np.empty((SIZE, SIZE, 3), np.uint8)
+    picture[:] = rng.integers(60, 150, 3)
+    for _ in range(3):
+        start, end = (tuple(int(v) for v in rng.integers(0, SIZE, 2)) for _ in range(2))
+        cv2.line(picture, start, end, tuple(int(v) for v in rng.integers(90, 140, 3)), int(rng.integers(3, 8)))
+    for _ in range(14):
+        x, y, w, h = (int(v) for v in (*rng.integers(0, SIZE - 12, 2), *rng.integers(6, 26, 2)))
+        cv2.rectangle(picture, (x, y), (x + w, y + h), tuple(int(v) for v in rng.integers(0, 256, 3)), -1)
+    noise = rng.integers(-12, 13, picture.shape)
+    return np.clip(picture + noise, 0, 255).astype(np.uint8)
+
+
+def from_drone(picture: Picture, seed: int) -> Picture:
+    """The same place from a drone: turned a little, in other light."""
+    rng = np.random.default_rng(seed)
+    lit = picture * rng.uniform(0.75, 1.2) + rng.uniform(-15, 15, 3)
+    return rotate(np.clip(lit, 0, 255).astype(np.uint8), float(rng.uniform(-8, 8)))
+
+
+def write(path: Path, picture: Picture) -> None:
+    """Write a picture file, folders included."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+
+
+def make_dataset(root: Path, train: int = 6, test: int = 14) -> Path:
+    """Train and test places with one satellite and one drone picture each, labels from 1."""
+    for label in range(1, train + test + 1):
+        satellite = place(label)
+        drone = from_drone(satellite, 1000 + label)
+        name = f"{label:04d}"
+        if label <= train:
+            write(root / "train" / "satellite" / name / f"{name}.png", satellite)
+            write(root / "train" / "drone" / name / "image-01.png", drone)
+        else:
+            for role in ("query", "gallery"):
+                write(root / "test" / f"{role}_satellite" / name / f"{name}.png", satellite)
+                write(root / "test" / f"{role}_drone" / name / "image-01.png", drone)
+    return root
+
+
+def make_network(n_parts: int = 4, size: int = 64, classes: int = 6, seed: int = 0) -> LPN:
+    """An untrained ResNet-18 LPN, cut after layer3, for satellite and drone."""
+    torch.manual_seed(seed)
+    return LPN(
+        ModelSpec(
+            backbone="resnet18",
+            last_layer="layer3",
+            views=("satellite", "drone"),
+            n_parts=n_parts,
+            classes=classes,
+            input_size=(size, size),
+        )
+    )
+
+
+def make_model(folder: Path, n_parts: int = 4, size: int = 64) -> Path:
+    """The network above as an exported `model.onnx`."""
+    save(make_network(n_parts, size), folder / "model.safetensors")
+    export(folder / "model.safetensors", folder / "model.onnx")
+    return folder / "model.onnx"
