@@ -62,7 +62,11 @@ class Visitor:
         self._panels.show(answer, self._sequence, started)
 
     def _failed(self, error: Exception) -> None:
-        text = str(error) if isinstance(error, LPNError) else f"{type(error).__name__}: the details are in the server's log."
+        text = (
+            str(error)
+            if isinstance(error, LPNError)
+            else f"{type(error).__name__}: the details are in the server's log."
+        )
         self._panels.say("No answer", text)
 
 

@@ -65,7 +65,9 @@ class Exhibit:
                 f"The test split of {self.data_name} offers {', '.join(dataset.tasks()) or 'no task'}, but the model knows "
                 f"only the views {', '.join(self.model.views)}; give a data set or a model that fit each other."
             )
-        self.tasks = {task.name: task for task in (self._open(dataset.queries(q), dataset.gallery(g), q, g) for q, g in known)}
+        self.tasks = {
+            task.name: task for task in (self._open(dataset.queries(q), dataset.gallery(g), q, g) for q, g in known)
+        }
         self.part_names = self.model.spec.partition(known[0][0]).names()
         self.map_sizes = {view: cast("tuple[int, int]", self._map_size(view)) for view in self.model.views}
         self._tile = lru_cache(maxsize=256)(self._describe_tile)

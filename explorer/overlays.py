@@ -62,7 +62,7 @@ def part_masks(partition: Partition, map_size: tuple[int, int], size: int) -> np
     labels = partition.labels(*map_size)
     rows = np.arange(size) * labels.shape[0] // size
     columns = np.arange(size) * labels.shape[1] // size
-    return labels[rows[:, None], columns[None, :]]
+    return cast(npt.NDArray[np.int64], labels[rows[:, None], columns[None, :]])
 
 
 def with_heat(
@@ -85,7 +85,7 @@ def with_heat(
     blended = picture * (1.0 - alpha) + colours * alpha
     if part is not None:
         blended *= np.where(masks == part, 1.0, 1.0 - 0.55 * opacity)[..., None]
-    return cast(Picture, blended.astype(np.uint8))
+    return np.asarray(blended, dtype=np.uint8)
 
 
 def with_rings(picture: Picture, partition: Partition, map_size: tuple[int, int], thickness: int = 2) -> Picture:
@@ -98,7 +98,7 @@ def with_rings(picture: Picture, partition: Partition, map_size: tuple[int, int]
         second = (round(right * size) - 1 - inset, round(bottom * size) - 1 - inset)
         cv2.rectangle(drawn, first, second, (0, 0, 0), thickness + 2)
         cv2.rectangle(drawn, first, second, part_colour(part), thickness)
-    return cast(Picture, drawn)
+    return drawn
 
 
 def ring_layer(picture: Picture, masks: npt.NDArray[np.int64], part: int) -> npt.NDArray[np.uint8]:
@@ -112,7 +112,7 @@ def framed(picture: Picture, colour: Colour, width: int) -> Picture:
     drawn = np.ascontiguousarray(picture).copy()
     drawn[:width] = drawn[-width:] = colour
     drawn[:, :width] = drawn[:, -width:] = colour
-    return cast(Picture, drawn)
+    return drawn
 
 
 @lru_cache(maxsize=16)
@@ -134,7 +134,9 @@ def draw_sign(draw: ImageDraw.ImageDraw, x: float, y: float, size: float, true: 
     """A tick, a cross, or nothing, in a box with its top left corner at (x, y): a second sign beside the colour."""
     colour, width = verdict_colour(true), max(2, round(size / 6))
     if true:
-        draw.line([(x, y + 0.55 * size), (x + 0.4 * size, y + 0.9 * size), (x + size, y + 0.1 * size)], colour, width, "curve")
+        draw.line(
+            [(x, y + 0.55 * size), (x + 0.4 * size, y + 0.9 * size), (x + size, y + 0.1 * size)], colour, width, "curve"
+        )
     elif true is not None:
         draw.line([(x, y), (x + size, y + size)], colour, width)
         draw.line([(x + size, y), (x, y + size)], colour, width)

@@ -13,7 +13,7 @@ STYLE = """<style>
 .lpn{padding:0 .8em;font-size:13px;line-height:1.4}
 .lpn .dim{opacity:.65}
 .lpn h2{font-size:15px;margin:.1em 0}
-.lpn .facts{display:flex;flex-wrap:wrap;gap:.15em .9em}
+.lpn .facts{display:flex;flex-wrap:wrap;align-items:baseline;gap:.1em .9em}
 .lpn .big{font-size:20px;font-weight:650}
 .lpn .verdict{border-left:4px solid;padding:.25em .6em;margin:.2em 0;background:rgba(128,128,128,.12);border-radius:0 4px 4px 0}
 .lpn .row{display:flex;gap:.6em;align-items:center;padding:1px 5px;border-radius:4px;cursor:pointer;border:1px solid transparent}
@@ -73,7 +73,9 @@ def verdict(answer: Answer, exhibit: Exhibit) -> str:
     true, headline, reason = words.verdict(answer, exhibit.part_names)
     colour = overlays.css(overlays.verdict_colour(true))
     warning = (
-        "" if answer.state.parts_left() else "<div>⚠ Every part is off, so all count equally until one is switched on.</div>"
+        ""
+        if answer.state.parts_left()
+        else "<div>⚠ Every part is off, so all count equally until one is switched on.</div>"
     )
     return (
         f"<div class='lpn'><div class='verdict' style='border-color:{colour}' id='lpn-verdict'>"
@@ -93,15 +95,20 @@ def status(answer: Answer, sequence: int, drawing: float) -> str:
 
 
 def matches(answer: Answer, exhibit: Exhibit, buttons: Sequence[str]) -> str:
-    """The ranked tiles as rows: picture, rank, sign, name, distance, gap, and the parts' shares."""
-    full = max(match.distance2 for match in answer.matches)
-    rows = [_row(answer, exhibit, match, buttons[i], full) for i, match in enumerate(answer.matches)]
+    """The ranked tiles as rows: picture, rank, sign, name, distance, gap, and the parts' shares.
+
+    A true tile below them gets a row of its own; the last button is its.
+    """
+    shown = list(zip(answer.matches, buttons, strict=False))
     truth = answer.truth
-    if truth is not None and truth.rank > len(answer.matches):
-        rows.append(
-            f"<div class='dim' id='lpn-truth'>… true tile {escape(answer.task.gallery[truth.index].name)} is "
-            f"{words.ordinal(truth.rank)}, d² {truth.distance2:.3f}</div>"
-        )
+    below = truth is not None and truth.rank > len(answer.matches)
+    full = max(match.distance2 for match in (*answer.matches, *([truth] if truth and below else [])))
+    rows = [_row(answer, exhibit, match, button, full) for match, button in shown]
+    if truth is not None and below:
+        rows += [
+            "<div class='dim' id='lpn-truth'>… and the true tile:</div>",
+            _row(answer, exhibit, truth, buttons[-1], full),
+        ]
     return f"<div class='lpn' id='lpn-matches'>{''.join(rows)}</div>"
 
 
@@ -166,7 +173,7 @@ def _sign(task: Task, query: int) -> str:
 KEYS = (
     "<div class='lpn dim' style='margin-top:.3em'><kbd>N</kbd> <kbd>P</kbd> next, previous · <kbd>R</kbd> random · <kbd>F</kbd> failure · "
     "<kbd>J</kbd> <kbd>L</kbd> turn 5° · <kbd>K</kbd> upright · <kbd>H</kbd> heatmap · <kbd>G</kbd> rings · <kbd>X</kbd> take apart · "
-    "<kbd>1</kbd>…<kbd>9</kbd> compare</div>"
+    "<kbd>1</kbd>…<kbd>9</kbd> compare · <kbd>T</kbd> the true tile</div>"
 )
 HEAT_NOTE = (
     "<div class='lpn dim'>Heatmap: channel sum of the last feature map. It belongs to one picture, not to the pair; "

@@ -60,13 +60,15 @@ class Panels:
         gui.set_panel_label("LPN Explorer")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(370)
-        self._build_answer(gui, state)
+        self._build_answer(gui)
         self._add_keys(gui)
 
     def _build_query(self, gui: viser.GuiApi, state: State) -> None:
         exhibit = self._exhibit
         gui.add_html(pages.STYLE)
-        self._task = gui.add_dropdown("Task", tuple(exhibit.tasks), initial_value=state.task, visible=len(exhibit.tasks) > 1)
+        self._task = gui.add_dropdown(
+            "Task", tuple(exhibit.tasks), initial_value=state.task, visible=len(exhibit.tasks) > 1
+        )
         walk = gui.add_button_group("Go to", ("‹ Previous", "Next ›", "Random", "Failure"))
         moves: dict[str, Change] = {
             "‹ Previous": self.previous,
@@ -111,15 +113,19 @@ class Panels:
         reset.on_click(lambda _: self._change(lambda s: replace(s, weights=(), enabled=())))
         self._watch(*self._enabled, *self._weights)
 
-    def _build_answer(self, gui: viser.GuiApi, state: State) -> None:
+    def _build_answer(self, gui: viser.GuiApi) -> None:
         self._header = Html(gui)
         self._verdict = Html(gui)
-        self._status = Html(gui, "<div class='lpn dim' id='lpn-status' data-seq='0'>describing the first picture …</div>")
+        self._status = Html(
+            gui, "<div class='lpn dim' id='lpn-status' data-seq='0'>describing the first picture …</div>"
+        )
         with gui.add_folder("Matches"):
             self._matches = Html(gui)
             rows = [gui.add_button(f"match {i + 1}") for i in range(SHOWN)]
             for slot, button in enumerate(rows):
                 button.on_click(self._compare(slot))
+            rows.append(gui.add_button("true tile"))
+            rows[-1].on_click(lambda _: self._change(self.compare_truth))
             self._match_buttons = [_uuid(button) for button in rows]
             gui.add_html(pages.hidden(self._match_buttons))
         with gui.add_folder("Compared pair"):
@@ -137,12 +143,15 @@ class Panels:
             ("Upright", "K", lambda s: replace(s, angle=0.0)),
             ("Heatmap on or off", "H", lambda s: replace(s, heat=not s.heat)),
             ("Rings on or off", "G", lambda s: replace(s, rings=not s.rings)),
+            ("Compare the true tile", "T", self.compare_truth),
             ("Take the rings apart", "X", lambda s: replace(s, exploded=not s.exploded)),
         ]
         for label, key, change in commands:
-            gui.add_command(label, hotkey=key).on_trigger(lambda _, change=change: self._change(change))
+            gui.add_command(label, hotkey=key).on_trigger(self._does(change))
         for slot in range(9):
-            gui.add_command(f"Compare match {slot + 1}", hotkey=cast(Any, str(slot + 1))).on_trigger(self._compare(slot))
+            gui.add_command(f"Compare match {slot + 1}", hotkey=cast(Any, str(slot + 1))).on_trigger(
+                self._compare(slot)
+            )
 
     def read(self, state: State) -> State:
         """The state with every control's value, none of them trusted (a page may send anything)."""
@@ -219,6 +228,11 @@ class Panels:
             self._client.add_notification("No failure", "Every query of this task finds its true tile first.")
         return failed
 
+    def compare_truth(self, state: State) -> State:
+        """Compare the query with its true tile, where that is known."""
+        truth = self._answer.truth
+        return state if truth is None else replace(state, selected=truth.index)
+
     def _queries(self, state: State) -> int:
         return len(self._exhibit.tasks[state.task].queries)
 
@@ -245,6 +259,9 @@ class Panels:
 
         return picked
 
+    def _does(self, change: Change) -> Callable[[Any], None]:
+        return lambda _: self._change(change)
+
     def _compare(self, slot: int) -> Callable[[Any], None]:
         def compared(_: Any) -> None:
             if slot < len(self._answer.matches):
@@ -257,7 +274,9 @@ class Panels:
         file = self._upload.value
         try:
             if len(file.content) > MAX_UPLOAD:
-                raise PictureError(f"The picture has {len(file.content) / 1e6:.0f} MB; up to 30 MB are taken, so make it smaller.")
+                raise PictureError(
+                    f"The picture has {len(file.content) / 1e6:.0f} MB; up to 30 MB are taken, so make it smaller."
+                )
             name = file.name.replace("\\", "/").rsplit("/", 1)[-1][:80]
             upload = Upload(name, images.decode_picture(file.content, name))
         except LPNError as error:
@@ -274,4 +293,3 @@ class Panels:
 def _uuid(button: viser.GuiButtonHandle) -> str:
     """The id a button has in the page, which viser keeps private."""
     return str(button._impl.uuid)
-

@@ -9,12 +9,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from lpn import metrics
-from lpn.errors import LPNError, MissingPackage
+from lpn.errors import LPNError, MissingPackageError
 from lpn.model import Model
 from lpn.partition import Partition
 from lpn.spec import ModelSpec, View
+from lpn.version import __version__
 
-__version__ = "0.1.0"
 __all__ = ["LPNError", "Model", "ModelSpec", "Partition", "View", "__version__", "load", "metrics"]
 
 
@@ -25,7 +25,7 @@ def load(path: str | Path) -> Model:
 
     Raises:
         ModelFileError: when the file is missing, is not a model, is truncated, or lacks entries.
-        MissingPackage: when torch is needed and not installed.
+        MissingPackageError: when torch is needed and not installed.
     """
     if Path(path).suffix == ".onnx":
         from lpn.engine import Engine
@@ -34,7 +34,7 @@ def load(path: str | Path) -> Model:
     try:
         from lpn.checkpoints import load_torch
     except ModuleNotFoundError as error:
-        raise MissingPackage(
+        raise MissingPackageError(
             f"Opening {Path(path).name} needs the package {error.name}; "
             "pip install 'lpn-explorer[train]', or export the model to .onnx where torch is installed."
         ) from error

@@ -138,7 +138,9 @@ def infer_spec(state: State, options: dict[str, Any], name: str = "the file") ->
     n_parts = len(heads)
     expected = {""} if "" in heads else {str(i) for i in range(n_parts)}
     if heads != expected:
-        raise ModelFileError(f"{name} has heads {sorted(heads)}; expected {sorted(expected)}, so some heads are missing.")
+        raise ModelFileError(
+            f"{name} has heads {sorted(heads)}; expected {sorted(expected)}, so some heads are missing."
+        )
     if "LPN" in options and options["LPN"] and "block" in options and int(options["block"]) != n_parts:
         raise ModelFileError(
             f"{name} has {n_parts} heads, but the opts.yaml beside it says block: {options['block']}; correct or remove it."
@@ -168,14 +170,20 @@ def infer_spec(state: State, options: dict[str, Any], name: str = "the file") ->
 
 
 def _infer_backbone(keys: set[str], name: str) -> tuple[str, str]:
-    if {"features.0.weight", "features.1.running_mean", "features.40.weight"} <= keys and "features.43.weight" not in keys:
+    if {
+        "features.0.weight",
+        "features.1.running_mean",
+        "features.40.weight",
+    } <= keys and "features.43.weight" not in keys:
         return "vgg16_bn", "layer4"
     last = "layer4" if any(k.startswith("layer4.") for k in keys) else "layer3"
     if "layer1.0.conv3.weight" in keys and "layer3.5.conv1.weight" in keys and "layer3.6.conv1.weight" not in keys:
         return "resnet50", last
     if "layer1.1.conv2.weight" in keys and not {"layer1.0.conv3.weight", "layer1.2.conv1.weight"} & keys:
         return "resnet18", last
-    raise ModelFileError(f"The backbone in {name} is not one of resnet18, resnet50, vgg16_bn, or entries of it are missing.")
+    raise ModelFileError(
+        f"The backbone in {name} is not one of resnet18, resnet50, vgg16_bn, or entries of it are missing."
+    )
 
 
 def _branches_equal(state: State, views: tuple[View, ...]) -> bool:
@@ -223,16 +231,18 @@ def _read_pth(path: Path) -> State:
         loaded: Any = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         raise ModelFileError(
-            f"{path.name} is not a file of tensors alone, so it was not opened further (it may run code); "
-            "save the network's state_dict() and give that."
+            f"{path.name} is not a PyTorch file of tensors alone, so it was not opened further (it may run code); "
+            "expected a saved state_dict()."
         ) from error
     except (RuntimeError, EOFError, OSError, ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
-        raise ModelFileError(f"{path.name} is not a PyTorch file or is truncated; expected a saved state_dict.") from error
-    if isinstance(loaded, dict) and isinstance(cast("dict[Any, Any]", loaded).get("state_dict"), dict):
+        raise ModelFileError(
+            f"{path.name} is not a PyTorch file or is truncated; expected a saved state_dict."
+        ) from error
+    if isinstance(loaded, dict) and isinstance(loaded.get("state_dict"), dict):
         loaded = loaded["state_dict"]
     if not isinstance(loaded, dict) or not loaded:
         raise ModelFileError(f"{path.name} holds a {type(loaded).__name__}; expected a state_dict of named tensors.")
-    items = cast("dict[Any, Any]", loaded)
+    items: dict[Any, Any] = loaded
     if not all(isinstance(k, str) and isinstance(v, Tensor) for k, v in items.items()):
         raise ModelFileError(f"{path.name} holds other things than named tensors; expected a state_dict.")
     return {key.removeprefix("module."): value for key, value in cast(State, items).items()}
@@ -262,7 +272,9 @@ def _read_options(path: Path) -> dict[str, Any]:
     try:
         options: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ModelFileError(f"The opts.yaml beside the model cannot be read; correct or remove it ({error}).") from error
+        raise ModelFileError(
+            f"The opts.yaml beside the model cannot be read; correct or remove it ({error})."
+        ) from error
     if not isinstance(options, dict):
         raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
     return cast("dict[str, Any]", options)

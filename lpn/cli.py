@@ -13,12 +13,17 @@ from typing import Any, Literal, cast
 import tyro
 
 import lpn
-from lpn.errors import InputError, LPNError, MissingPackage
+from lpn.errors import InputError, LPNError, MissingPackageError
 from lpn.recipes import RECIPES, Recipe
 
 ViewName = Literal["satellite", "street", "drone"]
 TaskName = Literal[
-    "drone-to-satellite", "satellite-to-drone", "street-to-satellite", "satellite-to-street", "drone-to-street", "street-to-drone"
+    "drone-to-satellite",
+    "satellite-to-drone",
+    "street-to-satellite",
+    "satellite-to-street",
+    "drone-to-street",
+    "street-to-drone",
 ]
 
 
@@ -212,10 +217,12 @@ def _numbers(text: str | None) -> list[int] | None:
         raise InputError(f"The parts are {text!r}; expected numbers from 1, such as 1,2.") from error
 
 
-def _missing(error: ModuleNotFoundError) -> MissingPackage:
-    extra = "train" if (error.name or "").split(".")[0] in ("torch", "onnx", "onnxscript", "safetensors", "yaml") else ""
+def _missing(error: ModuleNotFoundError) -> MissingPackageError:
+    extra = (
+        "train" if (error.name or "").split(".")[0] in ("torch", "onnx", "onnxscript", "safetensors", "yaml") else ""
+    )
     wanted = f"lpn-explorer[{extra}]" if extra else "lpn-explorer"
-    return MissingPackage(f"This needs the package {error.name}, which is not installed; pip install '{wanted}'.")
+    return MissingPackageError(f"This needs the package {error.name}, which is not installed; pip install '{wanted}'.")
 
 
 def _help() -> str:
@@ -233,5 +240,10 @@ def _help() -> str:
     )
 
 
-if __name__ == "__main__":
+def run() -> None:
+    """The console script."""
     sys.exit(main())
+
+
+if __name__ == "__main__":
+    run()

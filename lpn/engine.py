@@ -98,7 +98,9 @@ def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
     metadata = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map)
     names = {output.name for output in session.get_outputs()}
     if metadata.get("format") != FORMAT or not {*OUTPUTS, *HEAD_OUTPUTS} <= names:
-        raise ModelFileError(f"{path.name} is an ONNX model but not one written by `lpn export`; export your LPN with it.")
+        raise ModelFileError(
+            f"{path.name} is an ONNX model but not one written by `lpn export`; export your LPN with it."
+        )
     return metadata
 
 

@@ -1,12 +1,12 @@
 """What can go wrong, as one small hierarchy. Every message is one sentence meant for the person at the keyboard.
 
-    LPNError
-    ├── ModelFileError   a model file is missing, damaged, or of a kind we cannot use
-    ├── DataError        a data set folder is missing, empty, or not laid out as expected
-    ├── PictureError     a picture cannot be read
-    ├── StoreError       a descriptor store cannot be read or written
-    ├── InputError       an array or option has the wrong shape, type, or value
-    └── MissingPackage   a feature needs a package of an extra that is not installed
+LPNError
+├── ModelFileError   a model file is missing, damaged, or of a kind we cannot use
+├── DataError        a data set folder is missing, empty, or not laid out as expected
+├── PictureError     a picture cannot be read
+├── StoreError       a descriptor store cannot be read or written
+├── InputError       an array or option has the wrong shape, type, or value
+└── MissingPackageError   a feature needs a package of an extra that is not installed
 """
 
 from __future__ import annotations
@@ -36,5 +36,5 @@ class InputError(LPNError):
     """An array or option has the wrong shape, type, or value."""
 
 
-class MissingPackage(LPNError):
+class MissingPackageError(LPNError):
     """A feature needs a package of an extra that is not installed."""

@@ -78,7 +78,9 @@ def evaluate(
         )
     chosen = tuple(range(1, model.n_parts + 1)) if parts is None else tuple(dict.fromkeys(parts))
     if not chosen or any(not 1 <= part <= model.n_parts for part in chosen):
-        raise InputError(f"The parts are {', '.join(map(str, chosen)) or 'none'}; this model has parts 1 to {model.n_parts}.")
+        raise InputError(
+            f"The parts are {', '.join(map(str, chosen)) or 'none'}; this model has parts 1 to {model.n_parts}."
+        )
     if not np.isfinite(rotate):
         raise InputError(f"The rotation is {rotate}; expected degrees.")
     query_view, gallery_view = cast("tuple[View, View]", tuple(task.split("-to-")))

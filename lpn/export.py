@@ -91,5 +91,3 @@ def _graph(model: TorchModel, view: View, metadata: dict[str, str]) -> bytes:
     buffer = io.BytesIO()
     onnx.save_model(proto, buffer)
     return buffer.getvalue()
-
-

@@ -77,7 +77,9 @@ class Manifest:
             rows = tuple(Row(str(r["file"]), int(r["size"]), int(r["time_ns"])) for r in values.pop("rows"))
             return cls(rows=rows, **values)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise StoreError(f"{name} is not a manifest of descriptors ({FORMAT}); describe the pictures again.") from error
+            raise StoreError(
+                f"{name} is not a manifest of descriptors ({FORMAT}); describe the pictures again."
+            ) from error
 
     def comparable(self, other: Manifest) -> bool:
         """Whether rows of the same file may be taken over from another store."""
@@ -100,7 +102,11 @@ def open_store(folder: str | Path) -> Store:
     """
     folder = Path(folder)
     if not (folder / "manifest.json").is_file():
-        unfinished = " (its description was not finished; run lpn describe again)" if (folder / "progress.json").is_file() else ""
+        unfinished = (
+            " (its description was not finished; run lpn describe again)"
+            if (folder / "progress.json").is_file()
+            else ""
+        )
         raise StoreError(f"{folder} has no manifest.json, so it is not a store of descriptors{unfinished}.")
     manifest = Manifest.from_json((folder / "manifest.json").read_bytes(), "manifest.json")
     expected = (len(manifest.rows), manifest.n_parts, manifest.embedding)
@@ -157,7 +163,9 @@ def describe(
         write_whole(out / "manifest.json", manifest.to_json())
         (out / "progress.json").unlink(missing_ok=True)
     except OSError as error:
-        raise StoreError(f"The store {out} cannot be written ({error.strerror}); free space or choose another folder.") from error
+        raise StoreError(
+            f"The store {out} cannot be written ({error.strerror}); free space or choose another folder."
+        ) from error
     return open_store(out)
 
 
@@ -211,9 +219,7 @@ def _complete(folder: Path) -> Store | None:
         return None
 
 
-def _fill(
-    model: Model, files: Sequence[Path], manifest: Manifest, out: Path, before: Store | None, title: str
-) -> None:
+def _fill(model: Model, files: Sequence[Path], manifest: Manifest, out: Path, before: Store | None, title: str) -> None:
     """Compute all rows into `descriptors.part`, noting in `progress.json` how many are on disk."""
     part, progress_file = out / "descriptors.part", out / "progress.json"
     done = _resumable(manifest, part, progress_file)

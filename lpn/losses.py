@@ -49,7 +49,9 @@ def total_loss(outputs: Mapping[str, tuple[Tensor, Tensor]], places: Tensor, rec
     """
     loss = torch.zeros((), device=places.device)
     if recipe.instance:
-        terms = torch.cat([instance_loss(scores.float(), places, recipe.label_smoothing) for _, scores in outputs.values()])
+        terms = torch.cat(
+            [instance_loss(scores.float(), places, recipe.label_smoothing) for _, scores in outputs.values()]
+        )
         loss = loss + recipe.instance * (terms.sum() if recipe.reduction == "sum" else terms.mean())
     anchor: View = "satellite"
     if recipe.contrastive and anchor in outputs:

@@ -52,7 +52,9 @@ class Partition:
         if self.weighting not in WEIGHTINGS:
             raise InputError(f"The ring weighting is {self.weighting!r}; expected one of {', '.join(WEIGHTINGS)}.")
         if self.n < 1 or (self.kind == "whole" and self.n != 1):
-            raise InputError(f"A {self.kind!r} partition cannot have {self.n} parts; use n = 1 or more rings or strips.")
+            raise InputError(
+                f"A {self.kind!r} partition cannot have {self.n} parts; use n = 1 or more rings or strips."
+            )
 
     def grid(self, height: int, width: int) -> tuple[int, int]:
         """Rows and columns of the grid that `labels` are given on.
@@ -101,7 +103,7 @@ class Partition:
         for part in range(self.n):
             ring = self.n - 1 - part if self.outside_in else part
             if self.weighting == "area":
-                area = np.count_nonzero(labels == part)
+                area = int(np.count_nonzero(labels == part))
             else:
                 top, bottom, left, right = self._ring_box(rows, columns, ring)
                 area = (bottom - top) * (right - left)

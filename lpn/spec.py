@@ -72,10 +72,9 @@ class ModelSpec:
 
     def owner(self, view: View) -> View:
         """The view whose branch holds the weights used for `view`."""
-        if self.shared and view != "satellite" and "satellite" in self.views:
-            if view == "drone" or "drone" not in self.views:
-                return "satellite"
-        return view
+        if not self.shared or view == "satellite" or "satellite" not in self.views:
+            return view
+        return "satellite" if view == "drone" or "drone" not in self.views else view
 
     def groups(self) -> list[tuple[View, ...]]:
         """Views that share weights and partition, and therefore one exported graph."""
@@ -103,7 +102,9 @@ class ModelSpec:
             values["input_size"] = tuple(int(v) for v in values["input_size"])
             return cls(**values)
         except (ValueError, KeyError, TypeError, InputError) as error:
-            raise ModelFileError(f"The model's description cannot be read ({error}); export or train it again.") from error
+            raise ModelFileError(
+                f"The model's description cannot be read ({error}); export or train it again."
+            ) from error
 
     def describe(self) -> str:
         """One line for a header or a log: "LPN resnet18/layer3, n = 4, 256 x 256"."""

@@ -55,9 +55,13 @@ class Places:
         partial = sorted(set.union(*(set(places) for places in by_place.values())) - everywhere)
         if partial:
             some = ", ".join(f"{label:04d}" for label in partial[:5])
-            console.print(f"{len(partial)} places lack a picture in one of {', '.join(by_place)} and are left out: {some}.")
+            console.print(
+                f"{len(partial)} places lack a picture in one of {', '.join(by_place)} and are left out: {some}."
+            )
         if not everywhere:
-            raise DataError(f"No place of {dataset.root.name} has a picture in all of {', '.join(by_place)}; nothing to train on.")
+            raise DataError(
+                f"No place of {dataset.root.name} has a picture in all of {', '.join(by_place)}; nothing to train on."
+            )
         self.labels = sorted(everywhere)
         self.files = {name: [places[label] for label in self.labels] for name, places in by_place.items()}
         self.views: tuple[View, ...] = tuple(view for view in VIEWS if view in by_place)
@@ -111,9 +115,13 @@ class Trainer:
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         self.bfloat16 = recipe.precision == "bfloat16" or (recipe.precision == "auto" and _has_bfloat16(self.device))
         if len(self.places) < recipe.batch:
-            raise InputError(f"There are {len(self.places)} places and a batch of {recipe.batch}; set --batch to at most that.")
+            raise InputError(
+                f"There are {len(self.places)} places and a batch of {recipe.batch}; set --batch to at most that."
+            )
         if not resume and (out / "state.pt").exists():
-            raise InputError(f"{out} holds a training run already; add --resume to go on with it, or choose another --out.")
+            raise InputError(
+                f"{out} holds a training run already; add --resume to go on with it, or choose another --out."
+            )
         torch.manual_seed(recipe.seed)
         self.network = LPN(_spec(recipe, self.places))
         if init is not None and not resume:
@@ -137,7 +145,12 @@ class Trainer:
         Raises:
             InputError: when the loss is no longer a number.
         """
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[said]}"), TimeRemainingColumn())
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[said]}"),
+            TimeRemainingColumn(),
+        )
         epochs = self.recipe.epochs
         with Progress(*columns, console=self.console) as bar:
             done = len(self.history)
@@ -277,7 +290,11 @@ class Trainer:
         self.console.print(f"{init.name} fills {filled} of the backbone's {total} tensors{rest}.")
 
     def _save_model(self, path: Path) -> None:
-        metadata = {"recipe": self.recipe.to_json(), "epochs": str(len(self.history)), "data": self.dataset.root.resolve().name}
+        metadata = {
+            "recipe": self.recipe.to_json(),
+            "epochs": str(len(self.history)),
+            "data": self.dataset.root.resolve().name,
+        }
         checkpoints.save(self.average or self.network, path, metadata)
 
     def _save(self) -> None:
@@ -309,17 +326,23 @@ class Trainer:
             saved = json.loads(state["recipe"])
             history = json.loads(state["history"])
         except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, TypeError) as error:
-            raise ModelFileError(f"{path} is damaged; start the run again without --resume, in another --out.") from error
+            raise ModelFileError(
+                f"{path} is damaged; start the run again without --resume, in another --out."
+            ) from error
         differs = [k for k, v in json.loads(self.recipe.to_json()).items() if saved.get(k) != v]
         if differs:
-            raise InputError(f"The run in {self.out} was started with another {', '.join(differs)}; resume it with the same.")
+            raise InputError(
+                f"The run in {self.out} was started with another {', '.join(differs)}; resume it with the same."
+            )
         try:
             self.network.load_state_dict(state["network"])
             if self.average is not None:
                 self.average.load_state_dict(state["average"])
             self.optimizer.load_state_dict(state["optimizer"])
         except (RuntimeError, ValueError, KeyError) as error:
-            raise InputError(f"The run in {self.out} is of other data or another network; start anew in another --out.") from error
+            raise InputError(
+                f"The run in {self.out} is of other data or another network; start anew in another --out."
+            ) from error
         self.history = cast("list[Row]", history)
         self.console.print(f"Going on after epoch {len(self.history)} of {self.recipe.epochs}.")
 
@@ -354,7 +377,7 @@ def _optimizer(network: LPN, recipe: Recipe) -> torch.optim.Optimizer:
 def _has_bfloat16(device: torch.device) -> bool:
     """Whether bfloat16 arithmetic is in the hardware; emulated, it would be slower than float32."""
     if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     return bool(torch.cpu._is_avx512_bf16_supported())
 
 
@@ -363,4 +386,3 @@ def _by_label(pictures: list[Picture]) -> dict[int, list[Path]]:
     for picture in pictures:
         places.setdefault(picture.label, []).append(picture.path)
     return places
-

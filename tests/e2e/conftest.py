@@ -17,7 +17,13 @@ from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, 
 
 from tests import worlds
 
-QUIET = ["--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run"]
+QUIET = [
+    "--no-sandbox",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+]
 
 
 @dataclass(frozen=True)
@@ -37,11 +43,20 @@ def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(data), "--model", str(model), "--port", str(port)]
+    command = [
+        sys.executable,
+        "-m",
+        "lpn.cli",
+        "explore",
+        "--data",
+        str(data),
+        "--model",
+        str(model),
+        "--port",
+        str(port),
+    ]
     environment = {**os.environ, "LPN_CACHE": str(folder / "cache")}
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
-    )
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert process.stdout is not None
     said: list[str] = []
     url = None
@@ -76,6 +91,7 @@ class Explorer:
         self.status = page.locator("#lpn-status")
         self.verdict = page.locator("#lpn-verdict")
         self.rows = page.locator("#lpn-matches .row")
+        self.canvas = page.locator("canvas[data-engine]")
 
     def open(self, url: str) -> None:
         """Load the page and wait for the first answer."""
@@ -113,6 +129,12 @@ class Explorer:
         self.page.wait_for_timeout(80)
         self.field(label).set_checked(on)
 
+    def key(self, key: str) -> None:
+        """Press a key while no control has the focus."""
+        self.page.wait_for_timeout(80)
+        self.page.evaluate("document.activeElement.blur()")
+        self.page.keyboard.press(key)
+
     def tab(self, name: str) -> None:
         """Open a tab of a panel."""
         self.page.get_by_role("tab", name=name).click()
@@ -120,7 +142,7 @@ class Explorer:
     def stage(self) -> bytes:
         """A picture of the 3-D stage."""
         self.page.wait_for_timeout(700)
-        return self.page.locator("canvas").first.screenshot()
+        return self.canvas.screenshot()
 
 
 @pytest.fixture

@@ -1,0 +1,68 @@
+# The few commands a developer needs. Each sets up what it needs in .venv, from Python 3.11+ and make alone.
+
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
+HOST   ?= 127.0.0.1
+PORT   ?= 8080
+
+.PHONY: explore test check bench format clean
+.DEFAULT_GOAL := test
+
+$(BIN)/python:
+	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed; this is " + sys.version) if sys.version_info < (3, 11) else None'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.base: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) -e .
+	touch $@
+
+$(VENV)/.train: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) torch==2.13.0
+	$(PIP) -e '.[train]'
+	touch $@ $(VENV)/.base
+
+$(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) torch==2.13.0
+	$(PIP) -e '.[train,dev]'
+	touch $@ $(VENV)/.train $(VENV)/.base
+
+# A browser for the tests: the system's, else Debian's package (as root), else playwright's own.
+$(VENV)/.browser: $(VENV)/.dev
+	@command -v chromium >/dev/null \
+	  || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get update -qq && apt-get install -y -qq chromium; } \
+	  || $(BIN)/playwright install chromium \
+	  || { echo "The browser tests need Chromium; install it (Debian: apt-get install chromium)." >&2; exit 1; }
+	touch $@
+
+# An exported model needs no torch; a .pth or .safetensors does.
+EXPLORE_NEEDS := $(if $(filter %.pth %.safetensors,$(MODEL)),$(VENV)/.train,$(VENV)/.base)
+
+ifeq ($(and $(DATA),$(MODEL)),)
+explore:
+	@echo "Say what to open: make explore DATA=folder MODEL=file" >&2
+	@echo "  DATA is a data set in University-1652's layout, MODEL a trained LPN (.onnx, .safetensors, or .pth)." >&2
+	@exit 2
+else
+explore: $(EXPLORE_NEEDS)
+	@$(BIN)/lpn explore --data "$(DATA)" --model "$(MODEL)" --host $(HOST) --port $(PORT)
+endif
+
+test: check $(VENV)/.browser
+	$(BIN)/python -m pytest
+
+check: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/.train
+	$(BIN)/python -m bench.forward
+
+clean:
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache *.egg-info
