@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import re
+import warnings
 from pathlib import Path
 from typing import Any, cast
 
@@ -228,7 +229,9 @@ def _fill(network: LPN, state: State, name: str) -> None:
 
 def _read_pth(path: Path) -> State:
     try:
-        loaded: Any = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            loaded: Any = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         raise ModelFileError(
             f"{path.name} is not a PyTorch file of tensors alone, so it was not opened further (it may run code); "
@@ -273,8 +276,14 @@ def _read_options(path: Path) -> dict[str, Any]:
         options: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ModelFileError(
-            f"The opts.yaml beside the model cannot be read; correct or remove it ({error})."
+            f"The opts.yaml beside the model cannot be read; correct or remove it."
         ) from error
     if not isinstance(options, dict):
         raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
+    for key in ("h", "w", "stride", "block"):
+        value = options.get(key, 1)
+        if not isinstance(value, int) or value < 1:
+            raise ModelFileError(
+                f"The opts.yaml beside the model says {key}: {value}; expected a whole number, so correct it."
+            )
     return cast("dict[str, Any]", options)

@@ -1,0 +1,157 @@
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import lpn
+from lpn.checkpoints import infer_spec, load_backbone, load_torch, save
+from lpn.errors import LPNError, ModelFileError
+from lpn.network import LPN
+from lpn.spec import ModelSpec
+from tests import seeded, worlds
+
+
+@pytest.mark.parametrize("case", ["n4", "n1_baseline"])
+def test_published_checkpoint_gives_the_published_descriptors(case: str, tmp_path: Path) -> None:
+    published = np.load(seeded.DATA / f"parity_{case}.npz")
+    torch.save(seeded.state_dict(case), tmp_path / "net_119.pth")
+    model = lpn.load(tmp_path / "net_119.pth")
+    batch = seeded.pictures(7, 2, 256, 256)
+    # The published arrays are (B, D, n), parts last.
+    raw = model.part_embeddings(torch.from_numpy(batch), "drone").transpose(0, 2, 1).reshape(published["raw"].shape)
+    assert np.abs(raw - published["raw"]).max() <= 1e-4 * np.abs(published["raw"]).max()
+    found = model.descriptors(batch, "drone").transpose(0, 2, 1).reshape(published["descriptor"].shape)
+    assert np.abs(found - published["descriptor"]).max() <= 1e-4 * np.abs(published["descriptor"]).max()
+    assert model.views == ("satellite", "street", "drone")
+    assert (model.n_parts, model.input_size) == (4 if case == "n4" else 1, (256, 256))
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        ModelSpec("vgg16_bn", views=("satellite", "street"), shared=False, n_parts=8, layout="cvusa", classes=5),
+        ModelSpec("resnet50", views=("satellite", "street"), shared=False, n_parts=4, layout="cvusa", classes=5),
+        ModelSpec("resnet18", views=("satellite", "street", "drone"), n_parts=6, classes=5),
+        ModelSpec("resnet18", "layer3", views=("satellite",), shared=False, n_parts=1, classes=5),
+    ],
+    ids=lambda spec: f"{spec.backbone}-{len(spec.views)}",
+)
+def test_architecture_is_told_from_the_keys_and_survives_saving(spec: ModelSpec, tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = LPN(spec)
+    torch.save({f"module.{k}": v for k, v in network.state_dict().items()}, tmp_path / "net_last.pth")
+    (tmp_path / "opts.yaml").write_text("h: 64\nw: 64\nstride: 1\npool: avg\ndroprate: 0.5\nLPN: true\n")
+    published = load_torch(tmp_path / "net_last.pth")
+    told = published.spec
+    assert (told.backbone, told.last_layer, told.views, told.shared) == (
+        spec.backbone,
+        spec.last_layer,
+        spec.views,
+        spec.shared,
+    )
+    assert (told.n_parts, told.layout, told.input_size) == (spec.n_parts, spec.layout, (64, 64))
+    save(network, tmp_path / "model.safetensors")
+    ours = lpn.load(tmp_path / "model.safetensors")
+    batch = seeded.pictures(1, 1, 64, 64)
+    for view in spec.views:
+        np.testing.assert_array_equal(ours.part_embeddings(batch, view), published.part_embeddings(batch, view))
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_cvusa_pairs_the_outer_ring_with_the_top_strip() -> None:
+    spec = ModelSpec("vgg16_bn", views=("satellite", "street"), shared=False, n_parts=8, layout="cvusa")
+    satellite, street = spec.partition("satellite"), spec.partition("street")
+    assert satellite.labels(16, 16)[0, 0] == 0
+    assert satellite.labels(16, 16)[8, 8] == 7
+    assert street.labels(8, 8)[0, 0] == 0
+    assert not satellite.align_corners
+
+
+class _Attack:
+    def __init__(self, target: Path) -> None:
+        self.target = target
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self.target,)
+
+
+def _refused(path: Path) -> str:
+    with pytest.raises(ModelFileError) as caught:
+        lpn.load(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert "Traceback" not in message
+    return message
+
+
+def test_pickled_code_is_refused_and_does_not_run(tmp_path: Path) -> None:
+    torch.save({"model_1.model.conv1.weight": _Attack(tmp_path / "ran")}, tmp_path / "net.pth")
+    assert "run code" in _refused(tmp_path / "net.pth")
+    (tmp_path / "plain.pth").write_bytes(pickle.dumps(_Attack(tmp_path / "ran")))
+    _refused(tmp_path / "plain.pth")
+    assert not (tmp_path / "ran").exists()
+
+
+def test_files_that_are_not_models_get_one_sentence(tmp_path: Path, model_file: Path) -> None:
+    assert "no model file" in _refused(tmp_path / "absent.pth")
+    safetensors = model_file.with_suffix(".safetensors")
+    torch.save(worlds.make_network().state_dict(), tmp_path / "whole.pth")
+    for name, source in (
+        ("cut.pth", tmp_path / "whole.pth"),
+        ("cut.safetensors", safetensors),
+        ("cut.onnx", model_file),
+    ):
+        content = source.read_bytes()
+        for length in (0, 10, len(content) // 2, len(content) - 100):
+            (tmp_path / name).write_bytes(content[:length])
+            _refused(tmp_path / name)
+    for name in ("text.pth", "text.safetensors", "text.onnx"):
+        (tmp_path / name).write_text("hello")
+        _refused(tmp_path / name)
+    torch.save([1, 2], tmp_path / "list.pth")
+    assert "state_dict" in _refused(tmp_path / "list.pth")
+    torch.save({"weight": torch.zeros(2)}, tmp_path / "other.pth")
+    assert "not an LPN checkpoint" in _refused(tmp_path / "other.pth")
+
+
+def test_missing_and_misshapen_entries_are_named(tmp_path: Path) -> None:
+    state = worlds.make_network().state_dict()
+    lacking = {k: v for k, v in state.items() if k != "classifier2.add_block.1.running_mean"}
+    torch.save(lacking, tmp_path / "lacking.pth")
+    assert "classifier2.add_block.1.running_mean" in _refused(tmp_path / "lacking.pth")
+    torch.save({k: v for k, v in state.items() if not k.startswith("classifier1.")}, tmp_path / "headless.pth")
+    assert "heads" in _refused(tmp_path / "headless.pth")
+    wrong = dict(state) | {"classifier0.add_block.0.weight": torch.zeros(512, 99)}
+    torch.save(wrong, tmp_path / "wrong.pth")
+    assert "(512, 99)" in _refused(tmp_path / "wrong.pth")
+
+
+def test_options_that_contradict_the_keys_are_refused(tmp_path: Path) -> None:
+    state: dict[str, Tensor] = worlds.make_network().state_dict()
+    for options, word in (({"LPN": True, "block": 6}, "block: 6"), ({"pool": "max"}, "pool: max")):
+        with pytest.raises(ModelFileError, match=word):
+            infer_spec(state, options)
+    torch.save(state, tmp_path / "net.pth")
+    (tmp_path / "opts.yaml").write_text("{: :")
+    assert "opts.yaml" in _refused(tmp_path / "net.pth")
+    (tmp_path / "opts.yaml").write_text("h: tall\n")
+    assert "opts.yaml" in _refused(tmp_path / "net.pth")
+
+
+def test_a_backbone_is_loaded_as_far_as_it_goes(tmp_path: Path) -> None:
+    source = worlds.make_network(seed=1).branch("drone").model.state_dict()
+    torch.save({k: v for k, v in source.items() if not k.startswith("layer3.")}, tmp_path / "backbone.pth")
+    network = worlds.make_network(seed=2)
+    filled, total, missing = load_backbone(network, tmp_path / "backbone.pth")
+    assert 0 < filled < total
+    assert missing == ["layer3"]
+    torch.testing.assert_close(network.branch("satellite").model.state_dict()["conv1.weight"], source["conv1.weight"])
+    torch.save({"a": torch.zeros(1)}, tmp_path / "nothing.pth")
+    with pytest.raises(LPNError, match=r"Nothing in nothing\.pth fits"):
+        load_backbone(network, tmp_path / "nothing.pth")

@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import lpn
+from lpn.checkpoints import load_torch, save
+from lpn.engine import Engine
+from lpn.errors import InputError, ModelFileError
+from lpn.export import export
+from lpn.images import normalise
+from lpn.network import LPN
+from lpn.spec import ModelSpec
+from tests import seeded, worlds
+
+
+def close(found: np.ndarray, expected: np.ndarray) -> None:
+    assert found.shape == expected.shape
+    assert np.abs(found - expected).max() <= 1e-4 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        ModelSpec("resnet18", "layer3", views=("satellite", "drone"), n_parts=4, input_size=(64, 64)),
+        ModelSpec("resnet18", views=("satellite", "street", "drone"), n_parts=1, input_size=(64, 96)),
+        ModelSpec(
+            "resnet18", "layer3", views=("satellite", "drone"), n_parts=4, activation="leaky_relu", input_size=(64, 64)
+        ),
+        ModelSpec(
+            "vgg16_bn", views=("satellite", "street"), shared=False, n_parts=8, layout="cvusa", input_size=(64, 64)
+        ),
+    ],
+    ids=["two views", "street apart", "leaky", "cvusa"],
+)
+def test_engine_equals_torch(spec: ModelSpec, tmp_path: Path) -> None:
+    torch.manual_seed(3)
+    save(LPN(spec), tmp_path / "model.safetensors")
+    files = export(tmp_path / "model.safetensors", tmp_path / "model.onnx")
+    assert len(files) == len(spec.groups())
+    model, engine = load_torch(tmp_path / "model.safetensors"), Engine(tmp_path / "model.onnx")
+    assert (engine.views, engine.n_parts, engine.input_size) == (model.views, model.n_parts, model.input_size)
+    for batch in (1, 3):
+        pictures = seeded.pictures(batch, batch, *spec.input_size)
+        for view in spec.views:
+            for found, expected in zip(engine.run(pictures, view), model.run(pictures, view), strict=True):
+                close(found, expected)
+            close(engine.descriptors(pictures, view), model.descriptors(pictures, view))
+    for view in spec.views:
+        found, expected = engine.heads(view), model.heads(view)
+        close(found.weight, expected.weight)
+        close(found.bias, expected.bias)
+        close(found.cells, expected.cells)
+
+
+def test_heads_and_cells_rebuild_the_embedding(model_file: Path) -> None:
+    engine = lpn.load(model_file)
+    pictures = seeded.pictures(5, 2, 64, 64)
+    parts, features = engine.run(pictures, "drone")
+    heads = engine.heads("drone")
+    pooled = np.einsum("nhw,bchw->bnc", heads.cells, features)
+    close(np.einsum("ndc,bnc->bnd", heads.weight, pooled) + heads.bias, parts)
+
+
+def test_each_part_has_the_norm_of_its_share(model_file: Path) -> None:
+    descriptors = lpn.load(model_file).descriptors(seeded.pictures(5, 3, 64, 64), "satellite")
+    np.testing.assert_allclose(np.linalg.norm(descriptors, axis=2), 0.5, rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(descriptors.reshape(3, -1), axis=1), 1, rtol=1e-5)
+
+
+def test_mirrored_and_half_turned_symmetric_pictures_keep_their_descriptor(model_file: Path) -> None:
+    engine = lpn.load(model_file)
+    picture = worlds.place(5)[:64, :64]
+    mirrored = np.ascontiguousarray(picture[:, ::-1])
+    both = engine.descriptors(np.stack([normalise(picture), normalise(mirrored)]), "drone")
+    np.testing.assert_allclose(both[0], both[1], atol=1e-5)
+    symmetric = np.concatenate([picture[:32], picture[:32][::-1, ::-1]])
+    turned = np.ascontiguousarray(symmetric[::-1, ::-1])
+    assert (turned == symmetric).all()
+    both = engine.descriptors(np.stack([normalise(symmetric), normalise(turned)]), "drone")
+    np.testing.assert_allclose(both[0], both[1], atol=1e-6)
+
+
+def test_wrong_input_is_refused_in_words(model_file: Path, tmp_path: Path) -> None:
+    engine = lpn.load(model_file)
+    good = seeded.pictures(0, 1, 64, 64)
+    with pytest.raises(InputError, match="no 'street' view"):
+        engine.descriptors(good, "street")
+    with pytest.raises(InputError, match="32 x 64"):
+        engine.descriptors(good[:, :, :32], "drone")
+    with pytest.raises(InputError, match="expected float32"):
+        engine.part_embeddings((good * 9).astype(np.uint8), "drone")
+    with pytest.raises(InputError, match=r"\.onnx"):
+        export(model_file.with_suffix(".safetensors"), tmp_path / "model.bin")
+    assert engine.part_embeddings(good[:0], "drone").shape == (0, 4, 512)
+
+
+def test_a_missing_second_file_is_named(tmp_path: Path) -> None:
+    spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=2, input_size=(64, 64))
+    save(LPN(spec), tmp_path / "model.safetensors")
+    _, second = export(tmp_path / "model.safetensors", tmp_path / "model.onnx")
+    second.unlink()
+    with pytest.raises(ModelFileError, match=second.name):
+        Engine(tmp_path / "model.onnx")

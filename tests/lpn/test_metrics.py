@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lpn import metrics
+from lpn.errors import InputError
+from tests import seeded
+
+Case = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def case(
+    seed: int, queries: int, classes: int, per_class: int, dim: int, noise: float, absent: int = 0, junk: int = 0
+) -> Case:
+    """Descriptors scattered around one centre per class, drawn in the order the golden figures were."""
+    rng = np.random.default_rng(seed)
+    centres = rng.standard_normal((classes, dim)).astype(np.float32)
+    labels = np.repeat(np.arange(classes), per_class)
+    gallery = centres[labels] + noise * rng.standard_normal((len(labels), dim)).astype(np.float32)
+    query_labels = rng.integers(0, classes + absent, queries)
+    centre = np.where((query_labels < classes)[:, None], centres[np.minimum(query_labels, classes - 1)], 0)
+    query = centre + noise * rng.standard_normal((queries, dim)).astype(np.float32)
+    if junk:
+        labels[rng.choice(len(labels), junk, replace=False)] = -1
+    query /= np.linalg.norm(query, axis=1, keepdims=True)
+    gallery /= np.linalg.norm(gallery, axis=1, keepdims=True)
+    return query.astype(np.float32), query_labels, gallery.astype(np.float32), labels
+
+
+def by_the_book(query: np.ndarray, query_labels: np.ndarray, gallery: np.ndarray, labels: np.ndarray) -> list[float]:
+    """The protocol query by query, with a full sort."""
+    curve, precision = np.zeros(len(labels)), 0.0
+    for descriptor, label in zip(query.astype(float), query_labels, strict=True):
+        order = np.argsort(-(gallery.astype(float) @ descriptor), kind="stable")
+        rows = np.flatnonzero(labels[order[labels[order] != -1]] == label)
+        if len(rows) == 0:
+            continue
+        curve[rows[0] :] += 1
+        for i, row in enumerate(rows):
+            precision += ((i + 1) / (row + 1) + (i / row if row else 1)) / 2 / len(rows)
+    at = [curve[k] for k in (0, min(4, len(labels) - 1), min(9, len(labels) - 1), round(0.01 * len(labels)))]
+    return [100 * value / len(query) for value in (*at, precision)]
+
+
+KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
+
+
+@pytest.mark.parametrize("name", ["drone_to_satellite", "satellite_to_drone"])
+def test_golden_figures_of_the_published_evaluation(name: str) -> None:
+    golden: dict[str, Any] = json.loads((seeded.DATA / "metrics_golden.json").read_text())[name]
+    found = metrics.evaluate(*case(*golden["args"]))
+    for key, published in zip(KEYS, ("r1", "r5", "r10", "r_top1pct", "ap"), strict=True):
+        assert found[key] == pytest.approx(golden[published], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (3, 50, 40, 3, 16, 1.2, 10, 7),
+        (4, 50, 150, 1, 16, 1.0, 5, 20),
+        (5, 60, 25, 10, 8, 1.5, 0, 30),
+        (6, 9, 4, 1, 4, 1.0),
+    ],
+)
+def test_absent_and_junk_labels_are_treated_by_the_book(arguments: tuple[Any, ...]) -> None:
+    made = case(*arguments)
+    found = metrics.evaluate(*made)
+    np.testing.assert_allclose([found[key] for key in KEYS], by_the_book(*made), atol=1e-9)
+
+
+def test_equal_scores_keep_gallery_order() -> None:
+    rng = np.random.default_rng(0)
+    gallery = rng.integers(-1, 2, (60, 4)).astype(np.float32)
+    labels = np.arange(60) // 6
+    found = metrics.evaluate(gallery[::3], labels[::3], gallery, labels)
+    expected = by_the_book(gallery[::3], labels[::3], gallery, labels)
+    np.testing.assert_allclose([found[key] for key in KEYS], expected, atol=1e-9)
+
+
+def test_order_of_queries_and_gallery_does_not_matter() -> None:
+    query, query_labels, gallery, labels = case(8, 40, 30, 2, 16, 1.0, 3, 4)
+    rng = np.random.default_rng(1)
+    a, b = rng.permutation(len(query)), rng.permutation(len(gallery))
+    assert metrics.evaluate(query, query_labels, gallery, labels) == pytest.approx(
+        metrics.evaluate(query[a], query_labels[a], gallery[b], labels[b])
+    )
+
+
+def test_parts_and_flat_descriptors_agree_and_ranks_tell_failures() -> None:
+    query, query_labels, gallery, labels = case(9, 40, 30, 2, 16, 1.0, 5)
+    flat = metrics.evaluate(query, query_labels, gallery, labels)
+    assert metrics.evaluate(query.reshape(-1, 4, 4), query_labels, gallery.reshape(-1, 4, 4), labels) == flat
+    ranks = metrics.ranks(query, query_labels, gallery, labels)
+    assert 100 * float(np.mean(ranks == 0)) == pytest.approx(flat["recall@1"])
+    assert set(ranks[query_labels >= 30]) == {-1}
+
+
+def test_wrong_arrays_are_refused_in_words() -> None:
+    query, query_labels, gallery, labels = case(1, 5, 5, 1, 8, 1.0)
+    bad = query.copy()
+    bad[2, 3] = np.nan
+    for arguments, word in (
+        ((bad, query_labels, gallery, labels), "not finite"),
+        ((query[:, :4], query_labels, gallery, labels), "4 numbers"),
+        ((query, query_labels[:3], gallery, labels), "one integer for each of 5"),
+        ((query[:0], query_labels[:0], gallery, labels), "at least one row"),
+        ((query, query_labels.astype(float), gallery, labels), "integer"),
+    ):
+        with pytest.raises(InputError, match=word):
+            metrics.evaluate(*arguments)

@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from lpn.errors import InputError
+from lpn.partition import Partition
+
+SIZES = [(8, 8), (16, 16), (20, 20), (24, 24), (32, 32), (7, 7), (15, 17), (16, 40), (1, 1), (5, 3)]
+
+
+def published_rings(features: Tensor, n: int, align_corners: bool) -> Tensor:
+    """The released pooling in plain slices: box by box, the inner box zeroed, divided by the area of the box."""
+    height, width = features.shape[2:]
+    if height // (2 * n) < 1 and width // (2 * n) < 1:
+        features = F.interpolate(features, (2 * n, 2 * n), mode="bilinear", align_corners=align_corners)
+        height, width = features.shape[2:]
+    middle, centre = height // 2, width // 2
+    down, across = height // (2 * n), width // (2 * n)
+    pooled = []
+    for ring in range(1, n + 1):
+        masked = features.clone()
+        if ring > 1:
+            inner = ring - 1
+            masked[
+                :, :, middle - inner * down : middle + inner * down, centre - inner * across : centre + inner * across
+            ] = 0
+        if ring < n:
+            masked = masked[
+                :, :, middle - ring * down : middle + ring * down, centre - ring * across : centre + ring * across
+            ]
+        pooled.append(masked.mean((2, 3)))
+    return torch.stack(pooled, 1)
+
+
+def pooled(partition: Partition, features: Tensor) -> Tensor:
+    weights = torch.from_numpy(partition.weights(*features.shape[2:]))
+    return torch.einsum("nhw,bchw->bnc", weights, features)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 6, 8, 10])
+@pytest.mark.parametrize("outside_in", [False, True])
+def test_rings_partition_every_map(size: tuple[int, int], n: int, outside_in: bool) -> None:
+    partition = Partition("rings", n, outside_in=outside_in)
+    labels = partition.labels(*size)
+    assert labels.shape == partition.grid(*size)
+    assert set(np.unique(labels)) == set(range(n))
+    for weighting in ("published", "area"):
+        weights = Partition("rings", n, weighting, outside_in=outside_in).weights(*size)
+        assert weights.shape == (n, *size)
+        if labels.shape == size:
+            assert ((weights > 0).sum(0) == 1).all()
+            assert (weights.argmax(0) == labels).all()
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("kind", ["rings", "rows", "columns"])
+@pytest.mark.parametrize("n", [1, 3, 4, 8])
+def test_area_weights_are_means(size: tuple[int, int], kind: str, n: int) -> None:
+    weights = Partition(kind, n, "area").weights(*size)  # type: ignore[arg-type]
+    np.testing.assert_allclose(weights.sum((1, 2)), 1, rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [8, 16, 20, 24, 32])
+@pytest.mark.parametrize("n", [1, 2, 4, 6, 8, 10])
+@pytest.mark.parametrize("align_corners", [True, False])
+def test_published_weights_equal_the_released_pooling(size: int, n: int, align_corners: bool) -> None:
+    features = torch.randn(2, 5, size, size, generator=torch.Generator().manual_seed(n))
+    partition = Partition("rings", n, align_corners=align_corners)
+    torch.testing.assert_close(pooled(partition, features), published_rings(features, n, align_corners))
+    reverse = Partition("rings", n, outside_in=True, align_corners=align_corners)
+    torch.testing.assert_close(pooled(reverse, features), published_rings(features, n, align_corners).flip(1))
+
+
+@pytest.mark.parametrize("size", [(8, 8), (16, 24), (7, 9), (3, 2)])
+@pytest.mark.parametrize("n", [1, 4, 8])
+def test_strips_are_adaptive_average_pooling(size: tuple[int, int], n: int) -> None:
+    features = torch.randn(2, 5, *size, generator=torch.Generator().manual_seed(n))
+    rows = F.adaptive_avg_pool2d(features, (n, 1))[..., 0].transpose(1, 2)
+    torch.testing.assert_close(pooled(Partition("rows", n), features), rows)
+    columns = F.adaptive_avg_pool2d(features, (1, n))[:, :, 0].transpose(1, 2)
+    torch.testing.assert_close(pooled(Partition("columns", n), features), columns)
+
+
+@pytest.mark.parametrize("size", [(16, 16), (8, 8), (20, 30), (7, 7)])
+@pytest.mark.parametrize("kind", ["rings", "rows", "columns"])
+@pytest.mark.parametrize("n", [1, 4, 6])
+def test_boxes_enclose_the_labels(size: tuple[int, int], kind: str, n: int) -> None:
+    partition = Partition(kind, n)  # type: ignore[arg-type]
+    labels = partition.labels(*size)
+    for part, (left, top, right, bottom) in enumerate(partition.boxes(*size)):
+        rows, columns = np.nonzero(labels == part)
+        half_row, half_column = 0.51 / labels.shape[0], 0.51 / labels.shape[1]
+        assert top == pytest.approx(rows.min() / labels.shape[0], abs=half_row)
+        assert bottom == pytest.approx((rows.max() + 1) / labels.shape[0], abs=half_row)
+        assert left == pytest.approx(columns.min() / labels.shape[1], abs=half_column)
+        assert right == pytest.approx((columns.max() + 1) / labels.shape[1], abs=half_column)
+
+
+@pytest.mark.parametrize("n", [1, 2, 4, 8])
+def test_rings_of_an_even_map_survive_turns_and_mirrors(n: int) -> None:
+    weights = Partition("rings", n).weights(16, 16)
+    for changed in (weights[:, ::-1, ::-1], weights[:, :, ::-1], weights.transpose(0, 2, 1)):
+        np.testing.assert_array_equal(changed, weights)
+
+
+def test_wrong_partitions_are_refused_in_words() -> None:
+    for arguments in (("hexagons", 4), ("rings", 0), ("whole", 2), ("rings", 4, "median")):
+        with pytest.raises(InputError, match=r"expected|cannot"):
+            Partition(*arguments)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="0 x 4"):
+        Partition().weights(0, 4)
