@@ -275,9 +275,7 @@ def _read_options(path: Path) -> dict[str, Any]:
     try:
         options: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ModelFileError(
-            f"The opts.yaml beside the model cannot be read; correct or remove it."
-        ) from error
+        raise ModelFileError("The opts.yaml beside the model cannot be read; correct or remove it.") from error
     if not isinstance(options, dict):
         raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
     for key in ("h", "w", "stride", "block"):

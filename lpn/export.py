@@ -6,6 +6,8 @@ import io
 import json
 import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
 
@@ -52,12 +54,14 @@ def export(model: str | Path, out: str | Path) -> list[Path]:
         The files written.
 
     Raises:
-        InputError: when `out` does not end in .onnx.
+        InputError: when `out` does not end in .onnx, or `model` does.
         ModelFileError: when the model cannot be loaded.
     """
     out = Path(out)
     if out.suffix != ".onnx":
         raise InputError(f"The output is named {out.name}; expected a name ending in .onnx.")
+    if Path(model).suffix == ".onnx":
+        raise InputError(f"{Path(model).name} is exported already; give the .safetensors or .pth it was made from.")
     loaded = load_torch(model)
     groups = loaded.spec.groups()
     files = {"+".join(g): out.name if g == groups[0] else f"{out.stem}.{'+'.join(g)}.onnx" for g in groups}
@@ -68,13 +72,23 @@ def export(model: str | Path, out: str | Path) -> list[Path]:
     return list(graphs)
 
 
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """The exporter logs and warns about its own insides, which say nothing to a user."""
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(logging.NOTSET)
+
+
 def _graph(model: TorchModel, view: View, metadata: dict[str, str]) -> bytes:
     """Trace one view with a dynamic batch and return the serialised graph."""
     height, width = model.input_size
     example = torch.zeros(2, 3, height, width)
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with _quiet():
         program = torch.onnx.export(
             _Graph(model, view).eval(),
             (example,),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from pathlib import Path
 from typing import BinaryIO, cast
 
@@ -67,8 +68,10 @@ def check_header(path: Path) -> None:
 def _check_size(file: BinaryIO, name: str) -> None:
     """Refuse a decompression bomb from its header, before anything is decoded."""
     try:
-        with Image.open(file) as header:
-            width, height = header.size
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(file) as header:
+                width, height = header.size
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise PictureError(f"{name} is not a picture that can be read; expected a JPEG or PNG file.") from error
     if width * height > MAX_PIXELS:

@@ -178,7 +178,7 @@ class Trainer:
             with autocast:
                 outputs = self._forward(sets)
             loss = total_loss(outputs, places, self.recipe)
-            value = float(loss)
+            value = float(loss.detach())
             if not math.isfinite(value):
                 raise InputError(
                     f"The loss became {value} in epoch {epoch + 1}, step {step + 1}; the last whole epoch is saved, "

@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from explorer import overlays, pages, words
+from explorer.exhibit import Analyst, Exhibit
+from explorer.session import State, Upload
+from lpn.errors import DataError
+from lpn.partition import Partition
+from tests import worlds
+
+
+@pytest.fixture(scope="module")
+def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Exhibit:
+    folder = tmp_path_factory.mktemp("exhibit")
+    return Exhibit(worlds.make_dataset(folder / "<i>places", train=1, test=13), model_file)
+
+
+def test_masks_are_the_model_s_own_cells() -> None:
+    masks = overlays.part_masks(Partition("rings", 4), (16, 16), 384)
+    labels = Partition("rings", 4).labels(16, 16)
+    np.testing.assert_array_equal(masks[12::24, 12::24], labels)
+
+
+def test_drawn_rings_lie_on_the_boundaries() -> None:
+    grey = np.full((384, 384, 3), 100, np.uint8)
+    drawn = overlays.with_rings(grey, Partition("rings", 4), (16, 16), 3)
+    changed = (drawn != grey).any(axis=2)
+    assert changed[192, 144:150].any()
+    assert not changed[192, 150:234].any()
+
+
+def test_heat_of_one_part_leaves_the_others_without_colour() -> None:
+    grey = np.full((64, 64, 3), 100, np.uint8)
+    masks = overlays.part_masks(Partition("rings", 4), (16, 16), 64)
+    activation = np.random.default_rng(0).random((16, 16)).astype(np.float32)
+    drawn = overlays.with_heat(grey, activation, masks, 1, 0.8)
+    assert (np.ptp(drawn[masks != 1].astype(int), axis=1) == 0).all()
+    assert np.ptp(drawn[masks == 1].astype(int), axis=1).max() > 30
+    np.testing.assert_array_equal(overlays.with_heat(grey, activation, masks, None, 0.0), grey)
+
+
+def test_answers_reuse_what_did_not_change_and_are_exact(exhibit: Exhibit) -> None:
+    analyst = Analyst(exhibit)
+    state = State("drone-to-satellite", 4)
+    first = analyst.answer(state, 10)
+    reweighted = analyst.answer(replace(state, enabled=(True, True, False, True)), 10)
+    assert reweighted.query is first.query
+    turned = analyst.answer(replace(state, angle=40), 10)
+    assert turned.query is not first.query
+    again = analyst.answer(state, 10)
+    np.testing.assert_array_equal(again.ranking.scores, first.ranking.scores)
+    for match in first.matches:
+        assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-6)
+    task = exhibit.tasks["drone-to-satellite"]
+    found = [analyst.answer(replace(state, query=q), 10).truth for q in range(len(task.queries))]
+    assert [truth.rank - 1 for truth in found if truth] == task.ranks.tolist()
+
+
+def test_words_name_the_part_that_decides(exhibit: Exhibit) -> None:
+    task = exhibit.tasks["drone-to-satellite"]
+    analyst = Analyst(exhibit)
+    seen = set()
+    for query in range(len(task.queries)):
+        answer = analyst.answer(State(task.name, 4, query=query), 10)
+        true, headline, reason = words.verdict(answer, exhibit.part_names)
+        assert true == (task.ranks[query] == 0)
+        assert any(f"part {name}" in reason for name in exhibit.part_names)
+        seen.add(true)
+        if not true:
+            assert words.ordinal(int(task.ranks[query]) + 1) in headline
+    own = analyst.answer(State(task.name, 4, upload=Upload("own", worlds.place(50))), 10)
+    assert words.verdict(own, exhibit.part_names)[0] is None
+    assert [words.ordinal(i) for i in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
+        *("1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "111th")
+    ]
+
+
+def test_names_from_files_never_become_html(exhibit: Exhibit) -> None:
+    task = exhibit.tasks["drone-to-satellite"]
+    own = Upload("<img src=x onerror=alert(1)>.png", worlds.place(51))
+    answer = Analyst(exhibit).answer(State(task.name, 4, upload=own), 10)
+    assert "<i>places" not in pages.header(exhibit, task)
+    assert "&lt;i&gt;places" in pages.header(exhibit, task)
+    assert "<img src=x" not in pages.status(answer, 1, 0.0)
+
+
+def test_a_true_tile_below_the_list_is_offered(exhibit: Exhibit) -> None:
+    task = exhibit.tasks["drone-to-satellite"]
+    analyst = Analyst(exhibit)
+    late = int(np.argmax(task.ranks))
+    answer = analyst.answer(State(task.name, 4, query=late), 1)
+    html = pages.matches(answer, exhibit, ["first", "truth"])
+    assert ("lpn-truth" in html) == (task.ranks[late] > 0)
+    assert ("getElementById('truth')" in html) == (task.ranks[late] > 0)
+
+
+def test_a_model_without_the_views_of_the_data_is_refused(tmp_path: Path, model_file: Path) -> None:
+    worlds.write(tmp_path / "street" / "test" / "query_street" / "0001" / "a.png", worlds.place(1))
+    worlds.write(tmp_path / "street" / "test" / "gallery_satellite" / "0001" / "a.png", worlds.place(1))
+    with pytest.raises(DataError, match="street-to-satellite"):
+        Exhibit(tmp_path / "street", model_file)

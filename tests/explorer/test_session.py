@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import math
+import threading
+import time
+from random import Random
+
+import numpy as np
+import pytest
+
+from explorer import session
+from explorer.session import State, Upload
+from explorer.worker import Worker
+
+
+@pytest.fixture
+def state() -> State:
+    return State("drone-to-satellite", 4, query=3, angle=20, selected=7)
+
+
+def test_another_query_starts_upright_with_its_top_match(state: State) -> None:
+    stepped = session.step(state, 1, 10)
+    assert (stepped.query, stepped.angle, stepped.selected) == (4, 0, None)
+    assert session.step(State("t", 4), -1, 10).query == 9
+    assert session.choose(state, 99, 10) is state
+    own = session.choose(State("t", 4, upload=Upload("mine", np.zeros((2, 2, 3), np.uint8))), 0, 10)
+    assert own.upload is None
+
+
+def test_random_choices_move_and_failures_fail(state: State) -> None:
+    rng = Random(1)
+    assert all(session.random_query(state, 10, rng).query != 3 for _ in range(50))
+    assert session.random_query(state, 1, rng) is state
+    ranks = [0, 0, 5, 2, 0, -1]
+    chosen = {session.random_failure(state, ranks, rng).query for _ in range(50)}  # type: ignore[union-attr]
+    assert chosen == {2}
+    assert session.random_failure(state, [0, 0, 0, 0], rng) is None
+
+
+@pytest.mark.parametrize(("angle", "by", "expected"), [(0, 5, 5), (178, 5, -177), (-178, -5, 177), (90, -270, 180)])
+def test_turning_goes_around_the_circle(angle: float, by: float, expected: float) -> None:
+    assert session.turn(State("t", 4, angle=angle), by).angle == expected
+
+
+def test_values_from_the_page_are_not_trusted() -> None:
+    assert session.number(99999, 0, 10, 3) == 10
+    assert session.number(-5, 0, 10, 3) == 0
+    for value in ("7", None, math.nan, math.inf, True, [1]):
+        assert session.number(value, 0, 10, 3) == 3
+
+
+def test_parts_switched_off_count_nothing_and_never_all() -> None:
+    state = State("t", 3, weights=(1.0, 2.0, 0.5), enabled=(True, False, True))
+    assert state.part_values() == (1.0, 0.0, 0.5)
+    off = State("t", 3, enabled=(False, False, False))
+    assert not off.parts_left()
+    assert off.part_values() == (1.0, 1.0, 1.0)
+
+
+def test_names_are_found_by_any_part_of_them() -> None:
+    assert session.found(["0010", "0100", "Ab"], " 10 ") == [0, 1]
+    assert session.found(["0010", "Ab"], "aB") == [1]
+    assert session.found(["a", "b"], "") == [0, 1]
+
+
+def test_a_worker_never_queues_stale_work() -> None:
+    newest, done = [0], []
+    started = threading.Event()
+
+    def work() -> None:
+        started.set()
+        value = newest[0]
+        time.sleep(0.02)
+        done.append(value)
+
+    worker = Worker(work, lambda _: None)
+    for value in range(200):
+        newest[0] = value
+        worker.wake()
+        time.sleep(0.001)
+    deadline = time.time() + 10
+    while (not done or done[-1] != 199) and time.time() < deadline:
+        time.sleep(0.01)
+    worker.stop()
+    assert done[-1] == 199
+    assert len(done) < 100
+    assert done == sorted(done)
+
+
+def test_a_worker_survives_a_failure() -> None:
+    failures: list[Exception] = []
+    answered = threading.Event()
+
+    def work() -> None:
+        if not failures:
+            raise ValueError("first")
+        answered.set()
+
+    def failed(error: Exception) -> None:
+        failures.append(error)
+        worker.wake()
+
+    worker = Worker(work, failed)
+    worker.wake()
+    assert answered.wait(10)
+    worker.stop()
+    assert [str(e) for e in failures] == ["first"]

@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lpn import cli
+from lpn.features import open_store
+from tests import worlds
+
+WITHOUT_TORCH = """
+import sys
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("torch", "onnx", "onnxscript", "safetensors", "yaml"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Refuse())
+from lpn.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """The command as a person runs it."""
+    command = [sys.executable, "-m", "lpn.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def without_torch(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """The command where only the base packages are installed."""
+    command = [sys.executable, "-c", WITHOUT_TORCH, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_evaluate_writes_the_promised_keys(data: Path, model_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "figures.json"
+    common = ["evaluate", "--data", str(data), "--model", str(model_file), "--json", str(out)]
+    assert cli.main(common) == 0
+    whole = json.loads(out.read_text())
+    assert list(whole) == [
+        *("recall@1", "recall@5", "recall@10", "recall@1%", "ap"),
+        *("queries", "gallery", "task", "rotate", "parts", "seconds"),
+    ]
+    assert (whole["task"], whole["parts"], whole["queries"]) == ("drone-to-satellite", [1, 2, 3, 4], 14)
+    assert cli.main([*common, "--task", "satellite-to-drone", "--rotate", "90", "--parts", "2,4"]) == 0
+    turned = json.loads(out.read_text())
+    assert (turned["task"], turned["rotate"], turned["parts"]) == ("satellite-to-drone", 90, [2, 4])
+    assert turned["ap"] != whole["ap"]
+
+
+def test_torch_and_onnx_models_evaluate_alike(data: Path, model_file: Path, tmp_path: Path) -> None:
+    figures = []
+    for file in (model_file, model_file.with_suffix(".safetensors")):
+        out = tmp_path / f"{file.suffix}.json"
+        assert cli.main(["evaluate", "--data", str(data), "--model", str(file), "--json", str(out)]) == 0
+        figures.append({k: v for k, v in json.loads(out.read_text()).items() if k != "seconds"})
+    assert figures[0] == figures[1]
+
+
+def test_everything_but_training_works_without_torch(data: Path, model_file: Path, tmp_path: Path) -> None:
+    assert without_torch("--help").returncode == 0
+    done = without_torch("evaluate", "--data", data, "--model", model_file)
+    assert done.returncode == 0, done.stderr
+    images = data / "test" / "query_drone"
+    done = without_torch(
+        "describe", "--model", model_file, "--images", images, "--view", "drone", "--out", tmp_path / "s"
+    )
+    assert done.returncode == 0, done.stderr
+    assert open_store(tmp_path / "s").descriptors.shape == (14, 4, 512)
+    for arguments in (
+        ("train", "--data", data, "--out", tmp_path / "run"),
+        ("evaluate", "--data", data, "--model", model_file.with_suffix(".safetensors")),
+        ("export", "--model", model_file.with_suffix(".safetensors"), "--out", tmp_path / "m.onnx"),
+    ):
+        done = without_torch(*arguments)
+        assert done.returncode == 2
+        assert "lpn-explorer[train]" in done.stderr
+        assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["evaluate", "--data", "absent", "--model", "MODEL"], "no data set folder at absent"),
+        (["evaluate", "--data", "DATA", "--model", "absent.onnx"], "no model file at absent.onnx"),
+        (["evaluate", "--data", "DATA", "--model", "MODEL", "--parts", "1,9"], "parts 1 to 4"),
+        (["evaluate", "--data", "DATA", "--model", "MODEL", "--parts", "a"], "numbers from 1"),
+        (
+            ["evaluate", "--data", "DATA", "--model", "MODEL", "--task", "street-to-satellite"],
+            "offers drone-to-satellite",
+        ),
+        (["export", "--model", "MODEL", "--out", "x.onnx"], "already"),
+        (["describe", "--model", "MODEL", "--images", "DATA", "--view", "street", "--out", "s"], "no 'street' view"),
+        (["train", "--data", "DATA", "--out", "run", "--recipe", "secret"], "no recipe 'secret'"),
+        (["explore", "--data", "DATA", "--model", "MODEL", "--port", "99999"], "Port 99999"),
+        (["fly"], "no command 'fly'"),
+    ],
+)
+def test_mistakes_get_one_sentence(
+    arguments: list[str],
+    said: str,
+    data: Path,
+    model_file: Path,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    filled = [{"DATA": str(data), "MODEL": str(model_file)}.get(a, a) for a in arguments]
+    assert cli.main(filled) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_train_takes_its_defaults_from_the_named_recipe(tmp_path: Path) -> None:
+    root = worlds.make_dataset(tmp_path / "places", train=4, test=2)
+    done = run(
+        *("train", "--data", root, "--out", tmp_path / "run", "--recipe", "small"),
+        *("--size", 64, "--batch", 4, "--epochs", 1, "--n-parts", 2),
+    )
+    assert done.returncode == 0, done.stderr
+    assert '"backbone": "resnet18"' in done.stdout.replace("\n", "")
+    done = run("export", "--model", tmp_path / "run" / "last.safetensors", "--out", tmp_path / "m.onnx")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    done = run("evaluate", "--data", root, "--model", tmp_path / "m.onnx")
+    assert "n = 2, 64 x 64" in done.stdout

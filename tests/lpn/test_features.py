@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lpn
+from lpn import features, images
+from lpn.errors import DataError, LPNError, PictureError, StoreError
+from lpn.model import FloatArray, Model
+from lpn.spec import View
+from tests import worlds
+
+
+@pytest.fixture
+def model(model_file: Path) -> Model:
+    return lpn.load(model_file)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for i in range(20):
+        worlds.write(tmp_path / "pictures" / f"{i % 3}" / f"{i:02d}.png", worlds.place(i))
+    return tmp_path / "pictures"
+
+
+class Counting:
+    """Counts what a model computes, and can be killed in the middle."""
+
+    def __init__(self, model: Model, monkeypatch: pytest.MonkeyPatch, die_after: int | None = None) -> None:
+        self.described = 0
+        original = type(model).descriptors
+
+        def descriptors(of: Model, pictures: FloatArray, view: View, mirror: bool = True) -> FloatArray:
+            if die_after is not None and self.described >= die_after:
+                raise KeyboardInterrupt
+            self.described += len(pictures)
+            return original(of, pictures, view, mirror)
+
+        monkeypatch.setattr(type(model), "descriptors", descriptors)
+
+
+def test_store_holds_what_the_model_says(model: Model, folder: Path, tmp_path: Path) -> None:
+    files = features.pictures_below(folder)
+    store = features.describe(model, files, "drone", tmp_path / "store", root=folder)
+    prepared = np.stack([images.prepare(images.load_picture(file), model.input_size) for file in files])
+    np.testing.assert_allclose(store.descriptors, model.descriptors(prepared, "drone"), atol=1e-6)
+    assert [row.file for row in store.manifest.rows] == [str(file.relative_to(folder)) for file in files]
+    assert isinstance(store.descriptors, np.memmap)
+    assert sorted(p.name for p in (tmp_path / "store").iterdir()) == ["descriptors.npy", "manifest.json"]
+
+
+def test_a_killed_description_goes_on_where_it_stood(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = features.pictures_below(folder)
+    whole = np.array(features.describe(model, files, "drone", tmp_path / "whole").descriptors)
+    with monkeypatch.context() as patch:
+        Counting(model, patch, die_after=8)
+        with pytest.raises(KeyboardInterrupt):
+            features.describe(model, files, "drone", tmp_path / "store")
+    with pytest.raises(StoreError, match="not finished"):
+        features.open_store(tmp_path / "store")
+    count = Counting(model, monkeypatch)
+    store = features.describe(model, files, "drone", tmp_path / "store")
+    assert count.described == 12
+    np.testing.assert_array_equal(store.descriptors, whole)
+
+
+def test_nothing_is_computed_twice(model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = features.pictures_below(folder)
+    features.describe(model, files, "drone", tmp_path / "store")
+    count = Counting(model, monkeypatch)
+    features.describe(model, files, "drone", tmp_path / "store")
+    assert count.described == 0
+    worlds.write(folder / "3" / "new.png", worlds.place(99))
+    worlds.write(files[4], worlds.place(98))
+    store = features.describe(model, features.pictures_below(folder), "drone", tmp_path / "store")
+    assert count.described == 2
+    assert len(store.descriptors) == 21
+    features.describe(model, files, "satellite", tmp_path / "store")
+    assert count.described == 22
+
+
+def test_unreadable_pictures_are_named_before_anything_is_computed(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "2" / "zz.jpg").write_bytes(b"no picture")
+    count = Counting(model, monkeypatch)
+    with pytest.raises(PictureError, match=r"zz\.jpg"):
+        features.describe(model, features.pictures_below(folder), "drone", tmp_path / "store")
+    assert count.described == 0
+    (tmp_path / "empty").mkdir()
+    for missing in ("empty", "absent"):
+        with pytest.raises(DataError, match=missing):
+            features.pictures_below(tmp_path / missing)
+
+
+def test_damaged_stores_are_refused_in_words(model: Model, folder: Path, tmp_path: Path) -> None:
+    files = features.pictures_below(folder)
+    store = tmp_path / "store"
+    for damage in ("cut", "shape", "manifest", "text"):
+        features.describe(model, files, "drone", store)
+        if damage == "cut":
+            (store / "descriptors.npy").write_bytes((store / "descriptors.npy").read_bytes()[:500])
+        elif damage == "shape":
+            np.save(store / "descriptors.npy", np.zeros((2, 4, 512), np.float32))
+        else:
+            (store / "manifest.json").write_text("{}" if damage == "manifest" else "\x00")
+        with pytest.raises(LPNError, match="describe the pictures again"):
+            features.open_store(store)
+
+
+def test_cache_is_keyed_by_files_view_and_angle(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lpn.datasets import Picture
+
+    pictures = [Picture(file, 1, file.stem) for file in features.pictures_below(folder)]
+    count = Counting(model, monkeypatch)
+    first = features.cached_descriptors(model, pictures, "drone")
+    turned = features.cached_descriptors(model, pictures, "drone", rotate=90)
+    assert count.described == 40
+    assert np.abs(first - turned).max() > 1e-3
+    np.testing.assert_array_equal(features.cached_descriptors(model, pictures, "drone"), first)
+    assert count.described == 40
+    manifests = [json.loads(p.read_text()) for p in (tmp_path / "cache").rglob("manifest.json")]
+    assert sorted(m["rotate"] for m in manifests) == [0, 90]

@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from lpn import images
+from lpn.errors import PictureError
+from tests import worlds
+
+
+def test_preparation_is_the_published_one() -> None:
+    picture = worlds.place(1)
+    reference = np.asarray(Image.fromarray(picture).resize((64, 48), Image.Resampling.BICUBIC), np.float32) / 255
+    mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
+    prepared = images.prepare(picture, (48, 64))
+    assert prepared.shape == (3, 48, 64)
+    assert prepared.dtype == np.float32
+    np.testing.assert_allclose(prepared, ((reference - mean) / std).transpose(2, 0, 1), atol=1e-5)
+
+
+@pytest.mark.parametrize(("degrees", "turns"), [(90, 1), (180, 2), (270, 3), (-90, 3)])
+def test_quarter_turns_are_exact_and_counter_clockwise(degrees: float, turns: int) -> None:
+    picture = worlds.place(2)
+    turned = images.rotate(picture, degrees).astype(int)
+    assert np.abs(turned - np.rot90(picture, turns).astype(int)).max() <= 1
+
+
+def test_rotation_keeps_the_canvas_and_leaves_corners_black() -> None:
+    picture = np.full((60, 80, 3), 200, np.uint8)
+    turned = images.rotate(picture, 45)
+    assert turned.shape == picture.shape
+    assert turned[0, 0].sum() == 0
+    assert turned[30, 40].tolist() == [200, 200, 200]
+    assert images.rotate(picture, 360) is picture
+
+
+@pytest.mark.parametrize("mode", ["L", "RGBA", "P", "CMYK", "I;16"])
+def test_other_pixel_formats_become_rgb(mode: str, tmp_path: Path) -> None:
+    suffix = "jpg" if mode == "CMYK" else "png"
+    grey = Image.fromarray(worlds.place(3)).convert("L")
+    picture = Image.fromarray(np.asarray(grey).astype(np.uint16) * 257) if mode == "I;16" else grey.convert(mode)
+    picture.save(tmp_path / f"picture.{suffix}")
+    loaded = images.load_picture(tmp_path / f"picture.{suffix}")
+    assert loaded.shape == (worlds.SIZE, worlds.SIZE, 3)
+    assert loaded.dtype == np.uint8
+    assert np.abs(loaded.mean() - np.asarray(grey).mean()) < 12
+
+
+def test_exif_orientation_is_obeyed(tmp_path: Path) -> None:
+    picture = Image.fromarray(worlds.place(4)[:40])
+    exif = picture.getexif()
+    exif[0x0112] = 6
+    picture.save(tmp_path / "turned.jpg", exif=exif)
+    assert images.load_picture(tmp_path / "turned.jpg").shape == (worlds.SIZE, 40, 3)
+
+
+def test_what_is_not_a_picture_gets_one_sentence(tmp_path: Path) -> None:
+    png = cv2.imencode(".png", worlds.place(5))[1].tobytes()
+    for name, content in (("empty.png", b""), ("text.jpg", b"hello"), ("svg.png", b"<svg/>"), ("cut.png", png[:60])):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(PictureError, match=name) as caught:
+            images.load_picture(tmp_path / name)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(PictureError, match="check the path"):
+        images.load_picture(tmp_path / "absent.png")
+
+
+def test_a_decompression_bomb_is_refused_before_it_is_decoded() -> None:
+    bomb = io.BytesIO()
+    Image.new("1", (10_000, 10_000)).save(bomb, "PNG")
+    with pytest.raises(PictureError, match="10000 x 10000"):
+        images.decode_picture(bomb.getvalue(), "bomb.png")

@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+import csv
+import io
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from rich.console import Console
+
+import lpn
+from lpn.checkpoints import load_torch, save
+from lpn.datasets import open_dataset
+from lpn.errors import DataError, InputError, LPNError, ModelFileError
+from lpn.evaluate import evaluate
+from lpn.losses import contrastive_loss, instance_loss
+from lpn.recipes import RECIPES, Recipe
+from lpn.train import Trainer
+from tests import worlds
+
+QUICK = replace(RECIPES["small"], size=64, epochs=3, batch=4, warmup_epochs=0, precision="float32")
+
+
+def trainer(data: Path, out: Path, recipe: Recipe = QUICK, **options: object) -> tuple[Trainer, io.StringIO]:
+    said = io.StringIO()
+    return Trainer(open_dataset(data), out, recipe, console=Console(file=said, width=200), **options), said  # type: ignore[arg-type]
+
+
+def losses(out: Path) -> list[float]:
+    with (out / "log.csv").open() as file:
+        return [float(row["loss"]) for row in csv.DictReader(file)]
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return worlds.make_dataset(tmp_path_factory.mktemp("train") / "places", train=24, test=12)
+
+
+@pytest.mark.parametrize("n_parts", [1, 4])
+def test_training_improves_retrieval_of_the_training_places(places: Path, tmp_path: Path, n_parts: int) -> None:
+    root = tmp_path / "same"
+    for role in ("query_drone", "gallery_satellite"):
+        (root / "test").mkdir(parents=True, exist_ok=True)
+        (root / "test" / role).symlink_to(places / "train" / role.split("_")[1])
+    (root / "train").symlink_to(places / "train")
+    recipe = replace(QUICK, n_parts=n_parts, epochs=8, batch=8, lr=2e-3, backbone_ratio=1.0, rotation=4, ema=0.8)
+    run, said = trainer(root, tmp_path / "run", recipe)
+    save(run.network, tmp_path / "before.safetensors")
+    dataset = open_dataset(root)
+    before = evaluate(lpn.load(tmp_path / "before.safetensors"), dataset, "drone-to-satellite")
+    model = run.run()
+    after = evaluate(lpn.load(model), dataset, "drone-to-satellite")
+    assert after.ap > before.ap + 5
+    assert losses(tmp_path / "run")[-1] < losses(tmp_path / "run")[0]
+    assert "drone-to-satellite: R@1" in said.getvalue()
+    assert load_torch(model).spec.classes == 24
+
+
+def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trainer(places, tmp_path / "whole")[0].run()
+    run, _ = trainer(places, tmp_path / "cut")
+    original = Trainer._epoch
+
+    def killed(self: Trainer, epoch: int, report: object) -> dict[str, float]:
+        if epoch == 1:
+            raise KeyboardInterrupt
+        return original(self, epoch, report)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "_epoch", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run.run()
+    assert len(losses(tmp_path / "cut")) == 1
+    resumed, said = trainer(places, tmp_path / "cut", resume=True)
+    resumed.run()
+    assert "after epoch 1 of 3" in said.getvalue()
+    assert losses(tmp_path / "cut") == losses(tmp_path / "whole")
+    one, two = (load_torch(tmp_path / run / "last.safetensors").network.state_dict() for run in ("cut", "whole"))
+    assert all(torch.equal(one[key], two[key]) for key in one)
+
+
+def test_runs_are_not_overwritten_or_mixed(places: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no state\.pt"):
+        trainer(places, tmp_path / "run", resume=True)
+    quick = replace(QUICK, epochs=1)
+    trainer(places, tmp_path / "run", quick)[0].run()
+    with pytest.raises(InputError, match="add --resume"):
+        trainer(places, tmp_path / "run", quick)
+    with pytest.raises(InputError, match="another epochs"):
+        trainer(places, tmp_path / "run", replace(quick, epochs=5), resume=True)
+    (tmp_path / "run" / "state.pt").write_bytes(b"half")
+    with pytest.raises(ModelFileError, match="damaged"):
+        trainer(places, tmp_path / "run", quick, resume=True)
+
+
+def test_a_loss_that_is_no_number_stops_with_a_sentence(places: Path, tmp_path: Path) -> None:
+    run, _ = trainer(places, tmp_path / "run", replace(QUICK, lr=1e30, optimizer="sgd"))
+    with pytest.raises(InputError, match="try a smaller --lr"):
+        run.run()
+
+
+def test_init_says_how_far_it_goes(places: Path, tmp_path: Path) -> None:
+    save(worlds.make_network(), tmp_path / "init.safetensors")
+    _, said = trainer(places, tmp_path / "run", replace(QUICK, last_layer="layer4"), init=tmp_path / "init.safetensors")
+    assert "init.safetensors fills" in said.getvalue()
+    assert "as initialised: layer4" in said.getvalue()
+    with pytest.raises(LPNError, match="no file of weights"):
+        trainer(places, tmp_path / "other", init=tmp_path / "absent.pth")
+
+
+def test_three_views_and_google_train_and_missing_counterparts_are_named(tmp_path: Path) -> None:
+    for label in range(1, 6):
+        for name in ("satellite", "drone", "street", "google"):
+            if (label, name) != (3, "street"):
+                worlds.write(tmp_path / "train" / name / f"{label:04d}" / "a.png", worlds.place(label))
+    recipe = replace(RECIPES["university1652"], backbone="resnet18", last_layer="layer3", size=64, epochs=1, batch=4)
+    run, said = trainer(tmp_path, tmp_path / "run", recipe)
+    model = lpn.load(run.run())
+    assert model.views == ("satellite", "street", "drone")
+    assert "1 places lack a picture" in said.getvalue()
+    assert "0003" in said.getvalue()
+    worlds.write(tmp_path / "bare" / "train" / "drone" / "0001" / "a.png", worlds.place(1))
+    with pytest.raises(DataError, match="train/satellite"):
+        trainer(tmp_path / "bare", tmp_path / "none")
+
+
+def test_losses_are_what_they_say() -> None:
+    rng = torch.Generator().manual_seed(0)
+    scores, places = torch.randn(6, 4, 9, generator=rng), torch.arange(6)
+    by_part = torch.stack([torch.nn.functional.cross_entropy(scores[:, i], places) for i in range(4)])
+    torch.testing.assert_close(instance_loss(scores, places), by_part)
+    parts = torch.randn(6, 4, 16, generator=rng)
+    other = torch.randn(6, 4, 16, generator=rng)
+    assert contrastive_loss(parts, parts * 3, 0.05) < 1e-3
+    torch.testing.assert_close(contrastive_loss(parts, other, 0.1), contrastive_loss(other, parts, 0.1))
+    assert contrastive_loss(parts, parts.roll(1, 0), 0.05) > 5
+
+
+def test_the_paper_s_recipe_is_the_default() -> None:
+    recipe = RECIPES["university1652"]
+    assert (recipe.backbone, recipe.n_parts, recipe.size, recipe.epochs, recipe.decay_epoch) == (
+        "resnet50",
+        4,
+        256,
+        120,
+        80,
+    )
+    assert (recipe.optimizer, recipe.lr, recipe.backbone_ratio, recipe.weight_decay) == ("sgd", 0.01, 0.1, 5e-4)
+    with pytest.raises(InputError, match="no loss"):
+        replace(recipe, instance=0.0)
+
+
+@pytest.mark.skipif(
+    not (os.environ.get("LPN_MINI_DATA") and os.environ.get("LPN_BACKBONE_WEIGHTS")),
+    reason="LPN_MINI_DATA and LPN_BACKBONE_WEIGHTS name no real pictures and weights",
+)
+def test_two_epochs_on_real_pictures_beat_the_untrained_network(tmp_path: Path) -> None:
+    data, init = Path(os.environ["LPN_MINI_DATA"]), Path(os.environ["LPN_BACKBONE_WEIGHTS"])
+    recipe = replace(RECIPES["small"], size=128, epochs=2, warmup_epochs=0, ema=0.9)
+    run, said = trainer(data, tmp_path / "run", recipe, init=init)
+    assert "fills 90 of the backbone's 90 tensors" in said.getvalue()
+    save(run.network, tmp_path / "before.safetensors")
+    dataset = open_dataset(data)
+    before = evaluate(lpn.load(tmp_path / "before.safetensors"), dataset, "drone-to-satellite")
+    after = evaluate(lpn.load(run.run()), dataset, "drone-to-satellite")
+    assert after.ap > before.ap + 5
