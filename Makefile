@@ -61,8 +61,9 @@ format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(VENV)/.train
+bench: $(VENV)/.browser
 	$(BIN)/python -m bench.forward
+	$(BIN)/python -m bench.page $(DATA) $(MODEL)
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache *.egg-info

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import io
 import logging
 import socket
 import threading
 import time
+from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -79,7 +81,8 @@ class App:
 
     def __init__(self, exhibit: Exhibit, host: str, port: int) -> None:
         _check_free(host, port)
-        self.server = viser.ViserServer(host=host, port=port, label="LPN Explorer", verbose=False)
+        with redirect_stdout(io.StringIO()):  # viser announces itself; people need one address, once
+            self.server = viser.ViserServer(host=host, port=port, label="LPN Explorer", verbose=False)
         # Any page could otherwise ask for a public tunnel to this machine.
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False

@@ -19,6 +19,8 @@ from lpn.errors import LPNError, PictureError
 
 THUMBS = 12
 MAX_UPLOAD = 30_000_000
+LARGEST_SIDE = 1600
+"""Uploads are shrunk to this many pixels a side, so that turning them stays quick."""
 ALL_PARTS = "All parts"
 
 Change = Callable[[State], State | None]
@@ -278,7 +280,7 @@ class Panels:
                     f"The picture has {len(file.content) / 1e6:.0f} MB; up to 30 MB are taken, so make it smaller."
                 )
             name = file.name.replace("\\", "/").rsplit("/", 1)[-1][:80]
-            upload = Upload(name, images.decode_picture(file.content, name))
+            upload = Upload(name, images.shrink(images.decode_picture(file.content, name), LARGEST_SIDE))
         except LPNError as error:
             self.say("Picture not taken", str(error))
             return

@@ -102,7 +102,8 @@ class Exhibited:
             self._flat.show(picture)
         masks = self._exhibit.masks(view)
         for part, layer in enumerate(self._layers):
-            if exploded and self._layer_pictures[part] is not picture:
+            shown = self._layer_pictures[part]
+            if exploded and (shown is None or not np.array_equal(shown, picture)):
                 layer.image = overlays.ring_layer(picture, masks, part)
                 layer.position = (0.0, 0.0, self.depth(part, exploded, view))
                 self._layer_pictures[part] = picture
@@ -142,7 +143,7 @@ class Stage:
         self._links: viser.LineSegmentsHandle = scene.add_line_segments(
             "/links",
             np.zeros((2 * self._n, 2, 3), np.float32),
-            _link_colours(self._n),
+            _link_colours(np.ones(self._n)),
             thickness=2.5,
             thickness_units="screen",
         )
@@ -194,6 +195,7 @@ class Stage:
             self._tile.show(right, self._tile_caption(answer), task.gallery_view, state.exploded, -1.0)
             self._gutter.show(self._gutter_picture(answer.chosen))
             self._links.points = self._link_points(answer)
+            self._links.colors = _link_colours(answer.ranking.weights)
             self._show_cards(answer)
 
     def _decorated(self, answer: Answer, described: Described, view: View) -> Picture:
@@ -295,11 +297,10 @@ def _row_heights(n: int) -> list[float]:
     return [(0.5 - (part + 0.5) / n) * _SIDE for part in range(n)]
 
 
-def _link_colours(n: int) -> npt.NDArray[np.uint8]:
-    colours = np.zeros((2 * n, 2, 3), np.uint8)
-    for part in range(n):
-        colours[2 * part : 2 * part + 2] = overlays.part_colour(part)
-    return colours
+def _link_colours(weights: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """Each part's links in its colour, nearly black where the part counts nothing."""
+    colours = [overlays.part_colour(part) if weight > 0 else (55, 55, 55) for part, weight in enumerate(weights)]
+    return np.repeat(np.array(colours, np.uint8), 2, axis=0)[:, None].repeat(2, axis=1)
 
 
 def _about_y(angle: float) -> Rotation:

@@ -96,6 +96,13 @@ def resize(picture: Picture, height: int, width: int) -> Picture:
     return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BICUBIC))
 
 
+def shrink(picture: Picture, side: int) -> Picture:
+    """Resize a picture, keeping its proportions, so that no side is longer than `side` pixels."""
+    height, width = picture.shape[:2]
+    factor = side / max(height, width)
+    return picture if factor >= 1 else resize(picture, max(round(height * factor), 1), max(round(width * factor), 1))
+
+
 def normalise(picture: Picture) -> npt.NDArray[np.float32]:
     """ImageNet normalisation: (H, W, 3) uint8 to (3, H, W) float32."""
     scaled = picture.astype(np.float32)

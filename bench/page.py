@@ -1,0 +1,159 @@
+"""From command to page, and from slider to changed picture: `python -m bench.page [DATA MODEL]`.
+
+Starts the real app as a process, opens it in headless Chromium, and changes the angle as a person does. Without DATA
+and MODEL it draws a small data set and an untrained network, which changes the times little. The floor is the page's
+own: a viser app with one slider and one html element whose callback does nothing else.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from playwright.sync_api import Browser, Page, sync_playwright
+from rich.console import Console
+from rich.table import Table
+
+from lpn import datasets, images, load
+
+ROUNDS = 20
+QUIET = [
+    "--no-sandbox",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+]
+FLOOR = """
+import sys, time, viser
+server = viser.ViserServer(host="127.0.0.1", port=int(sys.argv[1]), verbose=False)
+@server.on_client_connect
+def connected(client):
+    status = client.gui.add_html("<div id='lpn-status' data-seq='1' data-angle='0'></div>")
+    slider = client.gui.add_slider("Rotate", -180, 180, 1, 0)
+    def show(_):
+        status.content = f"<div id='lpn-status' data-seq='1' data-angle='{slider.value:g}'></div>"
+    slider.on_update(show)
+print(f"ready: http://127.0.0.1:{sys.argv[1]}", flush=True)
+time.sleep(600)
+"""
+CHANGE = """
+([selector, angle]) => new Promise(done => {
+  const row = [...document.querySelectorAll('label')].find(l => l.textContent === 'Rotate').closest("[class*='Flex']");
+  const input = [...row.querySelectorAll('input')].at(-1);
+  const started = performance.now();
+  const check = () => {
+    if (document.querySelector(selector).dataset.angle !== angle) return requestAnimationFrame(check);
+    requestAnimationFrame(() => requestAnimationFrame(() => done(performance.now() - started)));
+  };
+  Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(input, angle);
+  input.dispatchEvent(new Event('input', {bubbles: true}));
+  check();
+})
+"""
+
+
+class Process:
+    """A server process and how long it took to print its address."""
+
+    def __init__(self, arguments: list[str], environment: dict[str, str]) -> None:
+        started = time.perf_counter()
+        self._process = subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, env=environment)
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if found := re.search(r"ready: (http://\S+)", line):
+                self.url = found[1]
+                break
+        self.seconds = time.perf_counter() - started
+
+    def stop(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.communicate()
+
+
+def free_port() -> int:
+    """A port nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def page_seconds(browser: Browser, url: str) -> tuple[float, Page]:
+    """Open a page and wait for its first answer."""
+    page = browser.new_context(viewport={"width": 1456, "height": 835}).new_page()
+    started = time.perf_counter()
+    page.goto(url)
+    page.wait_for_selector("#lpn-status:not([data-seq='0'])")
+    return time.perf_counter() - started, page
+
+
+def slider_seconds(page: Page) -> float:
+    """Median time from a changed angle to two frames drawn after the page shows it."""
+    page.wait_for_timeout(2000)
+    times = []
+    for i in range(ROUNDS):
+        times.append(page.evaluate(CHANGE, ["#lpn-status", str(3 + 7 * i)]) / 1000)
+        page.wait_for_timeout(150)
+    return statistics.median(times)
+
+
+def main() -> None:
+    """Measure and print."""
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        if len(sys.argv) == 3:
+            data, model = Path(sys.argv[1]), Path(sys.argv[2])
+        else:
+            from tests import worlds
+
+            data, model = worlds.make_dataset(Path(folder) / "places"), worlds.make_model(Path(folder), size=256)
+        environment = {**os.environ, "LPN_CACHE": str(Path(folder) / "cache")}
+        command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(data), "--model", str(model), "--port"]
+        cold = Process([*command, str(free_port())], environment)
+        cold.stop()
+        warm = Process([*command, str(free_port())], environment)
+        floor = Process([sys.executable, "-c", FLOOR, str(free_port())], environment)
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=QUIET)
+        page_seconds(browser, floor.url)[1].context.close()
+        bare_page, page = page_seconds(browser, floor.url)
+        bare_slider = slider_seconds(page)
+        page.context.close()
+        full_page, page = page_seconds(browser, warm.url)
+        slider = slider_seconds(page)
+        browser.close()
+        for process in (warm, floor):
+            process.stop()
+        opened = load(model)
+        picture = images.load_picture(datasets.open_dataset(data).queries(opened.views[-1])[0].path)
+        prepared = images.prepare(picture, opened.input_size)[None]
+        forward = []
+        for _ in range(ROUNDS):
+            started = time.perf_counter()
+            opened.part_embeddings(prepared, opened.views[-1])
+            forward.append(time.perf_counter() - started)
+    table = Table(title=f"{model.name} on {data.name}, {os.cpu_count()} cores, medians of {ROUNDS}")
+    for column in ("step", "explorer, s", "bare viser page, s", "ratio"):
+        table.add_column(column, justify="right")
+    table.add_row("command to address, first time", f"{cold.seconds:.2f}", f"{floor.seconds:.2f}", "")
+    table.add_row(
+        "command to address, again",
+        f"{warm.seconds:.2f}",
+        f"{floor.seconds:.2f}",
+        f"{warm.seconds / floor.seconds:.2f}",
+    )
+    table.add_row("address to complete page", f"{full_page:.2f}", f"{bare_page:.2f}", f"{full_page / bare_page:.2f}")
+    table.add_row("angle to changed picture", f"{slider:.3f}", f"{bare_slider:.3f}", f"{slider / bare_slider:.2f}")
+    table.add_row("bare forward pass", f"{statistics.median(forward):.3f}", "", "")
+    Console(width=110).print(table)
+
+
+if __name__ == "__main__":
+    main()
