@@ -37,7 +37,9 @@ def augment(
     scale = math.exp(float(rng.uniform(-1, 1)) * recipe.scale)
     matrix = cv2.getRotationMatrix2D(((size - 1) / 2, (size - 1) / 2), angle, scale)
     matrix[:, 2] = matrix[:, 2] + rng.uniform(-1, 1, 2) * recipe.shift * size
-    border = cv2.BORDER_REFLECT_101 if recipe.scale or recipe.rotation else cv2.BORDER_REPLICATE
+    black = rng.random() < recipe.black_corners
+    turned = cv2.BORDER_CONSTANT if black else cv2.BORDER_REFLECT_101
+    border = turned if angle else cv2.BORDER_REPLICATE
     warped = cv2.warpAffine(resized, matrix, (size, size), flags=cv2.INTER_LINEAR, borderMode=border)
     return _recolour(cast(Picture, warped), recipe.colour, rng) if recipe.colour else cast(Picture, warped)
 

@@ -67,6 +67,8 @@ class Recipe:
     """Satellites are turned further by up to this many degrees either way."""
     place_rotation: float = 0.0
     """All views of a place are turned together by up to this many degrees either way."""
+    black_corners: float = 1.0
+    """How often what a rotation uncovers is black, as in a rotated query, rather than mirrored from inside."""
     shift: float = 10 / 256
     """Random shift, as a share of the size (padding 10 pixels at the edge and cropping, at 256)."""
     scale: float = 0.0
@@ -114,6 +116,7 @@ RECIPES: dict[str, Recipe] = {
         rotation=10.0,
         satellite_rotation=0.0,
         place_rotation=15.0,
+        black_corners=0.5,
         shift=0.06,
         scale=0.15,
         colour=1.0,
