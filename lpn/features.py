@@ -158,7 +158,11 @@ def describe(
         images.check_header(file)
     try:
         out.mkdir(parents=True, exist_ok=True)
+        if _renamed_only(out):
+            os.replace(out / "descriptors.npy", out / "descriptors.part")
         _fill(model, files, manifest, out, before, title)
+        # The old manifest must never lie beside the new rows, even when killed between these lines.
+        (out / "manifest.json").unlink(missing_ok=True)
         os.replace(out / "descriptors.part", out / "descriptors.npy")
         write_whole(out / "manifest.json", manifest.to_json())
         (out / "progress.json").unlink(missing_ok=True)
@@ -209,6 +213,14 @@ def _row(file: Path, root: Path | None) -> Row:
     except OSError as error:
         raise PictureError(f"The picture {file} cannot be read ({error.strerror}); check the path.") from error
     return Row(str(file.relative_to(root) if root else file), stat.st_size, stat.st_mtime_ns)
+
+
+def _renamed_only(folder: Path) -> bool:
+    """Whether a run was killed after its rows got their name and before its manifest was written."""
+    there = [
+        (folder / name).exists() for name in ("progress.json", "descriptors.npy", "descriptors.part", "manifest.json")
+    ]
+    return there == [True, True, False, False]
 
 
 def _complete(folder: Path) -> Store | None:

@@ -9,12 +9,15 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
 
+from lpn.checkpoints import load_backbone, save
+from lpn.export import export
 from tests import worlds
 
 QUIET = [
@@ -35,27 +38,14 @@ class Running:
     model: Path
 
 
-@pytest.fixture(scope="session")
-def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+@contextmanager
+def started(data: Path, model: Path, cache: Path) -> Iterator[Running]:
     """`lpn explore` as a process of its own."""
-    folder = tmp_path_factory.mktemp("app")
-    data, model = worlds.make_dataset(folder / "places"), worlds.make_model(folder)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [
-        sys.executable,
-        "-m",
-        "lpn.cli",
-        "explore",
-        "--data",
-        str(data),
-        "--model",
-        str(model),
-        "--port",
-        str(port),
-    ]
-    environment = {**os.environ, "LPN_CACHE": str(folder / "cache")}
+    command = [sys.executable, "-m", "lpn.cli", "explore", "--data", data, "--model", model, "--port", str(port)]
+    environment = {**os.environ, "LPN_CACHE": str(cache)}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert process.stdout is not None
     said: list[str] = []
@@ -72,6 +62,28 @@ def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         process.terminate()
         process.stdout.close()
         process.wait(timeout=20)
+
+
+@pytest.fixture(scope="session")
+def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """The app on drawn places."""
+    folder = tmp_path_factory.mktemp("app")
+    with started(worlds.make_dataset(folder / "places"), worlds.make_model(folder), folder / "cache") as running:
+        yield running
+
+
+@pytest.fixture
+def real_app(tmp_path: Path) -> Iterator[Running]:
+    """The app on real University-1652 pictures, with an ImageNet backbone and untrained heads."""
+    data, weights = os.environ.get("LPN_MINI_DATA"), os.environ.get("LPN_BACKBONE_WEIGHTS")
+    if not data or not weights:
+        pytest.skip("LPN_MINI_DATA and LPN_BACKBONE_WEIGHTS name no real pictures and weights")
+    network = worlds.make_network(size=256)
+    load_backbone(network, weights)
+    save(network, tmp_path / "real.safetensors")
+    export(tmp_path / "real.safetensors", tmp_path / "real.onnx")
+    with started(Path(data), tmp_path / "real.onnx", tmp_path / "cache") as running:
+        yield running
 
 
 @pytest.fixture(scope="session")

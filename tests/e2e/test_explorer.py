@@ -192,3 +192,24 @@ def test_a_second_browser_is_not_disturbed(
     other.page.wait_for_timeout(500)
     assert (other.status.get_attribute("data-seq"), other.verdict.inner_text(), other.rows.all_inner_texts()) == before
     expect(other.field("Rotate")).to_have_value("0")
+
+
+def test_the_main_job_on_real_pictures(real_app: Running, contexts: Callable[[], BrowserContext]) -> None:
+    explorer = Explorer(contexts().new_page())
+    explorer.open(real_app.url)
+    expect(explorer.page.locator("#lpn-header")).to_contain_text("80 queries")
+    explorer.fill("Find name", "0083")
+    explorer.expect_status("name", "0083")
+    upright = explorer.stage()
+    explorer.fill("Rotate", "-120")
+    explorer.expect_status("angle", "-120")
+    assert_shows(explorer, real_app, expected(real_app, "0083", -120))
+    assert difference(upright, explorer.stage()) > 0.05
+    explorer.tab("Parts")
+    explorer.tick("Part 1 centre", False)
+    expect(explorer.page.locator("#lpn-parts")).to_contain_text("33 %")
+    ranking = expected(real_app, "0083", -120, (0, 1, 1, 1))
+    assert_shows(explorer, real_app, ranking)
+    explorer.rows.nth(4).click()
+    explorer.expect_status("chosen", str(ranking.match(4).index))
+    expect(explorer.page.locator("#lpn-parts")).to_contain_text(f"{ranking.match(4).distance2:.3f}")

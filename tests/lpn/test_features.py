@@ -128,3 +128,29 @@ def test_cache_is_keyed_by_files_view_and_angle(
     assert count.described == 40
     manifests = [json.loads(p.read_text()) for p in (tmp_path / "cache").rglob("manifest.json")]
     assert sorted(m["rotate"] for m in manifests) == [0, 90]
+
+
+def test_a_kill_before_the_new_manifest_leaves_no_old_one_and_loses_nothing(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = features.pictures_below(folder)
+    store = tmp_path / "store"
+    features.describe(model, files, "drone", store)
+    write_whole = features.write_whole
+
+    def killed(path: Path, data: bytes) -> None:
+        if path.name == "manifest.json":
+            raise KeyboardInterrupt
+        write_whole(path, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(features, "write_whole", killed)
+        with pytest.raises(KeyboardInterrupt):
+            features.describe(model, files[::-1], "drone", store)
+    with pytest.raises(StoreError):
+        features.open_store(store)
+    counting = Counting(model, monkeypatch)
+    again = features.describe(model, files[::-1], "drone", store)
+    assert counting.described == 0
+    expected = features.describe(model, files, "drone", tmp_path / "other").descriptors[::-1]
+    np.testing.assert_allclose(again.descriptors, expected, atol=1e-6)
