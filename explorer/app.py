@@ -98,6 +98,8 @@ class App:
 
     def _connected(self, client: viser.ClientHandle, exhibit: Exhibit) -> None:
         self._visitors[client.client_id] = Visitor(client, exhibit)
+        if client.client_id not in self.server.get_clients():  # gone while its page was being built
+            self._disconnected(client)
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
         visitor = self._visitors.pop(client.client_id, None)
@@ -114,6 +116,8 @@ def run(data: Path, model: Path, host: str = "127.0.0.1", port: int = 8080) -> N
     _check_free(host, port)
     app = App(Exhibit(data, model), host, port)
     shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+    if host not in ("127.0.0.1", "localhost", "::1"):
+        print(f"Listening on {host}: anyone who reaches port {port} can use this, without a password.", flush=True)
     print(f"LPN Explorer is ready: http://{shown}:{port}  (stop with Ctrl-C)", flush=True)
     try:
         while True:

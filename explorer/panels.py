@@ -51,6 +51,7 @@ class Panels:
     ) -> None:
         self._client, self._exhibit, self._change, self._rng = client, exhibit, change, rng
         self._shown: list[int] = []
+        self._answer: Answer | None = None
         gui = client.gui
         left = gui.add_panel()
         with left.add_tab("Query", viser.Icon.DRONE):
@@ -232,7 +233,7 @@ class Panels:
 
     def compare_truth(self, state: State) -> State:
         """Compare the query with its true tile, where that is known."""
-        truth = self._answer.truth
+        truth = None if self._answer is None else self._answer.truth
         return state if truth is None else replace(state, selected=truth.index)
 
     def _queries(self, state: State) -> int:
@@ -266,7 +267,7 @@ class Panels:
 
     def _compare(self, slot: int) -> Callable[[Any], None]:
         def compared(_: Any) -> None:
-            if slot < len(self._answer.matches):
+            if self._answer is not None and slot < len(self._answer.matches):
                 index = self._answer.matches[slot].index
                 self._change(lambda s: replace(s, selected=index))
 

@@ -57,15 +57,9 @@ class Engine(Model):
         parts, features = self._sessions[view].run(list(OUTPUTS), {"images": images})
         return cast(FloatArray, parts), cast(FloatArray, features)
 
-    def part_embeddings(self, images: Any, view: View) -> FloatArray:
-        """Raw head outputs (B, n, D); the feature map is not fetched."""
-        batch = self._batch(images, view)
-        self._check_size(batch, view)
-        session = self._sessions[view]
-        chunks = [session.run(["parts"], {"images": batch[i : i + 16]})[0] for i in range(0, len(batch), 16)]
-        if not chunks:
-            return np.zeros((0, self.n_parts, self.spec.embedding), np.float32)
-        return cast(FloatArray, np.concatenate(cast("list[FloatArray]", chunks)))
+    def _parts(self, images: FloatArray, view: View) -> FloatArray:
+        self._check_size(images, view)
+        return cast(FloatArray, self._sessions[view].run(["parts"], {"images": images})[0])
 
     def heads(self, view: View) -> Heads:
         """The affine heads and cell weights for exact explanation, read from the graph once."""

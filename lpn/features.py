@@ -4,7 +4,7 @@
     manifest.json     format, model fingerprint, view, angle, and for each row its file with size and time
 
 The manifest is written last, so a folder with a manifest is complete. While pictures are being described, the rows
-lie in `descriptors.part` and `progress.json` says how many of them are good.
+lie in `descriptors.part`, `planned.json` is the manifest to be, and `progress.json` says how many rows are good.
 """
 
 from __future__ import annotations
@@ -103,9 +103,7 @@ def open_store(folder: str | Path) -> Store:
     folder = Path(folder)
     if not (folder / "manifest.json").is_file():
         unfinished = (
-            " (its description was not finished; run lpn describe again)"
-            if (folder / "progress.json").is_file()
-            else ""
+            " (its description was not finished; run lpn describe again)" if (folder / "planned.json").is_file() else ""
         )
         raise StoreError(f"{folder} has no manifest.json, so it is not a store of descriptors{unfinished}.")
     manifest = Manifest.from_json((folder / "manifest.json").read_bytes(), "manifest.json")
@@ -165,7 +163,8 @@ def describe(
         (out / "manifest.json").unlink(missing_ok=True)
         os.replace(out / "descriptors.part", out / "descriptors.npy")
         write_whole(out / "manifest.json", manifest.to_json())
-        (out / "progress.json").unlink(missing_ok=True)
+        for name in ("progress.json", "planned.json"):
+            (out / name).unlink(missing_ok=True)
     except OSError as error:
         raise StoreError(
             f"The store {out} cannot be written ({error.strerror}); free space or choose another folder."
@@ -233,12 +232,13 @@ def _complete(folder: Path) -> Store | None:
 
 def _fill(model: Model, files: Sequence[Path], manifest: Manifest, out: Path, before: Store | None, title: str) -> None:
     """Compute all rows into `descriptors.part`, noting in `progress.json` how many are on disk."""
-    part, progress_file = out / "descriptors.part", out / "progress.json"
-    done = _resumable(manifest, part, progress_file)
+    part, planned, progress_file = (out / name for name in ("descriptors.part", "planned.json", "progress.json"))
+    done = _resumable(manifest, part, planned, progress_file)
     shape = (len(files), manifest.n_parts, manifest.embedding)
     if done == 0:
         progress_file.unlink(missing_ok=True)
         array = np.lib.format.open_memmap(part, mode="w+", dtype=np.float32, shape=shape)
+        write_whole(planned, manifest.to_json())
     else:
         array = np.lib.format.open_memmap(part, mode="r+")
     known = _known_rows(manifest, before)
@@ -252,7 +252,7 @@ def _fill(model: Model, files: Sequence[Path], manifest: Manifest, out: Path, be
         if fresh:
             array[fresh] = model.descriptors(prepared, cast(View, manifest.view))
         array.flush()
-        write_whole(progress_file, json.dumps({"done": batch.stop, "manifest": manifest.to_json().decode()}).encode())
+        write_whole(progress_file, json.dumps({"done": batch.stop}).encode())
     del array
 
 
@@ -284,11 +284,11 @@ def _prepared(
             bar.update(task, completed=batch.stop)
 
 
-def _resumable(manifest: Manifest, part: Path, progress_file: Path) -> int:
+def _resumable(manifest: Manifest, part: Path, planned: Path, progress_file: Path) -> int:
     """How many rows an interrupted run of this very manifest left on disk."""
     try:
         saved: Any = json.loads(progress_file.read_bytes())
-        same = Manifest.from_json(saved["manifest"].encode(), "progress.json") == manifest
+        same = Manifest.from_json(planned.read_bytes(), planned.name) == manifest
         array = np.load(part, mmap_mode="r", allow_pickle=False)
         fits = array.shape == (len(manifest.rows), manifest.n_parts, manifest.embedding)
         done = int(saved["done"])

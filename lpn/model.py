@@ -72,7 +72,7 @@ class Model(ABC):
             InputError: when images are not (B, 3, H, W) float32 or the model has no such view.
         """
         batch = self._batch(images, view)
-        chunks = [self.run(batch[i : i + _CHUNK], view)[0] for i in range(0, len(batch), _CHUNK)]
+        chunks = [self._parts(batch[i : i + _CHUNK], view) for i in range(0, len(batch), _CHUNK)]
         return np.concatenate(chunks) if chunks else np.zeros((0, self.n_parts, self.spec.embedding), np.float32)
 
     def descriptors(self, images: Any, view: View, mirror: bool = True) -> FloatArray:
@@ -92,6 +92,10 @@ class Model(ABC):
         """Raise InputError unless the model has the view."""
         if view not in self.views:
             raise InputError(f"This model has no {view!r} view; it has {', '.join(self.views)}.")
+
+    def _parts(self, images: FloatArray, view: View) -> FloatArray:
+        """The part embeddings of one chunk; for models that can leave the feature map out."""
+        return self.run(images, view)[0]
 
     def _batch(self, images: Any, view: View) -> FloatArray:
         self.check_view(view)
