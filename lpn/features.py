@@ -143,7 +143,7 @@ def describe(
 
     Raises:
         PictureError: naming the first file that is not a picture, before anything is computed where its header tells.
-        StoreError: when `out` cannot be written.
+        StoreError: when `out` cannot be written, or holds descriptors of another model, view, or angle.
     """
     model.check_view(view)
     out = Path(out)
@@ -152,6 +152,12 @@ def describe(
     before = _complete(out)
     if before is not None and before.manifest == manifest:
         return before
+    if before is not None and not manifest.comparable(before.manifest):
+        held = before.manifest
+        raise StoreError(
+            f"{out} holds {held.view} descriptors of model {held.fingerprint}, turned {held.rotate:g}°, and these would be "
+            f"{view} of {model.fingerprint}, turned {rotate:g}°; choose another folder, or delete that one."
+        )
     for file in files:
         images.check_header(file)
     try:
