@@ -7,7 +7,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c co
 HOST   ?= 127.0.0.1
 PORT   ?= 8080
 
-.PHONY: explore test check bench format clean
+.PHONY: explore setup test check bench format clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -48,6 +48,9 @@ else
 explore: $(EXPLORE_NEEDS)
 	@$(BIN)/lpn explore --data "$(DATA)" --model "$(MODEL)" --host $(HOST) --port $(PORT)
 endif
+
+setup: $(VENV)/.train
+	@echo "Ready. Use it with: . $(VENV)/bin/activate"
 
 test: check $(VENV)/.browser
 	$(BIN)/python -m pytest
