@@ -45,17 +45,15 @@ def connected(client):
 print(f"ready: http://127.0.0.1:{sys.argv[1]}", flush=True)
 time.sleep(600)
 """
-CHANGE = """
-([selector, angle]) => new Promise(done => {
-  const row = [...document.querySelectorAll('label')].find(l => l.textContent === 'Rotate').closest("[class*='Flex']");
-  const input = [...row.querySelectorAll('input')].at(-1);
-  const started = performance.now();
+CLOCK = "document.addEventListener('input', () => { window.changedAt = performance.now(); }, true)"
+SHOWN = """
+angle => new Promise(done => {
+  const deadline = performance.now() + 5000;
   const check = () => {
-    if (document.querySelector(selector).dataset.angle !== angle) return requestAnimationFrame(check);
-    requestAnimationFrame(() => requestAnimationFrame(() => done(performance.now() - started)));
+    if (performance.now() > deadline) return done(NaN);
+    if (document.querySelector('#lpn-status').dataset.angle !== angle) return requestAnimationFrame(check);
+    requestAnimationFrame(() => requestAnimationFrame(() => done(performance.now() - window.changedAt)));
   };
-  Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(input, angle);
-  input.dispatchEvent(new Event('input', {bubbles: true}));
   check();
 })
 """
@@ -99,9 +97,13 @@ def page_seconds(browser: Browser, url: str) -> tuple[float, Page]:
 def slider_seconds(page: Page) -> float:
     """Median time from a changed angle to two frames drawn after the page shows it."""
     page.wait_for_timeout(2000)
+    page.evaluate(CLOCK)
+    row = page.locator('label:text-is("Rotate")').locator("xpath=ancestor::div[contains(@class,'Flex')][1]")
+    box = row.locator("input").last
     times = []
-    for i in range(ROUNDS):
-        times.append(page.evaluate(CHANGE, ["#lpn-status", str(3 + 7 * i)]) / 1000)
+    for angle in range(3, 3 + 7 * ROUNDS, 7):
+        box.fill(str(angle), timeout=5000)
+        times.append(page.evaluate(SHOWN, str(angle)) / 1000)
         page.wait_for_timeout(150)
     return statistics.median(times)
 
