@@ -21,7 +21,7 @@ __all__ = ["LPNError", "Model", "ModelSpec", "Partition", "View", "__version__",
 def load(path: str | Path) -> Model:
     """Open a trained LPN: an exported `.onnx`, our `.safetensors`, or a published `.pth`.
 
-    The `.onnx` runs without torch; the other two need the extra `train`.
+    The `.onnx` runs without torch, on the CPU; the other two need the extra `train`, and use a GPU where there is one.
 
     Raises:
         ModelFileError: when the file is missing, is not a model, is truncated, or lacks entries.
@@ -32,10 +32,10 @@ def load(path: str | Path) -> Model:
 
         return Engine(path)
     try:
-        from lpn.checkpoints import load_torch
+        from lpn.checkpoints import best_device, load_torch
     except ModuleNotFoundError as error:
         raise MissingPackageError(
             f"Opening {Path(path).name} needs the package {error.name}; "
             "pip install 'lpn-explorer[train]', or export the model to .onnx where torch is installed."
         ) from error
-    return load_torch(path)
+    return load_torch(path, best_device())

@@ -27,21 +27,26 @@ def augment(
         angle: degrees the whole place is turned, mirror: whether it is mirrored, see `place_draw`.
         satellite: whether the satellite's extra rotation applies.
     """
-    size = recipe.size
-    resized = images.resize(picture, size, size)
     if mirror:
-        resized = cast(Picture, np.ascontiguousarray(resized[:, ::-1]))
+        picture = cast(Picture, np.ascontiguousarray(picture[:, ::-1]))
+    native = rng.random() < recipe.own_canvas
+    if not native:
+        picture = images.resize(picture, recipe.size, recipe.size)
     angle += float(rng.uniform(-1, 1)) * recipe.rotation
     if satellite:
         angle += float(rng.uniform(-1, 1)) * recipe.satellite_rotation
     scale = math.exp(float(rng.uniform(-1, 1)) * recipe.scale)
-    matrix = cv2.getRotationMatrix2D(((size - 1) / 2, (size - 1) / 2), angle, scale)
-    matrix[:, 2] = matrix[:, 2] + rng.uniform(-1, 1, 2) * recipe.shift * size
+    height, width = picture.shape[:2]
+    matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, scale)
+    matrix[:, 2] = matrix[:, 2] + rng.uniform(-1, 1, 2) * recipe.shift * (width, height)
     black = rng.random() < recipe.black_corners
     turned = cv2.BORDER_CONSTANT if black else cv2.BORDER_REFLECT_101
     border = turned if angle else cv2.BORDER_REPLICATE
-    warped = cv2.warpAffine(resized, matrix, (size, size), flags=cv2.INTER_LINEAR, borderMode=border)
-    return _recolour(cast(Picture, warped), recipe.colour, rng) if recipe.colour else cast(Picture, warped)
+    warped = cast(
+        Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_LINEAR, borderMode=border)
+    )
+    resized = images.resize(warped, recipe.size, recipe.size)
+    return _recolour(resized, recipe.colour, rng) if recipe.colour else resized
 
 
 def _recolour(picture: Picture, strength: float, rng: np.random.Generator) -> Picture:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import re
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, cast
 
@@ -37,7 +38,9 @@ class TorchModel(Model):
     def run(self, images: FloatArray, view: View) -> tuple[FloatArray, FloatArray]:
         """One forward pass: part embeddings (B, n, D) and feature map (B, C, h, w)."""
         device = next(self.network.parameters()).device
-        with torch.inference_mode():
+        # Left to itself, cuDNN convolves in TF32, whose ten-bit mantissa moves descriptors by more than 1e-4.
+        precise = torch.backends.cudnn.flags(allow_tf32=False) if device.type == "cuda" else nullcontext()
+        with torch.inference_mode(), precise:
             parts, features = self.network.embed(torch.tensor(images, device=device), view)
         return cast(FloatArray, parts.cpu().numpy()), cast(FloatArray, features.cpu().numpy())
 
@@ -53,8 +56,8 @@ class TorchModel(Model):
         return Heads(weight, bias, self.spec.partition(view).weights(*map_size))
 
 
-def load_torch(path: str | Path) -> TorchModel:
-    """Load a published `.pth` or our `.safetensors` into PyTorch.
+def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchModel:
+    """Load a published `.pth` or our `.safetensors` into PyTorch, on a device.
 
     Only tensors are ever unpickled. An `opts.yaml` beside a `.pth` is read for what the keys do not tell.
 
@@ -71,7 +74,12 @@ def load_torch(path: str | Path) -> TorchModel:
         spec = infer_spec(state, _read_options(path.with_name("opts.yaml")), path.name)
     network = LPN(spec)
     _fill(network, state, path.name)
-    return TorchModel(network, fingerprint(path))
+    return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()))
+
+
+def best_device() -> torch.device:
+    """The GPU where there is one."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None) -> None:
@@ -129,18 +137,21 @@ def infer_spec(state: State, options: dict[str, Any], name: str = "the file") ->
         ModelFileError: when it is not an LPN or baseline, or contradicts its options.
     """
     views = tuple(view for view, branch in BRANCH.items() if any(k.startswith(branch + ".model.") for k in state))
-    heads = {m[1] for key in state if (m := re.match(r"classifier(\d*)\.add_block\.0\.weight$", key))}
+    heads = {m[1] for key in state if (m := re.match(r"classifier(\d*)\.", key))}
     if not views or not heads:
         found = ", ".join(list(state)[:3]) or "nothing"
         raise ModelFileError(
             f"{name} is not an LPN checkpoint: expected entries named model_1.model.* and classifier*.add_block.*, "
             f"found {found}."
         )
-    n_parts = len(heads)
-    expected = {""} if "" in heads else {str(i) for i in range(n_parts)}
-    if heads != expected:
+    n_parts = 1 if heads == {""} else 1 + max((int(head) for head in heads if head), default=0)
+    expected = [""] if heads == {""} else [str(i) for i in range(n_parts)]
+    lacking = [f"classifier{head}" for head in expected if head not in heads]
+    if lacking or len(heads) != len(expected):
+        found = ", ".join(f"classifier{head}" for head in sorted(heads))
         raise ModelFileError(
-            f"{name} has heads {sorted(heads)}; expected {sorted(expected)}, so some heads are missing."
+            f"{name} has the heads {found}; expected classifier0 to classifier{n_parts - 1} without a gap, or one named "
+            "classifier, so the file is incomplete."
         )
     if "LPN" in options and options["LPN"] and "block" in options and int(options["block"]) != n_parts:
         raise ModelFileError(
@@ -152,7 +163,11 @@ def infer_spec(state: State, options: dict[str, Any], name: str = "the file") ->
         )
     prefix = f"{BRANCH[views[0]]}.model."
     backbone, last_layer = _infer_backbone({k[len(prefix) :] for k in state if k.startswith(prefix)}, name)
-    head = "classifier" if "" in heads else "classifier0"
+    head = f"classifier{expected[0]}"
+    linear = state.get(f"{head}.add_block.0.weight")
+    if linear is None or linear.ndim != 2:
+        shape = "is missing" if linear is None else f"has shape {tuple(linear.shape)}"
+        raise ModelFileError(f"In {name}, {head}.add_block.0.weight {shape}; expected the (D, C) weights of a head.")
     size = (int(options.get("h", 256)), int(options.get("w", 256)))
     classes = state.get(f"{head}.classifier.0.weight")
     return ModelSpec(
@@ -163,8 +178,8 @@ def infer_spec(state: State, options: dict[str, Any], name: str = "the file") ->
         shared=_branches_equal(state, views),
         n_parts=n_parts,
         layout="cvusa" if views == ("satellite", "street") else "university",
-        embedding=state[f"{head}.add_block.0.weight"].shape[0],
-        classes=1 if classes is None else classes.shape[0],
+        embedding=linear.shape[0],
+        classes=1 if classes is None or classes.ndim != 2 else classes.shape[0],
         dropout=float(options.get("droprate", 0.5)),
         input_size=size,
     )
@@ -274,14 +289,21 @@ def _read_options(path: Path) -> dict[str, Any]:
         return {}
     try:
         options: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
         raise ModelFileError("The opts.yaml beside the model cannot be read; correct or remove it.") from error
+    if options is None:
+        return {}
     if not isinstance(options, dict):
         raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
     for key in ("h", "w", "stride", "block"):
         value = options.get(key, 1)
-        if not isinstance(value, int) or value < 1:
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             raise ModelFileError(
                 f"The opts.yaml beside the model says {key}: {value}; expected a whole number, so correct it."
             )
+    rate = options.get("droprate", 0.5)
+    if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0 <= rate < 1:
+        raise ModelFileError(
+            f"The opts.yaml beside the model says droprate: {rate}; expected a number from 0 up to 1, so correct it."
+        )
     return cast("dict[str, Any]", options)

@@ -69,8 +69,10 @@ class Evaluate:
 
         from lpn.datasets import open_dataset
         from lpn.evaluate import PROTOCOL, evaluate
-        from lpn.files import write_whole
+        from lpn.files import check_writable, write_whole
 
+        if self.json is not None:
+            check_writable(self.json)
         model = lpn.load(self.model)
         result = evaluate(model, open_dataset(self.data), self.task, self.rotate, _numbers(self.parts))
         values = result.to_dict()
@@ -181,6 +183,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except ModuleNotFoundError as error:
         print(f"lpn: {_missing(error)}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        name = f" ({error.filename})" if error.filename else ""
+        print(f"lpn: The system refused a file or device{name}: {error.strerror or error}.", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("lpn: stopped.", file=sys.stderr)

@@ -6,7 +6,6 @@ outputs that depend on nothing, so a file explains itself and nothing but ONNX R
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any, cast
@@ -41,15 +40,19 @@ class Engine(Model):
         options.log_severity_level = 4
         options.intra_op_num_threads = threads or os.cpu_count() or 1
         options.inter_op_num_threads = 1
-        self._sessions: dict[str, ort.InferenceSession] = {}
+        self._sessions: dict[View, ort.InferenceSession] = {}
         self._heads: dict[str, Heads] = {}
         session = _open(path, options)
         metadata = _metadata(session, path)
         self.spec = ModelSpec.from_json(metadata["spec"])
-        self.fingerprint = fingerprint(path)
-        for group, name in _group_files(metadata, self.spec, path).items():
-            session = session if name == path.name else _open(path.with_name(name), options)
-            self._sessions.update(dict.fromkeys(group.split("+"), session))
+        groups = self.spec.groups()
+        files = graph_files(path, groups)
+        for group, file in zip(groups, files, strict=True):
+            if file != path:
+                session = _open(file, options)
+            _check_group(_metadata(session, file), metadata, group, file)
+            self._sessions.update(dict.fromkeys(group, session))
+        self.fingerprint = fingerprint(*files)
 
     def run(self, images: FloatArray, view: View) -> tuple[FloatArray, FloatArray]:
         """One forward pass: part embeddings (B, n, D) and feature map (B, C, h, w)."""
@@ -91,19 +94,29 @@ def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
 def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
     metadata = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map)
     names = {output.name for output in session.get_outputs()}
-    if metadata.get("format") != FORMAT or not {*OUTPUTS, *HEAD_OUTPUTS} <= names:
+    if (
+        metadata.get("format") != FORMAT
+        or not {"spec", "source", "group"} <= set(metadata)
+        or not {*OUTPUTS, *HEAD_OUTPUTS} <= names
+    ):
         raise ModelFileError(
             f"{path.name} is an ONNX model but not one written by `lpn export`; export your LPN with it."
         )
     return metadata
 
 
-def _group_files(metadata: dict[str, str], spec: ModelSpec, path: Path) -> dict[str, str]:
-    try:
-        files: Any = json.loads(metadata["files"])
-        groups = {"+".join(group) for group in spec.groups()}
-        if set(files) != groups or any(Path(name).name != name for name in files.values()):
-            raise ValueError
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
-        raise ModelFileError(f"{path.name} does not say which files hold its views; export the model again.") from error
-    return cast("dict[str, str]", files)
+def _check_group(found: dict[str, str], main: dict[str, str], group: tuple[View, ...], file: Path) -> None:
+    if found["group"] != "+".join(group):
+        raise ModelFileError(
+            f"{file.name} holds the part of a model for {found['group'].replace('+', ' and ')}; "
+            f"open the file for {' and '.join(group)}, which was exported with it."
+        )
+    if (found["spec"], found["source"]) != (main["spec"], main["source"]):
+        raise ModelFileError(
+            f"{file.name} was exported from another model than the file beside it; export the model again."
+        )
+
+
+def graph_files(path: Path, groups: list[tuple[View, ...]]) -> list[Path]:
+    """The file of each group of views: `path` itself, then files beside it with the views before the suffix."""
+    return [path, *(path.with_name(f"{path.stem}.{'+'.join(group)}{path.suffix}") for group in groups[1:])]

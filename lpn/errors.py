@@ -5,6 +5,7 @@ LPNError
 ├── DataError        a data set folder is missing, empty, or not laid out as expected
 ├── PictureError     a picture cannot be read
 ├── StoreError       a descriptor store cannot be read or written
+├── OutputError      a file cannot be written
 ├── InputError       an array or option has the wrong shape, type, or value
 └── MissingPackageError   a feature needs a package of an extra that is not installed
 """
@@ -30,6 +31,10 @@ class PictureError(LPNError):
 
 class StoreError(LPNError):
     """A descriptor store cannot be read or written."""
+
+
+class OutputError(LPNError):
+    """A file cannot be written."""
 
 
 class InputError(LPNError):

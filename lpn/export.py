@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import logging
 import warnings
 from collections.abc import Iterator
@@ -16,9 +15,9 @@ import torch
 from torch import Tensor, nn
 
 from lpn.checkpoints import TorchModel, load_torch
-from lpn.engine import FORMAT, HEAD_OUTPUTS, OUTPUTS
+from lpn.engine import FORMAT, HEAD_OUTPUTS, OUTPUTS, graph_files
 from lpn.errors import InputError
-from lpn.files import write_whole
+from lpn.files import check_writable, write_whole
 from lpn.spec import View
 
 
@@ -56,17 +55,21 @@ def export(model: str | Path, out: str | Path) -> list[Path]:
     Raises:
         InputError: when `out` does not end in .onnx, or `model` does.
         ModelFileError: when the model cannot be loaded.
+        OutputError: when `out` cannot be written.
     """
     out = Path(out)
     if out.suffix != ".onnx":
         raise InputError(f"The output is named {out.name}; expected a name ending in .onnx.")
     if Path(model).suffix == ".onnx":
         raise InputError(f"{Path(model).name} is exported already; give the .safetensors or .pth it was made from.")
+    check_writable(out)
     loaded = load_torch(model)
     groups = loaded.spec.groups()
-    files = {"+".join(g): out.name if g == groups[0] else f"{out.stem}.{'+'.join(g)}.onnx" for g in groups}
-    metadata = {"format": FORMAT, "spec": loaded.spec.to_json(), "files": json.dumps(files)}
-    graphs = {out.with_name(files["+".join(group)]): _graph(loaded, group[0], metadata) for group in groups}
+    metadata = {"format": FORMAT, "spec": loaded.spec.to_json(), "source": loaded.fingerprint}
+    graphs = {
+        path: _graph(loaded, group[0], metadata | {"group": "+".join(group)})
+        for path, group in zip(graph_files(out, groups), groups, strict=True)
+    }
     for path, graph in reversed(graphs.items()):
         write_whole(path, graph)
     return list(graphs)

@@ -2,20 +2,61 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
+from contextlib import suppress
 from pathlib import Path
 
+from lpn.errors import OutputError
 
-def fingerprint(path: Path) -> str:
-    """SHA-256 of a file, first 16 hexadecimal digits."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+def fingerprint(*paths: Path, also: str = "") -> str:
+    """SHA-256 of the contents of files, and of a text that decides how they are read: first 16 hexadecimal digits."""
+    digest = hashlib.sha256(also.encode())
+    for path in paths:
+        with path.open("rb") as file:
+            digest.update(hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()[:16]
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write beside `path`, then rename: a reader sees the old file or the new one, never half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write beside `path`, then rename: a reader sees the old file or the new one, never half of it.
+
+    Raises:
+        OutputError: when it cannot be written; nothing is left behind.
+    """
     beside = path.with_name(path.name + ".part")
-    beside.write_bytes(data)
-    os.replace(beside, path)
+    try:
+        _prepare(path)
+        beside.write_bytes(data)
+        os.replace(beside, path)
+    except OSError as error:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+        raise _unwritable(path, error) from error
+
+
+def check_writable(path: Path) -> None:
+    """Find out before long work whether its result can be written to `path`; makes the folders it needs.
+
+    Raises:
+        OutputError: when it cannot.
+    """
+    beside = path.with_name(path.name + ".part")
+    try:
+        _prepare(path)
+        beside.touch()
+        beside.unlink()
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def _prepare(path: Path) -> None:
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    path.parent.mkdir(parents=True, exist_ok=True)
+
+
+def _unwritable(path: Path, error: OSError) -> OutputError:
+    return OutputError(f"{path} cannot be written ({error.strerror}); free space or choose another place.")

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.errors import InputError
+from lpn.model import as_array
 
 JUNK = -1
 """Label of gallery pictures that are ignored."""
@@ -40,7 +41,7 @@ def evaluate(
         first.append(int(ranks_of_true[0]) if len(ranks_of_true) else -1)
         precision.append(_average_precision(ranks_of_true))
     found = np.array(first)
-    size = len(np.asarray(gallery_labels))
+    size = len(as_array(gallery_labels))
 
     def recall(within: int) -> float:
         return 100.0 * int(np.count_nonzero((found >= 0) & (found < within))) / len(found)
@@ -101,15 +102,22 @@ def _ranks_in_row(scores: npt.NDArray[Any], true: npt.NDArray[np.int64]) -> npt.
         above = np.count_nonzero(scores > score) + np.count_nonzero(scores[: true[0]] == score)
         return np.array([above], np.int64)
     thresholds = np.sort(scores[true])
+    if (np.diff(thresholds) == 0).any():
+        return _ranks_by_sorting(scores, true)
     slot = np.searchsorted(thresholds, scores, "right")
     at_least = np.cumsum(np.bincount(slot, minlength=len(true) + 1)[::-1])[::-1][1:]
     result = at_least[::-1] - 1
     exact = np.searchsorted(thresholds, scores, "left")
     if np.count_nonzero(exact != slot) != len(true):
-        position = np.empty(len(scores), np.int64)
-        position[np.argsort(-scores, kind="stable")] = np.arange(len(scores))
-        return np.sort(position[true])
+        return _ranks_by_sorting(scores, true)
     return result.astype(np.int64)
+
+
+def _ranks_by_sorting(scores: npt.NDArray[Any], true: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """The same where a true score equals another, which only the gallery's order tells apart."""
+    position = np.empty(len(scores), np.int64)
+    position[np.argsort(-scores, kind="stable")] = np.arange(len(scores))
+    return np.sort(position[true])
 
 
 def _average_precision(true_ranks: npt.NDArray[np.int64]) -> float:
@@ -122,20 +130,20 @@ def _average_precision(true_ranks: npt.NDArray[np.int64]) -> float:
 
 
 def _flat(values: Any, side: str) -> npt.NDArray[Any]:
-    array = np.asarray(values)
+    array = as_array(values)
     if array.ndim not in (2, 3) or len(array) == 0 or not np.issubdtype(array.dtype, np.floating):
         raise InputError(
             f"The {side} descriptors are {array.dtype} of shape {array.shape}; expected at least one row of floats, "
             "(N, n, D) or (N, F)."
         )
     flat = array.reshape(len(array), -1)
-    if not np.isfinite(flat.sum()) and not np.isfinite(flat).all():
+    if not np.isfinite(flat).all():
         raise InputError(f"The {side} descriptors hold values that are not finite; describe the pictures again.")
     return cast("npt.NDArray[Any]", flat)
 
 
 def _labels(values: Any, rows: npt.NDArray[Any], side: str) -> npt.NDArray[np.int64]:
-    labels = np.asarray(values)
+    labels = as_array(values)
     if labels.shape != (len(rows),) or not np.issubdtype(labels.dtype, np.integer):
         raise InputError(
             f"The {side} labels are {labels.dtype} of shape {labels.shape}; expected one integer for each of {len(rows)} "

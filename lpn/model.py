@@ -99,14 +99,27 @@ class Model(ABC):
 
     def _batch(self, images: Any, view: View) -> FloatArray:
         self.check_view(view)
-        if hasattr(images, "detach"):
-            images = images.detach().cpu().numpy()
-        batch = np.asarray(images)
+        batch = as_array(images)
         if batch.ndim != 4 or batch.shape[1] != 3 or not np.issubdtype(batch.dtype, np.floating):
             raise InputError(
                 f"The images are {batch.dtype} of shape {batch.shape}; expected float32 (B, 3, H, W), ImageNet-normalised."
             )
-        return cast(FloatArray, batch.astype(np.float32, copy=False))
+        return cast(FloatArray, np.ascontiguousarray(batch, dtype=np.float32))
+
+
+def as_array(values: Any) -> npt.NDArray[Any]:
+    """A NumPy array of what was given: an array, nested lists, or a torch tensor wherever it lies.
+
+    Raises:
+        InputError: when nested lists are of unequal lengths.
+    """
+    if hasattr(values, "detach"):
+        values = values.detach().cpu()
+        values = (values.float() if str(values.dtype) == "torch.bfloat16" else values).numpy()
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise InputError("An array was expected, and rows of unequal lengths were found; make them equal.") from error
 
 
 def normalise(raw: FloatArray) -> FloatArray:

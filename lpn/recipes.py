@@ -69,6 +69,8 @@ class Recipe:
     """All views of a place are turned together by up to this many degrees either way."""
     black_corners: float = 1.0
     """How often what a rotation uncovers is black, as in a rotated query, rather than mirrored from inside."""
+    own_canvas: float = 0.0
+    """How often a picture is turned at its own resolution and then resized, as a rotated query is, not the reverse."""
     shift: float = 10 / 256
     """Random shift, as a share of the size (padding 10 pixels at the edge and cropping, at 256)."""
     scale: float = 0.0
@@ -117,6 +119,7 @@ RECIPES: dict[str, Recipe] = {
         satellite_rotation=0.0,
         place_rotation=15.0,
         black_corners=0.5,
+        own_canvas=0.5,
         shift=0.06,
         scale=0.15,
         colour=1.0,

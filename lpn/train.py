@@ -112,7 +112,7 @@ class Trainer:
         self.console = console or Console()
         self.dataset, self.out, self.recipe, self.evaluate_every = dataset, out, recipe, evaluate_every
         self.places = Places(dataset, self.console)
-        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.device = checkpoints.best_device()
         self.bfloat16 = recipe.precision == "bfloat16" or (recipe.precision == "auto" and _has_bfloat16(self.device))
         if len(self.places) < recipe.batch:
             raise InputError(
@@ -269,7 +269,7 @@ class Trainer:
         """Recall@1 of every task the test split offers, printed with the protocol."""
         path = self.out / "last.safetensors"
         self._save_model(path)
-        model = checkpoints.load_torch(path)
+        model = checkpoints.load_torch(path, self.device)
         row: Row = {}
         for task in self.dataset.tasks():
             if set(task.split("-to-")) <= set(model.views):

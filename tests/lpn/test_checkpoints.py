@@ -126,7 +126,12 @@ def test_missing_and_misshapen_entries_are_named(tmp_path: Path) -> None:
     torch.save(lacking, tmp_path / "lacking.pth")
     assert "classifier2.add_block.1.running_mean" in _refused(tmp_path / "lacking.pth")
     torch.save({k: v for k, v in state.items() if not k.startswith("classifier1.")}, tmp_path / "headless.pth")
-    assert "heads" in _refused(tmp_path / "headless.pth")
+    assert "classifier0, classifier2, classifier3" in _refused(tmp_path / "headless.pth")
+    last = {k: v for k, v in state.items() if k != "classifier3.add_block.0.weight"}
+    torch.save(last, tmp_path / "last.pth")
+    assert "classifier3.add_block.0.weight" in _refused(tmp_path / "last.pth")
+    torch.save(dict(state) | {"classifier0.add_block.0.weight": torch.tensor(1.0)}, tmp_path / "scalar.pth")
+    assert "classifier0.add_block.0.weight" in _refused(tmp_path / "scalar.pth")
     wrong = dict(state) | {"classifier0.add_block.0.weight": torch.zeros(512, 99)}
     torch.save(wrong, tmp_path / "wrong.pth")
     assert "(512, 99)" in _refused(tmp_path / "wrong.pth")
@@ -138,10 +143,18 @@ def test_options_that_contradict_the_keys_are_refused(tmp_path: Path) -> None:
         with pytest.raises(ModelFileError, match=word):
             infer_spec(state, options)
     torch.save(state, tmp_path / "net.pth")
-    (tmp_path / "opts.yaml").write_text("{: :")
-    assert "opts.yaml" in _refused(tmp_path / "net.pth")
-    (tmp_path / "opts.yaml").write_text("h: tall\n")
-    assert "opts.yaml" in _refused(tmp_path / "net.pth")
+    for text in ("{: :", "h: tall\n", "stride: true\n", "droprate: high\n", "- h\n"):
+        (tmp_path / "opts.yaml").write_text(text)
+        assert "opts.yaml" in _refused(tmp_path / "net.pth")
+    (tmp_path / "opts.yaml").write_text("")
+    assert lpn.load(tmp_path / "net.pth").input_size == (256, 256)
+
+
+def test_the_same_weights_read_with_other_options_are_another_model(tmp_path: Path) -> None:
+    torch.save(worlds.make_network().state_dict(), tmp_path / "net.pth")
+    large = lpn.load(tmp_path / "net.pth").fingerprint
+    (tmp_path / "opts.yaml").write_text("h: 64\nw: 64\n")
+    assert lpn.load(tmp_path / "net.pth").fingerprint != large
 
 
 def test_a_backbone_is_loaded_as_far_as_it_goes(tmp_path: Path) -> None:

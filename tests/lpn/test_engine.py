@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -98,10 +99,51 @@ def test_wrong_input_is_refused_in_words(model_file: Path, tmp_path: Path) -> No
     assert engine.part_embeddings(good[:0], "drone").shape == (0, 4, 512)
 
 
-def test_a_missing_second_file_is_named(tmp_path: Path) -> None:
+def _two_files(folder: Path, seed: int = 0) -> list[Path]:
+    torch.manual_seed(seed)
     spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=2, input_size=(64, 64))
-    save(LPN(spec), tmp_path / "model.safetensors")
-    _, second = export(tmp_path / "model.safetensors", tmp_path / "model.onnx")
-    second.unlink()
-    with pytest.raises(ModelFileError, match=second.name):
-        Engine(tmp_path / "model.onnx")
+    folder.mkdir()
+    save(LPN(spec), folder / "model.safetensors")
+    return export(folder / "model.safetensors", folder / "model.onnx")
+
+
+def test_files_of_one_model_belong_together(tmp_path: Path) -> None:
+    first, second = _two_files(tmp_path / "a")
+    pictures = seeded.pictures(0, 1, 64, 64)
+    expected = Engine(first).descriptors(pictures, "street")
+    with pytest.raises(ModelFileError, match="for street"):
+        Engine(second)
+    renamed = tmp_path / "renamed.onnx"
+    first.rename(renamed)
+    with pytest.raises(ModelFileError, match=r"renamed\.street\.onnx"):
+        Engine(renamed)
+    second.rename(tmp_path / "renamed.street.onnx")
+    engine = Engine(renamed)
+    np.testing.assert_array_equal(engine.descriptors(pictures, "street"), expected)
+    shutil.copy(_two_files(tmp_path / "b", seed=1)[1], tmp_path / "renamed.street.onnx")
+    with pytest.raises(ModelFileError, match="another model"):
+        Engine(renamed)
+
+
+def test_a_copy_opens_itself_not_its_original(tmp_path: Path, model_file: Path) -> None:
+    copy = tmp_path / "copy.onnx"
+    shutil.copy(model_file, copy)
+    (tmp_path / model_file.name).write_bytes(b"another model lies here")
+    assert Engine(copy).fingerprint == Engine(model_file).fingerprint
+
+
+@pytest.mark.parametrize("kind", ["float64", "bfloat16", "gradient", "reversed", "tensor"])
+def test_pictures_come_as_any_array(model_file: Path, kind: str) -> None:
+    plain = seeded.pictures(2, 2, 64, 64)
+    given: object = {
+        "float64": plain.astype(np.float64),
+        "bfloat16": torch.from_numpy(plain).bfloat16(),
+        "gradient": torch.from_numpy(plain).requires_grad_(),
+        "reversed": plain[..., ::-1][..., ::-1],
+        "tensor": torch.from_numpy(plain),
+    }[kind]
+    for model in (lpn.load(model_file), lpn.load(model_file.with_suffix(".safetensors"))):
+        found, expected = model.part_embeddings(given, "drone"), model.part_embeddings(plain, "drone")
+        assert np.abs(found - expected).max() <= (0.1 if kind == "bfloat16" else 1e-5) * np.abs(expected).max()
+    view = lpn.load(model_file.with_suffix(".safetensors"))
+    close(view.descriptors(plain[..., ::-1], "drone"), view.descriptors(plain, "drone"))

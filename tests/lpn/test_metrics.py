@@ -81,6 +81,19 @@ def test_equal_scores_keep_gallery_order() -> None:
     np.testing.assert_allclose([found[key] for key in KEYS], expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(40))
+def test_coarse_descriptors_full_of_ties_are_treated_by_the_book(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tiles, classes, dim = int(rng.integers(2, 40)), int(rng.integers(1, 6)), int(rng.integers(1, 4))
+    gallery = rng.integers(-1, 2, (tiles, dim)).astype(np.float32)
+    query = rng.integers(-1, 2, (12, dim)).astype(np.float32)
+    labels, query_labels = rng.integers(-1, classes, tiles), rng.integers(0, classes + 1, 12)
+    found = metrics.evaluate(query, query_labels, gallery, labels)
+    np.testing.assert_allclose(
+        [found[key] for key in KEYS], by_the_book(query, query_labels, gallery, labels), atol=1e-9
+    )
+
+
 def test_order_of_queries_and_gallery_does_not_matter() -> None:
     query, query_labels, gallery, labels = case(8, 40, 30, 2, 16, 1.0, 3, 4)
     rng = np.random.default_rng(1)
@@ -109,6 +122,7 @@ def test_wrong_arrays_are_refused_in_words() -> None:
         ((query, query_labels[:3], gallery, labels), "one integer for each of 5"),
         ((query[:0], query_labels[:0], gallery, labels), "at least one row"),
         ((query, query_labels.astype(float), gallery, labels), "integer"),
+        (([[1.0, 2.0], [3.0]], query_labels, gallery, labels), "unequal lengths"),
     ):
         with pytest.raises(InputError, match=word):
             metrics.evaluate(*arguments)
