@@ -36,8 +36,8 @@ $(VENV)/.browser: $(VENV)/.dev
 	  || { echo "The browser tests need Chromium; install it (Debian: apt-get install chromium)." >&2; exit 1; }
 	touch $@
 
-# An exported model needs no torch; a .pth or .safetensors does.
-EXPLORE_NEEDS := $(if $(filter %.pth %.safetensors,$(MODEL)),$(VENV)/.train,$(VENV)/.base)
+# An exported model needs no torch; any other does.
+EXPLORE_NEEDS := $(if $(filter %.onnx,$(MODEL)),$(VENV)/.base,$(VENV)/.train)
 
 ifeq ($(and $(DATA),$(MODEL)),)
 explore:

@@ -9,13 +9,13 @@ import socket
 import threading
 import time
 from contextlib import redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 from random import Random
 from typing import Any
 
 import viser
 
+from explorer import session
 from explorer.exhibit import Analyst, Exhibit
 from explorer.panels import Change, Panels
 from explorer.session import State
@@ -36,10 +36,13 @@ class Visitor:
         task = next(iter(exhibit.tasks))
         self._state = State(task, exhibit.model.n_parts)
         self._analyst = Analyst(exhibit)
-        client.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233))
-        self._panels = Panels(client, exhibit, self._state, self.change, Random())
-        self._stage = Stage(client, exhibit, lambda index: self.change(lambda s: replace(s, selected=index)))
-        self._worker = Worker(self._work, self._failed)
+        with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
+            client.gui.configure_theme(
+                dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233)
+            )
+            self._panels = Panels(client, exhibit, self._state, self.change, Random())
+            self._stage = Stage(client, exhibit, self._selected)
+            self._worker = Worker(self._work, self._failed)
         self._worker.wake()
 
     def change(self, change: Change) -> None:
@@ -51,6 +54,9 @@ class Visitor:
             self._state = changed
             self._panels.write(changed)
         self._worker.wake()
+
+    def _selected(self, shown: State, index: int) -> None:
+        self.change(lambda state: session.compare(state, shown, index))
 
     def leave(self) -> None:
         """The browser is gone: stop its worker."""
@@ -115,7 +121,8 @@ def run(data: Path, model: Path, host: str = "127.0.0.1", port: int = 8080) -> N
     """
     _check_free(host, port)
     app = App(Exhibit(data, model), host, port)
-    shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+    port = app.server.get_port()
+    shown = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     if host not in ("127.0.0.1", "localhost", "::1"):
         print(f"Listening on {host}: anyone who reaches port {port} can use this, without a password.", flush=True)
     print(f"LPN Explorer is ready: http://{shown}:{port}  (stop with Ctrl-C)", flush=True)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 import lpn
 from explorer import overlays
-from explorer.session import State
+from explorer.session import TRUTH, State
 from lpn import explain, features, images, metrics, retrieval
 from lpn.datasets import Picture as Entry
 from lpn.datasets import open_dataset
@@ -68,7 +68,7 @@ class Exhibit:
         self.tasks = {
             task.name: task for task in (self._open(dataset.queries(q), dataset.gallery(g), q, g) for q, g in known)
         }
-        self.part_names = self.model.spec.partition(known[0][0]).names()
+        self.part_names = self._part_names()
         self.map_sizes = {view: cast("tuple[int, int]", self._map_size(view)) for view in self.model.views}
         self._tile = lru_cache(maxsize=256)(self._describe_tile)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
@@ -101,6 +101,11 @@ class Exhibit:
             metrics.ranks(query, query_labels, tiles, labels),
             metrics.evaluate(query, query_labels, tiles, labels),
         )
+
+    def _part_names(self) -> list[str]:
+        """Each part's name, with that of the other views after it where they cut differently (CVUSA)."""
+        names = [self.model.spec.partition(view).names() for view in self.model.views]
+        return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
 
     def _map_size(self, view: View) -> tuple[int, ...]:
         return self.model.heads(view).cells.shape[1:]
@@ -155,8 +160,13 @@ class Analyst:
         weights = explain.part_weights(state.n_parts, state.part_values())
         ranking = retrieval.rank(self._cosines, weights, task.labels, None if state.upload else entry.label)
         matches = ranking.top(k)
-        chosen = matches[0] if state.selected is None else ranking.find(state.selected)
+        truth = ranking.truth()
+        chosen = matches[0]
+        if state.selected == TRUTH:
+            chosen = truth or chosen
+        elif state.selected is not None:
+            chosen = ranking.find(state.selected)
         tile = self._exhibit.tile(task, chosen.index)
         name = state.upload.name if state.upload else entry.name
         seconds = time.perf_counter() - started
-        return Answer(state, task, name, self._query, ranking, matches, chosen, tile, ranking.truth(), seconds)
+        return Answer(state, task, name, self._query, ranking, matches, chosen, tile, truth, seconds)

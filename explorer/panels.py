@@ -128,7 +128,7 @@ class Panels:
             for slot, button in enumerate(rows):
                 button.on_click(self._compare(slot))
             rows.append(gui.add_button("true tile"))
-            rows[-1].on_click(lambda _: self._change(self.compare_truth))
+            rows[-1].on_click(lambda _: self._change(lambda s: replace(s, selected=session.TRUTH)))
             self._match_buttons = [_uuid(button) for button in rows]
             gui.add_html(pages.hidden(self._match_buttons))
         with gui.add_folder("Compared pair"):
@@ -146,7 +146,7 @@ class Panels:
             ("Upright", "K", lambda s: replace(s, angle=0.0)),
             ("Heatmap on or off", "H", lambda s: replace(s, heat=not s.heat)),
             ("Rings on or off", "G", lambda s: replace(s, rings=not s.rings)),
-            ("Compare the true tile", "T", self.compare_truth),
+            ("Compare the true tile", "T", lambda s: replace(s, selected=session.TRUTH)),
             ("Take the rings apart", "X", lambda s: replace(s, exploded=not s.exploded)),
         ]
         for label, key, change in commands:
@@ -231,11 +231,6 @@ class Panels:
             self._client.add_notification("No failure", "Every query of this task finds its true tile first.")
         return failed
 
-    def compare_truth(self, state: State) -> State:
-        """Compare the query with its true tile, where that is known."""
-        truth = None if self._answer is None else self._answer.truth
-        return state if truth is None else replace(state, selected=truth.index)
-
     def _queries(self, state: State) -> int:
         return len(self._exhibit.tasks[state.task].queries)
 
@@ -267,9 +262,10 @@ class Panels:
 
     def _compare(self, slot: int) -> Callable[[Any], None]:
         def compared(_: Any) -> None:
-            if self._answer is not None and slot < len(self._answer.matches):
-                index = self._answer.matches[slot].index
-                self._change(lambda s: replace(s, selected=index))
+            answer = self._answer
+            if answer is not None and slot < len(answer.matches):
+                index = answer.matches[slot].index
+                self._change(lambda s: session.compare(s, answer.state, index))
 
         return compared
 

@@ -6,11 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from random import Random
-from typing import Any
+from typing import Any, Final, Literal
 
 from lpn.images import Picture
 
 MAX_WEIGHT = 2.0
+TRUTH: Final = "truth"
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +33,8 @@ class State:
         angle: degrees counter-clockwise the query is turned, -180 .. 180.
         weights: of each part, 0 .. 2, as set by the sliders.
         enabled: which parts are switched on.
-        selected: gallery position compared with the query; None follows the top match.
+        selected: what the query is compared with: a gallery position, TRUTH for its nearest true tile, or None for
+            the top match; the last two are followed as the ranking changes.
         heat: whether heatmaps are drawn.
         heat_part: the part whose heatmap is drawn, None for all together.
         opacity: of the heatmap, 0 .. 1.
@@ -49,7 +51,7 @@ class State:
     angle: float = 0.0
     weights: tuple[float, ...] = ()
     enabled: tuple[bool, ...] = ()
-    selected: int | None = None
+    selected: int | Literal["truth"] | None = None
     heat: bool = True
     heat_part: int | None = None
     opacity: float = 0.6
@@ -92,6 +94,12 @@ def choose(state: State, query: int, queries: int) -> State:
     if not 0 <= query < queries:
         return state
     return replace(state, query=query, upload=None, angle=0.0, selected=None)
+
+
+def compare(state: State, shown: State, index: int) -> State:
+    """Compare with a tile chosen from the answer to `shown`, unless another query has been taken since."""
+    same = (state.task, state.query, state.upload) == (shown.task, shown.query, shown.upload)
+    return replace(state, selected=index) if same else state
 
 
 def step(state: State, by: int, queries: int) -> State:

@@ -12,6 +12,7 @@ import viser
 
 from explorer import overlays
 from explorer.exhibit import DISPLAY, Answer, Exhibit
+from explorer.session import State
 from lpn.images import Picture
 from lpn.retrieval import Described, Match
 from lpn.spec import View
@@ -130,9 +131,9 @@ class Exhibited:
 
 
 class Stage:
-    """One browser's 3-D view. `on_select` is called with the gallery position of a clicked tile."""
+    """One browser's 3-D view. `on_select` is called with the state shown and the gallery position of a clicked tile."""
 
-    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, on_select: Callable[[int], None]) -> None:
+    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, on_select: Callable[[State, int], None]) -> None:
         self._client, self._exhibit = client, exhibit
         self._n = exhibit.model.n_parts
         scene = client.scene
@@ -156,7 +157,7 @@ class Stage:
             receive_shadow=False,
             wxyz=_UPRIGHT,
         )
-        self._indices: list[int] = []
+        self._shown: Answer | None = None
         self._cards: list[tuple[Plane, Plane]] = []
         for slot in range(SHOWN):
             x, y = _card_position(slot)
@@ -258,10 +259,10 @@ class Stage:
 
     def _show_cards(self, answer: Answer) -> None:
         task, state = answer.task, answer.state
-        self._indices = [match.index for match in answer.matches]
+        self._shown = answer
         full = max(match.distance2 for match in answer.matches)
         partition = self._exhibit.model.spec.partition(task.gallery_view)
-        self._marker.visible = answer.chosen.index in self._indices
+        self._marker.visible = answer.chosen.rank <= len(answer.matches)
         for slot, (photo, label) in enumerate(self._cards):
             visible = slot < len(answer.matches)
             photo.handle.visible = label.handle.visible = visible
@@ -277,10 +278,11 @@ class Stage:
             photo.show(overlays.framed(picture, overlays.verdict_colour(match.true), 7))
             label.show(_card_label(match, task.gallery[match.index].name, full))
 
-    def _clicked(self, slot: int, on_select: Callable[[int], None]) -> Callable[[Any], None]:
+    def _clicked(self, slot: int, on_select: Callable[[State, int], None]) -> Callable[[Any], None]:
         def clicked(_: Any) -> None:
-            if slot < len(self._indices):
-                on_select(self._indices[slot])
+            answer = self._shown
+            if answer is not None and slot < len(answer.matches):
+                on_select(answer.state, answer.matches[slot].index)
 
         return clicked
 

@@ -42,9 +42,7 @@ def augment(
     black = rng.random() < recipe.black_corners
     turned = cv2.BORDER_CONSTANT if black else cv2.BORDER_REFLECT_101
     border = turned if angle else cv2.BORDER_REPLICATE
-    warped = cast(
-        Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_LINEAR, borderMode=border)
-    )
+    warped = cast(Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=border))
     resized = images.resize(warped, recipe.size, recipe.size)
     return _recolour(resized, recipe.colour, rng) if recipe.colour else resized
 

@@ -106,6 +106,10 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
     path = Path(path)
     if not path.is_file():
         raise ModelFileError(f"There is no file of weights at {path}; check the path given to --init.")
+    if path.suffix == ".onnx":
+        raise ModelFileError(
+            f"{path.name} is an exported graph; give --init the .safetensors or .pth it was made from."
+        )
     state = _read_tensors(path)[0] if path.suffix == ".safetensors" else _read_pth(path)
     filled = total = 0
     missing: dict[str, None] = {}

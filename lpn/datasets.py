@@ -95,15 +95,23 @@ def open_dataset(root: str | Path) -> Dataset:
     return Dataset(root)
 
 
+def hidden(path: Path) -> bool:
+    """Whether a file or folder is one that systems and editors keep for themselves (.ipynb_checkpoints, ._a.jpg)."""
+    return path.name.startswith(".")
+
+
 def _pictures(folder: Path) -> list[Picture]:
     pictures: list[Picture] = []
-    for place in sorted(p for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []:
+    places = sorted(p for p in folder.iterdir() if p.is_dir() and not hidden(p)) if folder.is_dir() else []
+    for place in places:
         if not place.name.isdecimal():
             raise DataError(
                 f"The folder {place.name} in {folder.parent.name}/{folder.name} is not a number; expected one folder per "
                 "place, named by its number, so rename or remove it."
             )
-        files = sorted(file for file in place.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+        files = sorted(
+            file for file in place.iterdir() if file.suffix.lower() in SUFFIXES and not hidden(file) and file.is_file()
+        )
         for file in files:
             name = place.name if len(files) == 1 else f"{place.name}/{file.stem}"
             pictures.append(Picture(file, int(place.name), name))

@@ -59,13 +59,19 @@ class Result:
 
 
 def evaluate(
-    model: Model, dataset: Dataset, task: str, rotate: float = 0.0, parts: Sequence[int] | None = None
+    model: Model,
+    dataset: Dataset,
+    task: str,
+    rotate: float = 0.0,
+    parts: Sequence[int] | None = None,
+    cached: bool = True,
 ) -> Result:
     """Evaluate one task, such as "drone-to-satellite".
 
     Args:
         rotate: degrees counter-clockwise each query is turned on its own canvas, corners black (Table IV).
         parts: 1-based parts to use, all by default (Table V).
+        cached: take descriptors from the user's cache and leave new ones there.
 
     Raises:
         InputError: when the data set lacks the task, the model a view, or a part does not exist.
@@ -88,8 +94,9 @@ def evaluate(
         model.check_view(view)
     queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
     index = np.array(chosen) - 1
-    query = features.cached_descriptors(model, queries, query_view, rotate)[:, index]
-    tiles = features.cached_descriptors(model, gallery, gallery_view)[:, index]
+    read = features.cached_descriptors if cached else features.passing_descriptors
+    query = read(model, queries, query_view, rotate)[:, index]
+    tiles = read(model, gallery, gallery_view)[:, index]
     labels = [np.array([picture.label for picture in pictures]) for pictures in (queries, gallery)]
     scores = metrics.evaluate(query, labels[0], tiles, labels[1])
     recall = {key.removeprefix("recall@"): value for key, value in scores.items() if key.startswith("recall@")}

@@ -11,12 +11,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, cast
 
 import numpy as np
@@ -28,6 +31,13 @@ from lpn.errors import DataError, LPNError, PictureError, StoreError
 from lpn.files import write_whole
 from lpn.model import FloatArray, Model
 from lpn.spec import View
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system: there, two processes must not describe into one folder at once
+    fcntl = None  # type: ignore[assignment]
+
+log = logging.getLogger(__name__)
 
 FORMAT = "lpn-descriptors/1"
 
@@ -149,33 +159,55 @@ def describe(
     out = Path(out)
     rows = tuple(_row(file, root) for file in files)
     manifest = Manifest(model.fingerprint, view, float(rotate), model.n_parts, model.spec.embedding, rows)
-    before = _complete(out)
+    before = _usable(out, manifest)
     if before is not None and before.manifest == manifest:
         return before
-    if before is not None and not manifest.comparable(before.manifest):
-        held = before.manifest
-        raise StoreError(
-            f"{out} holds {held.view} descriptors of model {held.fingerprint}, turned {held.rotate:g}°, and these would be "
-            f"{view} of {model.fingerprint}, turned {rotate:g}°; choose another folder, or delete that one."
-        )
     for file in files:
         images.check_header(file)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        if _renamed_only(out):
-            os.replace(out / "descriptors.npy", out / "descriptors.part")
-        _fill(model, files, manifest, out, before, title)
-        # The old manifest must never lie beside the new rows, even when killed between these lines.
-        (out / "manifest.json").unlink(missing_ok=True)
-        os.replace(out / "descriptors.part", out / "descriptors.npy")
-        write_whole(out / "manifest.json", manifest.to_json())
-        for name in ("progress.json", "planned.json"):
-            (out / name).unlink(missing_ok=True)
+        with _alone(out):
+            # Another process may have described the same pictures while this one waited.
+            before = _usable(out, manifest)
+            if before is None or before.manifest != manifest:
+                _write(model, files, manifest, out, before, title)
     except OSError as error:
         raise StoreError(
             f"The store {out} cannot be written ({error.strerror}); free space or choose another folder."
         ) from error
     return open_store(out)
+
+
+def _write(
+    model: Model, files: Sequence[Path], manifest: Manifest, out: Path, before: Store | None, title: str
+) -> None:
+    if _renamed_only(out):
+        os.replace(out / "descriptors.npy", out / "descriptors.part")
+    _fill(model, files, manifest, out, before, title)
+    # The old manifest must never lie beside the new rows, even when killed between these lines.
+    (out / "manifest.json").unlink(missing_ok=True)
+    os.replace(out / "descriptors.part", out / "descriptors.npy")
+    write_whole(out / "manifest.json", manifest.to_json())
+    for name in ("progress.json", "planned.json"):
+        (out / name).unlink(missing_ok=True)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Two processes that describe into one folder take turns; the system lets go of a killed one's lock."""
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            log.warning("Another process is describing into %s; waiting for it.", folder)
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, rotate: float = 0.0) -> FloatArray:
@@ -188,6 +220,14 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ro
     folder = cache_folder() / "descriptors" / hashlib.sha256(identity.encode()).hexdigest()[:24]
     turned = f", turned {rotate:g}°" if rotate else ""
     return describe(model, files, view, folder, rotate=rotate, title=f"Describing {view}{turned}").descriptors
+
+
+def passing_descriptors(model: Model, pictures: Sequence[Picture], view: View, rotate: float = 0.0) -> FloatArray:
+    """The same for a model that will soon be another, such as one in training: nothing is kept on disk."""
+    files = [picture.path for picture in pictures]
+    with TemporaryDirectory(prefix="lpn-") as folder:
+        store = describe(model, files, view, folder, rotate=rotate, title=f"Describing {view}")
+        return np.array(store.descriptors)
 
 
 def cache_folder() -> Path:
@@ -206,7 +246,13 @@ def pictures_below(folder: str | Path) -> list[Path]:
     folder = Path(folder)
     if not folder.is_dir():
         raise DataError(f"There is no folder of pictures at {folder}; check the path.")
-    files = sorted(file for file in folder.rglob("*") if file.suffix.lower() in images.SUFFIXES and file.is_file())
+    files = sorted(
+        file
+        for file in folder.rglob("*")
+        if file.suffix.lower() in images.SUFFIXES
+        and not any(name.startswith(".") for name in file.relative_to(folder).parts)
+        and file.is_file()
+    )
     if not files:
         raise DataError(f"{folder} holds no pictures; expected files ending in {', '.join(images.SUFFIXES)}.")
     return files
@@ -226,6 +272,19 @@ def _renamed_only(folder: Path) -> bool:
         (folder / name).exists() for name in ("progress.json", "descriptors.npy", "descriptors.part", "manifest.json")
     ]
     return there == [True, True, False, False]
+
+
+def _usable(out: Path, manifest: Manifest) -> Store | None:
+    """The complete store in `out` whose rows may be taken over; StoreError when they are of another kind."""
+    store = _complete(out)
+    if store is not None and not manifest.comparable(store.manifest):
+        held = store.manifest
+        raise StoreError(
+            f"{out} holds {held.view} descriptors of model {held.fingerprint}, turned {held.rotate:g}°, and these would be "
+            f"{manifest.view} of {manifest.fingerprint}, turned {manifest.rotate:g}°; choose another folder, or delete "
+            "that one."
+        )
+    return store
 
 
 def _complete(folder: Path) -> Store | None:

@@ -26,7 +26,7 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         OutputError: when it cannot be written; nothing is left behind.
     """
-    beside = path.with_name(path.name + ".part")
+    beside = path.parent / (path.name + ".part")
     try:
         _prepare(path)
         beside.write_bytes(data)
@@ -43,7 +43,7 @@ def check_writable(path: Path) -> None:
     Raises:
         OutputError: when it cannot.
     """
-    beside = path.with_name(path.name + ".part")
+    beside = path.parent / (path.name + ".part")
     try:
         _prepare(path)
         beside.touch()

@@ -81,12 +81,12 @@ def _check_size(file: BinaryIO, name: str) -> None:
 
 
 def rotate(picture: Picture, degrees: float) -> Picture:
-    """Turn a picture about its centre on its own canvas, counter-clockwise, corners black (Table IV)."""
+    """Turn a picture about its centre on its own canvas, counter-clockwise, corners black, bicubic (Table IV)."""
     if degrees % 360 == 0:
         return picture
     height, width = picture.shape[:2]
     matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), degrees, 1.0)
-    return cast(Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_LINEAR))
+    return cast(Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC))
 
 
 def resize(picture: Picture, height: int, width: int) -> Picture:

@@ -60,7 +60,8 @@ class Partition:
         """Rows and columns of the grid that `labels` are given on.
 
         It is the feature map itself, unless that has too few cells: rings need 2n along each side (the released
-        code resizes such a map to 2n x 2n), strips need n along theirs.
+        code resizes such a map to 2n x 2n), strips need n along theirs. Of a map that is not square, only the side
+        that is too short is resized.
         """
         if height < 1 or width < 1:
             raise InputError(f"The feature map is {height} x {width}; expected at least 1 x 1.")

@@ -3,11 +3,44 @@
 from __future__ import annotations
 
 import json
+import math
+import sys
 from dataclasses import asdict, dataclass
 from typing import Literal
 
 from lpn.errors import InputError
 from lpn.partition import Weighting
+
+_ABOVE_ZERO = math.ulp(0.0)
+_BELOW_ONE = math.nextafter(1.0, 0.0)
+_MOST = sys.float_info.max
+_RANGES: dict[str, tuple[float, float, str]] = {
+    # BatchNorm in the heads needs two places a step.
+    **dict.fromkeys(("batch",), (2, _MOST, "2 or more")),
+    **dict.fromkeys(("n_parts", "size", "epochs"), (1, _MOST, "1 or more")),
+    **dict.fromkeys(("lr", "temperature"), (_ABOVE_ZERO, _MOST, "a number above 0")),
+    **dict.fromkeys(("dropout", "ema"), (0, _BELOW_ONE, "a number from 0 up to, not including, 1")),
+    **dict.fromkeys(
+        ("label_smoothing", "black_corners", "own_canvas", "shift", "colour"), (0, 1, "a number from 0 to 1")
+    ),
+    **dict.fromkeys(
+        (
+            "backbone_ratio",
+            "decay_epoch",
+            "warmup_epochs",
+            "weight_decay",
+            "instance",
+            "contrastive",
+            "rotation",
+            "satellite_rotation",
+            "place_rotation",
+            "scale",
+        ),
+        (0, _MOST, "a number of 0 or more"),
+    ),
+    "seed": (0, 2**32 - 1, "a whole number from 0 to 4294967295"),
+}
+"""The least and the most each number may be; a number that is not finite is outside."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +119,14 @@ class Recipe:
     """Seed of initialisation, order, and augmentation."""
 
     def __post_init__(self) -> None:
-        for name in ("n_parts", "size", "epochs", "batch"):
-            if getattr(self, name) < 1:
-                raise InputError(f"The recipe has {name} = {getattr(self, name)}; expected 1 or more.")
+        for name, (low, high, said) in _RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"The recipe has {name} = {value}; expected {said}.")
+        if self.backbone == "vgg16_bn" and self.last_layer != "layer4":
+            raise InputError(
+                "The recipe has last_layer = layer3 with vgg16_bn, which has no such layer; leave it at layer4."
+            )
         if self.instance <= 0 and self.contrastive <= 0:
             raise InputError("The recipe has no loss: instance and contrastive are both 0; give one of them a weight.")
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import copy
 import csv
+import hashlib
 import io
 import json
 import math
-import os
 import pickle
 import time
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ from lpn.augment import augment, place_draw
 from lpn.datasets import Dataset, Picture
 from lpn.errors import DataError, InputError, ModelFileError
 from lpn.evaluate import PROTOCOL, evaluate
-from lpn.files import write_whole
+from lpn.files import check_writable, write_whole
 from lpn.losses import total_loss
 from lpn.network import LPN
 from lpn.recipes import Recipe
@@ -45,7 +45,12 @@ class Places:
     def __init__(self, dataset: Dataset, console: Console) -> None:
         sets = {name: dataset.train(name) for name in (*VIEWS, "google")}
         by_place = {name: _by_label(pictures) for name, pictures in sets.items() if pictures}
-        if "satellite" not in by_place or len(by_place) < 2:
+        if "google" in by_place and "street" not in by_place:
+            del by_place["google"]
+            console.print(
+                "train/google is left out: its pictures train the street branch, and there is no train/street."
+            )
+        if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
             found = ", ".join(f"train/{name}" for name in by_place) or "none"
             raise DataError(
                 f"{dataset.root.name} has pictures in {found}; training needs train/satellite and at least one of "
@@ -70,6 +75,13 @@ class Places:
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    def digest(self, root: Path) -> str:
+        """What identifies the list of training pictures: a run is resumed on the same only."""
+        names = {
+            name: [[str(file.relative_to(root)) for file in place] for place in s] for name, s in self.files.items()
+        }
+        return hashlib.sha256(json.dumps(names, sort_keys=True).encode()).hexdigest()
 
     def picture(self, path: Path) -> images.Picture:
         """A decoded picture, kept in memory as long as there is room for it."""
@@ -97,6 +109,7 @@ class Trainer:
         DataError: when the data set cannot be trained on.
         InputError: when `out` holds another run, or there is nothing to resume.
         ModelFileError: when `init` cannot be used.
+        OutputError: when nothing can be written to `out`.
     """
 
     def __init__(
@@ -122,6 +135,7 @@ class Trainer:
             raise InputError(
                 f"{out} holds a training run already; add --resume to go on with it, or choose another --out."
             )
+        check_writable(out / "last.safetensors")
         torch.manual_seed(recipe.seed)
         self.network = LPN(_spec(recipe, self.places))
         if init is not None and not resume:
@@ -131,6 +145,7 @@ class Trainer:
         self.optimizer = _optimizer(self.network, recipe)
         self.rates = [float(group["lr"]) for group in self.optimizer.param_groups]
         self.history: list[Row] = []
+        self._places_digest = self.places.digest(dataset.root)
         if resume:
             self._resume()
 
@@ -180,10 +195,7 @@ class Trainer:
             loss = total_loss(outputs, places, self.recipe)
             value = float(loss.detach())
             if not math.isfinite(value):
-                raise InputError(
-                    f"The loss became {value} in epoch {epoch + 1}, step {step + 1}; the last whole epoch is saved, "
-                    "so try a smaller --lr."
-                )
+                raise self._diverged(f"The loss became {value}", epoch, step)
             self.optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             self.optimizer.step()
@@ -192,6 +204,8 @@ class Trainer:
             seen += len(places) * len(sets)
             speed = seen / (time.perf_counter() - started)
             report(f"loss {total / (step + 1):.3f}  {speed:.1f} images/s")
+        if not all(bool(torch.isfinite(tensor).all()) for tensor in self.network.state_dict().values()):
+            raise self._diverged("A weight is no longer a number", epoch, self.steps - 1)
         seconds = time.perf_counter() - started
         return {
             "epoch": epoch + 1,
@@ -200,6 +214,12 @@ class Trainer:
             "seconds": seconds,
             "images_per_second": seen / seconds,
         }
+
+    def _diverged(self, found: str, epoch: int, step: int) -> InputError:
+        kept = f"{self.out} keeps the model of epoch {epoch}; " if epoch else ""
+        return InputError(
+            f"{found} in epoch {epoch + 1}, step {step + 1}; {kept}start again with a smaller --lr in another --out."
+        )
 
     def _forward(self, sets: dict[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
         """Embeddings and scores of each set; sets that share weights and partition go through as one batch."""
@@ -273,7 +293,7 @@ class Trainer:
         row: Row = {}
         for task in self.dataset.tasks():
             if set(task.split("-to-")) <= set(model.views):
-                result = evaluate(model, self.dataset, task)
+                result = evaluate(model, self.dataset, task, cached=False)
                 recall = result.recall
                 console.print(
                     f"{task}: R@1 {recall['1']:.2f}  R@5 {recall['5']:.2f}  R@10 {recall['10']:.2f}  "
@@ -308,14 +328,15 @@ class Trainer:
         write_whole(self.out / "log.csv", log.getvalue().encode())
         state = {
             "recipe": self.recipe.to_json(),
+            "places": self._places_digest,
             "history": json.dumps(self.history),
             "network": self.network.state_dict(),
             "average": self.average.state_dict() if self.average is not None else {},
             "optimizer": self.optimizer.state_dict(),
         }
-        beside = self.out / "state.pt.part"
-        torch.save(state, beside)
-        os.replace(beside, self.out / "state.pt")
+        whole = io.BytesIO()
+        torch.save(state, whole)
+        write_whole(self.out / "state.pt", whole.getvalue())
 
     def _resume(self) -> None:
         path = self.out / "state.pt"
@@ -324,7 +345,7 @@ class Trainer:
         try:
             state: Any = torch.load(path, map_location=self.device, weights_only=True)
             saved = json.loads(state["recipe"])
-            history = json.loads(state["history"])
+            history, places = json.loads(state["history"]), state["places"]
         except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, TypeError) as error:
             raise ModelFileError(
                 f"{path} is damaged; start the run again without --resume, in another --out."
@@ -334,14 +355,19 @@ class Trainer:
             raise InputError(
                 f"The run in {self.out} was started with another {', '.join(differs)}; resume it with the same."
             )
+        if places != self._places_digest:
+            raise InputError(
+                f"The run in {self.out} was started with other training pictures; give the same --data, or start anew in "
+                "another --out."
+            )
         try:
             self.network.load_state_dict(state["network"])
             if self.average is not None:
                 self.average.load_state_dict(state["average"])
             self.optimizer.load_state_dict(state["optimizer"])
         except (RuntimeError, ValueError, KeyError) as error:
-            raise InputError(
-                f"The run in {self.out} is of other data or another network; start anew in another --out."
+            raise ModelFileError(
+                f"{path} does not fit its own recipe, so it is damaged; start anew in another --out."
             ) from error
         self.history = cast("list[Row]", history)
         self.console.print(f"Going on after epoch {len(self.history)} of {self.recipe.epochs}.")

@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from dataclasses import replace
 from random import Random
 
 import numpy as np
@@ -25,6 +26,16 @@ def test_another_query_starts_upright_with_its_top_match(state: State) -> None:
     assert session.choose(state, 99, 10) is state
     own = session.choose(State("t", 4, upload=Upload("mine", np.zeros((2, 2, 3), np.uint8))), 0, 10)
     assert own.upload is None
+
+
+def test_a_tile_chosen_from_an_old_answer_is_not_compared_with_a_new_query(state: State) -> None:
+    assert session.compare(state, state, 5).selected == 5
+    turned = session.turn(state, 5)
+    assert session.compare(turned, state, 5).selected == 5
+    stepped = session.step(state, 1, 10)
+    assert session.compare(stepped, state, 5) is stepped
+    other = replace(state, task="satellite-to-drone")
+    assert session.compare(other, state, 5) is other
 
 
 def test_random_choices_move_and_failures_fail(state: State) -> None:

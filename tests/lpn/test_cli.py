@@ -96,6 +96,13 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
         (["describe", "--model", "MODEL", "--images", "DATA", "--view", "street", "--out", "s"], "no 'street' view"),
         (["train", "--data", "DATA", "--out", "run", "--recipe", "secret"], "no recipe 'secret'"),
         (["explore", "--data", "DATA", "--model", "MODEL", "--port", "99999"], "Port 99999"),
+        (["evaluate", "--data", "DATA", "--model", "MODEL", "--json", "."], "cannot be written"),
+        (
+            ["describe", "--model", "MODEL", "--images", "DATA", "--view", "drone", "--out", "MODEL"],
+            "cannot be written",
+        ),
+        (["train", "--data", "DATA", "--out", "MODEL/run", "--batch", "4"], "cannot be written"),
+        (["train", "--data", "DATA", "--out", "run", "--lr", "nan"], "lr = nan"),
         (["fly"], "no command 'fly'"),
     ],
 )
@@ -109,7 +116,7 @@ def test_mistakes_get_one_sentence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    filled = [{"DATA": str(data), "MODEL": str(model_file)}.get(a, a) for a in arguments]
+    filled = [a.replace("DATA", str(data)).replace("MODEL", str(model_file)) for a in arguments]
     assert cli.main(filled) == 2
     error = capsys.readouterr().err
     assert said in error

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,24 @@ def test_nothing_is_computed_twice(model: Model, folder: Path, tmp_path: Path, m
     with pytest.raises(StoreError, match="choose another folder"):
         features.describe(model, files, "satellite", tmp_path / "store")
     assert count.described == 2
+
+
+def test_two_at_once_describe_into_one_folder_once(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = features.pictures_below(folder)
+    count = Counting(model, monkeypatch)
+    with ThreadPoolExecutor(2) as pool:
+        both = [pool.submit(features.describe, model, files, "drone", tmp_path / "store") for _ in range(2)]
+    assert count.described == 20
+    np.testing.assert_array_equal(both[0].result().descriptors, both[1].result().descriptors)
+
+
+def test_hidden_files_are_not_pictures(folder: Path) -> None:
+    before = features.pictures_below(folder)
+    for name in (".ipynb_checkpoints/a.png", "1/._02.png"):
+        worlds.write(folder / name, worlds.place(0))
+    assert features.pictures_below(folder) == before
 
 
 def test_unreadable_pictures_are_named_before_anything_is_computed(

@@ -104,14 +104,53 @@ def test_runs_are_not_overwritten_or_mixed(places: Path, tmp_path: Path) -> None
         trainer(places, tmp_path / "run", quick)
     with pytest.raises(InputError, match="another epochs"):
         trainer(places, tmp_path / "run", replace(quick, epochs=5), resume=True)
+    others = worlds.make_dataset(tmp_path / "others", train=25, test=1)
+    with pytest.raises(InputError, match="other training pictures"):
+        trainer(others, tmp_path / "run", quick, resume=True)
     (tmp_path / "run" / "state.pt").write_bytes(b"half")
     with pytest.raises(ModelFileError, match="damaged"):
         trainer(places, tmp_path / "run", quick, resume=True)
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("dropout", 1.0),
+        ("ema", 1.5),
+        ("lr", 0.0),
+        ("lr", float("nan")),
+        ("weight_decay", -1.0),
+        ("temperature", 0.0),
+        ("seed", -1),
+        ("batch", 1),
+        ("label_smoothing", 2.0),
+        ("colour", float("inf")),
+    ],
+)
+def test_a_recipe_out_of_range_is_refused_in_words(field: str, value: float) -> None:
+    with pytest.raises(InputError, match=field):
+        replace(QUICK, **{field: value})  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="vgg16_bn"):
+        replace(QUICK, backbone="vgg16_bn")
+
+
+def test_weights_that_are_no_numbers_are_not_saved(places: Path, tmp_path: Path) -> None:
+    run, _ = trainer(places, tmp_path / "run", replace(QUICK, epochs=1))
+    original = run.optimizer.step
+
+    def spoil(*_: object) -> None:
+        original()
+        run.network.heads[0].add_block[0].bias.data.fill_(float("inf"))
+
+    run.optimizer.step = spoil  # type: ignore[method-assign, assignment]
+    with pytest.raises(InputError, match=r"no longer a number|became"):
+        run.run()
+    assert not (tmp_path / "run" / "last.safetensors").exists()
+
+
 def test_a_loss_that_is_no_number_stops_with_a_sentence(places: Path, tmp_path: Path) -> None:
     run, _ = trainer(places, tmp_path / "run", replace(QUICK, lr=1e30, optimizer="sgd"))
-    with pytest.raises(InputError, match="try a smaller --lr"):
+    with pytest.raises(InputError, match="start again with a smaller --lr"):
         run.run()
 
 
