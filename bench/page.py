@@ -16,7 +16,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Self
 
 from playwright.sync_api import Browser, Page, sync_playwright
 from rich.console import Console
@@ -60,7 +62,7 @@ angle => new Promise(done => {
 
 
 class Process:
-    """A server process and how long it took to print its address."""
+    """A server process, for a `with` block, and how long it took to print its address."""
 
     def __init__(self, arguments: list[str], environment: dict[str, str]) -> None:
         started = time.perf_counter()
@@ -72,8 +74,10 @@ class Process:
                 break
         self.seconds = time.perf_counter() - started
 
-    def stop(self) -> None:
-        """End the process."""
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         self._process.kill()
         self._process.communicate()
 
@@ -90,7 +94,7 @@ def page_seconds(browser: Browser, url: str) -> tuple[float, Page]:
     page = browser.new_context(viewport={"width": 1456, "height": 835}).new_page()
     started = time.perf_counter()
     page.goto(url)
-    page.wait_for_selector("#lpn-status:not([data-seq='0'])")
+    page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
     return time.perf_counter() - started, page
 
 
@@ -110,29 +114,30 @@ def slider_seconds(page: Page) -> float:
 
 def main() -> None:
     """Measure and print."""
-    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         if len(sys.argv) == 3:
             data, model = Path(sys.argv[1]), Path(sys.argv[2])
         else:
             from tests import worlds
 
-            data, model = worlds.make_dataset(Path(folder) / "places"), worlds.make_model(Path(folder), size=256)
-        environment = {**os.environ, "LPN_CACHE": str(Path(folder) / "cache")}
+            data, model = worlds.make_dataset(folder / "places"), worlds.make_model(folder, size=256)
+        environment = {**os.environ, "LPN_CACHE": str(folder / "cache")}
         command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(data), "--model", str(model), "--port"]
-        cold = Process([*command, str(free_port())], environment)
-        cold.stop()
-        warm = Process([*command, str(free_port())], environment)
-        floor = Process([sys.executable, "-c", FLOOR, str(free_port())], environment)
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=QUIET)
-        page_seconds(browser, floor.url)[1].context.close()
+        with Process([*command, str(free_port())], environment) as cold:
+            pass
+        warm = stack.enter_context(Process([*command, str(free_port())], environment))
+        floor = stack.enter_context(Process([sys.executable, "-c", FLOOR, str(free_port())], environment))
+        browser = stack.enter_context(sync_playwright()).chromium.launch(
+            executable_path=shutil.which("chromium"), args=QUIET
+        )
+        page_seconds(browser, floor.url)  # the browser's own start is nobody's
         bare_page, page = page_seconds(browser, floor.url)
         bare_slider = slider_seconds(page)
         page.context.close()
         full_page, page = page_seconds(browser, warm.url)
         slider = slider_seconds(page)
         browser.close()
-        for process in (warm, floor):
-            process.stop()
         opened = load(model)
         picture = images.load_picture(datasets.open_dataset(data).queries(opened.views[-1])[0].path)
         prepared = images.prepare(picture, opened.input_size)[None]

@@ -10,6 +10,7 @@ import os
 import shutil
 import sys
 import tempfile
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -119,8 +120,8 @@ def draw(root: Path, train: int = 120, test: int = 60) -> Path:
 def main() -> None:
     """Draw, train, start the app, and take the picture of a failure."""
     out = Path(sys.argv[1])
-    with tempfile.TemporaryDirectory() as temporary, sync_playwright() as playwright:
-        folder = Path(temporary)
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         data = draw(folder / "drawn-places")
         recipe = replace(RECIPES["small"], size=128, epochs=12, batch=24)
         export(Trainer(open_dataset(data), folder / "run", recipe).run(), folder / "lpn-drawn.onnx")
@@ -134,11 +135,13 @@ def main() -> None:
             str(free_port()),
         ]
         environment = {**os.environ, "LPN_CACHE": str(folder / "cache")}
-        app = Process([sys.executable, "-m", "lpn.cli", *arguments], environment)
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=QUIET)
+        app = stack.enter_context(Process([sys.executable, "-m", "lpn.cli", *arguments], environment))
+        browser = stack.enter_context(sync_playwright()).chromium.launch(
+            executable_path=shutil.which("chromium"), args=QUIET
+        )
         page = browser.new_page(viewport={"width": 1456, "height": 835})
         page.goto(app.url)
-        page.wait_for_selector("#lpn-status:not([data-seq='0'])")
+        page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
         page.wait_for_timeout(2500)
         for notice in page.locator(".mantine-Notification-closeButton").all():
             notice.click()
@@ -146,7 +149,6 @@ def main() -> None:
         page.wait_for_timeout(2500)
         page.screenshot(path=str(out))
         browser.close()
-        app.stop()
 
 
 if __name__ == "__main__":
