@@ -1,7 +1,7 @@
 """Makes `docs/screenshot.png`: `python -m bench.screenshot OUT.png`.
 
 Pictures of real data sets may not be handed on, so the places are drawn here and a small network is trained on them
-for some minutes; everything else in the picture is the app as it is.
+for a minute, from the backbone weights in LPN_BACKBONE_WEIGHTS where it is set; everything else is the app as it is.
 """
 
 from __future__ import annotations
@@ -124,7 +124,9 @@ def main() -> None:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         data = draw(folder / "drawn-places")
         recipe = replace(RECIPES["small"], size=128, epochs=12, batch=24)
-        export(Trainer(open_dataset(data), folder / "run", recipe).run(), folder / "lpn-drawn.onnx")
+        weights = os.environ.get("LPN_BACKBONE_WEIGHTS")
+        run = Trainer(open_dataset(data), folder / "run", recipe, init=Path(weights) if weights else None)
+        export(run.run(), folder / "lpn-drawn.onnx")
         arguments = [
             "explore",
             "--data",
