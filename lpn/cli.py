@@ -86,6 +86,9 @@ class Evaluate:
         console = Console(width=max(120, Console().width))
         console.print(table)
         console.print(PROTOCOL)
+        if near := result.distances():
+            shares = ", ".join(f"{value:.1f} % {key}" for key, value in near.items() if key.startswith("within"))
+            console.print(f"Error of the top match: median {near['median error m']:.1f} m; {shares} (geo.csv).")
         if self.json is not None:
             write_whole(self.json, (json.dumps(values, indent=1) + "\n").encode())
 

@@ -9,9 +9,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from lpn import features, metrics
+from lpn import features, geo, metrics
 from lpn.datasets import Dataset
 from lpn.errors import InputError
+from lpn.geo import FloatArray
 from lpn.model import Model
 from lpn.spec import View
 
@@ -20,8 +21,11 @@ PROTOCOL = (
     "a query without a true match counts as missed; AP by the trapezoid rule."
 )
 
+WITHIN = (25, 50, 100)
+"""Distances in metres within which an answer counts as near."""
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Result:
     """Figures of one task, in percent, and what they were measured on.
 
@@ -33,6 +37,7 @@ class Result:
         rotate: degrees counter-clockwise the queries were turned.
         parts: the parts used, 1-based.
         seconds: wall-clock time, descriptors included (none for those taken from the cache).
+        errors: metres from what each query shows to the centre of its top match, (Q,); None without positions.
     """
 
     recall: dict[str, float]
@@ -43,12 +48,21 @@ class Result:
     rotate: float
     parts: tuple[int, ...]
     seconds: float
+    errors: FloatArray | None = None
+
+    def distances(self) -> dict[str, float]:
+        """The median error in metres and the percentage of queries within 25, 50, and 100 m; empty without positions."""
+        if self.errors is None:
+            return {}
+        within = {f"within {limit} m": 100.0 * float(np.mean(self.errors <= limit)) for limit in WITHIN}
+        return {"median error m": float(np.median(self.errors)), **within}
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of the JSON file."""
         return {
             **{f"recall@{k}": value for k, value in self.recall.items()},
             "ap": self.ap,
+            **self.distances(),
             "queries": self.queries,
             "gallery": self.gallery,
             "task": self.task,
@@ -75,7 +89,7 @@ def evaluate(
 
     Raises:
         InputError: when the data set lacks the task, the model a view, or a part does not exist.
-        DataError: when the test split is incomplete.
+        DataError: when the test split is incomplete, or its `geo.csv` does not cover it.
     """
     started = time.perf_counter()
     if task not in dataset.tasks():
@@ -99,7 +113,21 @@ def evaluate(
     tiles = read(model, gallery, gallery_view)[:, index]
     labels = [np.array([picture.label for picture in pictures]) for pictures in (queries, gallery)]
     scores = metrics.evaluate(query, labels[0], tiles, labels[1])
+    where = geo.positions(dataset.root)
+    errors = None
+    if where is not None:
+        top = metrics.best(query, tiles, labels[1])
+        of_tile = where.of(gallery)
+        errors = geo.metres(where.of(queries), [of_tile[index] for index in top])
     recall = {key.removeprefix("recall@"): value for key, value in scores.items() if key.startswith("recall@")}
     return Result(
-        recall, scores["ap"], len(queries), len(gallery), task, float(rotate), chosen, time.perf_counter() - started
+        recall,
+        scores["ap"],
+        len(queries),
+        len(gallery),
+        task,
+        float(rotate),
+        chosen,
+        time.perf_counter() - started,
+        errors,
     )

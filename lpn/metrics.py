@@ -65,6 +65,27 @@ def ranks(
     return np.array([r[0] if len(r) else -1 for r in lists], dtype=np.int64)
 
 
+def best(query: npt.ArrayLike, gallery: npt.ArrayLike, gallery_labels: npt.ArrayLike) -> npt.NDArray[np.int64]:
+    """The gallery position of each query's nearest picture that is not junk, the first of equals: (Q,).
+
+    Arguments and errors as for `evaluate`; InputError too when all of the gallery is junk.
+    """
+    queries, tiles = _flat(query, "query"), _flat(gallery, "gallery")
+    kept = np.flatnonzero(_labels(gallery_labels, tiles, "gallery") != JUNK)
+    if queries.shape[1] != tiles.shape[1] or len(kept) == 0:
+        raise InputError(
+            f"There are {len(kept)} gallery pictures that are not junk, of {tiles.shape[1]} numbers, and queries of "
+            f"{queries.shape[1]}; expected at least one, and equal numbers."
+        )
+    tiles = tiles[kept].astype(np.float64)
+    block = max(1, _BLOCK_BYTES // (8 * len(tiles)))
+    found = [
+        np.argmax(queries[start : start + block].astype(np.float64) @ tiles.T, axis=1)
+        for start in range(0, len(queries), block)
+    ]
+    return cast("npt.NDArray[np.int64]", kept[np.concatenate(found)])
+
+
 def _true_ranks(query: Any, query_labels: Any, gallery: Any, gallery_labels: Any) -> Iterator[npt.NDArray[np.int64]]:
     """For each query, the ascending 0-based ranks of its true matches among the gallery without junk."""
     queries, tiles = _flat(query, "query"), _flat(gallery, "gallery")

@@ -1,0 +1,161 @@
+"""Where pictures were taken: `geo.csv` in a data set's folder, and distances on the ground.
+
+    path,latitude,longitude[,altitude,heading]
+    test/gallery_satellite/0005/0005.jpg,30.30561,120.08023,,
+    test/query_drone/0005/image-01.jpeg,30.30561,120.08023,121.5,90
+
+`path` is relative to the folder, with forward slashes. Latitude and longitude are WGS 84 degrees of what the middle of
+the picture shows: the centre of a tile; for an oblique drone picture the point on the ground it looks at, not the
+camera. Altitude is the camera's height above the ground in metres, heading its direction in degrees clockwise from north.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.datasets import Picture
+from lpn.errors import DataError
+
+NAME = "geo.csv"
+EARTH_RADIUS = 6_371_008.8
+"""Mean radius of the Earth in metres."""
+
+_REQUIRED = ("path", "latitude", "longitude")
+_OPTIONAL = ("altitude", "heading")
+_LIMITS = {"latitude": 90.0, "longitude": 180.0, "altitude": math.inf, "heading": math.inf}
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Position:
+    """Where a picture is on the Earth.
+
+    Attributes:
+        latitude, longitude: WGS 84 degrees of what the middle of the picture shows.
+        altitude: of the camera above the ground in metres, None when not given.
+        heading: of the camera in degrees clockwise from north, None when not given.
+    """
+
+    latitude: float
+    longitude: float
+    altitude: float | None = None
+    heading: float | None = None
+
+
+class Positions:
+    """The positions of a data set's pictures.
+
+    Args:
+        root: the data set's folder.
+
+    Raises:
+        DataError: when `geo.csv` is absent or not in the format above; the message names the line.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._by_path = _read(root / NAME)
+
+    def of(self, pictures: Sequence[Picture]) -> list[Position]:
+        """The position of each picture.
+
+        Raises:
+            DataError: when one has none.
+        """
+        names = [picture.path.relative_to(self._root).as_posix() for picture in pictures]
+        missing = [name for name in names if name not in self._by_path]
+        if missing:
+            raise DataError(
+                f"{NAME} has no position for {len(missing)} of {len(names)} pictures, the first being {missing[0]}; "
+                f"add a line for each, or take {NAME} away."
+            )
+        return [self._by_path[name] for name in names]
+
+
+def positions(root: Path) -> Positions | None:
+    """The positions of a data set's pictures, or None where it has no `geo.csv`.
+
+    Raises:
+        DataError: when there is one that cannot be read.
+    """
+    return Positions(root) if (root / NAME).is_file() else None
+
+
+def metres(a: Sequence[Position], b: Sequence[Position]) -> FloatArray:
+    """Distance in metres between each position of `a` and its counterpart in `b`, on a sphere: (N,) float64."""
+    (lat_a, lon_a), (lat_b, lon_b) = _radians(a), _radians(b)
+    square = np.sin((lat_b - lat_a) / 2) ** 2 + np.cos(lat_a) * np.cos(lat_b) * np.sin((lon_b - lon_a) / 2) ** 2
+    return cast(FloatArray, 2 * EARTH_RADIUS * np.arcsin(np.sqrt(np.minimum(square, 1.0))))
+
+
+def on_plane(places: Sequence[Position], origin: Position) -> FloatArray:
+    """Metres east and north of an origin, on a plane that touches the Earth there: (N, 2) float64.
+
+    Within 50 km of the origin, below 60 degrees of latitude, distances on it are wrong by less than 1 %.
+    """
+    latitude, longitude = _radians(places)
+    middle, start = math.radians(origin.latitude), math.radians(origin.longitude)
+    east = (longitude - start + np.pi) % (2 * np.pi) - np.pi
+    return EARTH_RADIUS * np.stack([east * math.cos(middle), latitude - middle], axis=1)
+
+
+def _radians(places: Sequence[Position]) -> tuple[FloatArray, FloatArray]:
+    degrees = np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
+    return np.radians(degrees[:, 0]), np.radians(degrees[:, 1])
+
+
+def _read(path: Path) -> dict[str, Position]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            lines = csv.reader(file)
+            header = tuple(name.strip().lower() for name in next(lines, []))
+            unknown = set(header) - {*_REQUIRED, *_OPTIONAL}
+            if not set(_REQUIRED) <= set(header) or unknown or len(set(header)) < len(header):
+                raise DataError(
+                    f"The first line of {NAME} is {','.join(header) or 'empty'}; expected path,latitude,longitude and, if "
+                    "known, altitude,heading."
+                )
+            found: dict[str, Position] = {}
+            for values in lines:
+                if values:
+                    name, position = _position(header, values, lines.line_num)
+                    if name in found:
+                        raise DataError(f"Line {lines.line_num} of {NAME} gives {name} a second position; keep one.")
+                    found[name] = position
+    except OSError as error:
+        raise DataError(f"{path} cannot be read ({error.strerror}); check that it is there and readable.") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{path} is not a text file of comma-separated values in UTF-8; save it as such.") from error
+    return found
+
+
+def _position(header: Sequence[str], values: Sequence[str], line: int) -> tuple[str, Position]:
+    if len(values) != len(header):
+        raise DataError(f"Line {line} of {NAME} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
+    row = {name: value.strip() for name, value in zip(header, values, strict=True)}
+    if not row["path"]:
+        raise DataError(f"Line {line} of {NAME} has no path; expected the picture's, relative to the folder.")
+    numbers = {name: _number(row[name], name, line) for name in ("latitude", "longitude")}
+    more = {name: _number(row[name], name, line) if row.get(name) else None for name in _OPTIONAL}
+    return row["path"].removeprefix("./"), Position(numbers["latitude"], numbers["longitude"], **more)
+
+
+def _number(text: str, name: str, line: int) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or abs(value) > _LIMITS[name]:
+        limit = _LIMITS[name]
+        expected = f"a number from {-limit:g} to {limit:g}" if math.isfinite(limit) else "a number"
+        raise DataError(f"Line {line} of {NAME} has the {name} {text or 'empty'!r}; expected {expected}.")
+    return value

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpn import cli, geo, metrics
+from lpn.datasets import Picture, open_dataset
+from lpn.errors import DataError, InputError
+from lpn.geo import Position, Positions
+from tests import worlds
+
+
+def write(root: Path, text: str) -> Path:
+    root.mkdir(parents=True, exist_ok=True)
+    (root / "geo.csv").write_text(text, encoding="utf-8")
+    return root
+
+
+def test_distances_are_those_on_the_ground() -> None:
+    hangzhou, beijing, pole = Position(30.2741, 120.1551), Position(39.9042, 116.4074), Position(90, 0)
+    along = geo.metres([hangzhou, beijing, Position(0, 179.9995)], [beijing, beijing, Position(0, -179.9995)])
+    assert along[0] == pytest.approx(1_123_000, rel=0.01)
+    assert along[1] == 0
+    assert along[2] == pytest.approx(geo.EARTH_RADIUS * np.radians(0.001))
+    assert geo.metres([Position(0, 0)], [pole])[0] == pytest.approx(geo.EARTH_RADIUS * np.pi / 2)
+
+
+def test_the_plane_keeps_distances_near_its_origin() -> None:
+    rng = np.random.default_rng(0)
+    origin = Position(48.0, 11.5)
+    places = [Position(48 + a, 11.5 + b) for a, b in rng.uniform(-0.05, 0.05, (50, 2))]
+    plane = geo.on_plane(places, origin)
+    assert plane.shape == (50, 2)
+    np.testing.assert_allclose(np.hypot(*plane.T), geo.metres(places, [origin] * 50), rtol=1e-3)
+    assert geo.on_plane([Position(48.01, 11.5)], origin)[0] == pytest.approx([0, 1112], abs=1)
+
+
+def test_positions_are_read_with_or_without_altitude_and_heading(tmp_path: Path) -> None:
+    write(tmp_path, "path,latitude,longitude,altitude,heading\na/1.jpg,1.5,-2,,\n./a/2.jpg, 3 ,4,120,359.5\n\n")
+    pictures = [Picture(tmp_path / "a" / name, 1, "1") for name in ("2.jpg", "1.jpg")]
+    assert Positions(tmp_path).of(pictures) == [Position(3, 4, 120, 359.5), Position(1.5, -2)]
+    write(tmp_path, "\ufeffLongitude,Latitude,Path\n9,8,a/1.jpg\n")
+    assert Positions(tmp_path).of(pictures[1:]) == [Position(8, 9)]
+    assert geo.positions(tmp_path / "a") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "first line of geo.csv is empty"),
+        ("path,lat,lon\n", "path,lat,lon"),
+        ("path,latitude,longitude\na,1\n", "Line 2 of geo.csv has 2 values"),
+        ("path,latitude,longitude\na,1,2\nb,north,2\n", "Line 3 .* latitude 'north'"),
+        ("path,latitude,longitude\na,91,2\n", "from -90 to 90"),
+        ("path,latitude,longitude\na,1,nan\n", "longitude 'nan'"),
+        ("path,latitude,longitude\na,1,2\na,1,2\n", "second position"),
+        ("path,latitude,longitude\n,1,2\n", "no path"),
+        ("path,latitude,longitude\na,1,2\n", "no position for 1 of 1 pictures, the first being b"),
+    ],
+)
+def test_mistakes_in_a_file_of_positions_are_named(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(DataError, match=said):
+        Positions(write(tmp_path, text)).of([Picture(tmp_path / "b", 1, "1")])
+    (tmp_path / "geo.csv").write_bytes(b"path,latitude,longitude\n\xff\xfe,1,2\n")
+    with pytest.raises(DataError, match="UTF-8"):
+        Positions(tmp_path)
+
+
+def test_the_best_match_is_the_first_of_equals_and_never_junk() -> None:
+    gallery = np.array([[0, 1], [1, 0], [1, 0], [9, 9]], np.float32)
+    found = metrics.best(np.eye(2, dtype=np.float32), gallery, np.array([0, 1, 2, -1]))
+    assert found.tolist() == [1, 0]
+    with pytest.raises(InputError, match="0 gallery pictures"):
+        metrics.best(gallery, gallery, np.full(4, -1))
+
+
+def test_evaluation_says_how_many_metres_the_answers_are_off(
+    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = worlds.make_dataset(tmp_path / "places", train=1, test=5)
+    dataset = open_dataset(root)
+    # Places 111 m apart on a meridian: the error is that distance times how many places the answer is off.
+    pictures = [p for view in ("satellite", "drone") for p in (*dataset.queries(view), *dataset.gallery(view))]
+    rows = [f"{picture.path.relative_to(root).as_posix()},{picture.label * 0.001},7" for picture in pictures]
+    lines = ["path,latitude,longitude", *rows]
+    write(root, "\n".join(lines) + "\n")
+    out = tmp_path / "figures.json"
+    assert cli.main(["evaluate", "--data", str(root), "--model", str(model_file), "--json", str(out)]) == 0
+    figures = json.loads(out.read_text())
+    assert figures["within 25 m"] == figures["within 100 m"] == figures["recall@1"]
+    step = geo.EARTH_RADIUS * np.radians(0.001)
+    assert figures["median error m"] / step == pytest.approx(round(figures["median error m"] / step), abs=1e-6)
+    assert "Error of the top match: median" in capsys.readouterr().out.replace("\n", " ")
+    write(root, "\n".join(lines[:-1]) + "\n")
+    assert cli.main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 2
+    assert "geo.csv has no position for 1 of" in capsys.readouterr().err
