@@ -65,17 +65,22 @@ class Process:
     """A server process, for a `with` block, and how long it took to print its address."""
 
     def __init__(self, arguments: list[str], environment: dict[str, str]) -> None:
-        started = time.perf_counter()
-        self._process = subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, env=environment)
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            if found := re.search(r"ready: (http://\S+)", line):
-                self.url = found[1]
-                break
-        self.seconds = time.perf_counter() - started
+        self._arguments, self._environment = arguments, environment
+        self.url, self.seconds = "", 0.0
 
     def __enter__(self) -> Self:
-        return self
+        started = time.perf_counter()
+        self._process = subprocess.Popen(self._arguments, stdout=subprocess.PIPE, text=True, env=self._environment)
+        assert self._process.stdout is not None
+        try:
+            for line in self._process.stdout:
+                if found := re.search(r"ready: (http://\S+)", line):
+                    self.url, self.seconds = found[1], time.perf_counter() - started
+                    return self
+            raise SystemExit(f"{' '.join(self._arguments)} ended without an address.")
+        except BaseException:
+            self.__exit__()
+            raise
 
     def __exit__(self, *_: object) -> None:
         self._process.kill()
@@ -107,7 +112,10 @@ def slider_seconds(page: Page) -> float:
     times = []
     for angle in range(3, 3 + 7 * ROUNDS, 7):
         box.fill(str(angle), timeout=5000)
-        times.append(page.evaluate(SHOWN, str(angle)) / 1000)
+        seconds = page.evaluate(SHOWN, str(angle)) / 1000
+        if seconds != seconds:
+            raise SystemExit(f"The page did not show {angle} degrees within 5 s.")
+        times.append(seconds)
         page.wait_for_timeout(150)
     return statistics.median(times)
 

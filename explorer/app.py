@@ -119,6 +119,7 @@ def run(data: Path, model: Path, host: str = "127.0.0.1", port: int = 8080) -> N
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
+    host = host or "0.0.0.0"
     _check_free(host, port)
     app = App(Exhibit(data, model), host, port)
     port = app.server.get_port()

@@ -18,6 +18,7 @@ from lpn import explain, features, images, metrics, retrieval
 from lpn.datasets import Picture as Entry
 from lpn.datasets import open_dataset
 from lpn.errors import DataError
+from lpn.files import printable
 from lpn.images import Picture
 from lpn.model import FloatArray, Model
 from lpn.retrieval import Described, Match, Ranking
@@ -56,7 +57,7 @@ class Exhibit:
 
     def __init__(self, data: Path, model: Path) -> None:
         self.model: Model = lpn.load(model)
-        self.model_name, self.data_name = model.name, data.resolve().name
+        self.model_name, self.data_name = printable(model.name), printable(data.resolve().name)
         dataset = open_dataset(data)
         pairs = [cast("tuple[View, View]", tuple(name.split("-to-"))) for name in dataset.tasks()]
         known = [pair for pair in pairs if set(pair) <= set(self.model.views)]

@@ -122,8 +122,7 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float) -> str:
-    """A text shortened with an ellipsis to fit a width in pixels, what cannot be printed in it replaced."""
-    text = "".join(letter if letter.isprintable() else "?" for letter in text)
+    """A text shortened with an ellipsis to fit a width in pixels."""
     if draw.textlength(text, font=font(size)) <= width:
         return text
     while text and draw.textlength(text + "...", font=font(size)) > width:

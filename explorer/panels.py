@@ -16,6 +16,7 @@ from explorer.session import State, Upload
 from explorer.stage import SHOWN
 from lpn import images
 from lpn.errors import LPNError, PictureError
+from lpn.files import printable
 
 THUMBS = 12
 MAX_UPLOAD = 30_000_000
@@ -51,6 +52,7 @@ class Panels:
     ) -> None:
         self._client, self._exhibit, self._change, self._rng = client, exhibit, change, rng
         self._shown: list[int] = []
+        self._shown_of: tuple[str, str] | None = None
         self._answer: Answer | None = None
         gui = client.gui
         left = gui.add_panel()
@@ -245,15 +247,16 @@ class Panels:
         hits = session.found([entry.name for entry in task.queries], state.find)
         last = max(-(-len(hits) // THUMBS), 1)
         page = state.page % last
-        self._shown = hits[page * THUMBS : (page + 1) * THUMBS]
+        self._shown, self._shown_of = hits[page * THUMBS : (page + 1) * THUMBS], (state.task, state.find)
         query = None if state.upload else state.query
         self._picker.show(pages.picker(self._exhibit, task, self._shown, query, page, last, self._picker_buttons))
 
     def _pick(self, slot: int) -> Callable[[Any], None]:
         def picked(_: Any) -> None:
-            if slot < len(self._shown):
-                query = self._shown[slot]
-                self._change(lambda s: session.choose(s, query, self._queries(s)))
+            shown, of = self._shown, self._shown_of
+            if slot < len(shown):
+                query = shown[slot]
+                self._change(lambda s: session.choose(s, query, self._queries(s)) if (s.task, s.find) == of else s)
 
         return picked
 
@@ -276,7 +279,7 @@ class Panels:
                 raise PictureError(
                     f"The picture has {len(file.content) / 1e6:.0f} MB; up to 30 MB are taken, so make it smaller."
                 )
-            name = file.name.replace("\\", "/").rsplit("/", 1)[-1][:80]
+            name = printable(file.name.replace("\\", "/").rsplit("/", 1)[-1][:80])
             upload = Upload(name, images.shrink(images.decode_picture(file.content, name), LARGEST_SIDE))
         except LPNError as error:
             self.say("Picture not taken", str(error))

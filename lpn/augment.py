@@ -15,7 +15,7 @@ from lpn.recipes import Recipe
 
 def place_draw(recipe: Recipe, rng: np.random.Generator) -> tuple[float, bool]:
     """What all views of a place share this time: an angle in degrees, and whether they are mirrored."""
-    return float(rng.uniform(-1, 1)) * recipe.place_rotation, bool(recipe.flip and rng.random() < 0.5)
+    return float(rng.uniform(-1, 1)) * recipe.place_rotation, recipe.flip == "place" and rng.random() < 0.5
 
 
 def augment(
@@ -27,7 +27,7 @@ def augment(
         angle: degrees the whole place is turned, mirror: whether it is mirrored, see `place_draw`.
         satellite: whether the satellite's extra rotation applies.
     """
-    if mirror:
+    if mirror or (recipe.flip == "picture" and rng.random() < 0.5):
         picture = cast(Picture, np.ascontiguousarray(picture[:, ::-1]))
     native = rng.random() < recipe.own_canvas
     if not native:

@@ -244,6 +244,8 @@ def _fill(network: LPN, state: State, name: str) -> None:
     for key, tensor in target.items():
         if key in state:
             tensor.copy_(state[key])
+            if not bool(torch.isfinite(tensor).all()):
+                raise ModelFileError(f"In {name}, {key} holds values that are not finite; take an earlier checkpoint.")
 
 
 def _read_pth(path: Path) -> State:

@@ -13,6 +13,7 @@ from itertools import permutations
 from pathlib import Path
 
 from lpn.errors import DataError
+from lpn.files import printable
 from lpn.images import SUFFIXES
 
 TRAIN_FOLDERS = ("satellite", "drone", "street", "google")
@@ -114,5 +115,5 @@ def _pictures(folder: Path) -> list[Picture]:
         )
         for file in files:
             name = place.name if len(files) == 1 else f"{place.name}/{file.stem}"
-            pictures.append(Picture(file, int(place.name), name))
+            pictures.append(Picture(file, int(place.name), printable(name)))
     return pictures

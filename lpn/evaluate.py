@@ -108,17 +108,18 @@ def evaluate(
         model.check_view(view)
     queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
     index = np.array(chosen) - 1
+    # Before the long part, so that a gap in it costs nothing.
+    where = geo.positions(dataset.root)
+    places = None if where is None else (where.of(queries), where.of(gallery))
     read = features.cached_descriptors if cached else features.passing_descriptors
     query = read(model, queries, query_view, rotate)[:, index]
     tiles = read(model, gallery, gallery_view)[:, index]
     labels = [np.array([picture.label for picture in pictures]) for pictures in (queries, gallery)]
     scores = metrics.evaluate(query, labels[0], tiles, labels[1])
-    where = geo.positions(dataset.root)
     errors = None
-    if where is not None:
+    if places is not None:
         top = metrics.best(query, tiles, labels[1])
-        of_tile = where.of(gallery)
-        errors = geo.metres(where.of(queries), [of_tile[index] for index in top])
+        errors = geo.metres(places[0], [places[1][index] for index in top])
     recall = {key.removeprefix("recall@"): value for key, value in scores.items() if key.startswith("recall@")}
     return Result(
         recall,

@@ -27,7 +27,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from lpn import images
 from lpn.datasets import Picture
-from lpn.errors import DataError, LPNError, PictureError, StoreError
+from lpn.errors import DataError, LPNError, OutputError, PictureError, StoreError
 from lpn.files import write_whole
 from lpn.model import FloatArray, Model
 from lpn.spec import View
@@ -216,10 +216,18 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ro
     The cache is `$LPN_CACHE`, else `lpn-explorer` in `$XDG_CACHE_HOME` or `~/.cache`; it may be deleted at any time.
     """
     files = [picture.path.resolve() for picture in pictures]
-    identity = json.dumps([model.fingerprint, view, rotate, [str(file) for file in files]])
+    # By their folder, not by their list: when a picture is added or mended, the others' rows are taken over.
+    common = os.path.commonpath([file.parent for file in files])
+    identity = json.dumps([model.fingerprint, view, rotate, common])
     folder = cache_folder() / "descriptors" / hashlib.sha256(identity.encode()).hexdigest()[:24]
     turned = f", turned {rotate:g}°" if rotate else ""
-    return describe(model, files, view, folder, rotate=rotate, title=f"Describing {view}{turned}").descriptors
+    try:
+        return describe(model, files, view, folder, rotate=rotate, title=f"Describing {view}{turned}").descriptors
+    except (StoreError, OutputError) as error:
+        raise StoreError(
+            f"The cache of descriptors in {cache_folder()} cannot be used ({error}) Set LPN_CACHE to a folder that can be "
+            "written."
+        ) from error
 
 
 def passing_descriptors(model: Model, pictures: Sequence[Picture], view: View, rotate: float = 0.0) -> FloatArray:
@@ -288,7 +296,24 @@ def _usable(out: Path, manifest: Manifest) -> Store | None:
 
 
 def _complete(folder: Path) -> Store | None:
-    """The complete store in a folder, or None when there is none that can be used."""
+    """The complete store in a folder, or None when there is none or its array is damaged.
+
+    Raises:
+        StoreError: when the folder holds files of other origin under a store's names.
+    """
+    manifest = folder / "manifest.json"
+    if manifest.exists():
+        try:
+            Manifest.from_json(manifest.read_bytes(), manifest.name)
+        except (StoreError, OSError) as error:
+            raise StoreError(
+                f"{folder} has a manifest.json that is not one of {FORMAT}; choose another folder, or delete that file if it "
+                "is of no use."
+            ) from error
+    elif (folder / "descriptors.npy").exists() and not (folder / "planned.json").exists():
+        raise StoreError(
+            f"{folder} has a descriptors.npy without a manifest.json, so it is not ours to replace; choose another folder."
+        )
     try:
         return open_store(folder)
     except StoreError:
@@ -298,21 +323,27 @@ def _complete(folder: Path) -> Store | None:
 def _fill(model: Model, files: Sequence[Path], manifest: Manifest, out: Path, before: Store | None, title: str) -> None:
     """Compute all rows into `descriptors.part`, noting in `progress.json` how many are on disk."""
     part, planned, progress_file = (out / name for name in ("descriptors.part", "planned.json", "progress.json"))
-    done = _resumable(manifest, part, planned, progress_file)
-    shape = (len(files), manifest.n_parts, manifest.embedding)
-    if done == 0:
-        progress_file.unlink(missing_ok=True)
-        array = np.lib.format.open_memmap(part, mode="w+", dtype=np.float32, shape=shape)
-        write_whole(planned, manifest.to_json())
-    else:
-        array = np.lib.format.open_memmap(part, mode="r+")
+    left = _interrupted(manifest, part, planned, progress_file)
     known = _known_rows(manifest, before)
+    done = 0
+    if left is not None and left.manifest == manifest:
+        done = len(left.descriptors)
+        array = np.lib.format.open_memmap(part, mode="r+")
+    else:
+        known |= _known_rows(manifest, left)
+        shape = (len(files), manifest.n_parts, manifest.embedding)
+        fresh_part = part.with_name(part.name + ".new")
+        array = np.lib.format.open_memmap(fresh_part, mode="w+", dtype=np.float32, shape=shape)
+        for i, row in known.items():
+            array[i] = row
+        array.flush()
+        # What was left is let go of only when the new array has it.
+        progress_file.unlink(missing_ok=True)
+        os.replace(fresh_part, part)
+        write_whole(planned, manifest.to_json())
     bounds = [*range(done, len(files), _BATCH), len(files)]
     batches = [range(a, b) for a, b in pairwise(bounds)]
     for batch, prepared in _prepared(model, files, manifest.rotate, known, batches, done, title):
-        for i in batch:
-            if i in known:
-                array[i] = known[i]
         fresh = [i for i in batch if i not in known]
         if fresh:
             array[fresh] = model.descriptors(prepared, cast(View, manifest.view))
@@ -349,22 +380,24 @@ def _prepared(
             bar.update(task, completed=batch.stop)
 
 
-def _resumable(manifest: Manifest, part: Path, planned: Path, progress_file: Path) -> int:
-    """How many rows an interrupted run of this very manifest left on disk."""
+def _interrupted(manifest: Manifest, part: Path, planned: Path, progress_file: Path) -> Store | None:
+    """The rows that an interrupted run with this model, view, and angle left on disk, under the manifest it planned."""
     try:
         saved: Any = json.loads(progress_file.read_bytes())
-        same = Manifest.from_json(planned.read_bytes(), planned.name) == manifest
+        plan = Manifest.from_json(planned.read_bytes(), planned.name)
         array = np.load(part, mmap_mode="r", allow_pickle=False)
-        fits = array.shape == (len(manifest.rows), manifest.n_parts, manifest.embedding)
+        fits = array.shape == (len(plan.rows), manifest.n_parts, manifest.embedding) and array.dtype == np.float32
         done = int(saved["done"])
-        return done if same and fits and 0 <= done <= len(manifest.rows) else 0
+        if not (fits and manifest.comparable(plan) and 0 < done <= len(plan.rows)):
+            return None
+        return Store(plan, cast(FloatArray, array[:done]))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, LPNError):
-        return 0
+        return None
 
 
 def _known_rows(manifest: Manifest, before: Store | None) -> dict[int, FloatArray]:
-    """Rows that a complete store of the same kind already has."""
+    """Rows of the same files that another store has."""
     if before is None or not manifest.comparable(before.manifest):
         return {}
-    have = {row: i for i, row in enumerate(before.manifest.rows)}
+    have = {row: i for i, row in enumerate(before.manifest.rows[: len(before.descriptors)])}
     return {i: before.descriptors[have[row]] for i, row in enumerate(manifest.rows) if row in have}

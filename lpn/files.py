@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and what identifies a file."""
+"""Files written whole or not at all, what identifies a file, and how its name is shown."""
 
 from __future__ import annotations
 
@@ -50,6 +50,11 @@ def check_writable(path: Path) -> None:
         beside.unlink()
     except OSError as error:
         raise _unwritable(path, error) from error
+
+
+def printable(name: str) -> str:
+    """A file's name as text that can be shown and sent: bytes that are not UTF-8 and control characters become "?"."""
+    return "".join(c if c.isprintable() else "?" for c in name.encode("utf-8", "replace").decode())
 
 
 def _prepare(path: Path) -> None:

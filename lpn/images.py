@@ -13,6 +13,10 @@ import numpy.typing as npt
 from PIL import Image
 
 from lpn.errors import PictureError
+from lpn.files import printable
+
+# Its remarks on damaged files would stand between the sentences that name them.
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 Picture = npt.NDArray[np.uint8]
 """An RGB picture, (H, W, 3) uint8."""
@@ -36,8 +40,10 @@ def load_picture(path: str | Path) -> Picture:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise PictureError(f"The picture {path.name} cannot be read ({error.strerror}); check the path.") from error
-    return decode_picture(data, path.name)
+        raise PictureError(
+            f"The picture {printable(str(path))} cannot be read ({error.strerror}); check the path."
+        ) from error
+    return decode_picture(data, printable(str(path)))
 
 
 def decode_picture(data: bytes, name: str) -> Picture:
@@ -60,9 +66,11 @@ def check_header(path: Path) -> None:
     """Raise PictureError when a file's header already tells that it is not a picture we can read."""
     try:
         with path.open("rb") as file:
-            _check_size(file, path.name)
+            _check_size(file, printable(str(path)))
     except OSError as error:
-        raise PictureError(f"The picture {path.name} cannot be read ({error.strerror}); check the path.") from error
+        raise PictureError(
+            f"The picture {printable(str(path))} cannot be read ({error.strerror}); check the path."
+        ) from error
 
 
 def _check_size(file: BinaryIO, name: str) -> None:

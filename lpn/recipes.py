@@ -17,7 +17,10 @@ _MOST = sys.float_info.max
 _RANGES: dict[str, tuple[float, float, str]] = {
     # BatchNorm in the heads needs two places a step.
     **dict.fromkeys(("batch",), (2, _MOST, "2 or more")),
-    **dict.fromkeys(("n_parts", "size", "epochs"), (1, _MOST, "1 or more")),
+    **dict.fromkeys(("n_parts", "epochs"), (1, _MOST, "1 or more")),
+    # VGG's five poolings leave nothing of less.
+    "size": (32, _MOST, "32 or more"),
+    "scale": (0, 2, "a number from 0 to 2"),
     **dict.fromkeys(("lr", "temperature"), (_ABOVE_ZERO, _MOST, "a number above 0")),
     **dict.fromkeys(("dropout", "ema"), (0, _BELOW_ONE, "a number from 0 up to, not including, 1")),
     **dict.fromkeys(
@@ -34,7 +37,6 @@ _RANGES: dict[str, tuple[float, float, str]] = {
             "rotation",
             "satellite_rotation",
             "place_rotation",
-            "scale",
         ),
         (0, _MOST, "a number of 0 or more"),
     ),
@@ -83,6 +85,8 @@ class Recipe:
     ema: float = 0.0
     """Decay of an exponential moving average of the weights, which is then what is saved and tested; 0 for none."""
 
+    joint_views: bool = False
+    """Views that share their weights go through as one batch, so that BatchNorm sees them together; published: each alone."""
     instance: float = 1.0
     """Weight of the instance loss: cross-entropy over places, for each part and view (equation 4 of the paper)."""
     reduction: Literal["sum", "mean"] = "sum"
@@ -110,8 +114,8 @@ class Recipe:
     """Random scale, up to exp(+-scale)."""
     colour: float = 0.0
     """Strength 0 .. 1 of random brightness, contrast, colour cast, and grey."""
-    flip: bool = True
-    """Mirror all views of a place, half of the time."""
+    flip: Literal["none", "picture", "place"] = "picture"
+    """What is mirrored, half of the time: each picture on its own (published), or all views of a place together."""
 
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Arithmetic of the forward pass; auto is bfloat16 where the processor has it, else float32."""
@@ -150,6 +154,7 @@ RECIPES: dict[str, Recipe] = {
         warmup_epochs=2,
         weight_decay=0.01,
         ema=0.99,
+        joint_views=True,
         reduction="mean",
         label_smoothing=0.1,
         contrastive=1.0,
@@ -161,6 +166,7 @@ RECIPES: dict[str, Recipe] = {
         shift=0.06,
         scale=0.15,
         colour=1.0,
+        flip="place",
     ),
 }
 """university1652: the paper's. small: for some hundred places, from an ImageNet backbone."""

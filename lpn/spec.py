@@ -7,13 +7,23 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, cast
 
 from lpn.errors import InputError, ModelFileError
-from lpn.partition import Partition, Weighting
+from lpn.partition import WEIGHTINGS, Partition, Weighting
 
 View = Literal["satellite", "street", "drone"]
 Activation = Literal["none", "leaky_relu"]
 
 VIEWS: tuple[View, ...] = ("satellite", "street", "drone")
 BRANCH: dict[View, str] = {"satellite": "model_1", "street": "model_2", "drone": "model_3"}
+
+
+_ALLOWED: dict[str, tuple[Any, ...]] = {
+    "backbone": ("resnet18", "resnet50", "vgg16_bn"),
+    "last_layer": ("layer3", "layer4"),
+    "shared": (True, False),
+    "layout": ("university", "cvusa", "strips"),
+    "weighting": WEIGHTINGS,
+    "activation": ("none", "leaky_relu"),
+}
 
 
 @dataclass(frozen=True)
@@ -55,8 +65,19 @@ class ModelSpec:
         if not self.views or any(view not in VIEWS for view in self.views):
             raise InputError(f"The views are {self.views}; expected one to three of {', '.join(VIEWS)}.")
         object.__setattr__(self, "views", tuple(v for v in VIEWS if v in self.views))
-        if self.n_parts < 1:
-            raise InputError(f"The number of parts is {self.n_parts}; expected 1 or more.")
+        for name in ("n_parts", "embedding", "classes", "last_stride"):
+            _check_count(name, getattr(self, name))
+        if len(self.input_size) != 2:
+            raise InputError(f"The input size is {self.input_size}; expected height and width.")
+        for side in self.input_size:
+            _check_count("input_size", side)
+        for name, allowed in _ALLOWED.items():
+            if getattr(self, name) not in allowed:
+                raise InputError(
+                    f"The model's {name} is {getattr(self, name)!r}; expected one of {', '.join(map(str, allowed))}."
+                )
+        if not isinstance(self.dropout, int | float) or not 0 <= self.dropout < 1:
+            raise InputError(f"The model's dropout is {self.dropout!r}; expected a number from 0 up to 1.")
 
     def partition(self, view: View) -> Partition:
         """How the feature map of `view` is cut."""
@@ -99,7 +120,7 @@ class ModelSpec:
             if not isinstance(values, dict) or set(cast("dict[str, Any]", values)) - known:
                 raise ValueError("unknown entries")
             values["views"] = tuple(values["views"])
-            values["input_size"] = tuple(int(v) for v in values["input_size"])
+            values["input_size"] = tuple(values["input_size"])
             return cls(**values)
         except (ValueError, KeyError, TypeError, InputError) as error:
             raise ModelFileError(
@@ -111,3 +132,8 @@ class ModelSpec:
         backbone = self.backbone if self.last_layer == "layer4" else f"{self.backbone}/{self.last_layer}"
         name = "Baseline" if self.n_parts == 1 else "LPN"
         return f"{name} {backbone}, n = {self.n_parts}, {self.input_size[0]} x {self.input_size[1]}"
+
+
+def _check_count(name: str, value: Any) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        raise InputError(f"The model's {name} is {value!r}; expected a whole number of 1 or more.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import csv
-import hashlib
 import io
 import json
 import math
@@ -24,74 +23,17 @@ from torch import Tensor
 
 from lpn import checkpoints, images
 from lpn.augment import augment, place_draw
-from lpn.datasets import Dataset, Picture
-from lpn.errors import DataError, InputError, ModelFileError
+from lpn.datasets import Dataset
+from lpn.errors import InputError, ModelFileError
 from lpn.evaluate import PROTOCOL, evaluate
 from lpn.files import check_writable, write_whole
 from lpn.losses import total_loss
 from lpn.network import LPN
+from lpn.places import Places
 from lpn.recipes import Recipe
-from lpn.spec import VIEWS, ModelSpec, View
-
-CACHE_BYTES = 2_000_000_000
-"""Pictures are decoded once and kept when all of them take less than this."""
+from lpn.spec import ModelSpec, View
 
 Row = dict[str, float]
-
-
-class Places:
-    """The training pictures by place: for each set (satellite, drone, street, google), each place's files."""
-
-    def __init__(self, dataset: Dataset, console: Console) -> None:
-        sets = {name: dataset.train(name) for name in (*VIEWS, "google")}
-        by_place = {name: _by_label(pictures) for name, pictures in sets.items() if pictures}
-        if "google" in by_place and "street" not in by_place:
-            del by_place["google"]
-            console.print(
-                "train/google is left out: its pictures train the street branch, and there is no train/street."
-            )
-        if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
-            found = ", ".join(f"train/{name}" for name in by_place) or "none"
-            raise DataError(
-                f"{dataset.root.name} has pictures in {found}; training needs train/satellite and at least one of "
-                "train/drone, train/street, as in University-1652."
-            )
-        everywhere = set.intersection(*(set(places) for places in by_place.values()))
-        partial = sorted(set.union(*(set(places) for places in by_place.values())) - everywhere)
-        if partial:
-            some = ", ".join(f"{label:04d}" for label in partial[:5])
-            console.print(
-                f"{len(partial)} places lack a picture in one of {', '.join(by_place)} and are left out: {some}."
-            )
-        if not everywhere:
-            raise DataError(
-                f"No place of {dataset.root.name} has a picture in all of {', '.join(by_place)}; nothing to train on."
-            )
-        self.labels = sorted(everywhere)
-        self.files = {name: [places[label] for label in self.labels] for name, places in by_place.items()}
-        self.views: tuple[View, ...] = tuple(view for view in VIEWS if view in by_place)
-        self._kept: dict[Path, images.Picture] | None = {}
-        self._kept_bytes = 0
-
-    def __len__(self) -> int:
-        return len(self.labels)
-
-    def digest(self, root: Path) -> str:
-        """What identifies the list of training pictures: a run is resumed on the same only."""
-        names = {
-            name: [[str(file.relative_to(root)) for file in place] for place in s] for name, s in self.files.items()
-        }
-        return hashlib.sha256(json.dumps(names, sort_keys=True).encode()).hexdigest()
-
-    def picture(self, path: Path) -> images.Picture:
-        """A decoded picture, kept in memory as long as there is room for it."""
-        if self._kept is not None and path in self._kept:
-            return self._kept[path]
-        picture = images.load_picture(path)
-        if self._kept is not None and self._kept_bytes + picture.nbytes < CACHE_BYTES:
-            self._kept[path] = picture
-            self._kept_bytes += picture.nbytes
-        return picture
 
 
 class Trainer:
@@ -131,10 +73,13 @@ class Trainer:
             raise InputError(
                 f"There are {len(self.places)} places and a batch of {recipe.batch}; set --batch to at most that."
             )
-        if not resume and (out / "state.pt").exists():
+        there = [name for name in ("state.pt", "last.safetensors", "log.csv") if (out / name).exists()]
+        if not resume and there:
             raise InputError(
-                f"{out} holds a training run already; add --resume to go on with it, or choose another --out."
+                f"{out} holds {there[0]} of a training run already; add --resume to go on with it, or choose another --out."
             )
+        if evaluate_every < 0:
+            raise InputError(f"The figures are asked for every {evaluate_every} epochs; expected 0 or more.")
         check_writable(out / "last.safetensors")
         torch.manual_seed(recipe.seed)
         self.network = LPN(_spec(recipe, self.places))
@@ -172,14 +117,12 @@ class Trainer:
             task = bar.add_task("Training", total=epochs * self.steps, completed=done * self.steps, said="")
             for epoch in range(done, epochs):
                 bar.update(task, description=f"Epoch {epoch + 1}/{epochs}")
-                row = self._epoch(epoch, lambda said: bar.update(task, advance=1, said=said))
-                if self.evaluate_every and (epoch + 1) % self.evaluate_every == 0 and epoch + 1 < epochs:
-                    row |= self._test(bar.console)
-                self.history.append(row)
+                self.history.append(self._epoch(epoch, lambda said: bar.update(task, advance=1, said=said)))
                 self._save()
+                if self.evaluate_every and (epoch + 1) % self.evaluate_every == 0 and epoch + 1 < epochs:
+                    self._test(bar.console)
         if not any(key.startswith("recall@1 ") for key in self.history[-1]):
-            self.history[-1] |= self._test(self.console)
-            self._save()
+            self._test(self.console)
         return self.out / "last.safetensors"
 
     def _epoch(self, epoch: int, report: Any) -> Row:
@@ -222,14 +165,20 @@ class Trainer:
         )
 
     def _forward(self, sets: dict[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
-        """Embeddings and scores of each set; sets that share weights and partition go through as one batch."""
+        """Embeddings and scores of each set.
+
+        Each set is a batch of its own, as published, or those that share weights and partition are one: BatchNorm then
+        sees them together.
+        """
         outputs: dict[str, tuple[Tensor, Tensor]] = {}
         spec = self.network.spec
-        for group in spec.groups():
-            names = [name for name in sets if (name if name != "google" else "street") in group]
-            if not names:
-                continue
-            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), group[0])
+        groups = spec.groups()
+        batches: dict[object, list[str]] = {}
+        for name in sets:
+            key = next(g for g in groups if _branch(name) in g) if self.recipe.joint_views else name
+            batches.setdefault(key, []).append(name)
+        for names in batches.values():
+            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), _branch(names[0]))
             sizes = [len(sets[name]) for name in names]
             for name, e, s in zip(names, embeddings.split(sizes), scores.split(sizes), strict=True):
                 outputs[name] = (e, s)
@@ -285,11 +234,9 @@ class Trainer:
             else:
                 mean.copy_(value)
 
-    def _test(self, console: Console) -> Row:
-        """Recall@1 of every task the test split offers, printed with the protocol."""
-        path = self.out / "last.safetensors"
-        self._save_model(path)
-        model = checkpoints.load_torch(path, self.device)
+    def _test(self, console: Console) -> None:
+        """Recall@1 of every task the test split offers, printed with the protocol and noted in the log."""
+        model = checkpoints.load_torch(self.out / "last.safetensors", self.device)
         row: Row = {}
         for task in self.dataset.tasks():
             if set(task.split("-to-")) <= set(model.views):
@@ -302,7 +249,8 @@ class Trainer:
                 row |= {f"recall@1 {task}": recall["1"], f"ap {task}": result.ap}
         if row:
             console.print(PROTOCOL)
-        return row
+            self.history[-1] |= row
+            self._save()
 
     def _load_init(self, init: Path) -> None:
         filled, total, missing = checkpoints.load_backbone(self.network, init)
@@ -373,6 +321,11 @@ class Trainer:
         self.console.print(f"Going on after epoch {len(self.history)} of {self.recipe.epochs}.")
 
 
+def _branch(name: str) -> View:
+    """The view whose branch a set of pictures goes through."""
+    return "street" if name == "google" else cast(View, name)
+
+
 def _spec(recipe: Recipe, places: Places) -> ModelSpec:
     return ModelSpec(
         backbone=recipe.backbone,
@@ -405,10 +358,3 @@ def _has_bfloat16(device: torch.device) -> bool:
     if device.type == "cuda":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     return bool(torch.cpu._is_avx512_bf16_supported())
-
-
-def _by_label(pictures: list[Picture]) -> dict[int, list[Path]]:
-    places: dict[int, list[Path]] = {}
-    for picture in pictures:
-        places.setdefault(picture.label, []).append(picture.path)
-    return places

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import io
+import os
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from lpn.checkpoints import save
+from lpn.datasets import open_dataset
+from lpn.recipes import RECIPES
+from lpn.train import Trainer
 from tests import worlds
 
 
@@ -25,3 +33,28 @@ def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set that no test may change."""
     return worlds.make_dataset(tmp_path_factory.mktemp("data") / "places")
+
+
+@dataclass(frozen=True)
+class RealRun:
+    """A short training on real University-1652 pictures: the model before and after, and what was said."""
+
+    data: Path
+    before: Path
+    after: Path
+    said: str
+
+
+@pytest.fixture(scope="session")
+def real_run(tmp_path_factory: pytest.TempPathFactory) -> RealRun:
+    """An LPN trained for five epochs on the pictures that LPN_MINI_DATA names; skips where it names none."""
+    data, weights = os.environ.get("LPN_MINI_DATA"), os.environ.get("LPN_BACKBONE_WEIGHTS")
+    if not data or not weights:
+        pytest.skip("LPN_MINI_DATA and LPN_BACKBONE_WEIGHTS name no real pictures and weights")
+    folder, said = tmp_path_factory.mktemp("real"), io.StringIO()
+    recipe = replace(RECIPES["small"], size=128, epochs=5, warmup_epochs=0, ema=0.9)
+    trainer = Trainer(
+        open_dataset(data), folder / "run", recipe, init=Path(weights), console=Console(file=said, width=200)
+    )
+    save(trainer.network, folder / "before.safetensors")
+    return RealRun(Path(data), folder / "before.safetensors", trainer.run(), said.getvalue())

@@ -16,9 +16,9 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
 
-from lpn.checkpoints import load_backbone, save
 from lpn.export import export
 from tests import worlds
+from tests.conftest import RealRun
 
 QUIET = [
     "--no-sandbox",
@@ -73,16 +73,10 @@ def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 @pytest.fixture
-def real_app(tmp_path: Path) -> Iterator[Running]:
-    """The app on real University-1652 pictures, with an ImageNet backbone and untrained heads."""
-    data, weights = os.environ.get("LPN_MINI_DATA"), os.environ.get("LPN_BACKBONE_WEIGHTS")
-    if not data or not weights:
-        pytest.skip("LPN_MINI_DATA and LPN_BACKBONE_WEIGHTS name no real pictures and weights")
-    network = worlds.make_network(size=256)
-    load_backbone(network, weights)
-    save(network, tmp_path / "real.safetensors")
-    export(tmp_path / "real.safetensors", tmp_path / "real.onnx")
-    with started(Path(data), tmp_path / "real.onnx", tmp_path / "cache") as running:
+def real_app(real_run: RealRun, tmp_path: Path) -> Iterator[Running]:
+    """The app on real University-1652 pictures, with an LPN trained on them."""
+    export(real_run.after, tmp_path / "real.onnx")
+    with started(real_run.data, tmp_path / "real.onnx", tmp_path / "cache") as running:
         yield running
 
 

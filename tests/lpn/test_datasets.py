@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,22 @@ def test_several_pictures_of_a_place_are_told_apart(tmp_path: Path) -> None:
         path.write_bytes(b"")
     pictures = open_dataset(tmp_path).queries("drone")
     assert [(p.name, p.label) for p in pictures] == [("0012/a", 12), ("0012/b", 12), ("0012/c", 12)]
+
+
+def test_hidden_files_and_folders_are_not_places(tmp_path: Path) -> None:
+    for name in (".ipynb_checkpoints/a.jpg", "0001/._a.jpg", "0001/a.jpg"):
+        worlds.write(tmp_path / "test" / "query_drone" / name, worlds.place(1))
+    assert [p.path.name for p in open_dataset(tmp_path).queries("drone")] == ["a.jpg"]
+
+
+def test_names_can_always_be_shown_and_sent(tmp_path: Path) -> None:
+    folder = tmp_path / "test" / "query_drone" / "0001"
+    folder.mkdir(parents=True)
+    for name in (b"caf\xe9.png", b"two\nlines.png"):
+        (folder / os.fsdecode(name)).write_bytes(b"")
+    names = [picture.name for picture in open_dataset(tmp_path).queries("drone")]
+    assert names == ["0001/caf?", "0001/two?lines"]
+    assert all(name.encode() for name in names)
 
 
 def test_what_is_wrong_with_a_folder_is_said_in_one_sentence(tmp_path: Path) -> None:

@@ -86,6 +86,45 @@ def test_nothing_is_computed_twice(model: Model, folder: Path, tmp_path: Path, m
     assert count.described == 2
 
 
+def test_a_mended_or_removed_picture_costs_nothing_that_was_done(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = features.pictures_below(folder)
+    whole = files[17].read_bytes()
+    files[17].write_bytes(whole[: len(whole) // 2])
+    count = Counting(model, monkeypatch)
+    with pytest.raises(PictureError, match=files[17].name):
+        features.describe(model, files, "drone", tmp_path / "store")
+    assert count.described == 16
+    files[17].write_bytes(whole)
+    rest = [*files[:3], *files[4:]]
+    store = features.describe(model, rest, "drone", tmp_path / "store")
+    assert count.described == 20
+    expected = features.describe(model, rest, "drone", tmp_path / "other").descriptors
+    np.testing.assert_allclose(store.descriptors, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "descriptors.npy"])
+def test_files_of_other_origin_are_not_touched(model: Model, folder: Path, tmp_path: Path, name: str) -> None:
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / name).write_text('{"name": "my web app"}')
+    with pytest.raises(StoreError, match="choose another folder"):
+        features.describe(model, features.pictures_below(folder), "drone", tmp_path / "own")
+    assert [p.name for p in (tmp_path / "own").iterdir()] == [name]
+    assert (tmp_path / "own" / name).read_text() == '{"name": "my web app"}'
+
+
+def test_a_cache_that_cannot_be_written_says_how_to_choose_another(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lpn.datasets import Picture
+
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "file" / "cache"))
+    with pytest.raises(StoreError, match="Set LPN_CACHE"):
+        features.cached_descriptors(model, [Picture(features.pictures_below(folder)[0], 1, "1")], "drone")
+
+
 def test_two_at_once_describe_into_one_folder_once(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,8 +159,8 @@ def test_unreadable_pictures_are_named_before_anything_is_computed(
 
 def test_damaged_stores_are_refused_in_words(model: Model, folder: Path, tmp_path: Path) -> None:
     files = features.pictures_below(folder)
-    store = tmp_path / "store"
     for damage in ("cut", "shape", "manifest", "text"):
+        store = tmp_path / damage
         features.describe(model, files, "drone", store)
         if damage == "cut":
             (store / "descriptors.npy").write_bytes((store / "descriptors.npy").read_bytes()[:500])

@@ -2,23 +2,25 @@ from __future__ import annotations
 
 import csv
 import io
-import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 from rich.console import Console
+from torch import Tensor
 
 import lpn
 from lpn.checkpoints import load_torch, save
 from lpn.datasets import open_dataset
-from lpn.errors import DataError, InputError, LPNError, ModelFileError
+from lpn.errors import DataError, InputError, LPNError, ModelFileError, PictureError
 from lpn.evaluate import evaluate
 from lpn.losses import contrastive_loss, instance_loss
 from lpn.recipes import RECIPES, Recipe
 from lpn.train import Trainer
 from tests import worlds
+from tests.conftest import RealRun
 
 QUICK = replace(RECIPES["small"], size=64, epochs=3, batch=4, warmup_epochs=0, precision="float32")
 
@@ -95,6 +97,30 @@ def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
     assert all(torch.equal(one[key], two[key]) for key in one)
 
 
+def test_an_epoch_is_kept_although_its_evaluation_fails(places: Path, tmp_path: Path) -> None:
+    data = tmp_path / "places"
+    shutil.copytree(places, data)
+    broken = sorted((data / "test" / "query_drone").rglob("*.png"))[0]
+    whole = broken.read_bytes()
+    broken.write_bytes(whole[:400])
+    run, _ = trainer(data, tmp_path / "run", evaluate_every=1)
+    with pytest.raises(PictureError, match=f"{broken.parent.name}/{broken.name}"):
+        run.run()
+    assert len(losses(tmp_path / "run")) == 1
+    broken.write_bytes(whole)
+    resumed, said = trainer(data, tmp_path / "run", resume=True, evaluate_every=1)
+    resumed.run()
+    assert "after epoch 1 of 3" in said.getvalue()
+    assert len(losses(tmp_path / "run")) == 3
+
+
+def test_a_picture_that_is_none_is_named_before_training(places: Path, tmp_path: Path) -> None:
+    shutil.copytree(places, tmp_path / "places")
+    (tmp_path / "places" / "train" / "drone" / "0003" / "image-01.png").write_bytes(b"no picture")
+    with pytest.raises(PictureError, match=r"drone/0003/image-01\.png"):
+        trainer(tmp_path / "places", tmp_path / "run")
+
+
 def test_runs_are_not_overwritten_or_mixed(places: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no state\.pt"):
         trainer(places, tmp_path / "run", resume=True)
@@ -102,6 +128,12 @@ def test_runs_are_not_overwritten_or_mixed(places: Path, tmp_path: Path) -> None
     trainer(places, tmp_path / "run", quick)[0].run()
     with pytest.raises(InputError, match="add --resume"):
         trainer(places, tmp_path / "run", quick)
+    (tmp_path / "run" / "state.pt").rename(tmp_path / "state.pt")
+    with pytest.raises(InputError, match=r"last\.safetensors of a training run"):
+        trainer(places, tmp_path / "run", quick)
+    (tmp_path / "state.pt").rename(tmp_path / "run" / "state.pt")
+    with pytest.raises(InputError, match="0 or more"):
+        trainer(places, tmp_path / "new", quick, evaluate_every=-1)
     with pytest.raises(InputError, match="another epochs"):
         trainer(places, tmp_path / "run", replace(quick, epochs=5), resume=True)
     others = worlds.make_dataset(tmp_path / "others", train=25, test=1)
@@ -125,6 +157,8 @@ def test_runs_are_not_overwritten_or_mixed(places: Path, tmp_path: Path) -> None
         ("batch", 1),
         ("label_smoothing", 2.0),
         ("colour", float("inf")),
+        ("scale", 5000.0),
+        ("size", 16),
     ],
 )
 def test_a_recipe_out_of_range_is_refused_in_words(field: str, value: float) -> None:
@@ -136,14 +170,16 @@ def test_a_recipe_out_of_range_is_refused_in_words(field: str, value: float) -> 
 
 def test_weights_that_are_no_numbers_are_not_saved(places: Path, tmp_path: Path) -> None:
     run, _ = trainer(places, tmp_path / "run", replace(QUICK, epochs=1))
-    original = run.optimizer.step
+    step, left = run.optimizer.step, [run.steps]
 
-    def spoil(*_: object) -> None:
-        original()
-        run.network.heads[0].add_block[0].bias.data.fill_(float("inf"))
+    def spoil_at_last(*_: object) -> None:
+        step()
+        left[0] -= 1
+        if left[0] == 0:
+            run.network.heads[0].add_block[0].bias.data.fill_(float("inf"))
 
-    run.optimizer.step = spoil  # type: ignore[method-assign, assignment]
-    with pytest.raises(InputError, match=r"no longer a number|became"):
+    run.optimizer.step = spoil_at_last  # type: ignore[method-assign, assignment]
+    with pytest.raises(InputError, match="A weight is no longer a number"):
         run.run()
     assert not (tmp_path / "run" / "last.safetensors").exists()
 
@@ -191,6 +227,19 @@ def test_losses_are_what_they_say() -> None:
     assert contrastive_loss(parts, parts.roll(1, 0), 0.05) > 5
 
 
+def test_each_view_is_a_batch_of_its_own_unless_joined(places: Path, tmp_path: Path) -> None:
+    def embedded(joint: bool, other: Tensor) -> Tensor:
+        recipe = replace(QUICK, joint_views=joint, dropout=0.0)
+        run, _ = trainer(places, tmp_path / f"{joint}", recipe)
+        run.network.train()
+        satellite = torch.randn(4, 3, 64, 64, generator=torch.Generator().manual_seed(1))
+        return run._forward({"satellite": satellite, "drone": other})["satellite"][0].detach()
+
+    drone = torch.randn(4, 3, 64, 64, generator=torch.Generator().manual_seed(2))
+    torch.testing.assert_close(embedded(False, drone), embedded(False, 3 * drone + 1))
+    assert not torch.allclose(embedded(True, drone), embedded(True, 3 * drone + 1))
+
+
 def test_the_paper_s_recipe_is_the_default() -> None:
     recipe = RECIPES["university1652"]
     assert (recipe.backbone, recipe.n_parts, recipe.size, recipe.epochs, recipe.decay_epoch) == (
@@ -205,17 +254,10 @@ def test_the_paper_s_recipe_is_the_default() -> None:
         replace(recipe, instance=0.0)
 
 
-@pytest.mark.skipif(
-    not (os.environ.get("LPN_MINI_DATA") and os.environ.get("LPN_BACKBONE_WEIGHTS")),
-    reason="LPN_MINI_DATA and LPN_BACKBONE_WEIGHTS name no real pictures and weights",
-)
-def test_some_epochs_on_real_pictures_beat_the_untrained_network(tmp_path: Path) -> None:
-    data, init = Path(os.environ["LPN_MINI_DATA"]), Path(os.environ["LPN_BACKBONE_WEIGHTS"])
-    recipe = replace(RECIPES["small"], size=128, epochs=5, warmup_epochs=0, ema=0.9)
-    run, said = trainer(data, tmp_path / "run", recipe, init=init)
-    assert "fills 90 of the backbone's 90 tensors" in said.getvalue()
-    save(run.network, tmp_path / "before.safetensors")
-    dataset = open_dataset(data)
-    before = evaluate(lpn.load(tmp_path / "before.safetensors"), dataset, "drone-to-satellite")
-    after = evaluate(lpn.load(run.run()), dataset, "drone-to-satellite")
+def test_some_epochs_on_real_pictures_beat_the_untrained_network(real_run: RealRun) -> None:
+    assert "fills 90 of the backbone's 90 tensors" in real_run.said
+    dataset = open_dataset(real_run.data)
+    before, after = (
+        evaluate(lpn.load(model), dataset, "drone-to-satellite") for model in (real_run.before, real_run.after)
+    )
     assert after.ap > before.ap + 5

@@ -1,0 +1,88 @@
+"""The pictures a training draws from, place by place."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+from rich.console import Console
+
+from lpn import images
+from lpn.datasets import Dataset, Picture
+from lpn.errors import DataError
+from lpn.spec import VIEWS, View
+
+CACHE_BYTES = 2_000_000_000
+"""Pictures are decoded once and kept when all of them take less than this."""
+
+
+class Places:
+    """The training pictures by place: for each set (satellite, drone, street, google), each place's files.
+
+    Raises:
+        DataError: when there is no place with a satellite picture and one of another view.
+        PictureError: naming the first file that is not a picture.
+    """
+
+    def __init__(self, dataset: Dataset, console: Console) -> None:
+        sets = {name: dataset.train(name) for name in (*VIEWS, "google")}
+        by_place = {name: _by_label(pictures) for name, pictures in sets.items() if pictures}
+        if "google" in by_place and "street" not in by_place:
+            del by_place["google"]
+            console.print(
+                "train/google is left out: its pictures train the street branch, and there is no train/street."
+            )
+        if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
+            found = ", ".join(f"train/{name}" for name in by_place) or "none"
+            raise DataError(
+                f"{dataset.root.name} has pictures in {found}; training needs train/satellite and at least one of "
+                "train/drone, train/street, as in University-1652."
+            )
+        everywhere = set.intersection(*(set(places) for places in by_place.values()))
+        partial = sorted(set.union(*(set(places) for places in by_place.values())) - everywhere)
+        if partial:
+            some = ", ".join(f"{label:04d}" for label in partial[:5])
+            console.print(
+                f"{len(partial)} places lack a picture in one of {', '.join(by_place)} and are left out: {some}."
+            )
+        if not everywhere:
+            raise DataError(
+                f"No place of {dataset.root.name} has a picture in all of {', '.join(by_place)}; nothing to train on."
+            )
+        for places in by_place.values():
+            for label in everywhere:
+                for file in places[label]:
+                    images.check_header(file)
+        self.labels = sorted(everywhere)
+        self.files = {name: [places[label] for label in self.labels] for name, places in by_place.items()}
+        self.views: tuple[View, ...] = tuple(view for view in VIEWS if view in by_place)
+        self._kept: dict[Path, images.Picture] | None = {}
+        self._kept_bytes = 0
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def digest(self, root: Path) -> str:
+        """What identifies the list of training pictures: a run is resumed on the same only."""
+        names = {
+            name: [[str(file.relative_to(root)) for file in place] for place in s] for name, s in self.files.items()
+        }
+        return hashlib.sha256(json.dumps(names, sort_keys=True).encode()).hexdigest()
+
+    def picture(self, path: Path) -> images.Picture:
+        """A decoded picture, kept in memory as long as there is room for it."""
+        if self._kept is not None and path in self._kept:
+            return self._kept[path]
+        picture = images.load_picture(path)
+        if self._kept is not None and self._kept_bytes + picture.nbytes < CACHE_BYTES:
+            self._kept[path] = picture
+            self._kept_bytes += picture.nbytes
+        return picture
+
+
+def _by_label(pictures: list[Picture]) -> dict[int, list[Path]]:
+    places: dict[int, list[Path]] = {}
+    for picture in pictures:
+        places.setdefault(picture.label, []).append(picture.path)
+    return places
