@@ -36,18 +36,11 @@ $(VENV)/.browser: $(VENV)/.dev
 	  || { echo "The browser tests need Chromium; install it (Debian: apt-get install chromium)." >&2; exit 1; }
 	touch $@
 
-# An exported model needs no torch; any other does.
-EXPLORE_NEEDS := $(if $(filter %.onnx,$(MODEL)),$(VENV)/.base,$(VENV)/.train)
+# An exported model needs no torch, nor does the demo's; any other does.
+EXPLORE_NEEDS := $(if $(filter-out %.onnx,$(MODEL)),$(VENV)/.train,$(VENV)/.base)
 
-ifeq ($(and $(DATA),$(MODEL)),)
-explore:
-	@echo "Say what to open: make explore DATA=folder MODEL=file" >&2
-	@echo "  DATA is a data set in University-1652's layout, MODEL a trained LPN (.onnx, .safetensors, or .pth)." >&2
-	@exit 2
-else
 explore: $(EXPLORE_NEEDS)
-	@$(BIN)/lpn explore --data "$(DATA)" --model "$(MODEL)" --host $(HOST) --port $(PORT)
-endif
+	@$(BIN)/lpn explore $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") --host $(HOST) --port $(PORT)
 
 setup: $(VENV)/.train
 	@echo "Ready. Use it with: . $(VENV)/bin/activate"

@@ -6,24 +6,29 @@ import time
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from threading import Lock
 from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 import lpn
-from explorer import overlays
+from explorer import chart, overlays
+from explorer.chart import Places
 from explorer.session import TRUTH, State
-from lpn import explain, features, images, metrics, retrieval
+from lpn import explain, features, geo, images, metrics, retrieval
 from lpn.datasets import Picture as Entry
 from lpn.datasets import open_dataset
 from lpn.errors import DataError
+from lpn.evaluate import error_shares
 from lpn.files import printable
 from lpn.images import Picture
 from lpn.model import FloatArray, Model
 from lpn.retrieval import Described, Match, Ranking
 from lpn.spec import View
 
+STORES = "descriptors"
+"""Folder of a data set in which stores of its test split may come along: `query_drone`, `gallery_satellite`, ..."""
 DISPLAY = 384
 """Side in pixels of the large pictures."""
 
@@ -38,7 +43,8 @@ class Task:
         labels: the place each gallery picture shows, (G,).
         descriptors: of the gallery, (G, n, D).
         ranks: 0-based rank of the first true match of each query, -1 when it has none, (Q,).
-        results: recall and AP in percent, see `lpn.metrics.evaluate`.
+        results: recall and AP in percent, see `lpn.metrics.evaluate`; with positions, `median error m` and more.
+        places: where the pictures are, None where the data set has no `geo.csv`.
     """
 
     name: str
@@ -50,6 +56,7 @@ class Task:
     descriptors: FloatArray
     ranks: npt.NDArray[np.int64]
     results: dict[str, float]
+    places: Places | None
 
 
 class Exhibit:
@@ -67,12 +74,15 @@ class Exhibit:
                 f"only the views {', '.join(self.model.views)}; give a data set or a model that fit each other."
             )
         self.tasks = {
-            task.name: task for task in (self._open(dataset.queries(q), dataset.gallery(g), q, g) for q, g in known)
+            task.name: task
+            for task in (self._open(data, dataset.queries(q), dataset.gallery(g), q, g) for q, g in known)
         }
         self.part_names = self._part_names()
         self.map_sizes = {view: cast("tuple[int, int]", self._map_size(view)) for view in self.model.views}
         self._tile = lru_cache(maxsize=256)(self._describe_tile)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
+        self._mosaics: dict[str, Picture] = {}
+        self._mosaic_lock = Lock()
         self.entry_picture = lru_cache(maxsize=64)(images.load_picture)
 
     def tile(self, task: Task, index: int) -> Described:
@@ -87,10 +97,18 @@ class Exhibit:
         """The part of each pixel of a size x size picture."""
         return overlays.part_masks(self.model.spec.partition(view), self.map_sizes[view], size)
 
-    def _open(self, queries: list[Entry], gallery: list[Entry], query_view: View, gallery_view: View) -> Task:
-        query = features.cached_descriptors(self.model, queries, query_view)
-        tiles = features.cached_descriptors(self.model, gallery, gallery_view)
+    def _open(
+        self, data: Path, queries: list[Entry], gallery: list[Entry], query_view: View, gallery_view: View
+    ) -> Task:
+        query = self._described(data / STORES / f"query_{query_view}", queries, query_view)
+        tiles = self._described(data / STORES / f"gallery_{gallery_view}", gallery, gallery_view)
+        where = geo.positions(data)
+        laid = None if where is None else chart.places(where.of(queries), where.of(gallery))
         query_labels, labels = (np.array([entry.label for entry in entries]) for entries in (queries, gallery))
+        near: dict[str, float] = {}
+        if laid is not None:
+            best = metrics.best(query, tiles, labels)
+            near = error_shares(geo.metres(laid.queries, [laid.tiles[index] for index in best]))
         return Task(
             f"{query_view}-to-{gallery_view}",
             query_view,
@@ -100,8 +118,22 @@ class Exhibit:
             labels,
             tiles,
             metrics.ranks(query, query_labels, tiles, labels),
-            metrics.evaluate(query, query_labels, tiles, labels),
+            metrics.evaluate(query, query_labels, tiles, labels) | near,
+            laid,
         )
+
+    def mosaic(self, task: Task) -> Picture:
+        """The task's tiles at their places as one picture, made once for all browsers; the task must have places."""
+        assert task.places is not None
+        with self._mosaic_lock:
+            if task.name not in self._mosaics:
+                self._mosaics[task.name] = chart.mosaic(task.places, [entry.path for entry in task.gallery])
+            return self._mosaics[task.name]
+
+    def _described(self, shipped: Path, pictures: list[Entry], view: View) -> FloatArray:
+        """From the store that came with the data set, else from the user's cache."""
+        found = features.shipped_descriptors(self.model, pictures, view, shipped)
+        return features.cached_descriptors(self.model, pictures, view) if found is None else found
 
     def _part_names(self) -> list[str]:
         """Each part's name, with that of the other views after it where they cut differently (CVUSA)."""
@@ -131,6 +163,8 @@ class Answer:
     chosen: Match
     tile: Described
     truth: Match | None
+    off: geo.FloatArray | None
+    """Metres from what the query shows to each tile, (G,); None where that is not known."""
     seconds: float
 
 
@@ -169,5 +203,6 @@ class Analyst:
             chosen = ranking.find(state.selected)
         tile = self._exhibit.tile(task, chosen.index)
         name = state.upload.name if state.upload else entry.name
+        off = None if task.places is None or state.upload else task.places.off(state.query)
         seconds = time.perf_counter() - started
-        return Answer(state, task, name, self._query, ranking, matches, chosen, tile, truth, seconds)
+        return Answer(state, task, name, self._query, ranking, matches, chosen, tile, truth, off, seconds)

@@ -115,6 +115,16 @@ def framed(picture: Picture, colour: Colour, width: int) -> Picture:
     return drawn
 
 
+def numbered(picture: Picture, number: int) -> Picture:
+    """Write a number on a dark patch in the top left corner."""
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    width = draw.textlength(str(number), font=font(30))
+    draw.rectangle((5, 5, 13 + width, 38), fill=BACKGROUND)
+    draw.text((9, 21), str(number), TEXT, font(30), anchor="lm")
+    return np.asarray(image)
+
+
 @lru_cache(maxsize=16)
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     """The typeface that comes with Pillow, at a pixel size."""

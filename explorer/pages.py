@@ -64,7 +64,16 @@ def header(exhibit: Exhibit, task: Task) -> str:
         f"<span class='num'>{len(task.queries):,} queries</span><span class='num'>{len(task.gallery):,} tiles</span></div>"
         f"<div class='facts num'><span><span class='big'>{results['recall@1']:.1f} %</span> R@1</span>"
         f"<span class='dim'>R@5 {results['recall@5']:.1f} %</span><span class='dim'>R@10 {results['recall@10']:.1f} %</span>"
-        f"<span class='dim'>AP {results['ap']:.1f} %</span></div></div>"
+        f"<span class='dim'>AP {results['ap']:.1f} %</span></div>{_metres(results)}</div>"
+    )
+
+
+def _metres(results: dict[str, float]) -> str:
+    if "median error m" not in results:
+        return ""
+    return (
+        f"<div class='facts num dim'><span>median error {results['median error m']:,.0f} m</span>"
+        f"<span>within 50 m {results['within 50 m']:.1f} %</span></div>"
     )
 
 
@@ -121,12 +130,13 @@ def _row(answer: Answer, exhibit: Exhibit, match: Match, button: str, full: floa
         f"title='part {escape(exhibit.part_names[i])}: {share:.4f}'></i>"
         for i, share in enumerate(match.shares)
     )
+    off = "" if answer.off is None else f"<span class='dim'>{answer.off[match.index]:,.0f} m</span>"
     gap = "" if match.gap is None else f"<span class='dim'>+{match.gap:.3f}</span>"
     return (
         f"<div class='row{chosen}' data-index='{match.index}' {press(button)} title='Compare with the query'>"
         f"<img src='{exhibit.thumbnail(entry.path)}' style='border-color:{colour}' alt=''>"
         f"<div class='what'><div class='line num'><b>{match.rank}</b><b style='color:{colour}'>{SIGNS[match.true]}</b>"
-        f"<span class='name'>{escape(entry.name)}</span><span>{match.distance2:.3f}</span>{gap}</div>"
+        f"<span class='name'>{escape(entry.name)} {off}</span><span>{match.distance2:.3f}</span>{gap}</div>"
         f"<div class='bar'>{segments}</div></div></div>"
     )
 
@@ -172,7 +182,7 @@ def _sign(task: Task, query: int) -> str:
 
 KEYS = (
     "<div class='lpn dim' style='margin-top:.3em'><kbd>N</kbd> <kbd>P</kbd> next, previous · <kbd>R</kbd> random · <kbd>F</kbd> failure · "
-    "<kbd>J</kbd> <kbd>L</kbd> turn 5° · <kbd>K</kbd> upright · <kbd>H</kbd> heatmap · <kbd>G</kbd> rings · <kbd>X</kbd> take apart · "
+    "<kbd>J</kbd> <kbd>L</kbd> turn 5° · <kbd>K</kbd> upright · <kbd>H</kbd> heatmap · <kbd>G</kbd> rings · <kbd>X</kbd> take apart · <kbd>M</kbd> map · "
     "<kbd>1</kbd>…<kbd>9</kbd> compare · <kbd>T</kbd> the true tile</div>"
 )
 HEAT_NOTE = (

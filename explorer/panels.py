@@ -90,6 +90,8 @@ class Panels:
         with gui.add_folder("Look"):
             self._rings = gui.add_checkbox("Rings", state.rings)
             self._exploded = gui.add_checkbox("Take apart", state.exploded)
+            mapped = any(task.places is not None for task in exhibit.tasks.values())
+            self._map = gui.add_checkbox("Map", state.map, visible=mapped)
             self._heat = gui.add_checkbox("Heatmap", state.heat)
             self._heat_part = gui.add_dropdown("Heat of", (ALL_PARTS, *exhibit.part_names), initial_value=ALL_PARTS)
             self._opacity = gui.add_slider("Opacity", 0.0, 1.0, 0.05, state.opacity)
@@ -106,7 +108,7 @@ class Panels:
             self._picker_buttons = [_uuid(button) for button in bridges]
             gui.add_html(pages.hidden(self._picker_buttons))
         self._watch(self._task, self._angle, self._rings, self._exploded, self._heat, self._heat_part, self._opacity)
-        self._watch(self._find)
+        self._watch(self._find, self._map)
 
     def _build_parts(self, gui: viser.GuiApi, state: State) -> None:
         gui.add_html(pages.PARTS_NOTE)
@@ -150,6 +152,7 @@ class Panels:
             ("Rings on or off", "G", lambda s: replace(s, rings=not s.rings)),
             ("Compare the true tile", "T", lambda s: replace(s, selected=session.TRUTH)),
             ("Take the rings apart", "X", lambda s: replace(s, exploded=not s.exploded)),
+            ("Map or pair", "M", self.flip_map),
         ]
         for label, key, change in commands:
             gui.add_command(label, hotkey=key).on_trigger(self._does(change))
@@ -168,6 +171,7 @@ class Panels:
             angle=session.number(self._angle.value, -180, 180, state.angle),
             rings=bool(self._rings.value),
             exploded=bool(self._exploded.value),
+            map=bool(self._map.value),
             heat=bool(self._heat.value),
             heat_part=part,
             opacity=session.number(self._opacity.value, 0, 1, state.opacity),
@@ -190,6 +194,7 @@ class Panels:
             (self._angle, state.angle),
             (self._rings, state.rings),
             (self._exploded, state.exploded),
+            (self._map, state.map),
             (self._heat, state.heat),
             *zip(self._enabled, state.enabled, strict=True),
             *zip(self._weights, state.weights, strict=True),
@@ -232,6 +237,10 @@ class Panels:
         if failed is None:
             self._client.add_notification("No failure", "Every query of this task finds its true tile first.")
         return failed
+
+    def flip_map(self, state: State) -> State:
+        """Map in place of pair, or back, where positions are known."""
+        return replace(state, map=not state.map and self._exhibit.tasks[state.task].places is not None)
 
     def _queries(self, state: State) -> int:
         return len(self._exhibit.tasks[state.task].queries)

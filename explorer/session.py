@@ -40,6 +40,7 @@ class State:
         opacity: of the heatmap, 0 .. 1.
         rings: whether part boundaries are drawn.
         exploded: whether the rings are lifted apart.
+        map: whether the gallery is shown as a map in place of the compared pair.
         find: text that picture names must contain in the picker.
         page: page of the picker.
     """
@@ -57,6 +58,7 @@ class State:
     opacity: float = 0.6
     rings: bool = True
     exploded: bool = False
+    map: bool = False
     find: str = ""
     page: int = 0
 

@@ -12,6 +12,8 @@ import viser
 
 from explorer import overlays
 from explorer.exhibit import DISPLAY, Answer, Exhibit
+from explorer.gallery_map import GalleryMap
+from explorer.planes import UPRIGHT, Plane, Rotation, title
 from explorer.session import State
 from lpn.images import Picture
 from lpn.retrieval import Described, Match
@@ -35,38 +37,6 @@ _HEIGHT = 8.1
 _WIDTH = 8.3
 _MIDDLE = (0.0, 0.36)
 
-Rotation = tuple[float, float, float, float]
-_UPRIGHT: Rotation = (0.0, 1.0, 0.0, 0.0)
-"""Scene images have y down and face +z away; half a turn about x sets them upright, facing the camera."""
-
-
-class Plane:
-    """A picture on the stage that is sent again only when its pixels changed."""
-
-    def __init__(
-        self, scene: viser.SceneApi, name: str, width: float, height: float, position: tuple[float, float, float]
-    ) -> None:
-        blank = np.full((2, 2, 3), overlays.BACKGROUND, np.uint8)
-        self._shown: npt.NDArray[np.uint8] = blank
-        self.handle = scene.add_image(
-            name,
-            blank,
-            width,
-            height,
-            format="jpeg",
-            jpeg_quality=88,
-            cast_shadow=False,
-            receive_shadow=False,
-            wxyz=_UPRIGHT,
-            position=position,
-        )
-
-    def show(self, picture: npt.NDArray[np.uint8]) -> None:
-        """Put a picture on the plane."""
-        if self._shown.shape != picture.shape or not np.array_equal(self._shown, picture):
-            self._shown = picture
-            self.handle.image = picture
-
 
 class Exhibited:
     """One large picture: flat, with a caption, or taken apart into its rings along the axis."""
@@ -88,7 +58,7 @@ class Exhibited:
                 format="png",
                 cast_shadow=False,
                 receive_shadow=False,
-                wxyz=_UPRIGHT,
+                wxyz=UPRIGHT,
                 visible=False,
             )
             self._layers.append(layer)
@@ -155,7 +125,7 @@ class Stage:
             _CARD + _CAPTION + 0.09,
             cast_shadow=False,
             receive_shadow=False,
-            wxyz=_UPRIGHT,
+            wxyz=UPRIGHT,
         )
         self._shown: Answer | None = None
         self._cards: list[tuple[Plane, Plane]] = []
@@ -166,7 +136,8 @@ class Stage:
             self._cards.append((photo, label))
             for plane in (photo, label):
                 plane.handle.on_click(self._clicked(slot, on_select))
-        self._aspect = 0.0
+        self._aspect, self._mapped, self._on_select = 0.0, False, on_select
+        self._map: GalleryMap | None = None
         client.camera.on_update(lambda _: self.fit())
         self.fit()
 
@@ -174,20 +145,39 @@ class Stage:
         """Frame the content, whatever the width the panels leave; a person's own orbit is kept until it changes."""
         camera = self._client.camera
         aspect = camera.aspect
-        if not math.isfinite(aspect) or abs(aspect - self._aspect) < 0.01 or aspect <= 0:
+        if math.isfinite(aspect) and aspect > 0 and abs(aspect - self._aspect) >= 0.01:
+            self._aspect = aspect
+            self._aim()
+
+    def _aim(self) -> None:
+        """Point the camera at the pair and its matches, or at the map."""
+        if not self._aspect:
             return
-        self._aspect = aspect
+        camera = self._client.camera
         tangent = math.tan(_FOV / 2)
-        distance = max(_HEIGHT / 2 / tangent, _WIDTH / 2 / (tangent * aspect))
+        distance = max(_HEIGHT / 2 / tangent, _WIDTH / 2 / (tangent * self._aspect))
+        position, target = np.array([*_MIDDLE, distance]), np.array([*_MIDDLE, 0.0])
+        if self._mapped:
+            position, target = GalleryMap.view(self._aspect, _FOV)
         with self._client.atomic():
             camera.fov = _FOV
-            camera.up_direction = (0.0, 1.0, 0.0)
-            camera.position = (*_MIDDLE, distance)
-            camera.look_at = (*_MIDDLE, 0.0)
+            camera.up_direction = (0.0, 0.0, 1.0) if self._mapped else (0.0, 1.0, 0.0)
+            camera.position = position
+            camera.look_at = target
 
     def show(self, answer: Answer) -> None:
         """Draw an answer."""
         state, task = answer.state, answer.task
+        mapped = state.map and task.places is not None
+        if mapped:
+            self._map = self._map or GalleryMap(self._client, self._exhibit, SHOWN, self._on_select)
+            with self._client.atomic():
+                self._map.show(answer)
+        if mapped != self._mapped:
+            self._mapped = mapped
+            self._aim()
+        if mapped:
+            return
         left = self._decorated(answer, answer.query, task.query_view)
         right = self._decorated(answer, answer.tile, task.gallery_view)
         right = overlays.framed(right, overlays.verdict_colour(answer.chosen.true), 6)
@@ -215,12 +205,12 @@ class Stage:
     def _query_caption(self, answer: Answer) -> Picture:
         turned = f", turned {answer.state.angle:g}°" if answer.state.angle else ""
         source = "your picture" if answer.state.upload else answer.task.query_view
-        return _title("QUERY", f"{source} {answer.name}{turned}", None)
+        return title("QUERY", f"{source} {answer.name}{turned}", None)
 
     def _tile_caption(self, answer: Answer) -> Picture:
         chosen = answer.chosen
         name = answer.task.gallery[chosen.index].name
-        return _title(f"RANK {chosen.rank}", f"{answer.task.gallery_view} {name}", chosen.true, chosen.distance2)
+        return title(f"RANK {chosen.rank}", f"{answer.task.gallery_view} {name}", chosen.true, chosen.distance2)
 
     def _gutter_picture(self, chosen: Match) -> Picture:
         """For each part: its name, cosine, and share of the distance as a bar."""
@@ -307,20 +297,6 @@ def _link_colours(weights: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
 
 def _about_y(angle: float) -> Rotation:
     return math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0
-
-
-def _title(headline: str, text: str, true: bool | None, distance2: float | None = None) -> Picture:
-    image, draw = overlays.caption(528, 58)
-    draw.text((2, 29), headline, overlays.TEXT, overlays.font(26), anchor="lm")
-    x = 2 + draw.textlength(headline, font=overlays.font(26)) + 14
-    if true is not None:
-        overlays.draw_sign(draw, x, 18, 22, true)
-        x += 36
-    right = 526.0
-    if distance2 is not None:
-        right = overlays.draw_squared(draw, right, 29, f"{distance2:.3f}", 24, overlays.TEXT) - 14
-    draw.text((x, 30), overlays.fitted(draw, text, 22, right - x), overlays.DIM, overlays.font(22), anchor="lm")
-    return np.asarray(image)
 
 
 def _card_label(match: Match, name: str, full: float) -> Picture:

@@ -39,8 +39,9 @@ def verdict(answer: Answer, part_names: list[str]) -> tuple[bool | None, str, st
     part = int(np.argmax(truth.shares - first.shares))
     loss = float(truth.shares[part] - first.shares[part])
     behind = truth.distance2 - first.distance2
+    where = "" if answer.off is None else f" The answer is {answer.off[first.index]:,.0f} m off."
     return (
         False,
         f"Wrong: the true tile is {ordinal(truth.rank)}",
-        f"It is {behind:.3f} (d²) behind the top match; part {part_names[part]} costs it most ({loss:+.3f}).",
+        f"It is {behind:.3f} (d²) behind the top match; part {part_names[part]} costs it most ({loss:+.3f}).{where}",
     )

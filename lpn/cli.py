@@ -16,6 +16,9 @@ import lpn
 from lpn.errors import InputError, LPNError, MissingPackageError
 from lpn.recipes import RECIPES, Recipe
 
+DEMO = Path(__file__).parents[1] / "assets" / "demo"
+"""The demo's data set and model, in a checkout."""
+
 ViewName = Literal["satellite", "street", "drone"]
 TaskName = Literal[
     "drone-to-satellite",
@@ -31,10 +34,10 @@ TaskName = Literal[
 class Explore:
     """Open the explorer in a browser."""
 
-    data: Path
-    """Data set in University-1652's layout; its test split is shown."""
-    model: Path
-    """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth."""
+    data: Path | None = None
+    """Data set in University-1652's layout, of which the test split is shown; by default the demo."""
+    model: Path | None = None
+    """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth; by default the demo's, for the demo."""
     host: str = "127.0.0.1"
     """Address to listen on; any other than 127.0.0.1 lets other machines in, without a password."""
     port: int = 8080
@@ -43,7 +46,13 @@ class Explore:
     def run(self) -> None:
         from explorer.app import run
 
-        run(self.data, self.model, self.host, self.port)
+        if self.data is not None and self.model is None:
+            raise InputError(f"There is no model for {self.data}; give a trained LPN with --model.")
+        if self.data is None and not DEMO.is_dir():
+            raise InputError(
+                "The demo is not part of this installation; give a data set with --data and a model with --model."
+            )
+        run(self.data or DEMO, self.model or DEMO / "lpn.onnx", self.host, self.port)
 
 
 @dataclass

@@ -51,11 +51,8 @@ class Result:
     errors: FloatArray | None = None
 
     def distances(self) -> dict[str, float]:
-        """The median error in metres and the percentage of queries within 25, 50, and 100 m; empty without positions."""
-        if self.errors is None:
-            return {}
-        within = {f"within {limit} m": 100.0 * float(np.mean(self.errors <= limit)) for limit in WITHIN}
-        return {"median error m": float(np.median(self.errors)), **within}
+        """See `error_shares`; empty without positions."""
+        return {} if self.errors is None else error_shares(self.errors)
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of the JSON file."""
@@ -70,6 +67,12 @@ class Result:
             "parts": list(self.parts),
             "seconds": self.seconds,
         }
+
+
+def error_shares(errors: FloatArray) -> dict[str, float]:
+    """`median error m` of errors in metres, and the percentage `within 25 m`, `within 50 m`, `within 100 m`."""
+    within = {f"within {limit} m": 100.0 * float(np.mean(errors <= limit)) for limit in WITHIN}
+    return {"median error m": float(np.median(errors)), **within}
 
 
 def evaluate(

@@ -28,7 +28,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from lpn import images
 from lpn.datasets import Picture
 from lpn.errors import DataError, LPNError, OutputError, PictureError, StoreError
-from lpn.files import write_whole
+from lpn.files import printable, write_whole
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 
@@ -228,6 +228,22 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ro
             f"The cache of descriptors in {cache_folder()} cannot be used ({error}) Set LPN_CACHE to a folder that can be "
             "written."
         ) from error
+
+
+def shipped_descriptors(model: Model, pictures: Sequence[Picture], view: View, store: Path) -> FloatArray | None:
+    """Descriptors (N, n, D) from a store that came with the pictures, or None where it is not of this model and these.
+
+    Files are compared by name and size: a copy of a data set has other times than its original.
+    """
+    try:
+        held = open_store(store)
+    except StoreError:
+        return None
+    rows = [(printable(str(row.file)), row.size) for row in held.manifest.rows]
+    these = [("/".join(picture.path.parts[-2:]), picture.path.stat().st_size) for picture in pictures]
+    wanted = (model.fingerprint, view, 0.0, model.n_parts)
+    found = (held.manifest.fingerprint, held.manifest.view, held.manifest.rotate, held.manifest.n_parts)
+    return held.descriptors if found == wanted and rows == these else None
 
 
 def passing_descriptors(model: Model, pictures: Sequence[Picture], view: View, rotate: float = 0.0) -> FloatArray:

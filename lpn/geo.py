@@ -1,12 +1,15 @@
 """Where pictures were taken: `geo.csv` in a data set's folder, and distances on the ground.
 
-    path,latitude,longitude[,altitude,heading]
+    path,latitude,longitude[,altitude,heading[,tilt,fov[,width]]]
     test/gallery_satellite/0005/0005.jpg,30.30561,120.08023,,
     test/query_drone/0005/image-01.jpeg,30.30561,120.08023,121.5,90
 
 `path` is relative to the folder, with forward slashes. Latitude and longitude are WGS 84 degrees of what the middle of
 the picture shows: the centre of a tile; for an oblique drone picture the point on the ground it looks at, not the
-camera. Altitude is the camera's height above the ground in metres, heading its direction in degrees clockwise from north.
+camera. Altitude is the camera's height above the ground in metres, heading its direction in degrees clockwise from
+north, tilt its angle in degrees from the horizon (-90, which is assumed, is straight down), fov its horizontal field
+of view in degrees, width the metres of ground that a tile shows from side to side. Altitude and what follows it may be
+left out or empty.
 """
 
 from __future__ import annotations
@@ -29,8 +32,16 @@ EARTH_RADIUS = 6_371_008.8
 """Mean radius of the Earth in metres."""
 
 _REQUIRED = ("path", "latitude", "longitude")
-_OPTIONAL = ("altitude", "heading")
-_LIMITS = {"latitude": 90.0, "longitude": 180.0, "altitude": math.inf, "heading": math.inf}
+_OPTIONAL = ("altitude", "heading", "tilt", "fov", "width")
+_LIMITS = {
+    "latitude": (-90.0, 90.0),
+    "longitude": (-180.0, 180.0),
+    "altitude": (-math.inf, math.inf),
+    "heading": (-math.inf, math.inf),
+    "tilt": (-90.0, -5.0),
+    "fov": (1.0, 170.0),
+    "width": (0.1, 1e6),
+}
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -43,12 +54,18 @@ class Position:
         latitude, longitude: WGS 84 degrees of what the middle of the picture shows.
         altitude: of the camera above the ground in metres, None when not given.
         heading: of the camera in degrees clockwise from north, None when not given.
+        tilt: of the camera in degrees from the horizon, -90 straight down; None when not given.
+        fov: horizontal field of view in degrees, None when not given.
+        width: metres of ground from side to side, None when not given.
     """
 
     latitude: float
     longitude: float
     altitude: float | None = None
     heading: float | None = None
+    tilt: float | None = None
+    fov: float | None = None
+    width: float | None = None
 
 
 class Positions:
@@ -108,6 +125,20 @@ def on_plane(places: Sequence[Position], origin: Position) -> FloatArray:
     return EARTH_RADIUS * np.stack([east * math.cos(middle), latitude - middle], axis=1)
 
 
+def camera(place: Position, origin: Position) -> FloatArray | None:
+    """Where a picture was taken from: metres east, north, and up from an origin, (3,); None without an altitude.
+
+    The camera stands behind what it shows, as far as its height and tilt say.
+    """
+    if place.altitude is None:
+        return None
+    tilt = math.radians(-90.0 if place.tilt is None else place.tilt)
+    heading = math.radians(place.heading or 0.0)
+    away = 0.0 if math.cos(tilt) < 1e-6 else place.altitude / -math.tan(tilt)
+    east, north = on_plane([place], origin)[0]
+    return np.array([east - away * math.sin(heading), north - away * math.cos(heading), place.altitude])
+
+
 def _radians(places: Sequence[Position]) -> tuple[FloatArray, FloatArray]:
     degrees = np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
     return np.radians(degrees[:, 0]), np.radians(degrees[:, 1])
@@ -122,7 +153,7 @@ def _read(path: Path) -> dict[str, Position]:
             if not set(_REQUIRED) <= set(header) or unknown or len(set(header)) < len(header):
                 raise DataError(
                     f"The first line of {NAME} is {','.join(header) or 'empty'}; expected path,latitude,longitude and, if "
-                    "known, altitude,heading."
+                    "known, altitude,heading,tilt,fov,width."
                 )
             found: dict[str, Position] = {}
             for values in lines:
@@ -154,8 +185,8 @@ def _number(text: str, name: str, line: int) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value) or abs(value) > _LIMITS[name]:
-        limit = _LIMITS[name]
-        expected = f"a number from {-limit:g} to {limit:g}" if math.isfinite(limit) else "a number"
+    low, high = _LIMITS[name]
+    if not (math.isfinite(value) and low <= value <= high):
+        expected = f"a number from {low:g} to {high:g}" if math.isfinite(high) else "a number"
         raise DataError(f"Line {line} of {NAME} has the {name} {text or 'empty'!r}; expected {expected}.")
     return value

@@ -73,6 +73,14 @@ def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 @pytest.fixture
+def mapped_app(model_file: Path, tmp_path: Path) -> Iterator[Running]:
+    """The app on drawn places whose positions are known."""
+    data = worlds.map_dataset(worlds.make_dataset(tmp_path / "places"))
+    with started(data, model_file, tmp_path / "cache") as running:
+        yield running
+
+
+@pytest.fixture
 def real_app(real_run: RealRun, tmp_path: Path) -> Iterator[Running]:
     """The app on real University-1652 pictures, with an LPN trained on them."""
     export(real_run.after, tmp_path / "real.onnx")

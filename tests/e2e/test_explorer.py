@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import BrowserContext, expect
 
 import lpn
-from lpn import datasets, explain, images, retrieval
+from lpn import datasets, explain, geo, images, retrieval
 from lpn.retrieval import Ranking
 from tests import worlds
 from tests.e2e.conftest import Explorer, Running
@@ -193,6 +193,39 @@ def test_a_second_browser_is_not_disturbed(
     other.page.wait_for_timeout(500)
     assert (other.status.get_attribute("data-seq"), other.verdict.inner_text(), other.rows.all_inner_texts()) == before
     expect(other.field("Rotate")).to_have_value("0")
+
+
+def test_the_map_says_how_far_off_the_answer_is(mapped_app: Running, contexts: Callable[[], BrowserContext]) -> None:
+    explorer = Explorer(contexts().new_page())
+    explorer.open(mapped_app.url)
+    laid = geo.Positions(mapped_app.data)
+    dataset = datasets.open_dataset(mapped_app.data)
+    ranking = expected(mapped_app, "0007")
+    truth = laid.of(dataset.queries("drone")[:1])
+    tiles = laid.of(dataset.gallery("satellite"))
+    for slot in (0, 4):
+        metres = geo.metres(truth, [tiles[ranking.match(slot).index]])[0]
+        expect(explorer.rows.nth(slot)).to_contain_text(f"{metres:,.0f} m")
+    expect(explorer.page.locator("#lpn-header")).to_contain_text("median error")
+    pair = explorer.stage()
+    explorer.key("m")
+    expect(explorer.field("Map")).to_be_checked()
+    shown = explorer.stage()
+    assert difference(pair, shown) > 0.2
+    explorer.rows.nth(4).click()
+    explorer.expect_status("chosen", str(ranking.match(4).index))
+    assert difference(shown, explorer.stage()) > 0.005
+    explorer.key("m")
+    expect(explorer.field("Map")).not_to_be_checked()
+    explorer.page.wait_for_timeout(500)
+    assert difference(pair, explorer.stage()) < difference(pair, shown) / 2
+
+
+def test_without_positions_there_is_no_map(explorer: Explorer) -> None:
+    before = explorer.stage()
+    explorer.key("m")
+    assert difference(before, explorer.stage()) < 0.005
+    expect(explorer.field("Map")).to_have_count(0)
 
 
 def test_the_main_job_on_real_pictures(real_app: Running, contexts: Callable[[], BrowserContext]) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,14 @@ def test_positions_are_read_with_or_without_altitude_and_heading(tmp_path: Path)
     assert geo.positions(tmp_path / "a") is None
 
 
+def test_a_camera_stands_behind_what_it_shows() -> None:
+    origin = Position(46.0, 7.0)
+    east, north, up = geo.camera(replace(origin, altitude=100, heading=90, tilt=-45), origin)  # type: ignore[misc]
+    assert (east, north, up) == pytest.approx((-100, 0, 100))
+    assert geo.camera(replace(origin, altitude=80), origin) == pytest.approx([0, 0, 80])
+    assert geo.camera(origin, origin) is None
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -55,6 +64,7 @@ def test_positions_are_read_with_or_without_altitude_and_heading(tmp_path: Path)
         ("path,latitude,longitude\na,1\n", "Line 2 of geo.csv has 2 values"),
         ("path,latitude,longitude\na,1,2\nb,north,2\n", "Line 3 .* latitude 'north'"),
         ("path,latitude,longitude\na,91,2\n", "from -90 to 90"),
+        ("path,latitude,longitude,tilt\na,1,2,30\n", "tilt '30'"),
         ("path,latitude,longitude\na,1,nan\n", "longitude 'nan'"),
         ("path,latitude,longitude\na,1,2\na,1,2\n", "second position"),
         ("path,latitude,longitude\n,1,2\n", "no path"),

@@ -1,0 +1,57 @@
+"""Pictures on planes in the 3-D stage, and the captions drawn for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import viser
+
+from explorer import overlays
+from lpn.images import Picture
+
+Rotation = tuple[float, float, float, float]
+UPRIGHT: Rotation = (0.0, 1.0, 0.0, 0.0)
+"""Scene images have y down and face +z away; half a turn about x sets them upright, facing the camera."""
+
+
+class Plane:
+    """A picture on the stage that is sent again only when its pixels changed."""
+
+    def __init__(
+        self, scene: viser.SceneApi, name: str, width: float, height: float, position: tuple[float, float, float]
+    ) -> None:
+        blank = np.full((2, 2, 3), overlays.BACKGROUND, np.uint8)
+        self._shown: npt.NDArray[np.uint8] = blank
+        self.handle = scene.add_image(
+            name,
+            blank,
+            width,
+            height,
+            format="jpeg",
+            jpeg_quality=88,
+            cast_shadow=False,
+            receive_shadow=False,
+            wxyz=UPRIGHT,
+            position=position,
+        )
+
+    def show(self, picture: npt.NDArray[np.uint8]) -> None:
+        """Put a picture on the plane."""
+        if self._shown.shape != picture.shape or not np.array_equal(self._shown, picture):
+            self._shown = picture
+            self.handle.image = picture
+
+
+def title(headline: str, text: str, true: bool | None, distance2: float | None = None) -> Picture:
+    """A caption: headline, sign, a text shortened to fit, and on the right a distance."""
+    image, draw = overlays.caption(528, 58)
+    draw.text((2, 29), headline, overlays.TEXT, overlays.font(26), anchor="lm")
+    x = 2 + draw.textlength(headline, font=overlays.font(26)) + 14
+    if true is not None:
+        overlays.draw_sign(draw, x, 18, 22, true)
+        x += 36
+    right = 526.0
+    if distance2 is not None:
+        right = overlays.draw_squared(draw, right, 29, f"{distance2:.3f}", 24, overlays.TEXT) - 14
+    draw.text((x, 30), overlays.fitted(draw, text, 22, right - x), overlays.DIM, overlays.font(22), anchor="lm")
+    return np.asarray(image)

@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from explorer import chart
+from lpn import geo
+from lpn.datasets import open_dataset
+from lpn.geo import Position, Positions
+from tests import worlds
+
+
+def laid_out(root: Path) -> tuple[chart.Places, list[Path]]:
+    dataset, where = open_dataset(root), Positions(root)
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    return chart.places(where.of(queries), where.of(gallery)), [picture.path for picture in gallery]
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("mapped") / "places"))
+
+
+def test_tiles_lie_where_their_positions_say(root: Path) -> None:
+    laid, _ = laid_out(root)
+    assert laid.width == 90
+    np.testing.assert_allclose(
+        laid.ground[0] - laid.ground[1], geo.on_plane(laid.tiles[:1], laid.tiles[1])[0], rtol=1e-3
+    )
+    west, south, east, north = laid.bounds()
+    assert west == pytest.approx(laid.ground[:, 0].min() - 45)
+    assert north == pytest.approx(laid.ground[:, 1].max() + 45)
+    assert (east - west, north - south) == pytest.approx((3 * 100 + 90, 4 * 100 + 90), rel=0.02)
+    np.testing.assert_allclose(laid.off(3), geo.metres([laid.queries[3]] * 14, laid.tiles))
+    assert laid.off(3)[3] == pytest.approx(0, abs=1e-6)
+
+
+def test_the_picture_of_all_tiles_shows_each_at_its_place(tmp_path: Path) -> None:
+    colours = [(200, 30, 30), (30, 200, 30), (30, 30, 200)]
+    files = []
+    for i, colour in enumerate(colours):
+        worlds.write(tmp_path / f"{i}.png", np.full((40, 40, 3), colour, np.uint8))
+        files.append(tmp_path / f"{i}.png")
+    tiles = [Position(0.0, 0.0, width=100), Position(0.003, 0.0, width=100), Position(0.0, 0.003, width=100)]
+    laid = chart.places(tiles, tiles)
+    picture = chart.mosaic(laid, files)
+    west, south, east, north = laid.bounds()
+    scale = chart.LARGEST / max(east - west, north - south)
+    assert max(picture.shape[:2]) == chart.LARGEST
+    for (x, y), colour in zip(laid.ground, colours, strict=True):
+        assert picture[int((north - y) * scale), int((x - west) * scale)].tolist() == list(colour)
+    assert picture[0, -1].max() < 60
+
+
+def test_a_width_that_is_not_given_is_the_usual_distance() -> None:
+    tiles = [Position(0.0, i * 0.001) for i in range(6)]
+    assert chart.places(tiles, tiles).width == pytest.approx(111.2, abs=0.1)
+    assert chart.places(tiles[:1], tiles[:1]).width == 100
