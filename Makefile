@@ -7,7 +7,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c co
 HOST   ?= 127.0.0.1
 PORT   ?= 8080
 
-.PHONY: explore setup test check bench format clean
+.PHONY: explore setup test check bench demo format clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -27,6 +27,10 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) torch==2.13.0
 	$(PIP) -e '.[train,dev]'
 	touch $@ $(VENV)/.train $(VENV)/.base
+
+$(VENV)/.world: $(VENV)/.train
+	$(PIP) -e '.[train,world]'
+	touch $@
 
 # A browser for the tests: the system's, else Debian's package (as root), else playwright's own.
 $(VENV)/.browser: $(VENV)/.dev
@@ -60,6 +64,15 @@ format: $(VENV)/.dev
 bench: $(VENV)/.browser
 	$(BIN)/python -m bench.forward
 	$(BIN)/python -m bench.page $(DATA) $(MODEL)
+
+# The demo made again, in runs/: a city rendered, a network trained on it, both packed. Every step goes on where it stopped.
+# INIT=file: ImageNet weights of a ResNet-18, with torchvision's names.
+demo: $(VENV)/.world
+	$(BIN)/lpn world --out runs/world --seed 0 --buildings 200 --views 6 --samples 4
+	$(BIN)/lpn train --data runs/world --out runs/demo --recipe world $(if $(INIT),--init "$(INIT)") \
+	  $(if $(wildcard runs/demo/state.pt),--resume)
+	$(BIN)/lpn export --model runs/demo/last.safetensors --out runs/demo/lpn.onnx
+	$(BIN)/python assets/pack.py runs/world runs/demo/lpn.onnx runs/demo/packed
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache *.egg-info

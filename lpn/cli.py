@@ -110,8 +110,8 @@ class Train:
     """Data set in University-1652's layout."""
     out: Path
     """Folder of the run: last.safetensors, log.csv, and what --resume needs."""
-    recipe: Literal["university1652", "small"] = "university1652"
-    """The paper's recipe, or one for some hundred places."""
+    recipe: Literal["university1652", "small", "world"] = "university1652"
+    """The paper's recipe, one for some hundred places, or the latter for drone pictures of all headings."""
     init: Path | None = None
     """Weights for the backbone (.safetensors or .pth, torchvision's names), loaded as far as they go."""
     resume: bool = False

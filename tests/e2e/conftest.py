@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
 
+from lpn.cli import DEMO
 from lpn.export import export
 from tests import worlds
 from tests.conftest import RealRun
@@ -39,12 +40,13 @@ class Running:
 
 
 @contextmanager
-def started(data: Path, model: Path, cache: Path) -> Iterator[Running]:
-    """`lpn explore` as a process of its own."""
+def started(data: Path, model: Path, cache: Path, default: bool = False) -> Iterator[Running]:
+    """`lpn explore` as a process of its own; by default it is told neither data nor model."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "lpn.cli", "explore", "--data", data, "--model", model, "--port", str(port)]
+    chosen = [] if default else ["--data", data, "--model", model]
+    command = [sys.executable, "-m", "lpn.cli", "explore", *chosen, "--port", str(port)]
     environment = {**os.environ, "LPN_CACHE": str(cache)}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert process.stdout is not None
@@ -69,6 +71,13 @@ def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """The app on drawn places."""
     folder = tmp_path_factory.mktemp("app")
     with started(worlds.make_dataset(folder / "places"), worlds.make_model(folder), folder / "cache") as running:
+        yield running
+
+
+@pytest.fixture
+def demo_app(tmp_path: Path) -> Iterator[Running]:
+    """The app as it starts when nothing is chosen."""
+    with started(DEMO, DEMO / "lpn.onnx", tmp_path / "cache", default=True) as running:
         yield running
 
 

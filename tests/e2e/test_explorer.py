@@ -221,6 +221,21 @@ def test_the_map_says_how_far_off_the_answer_is(mapped_app: Running, contexts: C
     assert difference(pair, explorer.stage()) < difference(pair, shown) / 2
 
 
+def test_the_demo_opens_without_being_told_anything(
+    demo_app: Running, contexts: Callable[[], BrowserContext], tmp_path: Path
+) -> None:
+    explorer = Explorer(contexts().new_page())
+    explorer.open(demo_app.url)
+    expect(explorer.page.locator("#lpn-header")).to_contain_text("demo")
+    expect(explorer.page.locator("#lpn-header")).to_contain_text("within 50 m")
+    query = datasets.open_dataset(demo_app.data).queries("drone")[0]
+    assert_shows(explorer, demo_app, expected(demo_app, query.name))
+    explorer.key("m")
+    expect(explorer.field("Map")).to_be_checked()
+    assert len(np.unique(cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_GRAYSCALE))) > 100
+    assert not (tmp_path / "cache").exists()  # what is shown was described before
+
+
 def test_without_positions_there_is_no_map(explorer: Explorer) -> None:
     before = explorer.stage()
     explorer.key("m")

@@ -125,6 +125,28 @@ def test_a_cache_that_cannot_be_written_says_how_to_choose_another(
         features.cached_descriptors(model, [Picture(features.pictures_below(folder)[0], 1, "1")], "drone")
 
 
+def test_a_store_that_comes_along_is_used_for_its_own_pictures_and_model(
+    model: Model, folder: Path, tmp_path: Path
+) -> None:
+    from lpn.datasets import Picture
+
+    files = features.pictures_below(folder)
+    made = np.array(features.describe(model, files, "drone", tmp_path / "store", root=folder).descriptors)
+    copied = [tmp_path / "copy" / file.relative_to(folder) for file in files]
+    for source, target in zip(files, copied, strict=True):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(source.read_bytes())
+    pictures = [Picture(file, 1, file.stem) for file in copied]
+    shipped = features.shipped_descriptors(model, pictures, "drone", tmp_path / "store")
+    assert shipped is not None
+    np.testing.assert_array_equal(shipped, made)
+    assert features.shipped_descriptors(model, pictures, "satellite", tmp_path / "store") is None
+    assert features.shipped_descriptors(model, pictures[1:], "drone", tmp_path / "store") is None
+    assert features.shipped_descriptors(model, pictures, "drone", tmp_path / "absent") is None
+    copied[3].write_bytes(copied[3].read_bytes() + b"\0")
+    assert features.shipped_descriptors(model, pictures, "drone", tmp_path / "store") is None
+
+
 def test_two_at_once_describe_into_one_folder_once(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
