@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -116,11 +117,20 @@ def _attempt(seed: int, wanted: int, more: int) -> City | None:
     targets = _choose(draft, districts, wanted, np.random.default_rng([seed, 6]))
     if targets is None:
         return None
+    _forget_unused(draft)
     return City(
         seed, tuple(districts), tuple(streets), tuple(blocks), tuple(draft.architectures), tuple(draft.buildings),
         tuple(draft.patches), tuple(draft.paths), tuple(draft.hedges), tuple(bridges), terrain,
         Trees(*_columns(draft.trees)), Stalls(*_columns(draft.stalls)), targets,
     )  # fmt: skip
+
+
+def _forget_unused(draft: Draft) -> None:
+    """Drop architectures that no building got, such as those there was no room for."""
+    used = sorted({building.architecture for building in draft.buildings})
+    renumbered = {old: new for new, old in enumerate(used)}
+    draft.architectures[:] = [draft.architectures[i] for i in used]
+    draft.buildings[:] = [replace(b, architecture=renumbered[b.architecture]) for b in draft.buildings]
 
 
 def _columns(rows: list[tuple[float, float, int, float, float]] | list[tuple[float, float, float, int, float]]) -> Points:
