@@ -194,6 +194,15 @@ def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amoun
         return []
     items: list[Item] = []
     taken: list[tuple[float, float, float, float]] = []
+    for _ in range(int(rng.poisson(1.5 + w * d / 260))):  # fields of newer or older covering, and walkways
+        a, b = rng.uniform(2, max(3, w * 0.6)), rng.uniform(1.2, max(2, d * 0.6))
+        if rng.random() < 0.3:
+            b = 1.0
+        x, y = rng.uniform(x0, x1), rng.uniform(y0, y1)
+        left, right, low, high = max(x - a / 2, x0), min(x + a / 2, x1), max(y - b / 2, y0), min(y + b / 2, y1)
+        tint = near(rng, (WHITE, LIGHT, GREY, DARK, GRAVEL, LIGHT)[rng.integers(6)])
+        items.append(Item("box", float(left + right) / 2, float(low + high) / 2, z, float(right - left), float(high - low),
+                          0.04 + 0.01 * len(items), 0.0, tint))  # fmt: skip
 
     def put(shape: ItemShape, x: float, y: float, length: float, width: float, height: float, tint: Colour) -> bool:
         inside = x - length / 2 >= x0 and x + length / 2 <= x1 and y - width / 2 >= y0 and y + width / 2 <= y1
@@ -222,18 +231,18 @@ def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amoun
         for y in np.arange(y0 + 1.2, y0 + d * rng.uniform(0.5, 1.0), 2.6):
             for x in np.arange(x0 + 2.5, x0 + w * 0.8, 5.2):
                 put("solar", float(x), float(y), 5.0, 1.7, 0.5, (0.02, 0.03, 0.07))
-    for _ in range(int(amount * rng.poisson(1.5 + w * d / 90))):  # air handlers, often in small rows
+    for _ in range(int(amount * rng.poisson(2 + w * d / 60))):  # air handlers, often in small rows
         x, y = somewhere()
         size = (rng.uniform(0.9, 2.8), rng.uniform(0.9, 2.0))
         tint = near(rng, (WHITE, LIGHT, STEEL, GREY)[rng.integers(4)])
         for step in range(int(rng.integers(1, 4))):
             put("box", x + step * (size[0] + 0.7), y, *size, rng.uniform(0.7, 1.7), tint)
-    for _ in range(int(amount * rng.poisson(0.6 + w * d / 400))):  # ducts
+    for _ in range(int(amount * rng.poisson(1 + w * d / 220))):  # ducts
         x, y = somewhere()
         length, across = rng.uniform(5, 14), rng.uniform(0.6, 1.0)
         size = (length, across) if rng.random() < 0.5 else (across, length)
         put("box", x, y, *size, 0.7, near(rng, STEEL))
-    for _ in range(int(amount * rng.poisson(2 + w * d / 70))):  # vents
+    for _ in range(int(amount * rng.poisson(3 + w * d / 45))):  # vents
         x, y = somewhere()
         across = rng.uniform(0.35, 1.1)
         put("cylinder", x, y, across, across, rng.uniform(0.4, 1.0), near(rng, LIGHT))
@@ -267,6 +276,32 @@ def _joined(kind: Kind, outline: tuple[Corner, ...], parts: list[Part], items: l
     )
 
 
+def _storey(
+    rng: np.random.Generator, dress: Dress, wing: tuple[Corner, ...], eaves: float, parts: list[Part]
+) -> list[Item]:
+    """Roof plant of a wing, around and on a set-back upper storey where it has one."""
+    below = plant(rng, wing, eaves)
+    if rng.random() > 0.5:
+        return below
+    (x0, y0), (x1, y1) = np.array(wing).min(axis=0) + 2.0, np.array(wing).max(axis=0) - 2.0
+    share = rng.uniform(0.3, 0.7)
+    if x1 - x0 > y1 - y0:
+        x0 += rng.uniform(0, 1 - share) * (x1 - x0)
+        x1 = x0 + share * (np.array(wing)[:, 0].max() - 2.0 - x0)
+    else:
+        y0 += rng.uniform(0, 1 - share) * (y1 - y0)
+        y1 = y0 + share * (np.array(wing)[:, 1].max() - 2.0 - y0)
+    if x1 - x0 < 5 or y1 - y0 < 5:
+        return below
+    upper = box(float(x0), float(y0), float(x1), float(y1))
+    parts.append(dress.part(upper, eaves + dress.storey, base=eaves))
+    clear = [
+        i for i in below
+        if not (x0 - i.length / 2 < i.x < x1 + i.length / 2 and y0 - i.width / 2 < i.y < y1 + i.width / 2)
+    ]  # fmt: skip
+    return clear + plant(rng, upper, eaves + dress.storey)
+
+
 def _wings(rng: np.random.Generator, kind: Kind, wings: list[tuple[Corner, ...]], outline: tuple[Corner, ...],
            pitched: bool, storeys: int) -> Architecture:  # fmt: skip
     """A building of straight wings: flat with different heights, or pitched with roofs that run into each other."""
@@ -289,18 +324,19 @@ def _wings(rng: np.random.Generator, kind: Kind, wings: list[tuple[Corner, ...]]
                 items.append(Item("box", float(px), float(py), height, 1.0, 1.0, rise + 1.2, 0.0, near(rng, BRICK)))
         else:
             parts.append(dress.part(wing, height))
-            items.extend(plant(rng, wing, height))
+            items.extend(_storey(rng, dress, wing, height, parts))
     return _joined(kind, outline, parts, items)
 
 
 def slab(rng: np.random.Generator, kind: Kind = "slab", storeys: tuple[int, int] = (3, 7)) -> Architecture:
     """A straight block with a flat roof and perhaps a low annexe."""
     dress = modern(rng)
-    length, width = rng.uniform(34, 62), rng.uniform(12, 19)
+    length, width = rng.uniform(36, 70), rng.uniform(13, 21)
     eaves = int(rng.integers(*storeys)) * dress.storey
     wing = box(0, 0, length, width)
-    parts, items = [dress.part(wing, eaves)], plant(rng, wing, eaves)
-    if rng.random() < 0.5:  # a stair tower that breaks the outline of the roof
+    parts = [dress.part(wing, eaves)]
+    items = _storey(rng, dress, wing, eaves, parts)
+    if len(parts) == 1 and rng.random() < 0.5:  # a stair tower that breaks the outline of the roof
         x = rng.uniform(0.15, 0.85) * length
         parts.append(dress.part(box(x - 3, width * 0.3, x + 3, width * 0.75), eaves + 3.4, base=eaves))
     return _joined(kind, wing, parts, items)
@@ -308,7 +344,7 @@ def slab(rng: np.random.Generator, kind: Kind = "slab", storeys: tuple[int, int]
 
 def lshape(rng: np.random.Generator, pitched: bool = False) -> Architecture:
     """Two wings at a right angle."""
-    a, b, t = rng.uniform(34, 56), rng.uniform(28, 46), rng.uniform(12, 17)
+    a, b, t = rng.uniform(38, 66), rng.uniform(30, 52), rng.uniform(12, 19)
     wings = [box(0, 0, a, t), box(0, t if not pitched else 0, t, b)]
     outline = ((0, 0), (a, 0), (a, t), (t, t), (t, b), (0.0, b))
     return _wings(rng, "lshape", wings, outline, pitched, int(rng.integers(2, 6)))
@@ -316,7 +352,7 @@ def lshape(rng: np.random.Generator, pitched: bool = False) -> Architecture:
 
 def ushape(rng: np.random.Generator, pitched: bool = False) -> Architecture:
     """Three wings around a yard that is open to the back."""
-    a, b, t = rng.uniform(42, 62), rng.uniform(28, 44), rng.uniform(11, 15)
+    a, b, t = rng.uniform(44, 72), rng.uniform(30, 50), rng.uniform(12, 17)
     foot = 0.0 if pitched else t
     wings = [box(0, 0, a, t), box(0, foot, t, b), box(a - t, foot, a, b)]
     outline = ((0, 0), (a, 0), (a, b), (a - t, b), (a - t, t), (t, t), (t, b), (0.0, b))
@@ -325,7 +361,7 @@ def ushape(rng: np.random.Generator, pitched: bool = False) -> Architecture:
 
 def tshape(rng: np.random.Generator, pitched: bool = False) -> Architecture:
     """A wing along the street and one behind its middle."""
-    a, b, t, s = rng.uniform(40, 58), rng.uniform(32, 46), rng.uniform(12, 16), rng.uniform(12, 20)
+    a, b, t, s = rng.uniform(42, 68), rng.uniform(32, 52), rng.uniform(12, 18), rng.uniform(12, 22)
     x0, x1 = a / 2 - s / 2, a / 2 + s / 2
     wings = [box(0, 0, a, t), box(x0, t if not pitched else t / 2, x1, b)]
     outline = ((0, 0), (a, 0), (a, t), (x1, t), (x1, b), (x0, b), (x0, t), (0.0, t))
@@ -334,7 +370,7 @@ def tshape(rng: np.random.Generator, pitched: bool = False) -> Architecture:
 
 def courtyard(rng: np.random.Generator, pitched: bool = False) -> Architecture:
     """Four wings around a closed yard."""
-    a, b, t = rng.uniform(44, 62), rng.uniform(38, 52), rng.uniform(10, 14)
+    a, b, t = rng.uniform(46, 74), rng.uniform(40, 60), rng.uniform(11, 16)
     low, high = (0.0, b) if pitched else (t, b - t)
     wings = [box(0, 0, a, t), box(0, b - t, a, b), box(0, low, t, high), box(a - t, low, a, high)]
     made = _wings(rng, "courtyard", wings, box(0, 0, a, b), pitched, int(rng.integers(2, 5)))

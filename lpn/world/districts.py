@@ -53,6 +53,7 @@ class Plot:
     bodies: list[Points] = field(default_factory=list)
     hard: list[Points] = field(default_factory=list)
     paths: list[Path] = field(default_factory=list)
+    pads: list[Points] = field(default_factory=list)
     trees: list[tuple[float, float]] = field(default_factory=list)
 
     def edge(self, i: int) -> tuple[Points, Points, Points, float]:
@@ -90,7 +91,49 @@ class Plot:
         self.draft.buildings.append(
             Building(len(self.draft.buildings), index, x, y, angle, self.district.number, notable)
         )
+        if notable:
+            self._surround(x, y, *look.size, angle)
         return True
+
+    def _surround(self, x: float, y: float, length: float, depth: float, angle: float) -> None:
+        """The way to the door, and perhaps a yard with cars beside the building."""
+        rng = self.rng
+        door = float(rng.uniform(-0.3, 0.3)) * length
+        way = turned(np.array([[door, -depth / 2 + 2], [door + rng.uniform(-3, 3), -depth / 2 - 14]]), angle) + (x, y)
+        self.path(way, float(rng.uniform(1.8, 4)), "concrete" if rng.random() < 0.7 else "paved")
+        for side in (1, -1):
+            if rng.random() > 0.45:
+                continue
+            wide, long = float(rng.uniform(3, 9)), float(rng.uniform(0.3, 1.0)) * length
+            off = side * (depth + wide) / 2
+            along = float(rng.uniform(-0.5, 0.5)) * (length - long)
+            px, py = turned(np.array([[along, off]]), angle)[0] + (x, y)
+            pad = rectangle(float(px), float(py), long, wide, angle)
+            if not within(pad, self.polygon, -1).all():
+                continue
+            surface: Surface = _PADS[int(rng.integers(len(_PADS)))]
+            self.pads.append(pad)
+            self.draft.patches.append(Patch(surface, pad, angle, long, wide, float(rng.random())))
+            if wide > 5.2 and rng.random() < 0.6:
+                for step in np.arange(-long / 2 + 1.5, long / 2 - 1.2, 2.7):
+                    sx, sy = turned(np.array([[along + step, off + side * (wide / 2 - 2.6)]]), angle)[0] + (x, y)
+                    self.draft.stalls.append((float(sx), float(sy), angle + np.pi / 2, int(rng.random() < 0.2), 0.5))
+            elif surface != "lawn" and rng.random() < 0.5:
+                sx, sy = turned(np.array([[along + rng.uniform(-0.4, 0.4) * long, off]]), angle)[0] + (x, y)
+                self.draft.stalls.append((float(sx), float(sy), angle, 1, 0.6))
+
+    def shrubs(self) -> None:
+        """Bushes along the walls of large buildings."""
+        for body in self.bodies:
+            if area(body) < _NOTABLE or self.rng.random() < 0.35:
+                continue
+            for a, b in zip(body, np.roll(body, -1, axis=0), strict=True):
+                if self.rng.random() < 0.5:
+                    length = float(np.linalg.norm(b - a))
+                    out = np.array([b[1] - a[1], a[0] - b[0]]) / length
+                    along = np.arange(1, length, self.rng.uniform(1.6, 3.5))[:, None] / length
+                    places = a + (b - a) * along + out * self.rng.uniform(1.1, 1.8)
+                    self.plant_at(places[self.rng.random(len(places)) < 0.8], (5,), (5, 9), 0.7)
 
     def front(self, index: int, i: int, at: float, setback: float, gap: float = 3.0, border: float = 0.5) -> bool:
         """Put a building at `at` metres along edge i, facing its street."""
@@ -133,7 +176,7 @@ class Plot:
         keep = within(places, self.polygon, 0.8)
         for body in self.bodies:
             keep &= ~within(places, body, -gap)
-        for shape in self.hard:
+        for shape in (*self.hard, *self.pads):
             keep &= ~within(places, shape, -0.8)
         for path in self.paths:
             for a, b in zip(path.line[:-1], path.line[1:], strict=True):
@@ -165,7 +208,8 @@ def parking_rows(width: float) -> list[float]:
     return rows
 
 
-_GROVE = (0, 1, 2, 0, 1)
+_GROVE = (0, 1, 2, 0, 1, 0, 4)
+_PADS: tuple[Surface, ...] = ("concrete", "asphalt", "paved", "asphalt", "lawn", "gravel")
 
 
 def car_park(plot: Plot, x: float, y: float, length: float, width: float, angle: float) -> bool:
@@ -197,6 +241,32 @@ def _fill(plot: Plot, kinds: tuple[str, ...], shared: tuple[str, ...], setback: 
                 at += 9
 
 
+def _inside(plot: Plot, kinds: tuple[str, ...], shared: tuple[str, ...], tries: int, gap: float) -> None:
+    """Buildings in the middle of a block, parallel to one of its edges."""
+    rng = plot.rng
+    low, high = plot.polygon.min(axis=0), plot.polygon.max(axis=0)
+    for _ in range(tries):
+        kind = kinds[int(rng.integers(len(kinds)))]
+        twin = kind in shared
+        index = plot.pools.shared(kind, plot.district.split, 2, rng) if twin else plot.pools.own(kind, rng)
+        for _ in range(5):
+            x, y = rng.uniform(low, high)
+            along = plot.edge(int(rng.integers(4)))[1]
+            if plot.build(index, float(x), float(y), float(np.arctan2(along[1], along[0])), gap, 3.0):
+                break
+
+
+def _walks(plot: Plot, count: int, surface: Surface) -> None:
+    """Slightly bent paths across a block."""
+    rng = plot.rng
+    for _ in range(count):
+        a, b = (plot.polygon[i] + (plot.polygon[(i + 1) % 4] - plot.polygon[i]) * rng.uniform(0.1, 0.9)
+                for i in rng.permutation(4)[:2])  # fmt: skip
+        steps = np.linspace(0, 1, 14)[:, None]
+        side = np.array([a[1] - b[1], b[0] - a[0]]) * rng.uniform(-0.12, 0.12)
+        plot.path(a + (b - a) * steps + side * np.sin(np.pi * steps), float(rng.uniform(1.6, 3)), surface)
+
+
 def terraces(plot: Plot) -> Surface:
     """Rows of identical terraces back to back, with a garden for each house."""
     rng = plot.rng
@@ -226,7 +296,7 @@ def terraces(plot: Plot) -> Surface:
                     shed = plot.pools.shared("shed", "", 8, rng)
                     x, y = start + along * (at - length / 2 + (m + 0.4) * unit) + normal * (out + 10)
                     plot.build(shed, float(x), float(y), angle, 0.4)
-    plot.plant(int(area(plot.polygon) / 130), (1, 2, 5, 5, 4, 5), (5, 10))
+    plot.plant(int(area(plot.polygon) / 70), (1, 2, 5, 5, 4, 5), (5, 12))
     return "garden"
 
 
@@ -259,7 +329,7 @@ def detached(plot: Plot) -> Surface:
                     x, y = start + along * at + normal * (setback + 12)
                     plot.lay("paved", float(x), float(y), rng.uniform(4, 8), rng.uniform(3, 5), angle, solid=False)
             at += float(rng.uniform(17, 23))
-    plot.plant(int(area(plot.polygon) / 75), (0, 1, 2, 4, 5, 5, 1), (6, 14))
+    plot.plant(int(area(plot.polygon) / 42), (0, 1, 2, 4, 5, 5, 1), (6, 17))
     return "garden"
 
 
@@ -287,7 +357,8 @@ def dormitories(plot: Plot) -> Surface:
                 plot.path(np.stack([foot - along * step / 2, foot + along * step / 2]), 1.8, "concrete")
     spine = start + normal * (across / lanes)
     plot.path(np.stack([spine + along * 4, spine + along * (edge - 4)]), 2.4, "concrete")
-    plot.plant(int(area(plot.polygon) / 120), _GROVE, (7, 14))
+    _walks(plot, 2, "concrete")
+    plot.plant(int(area(plot.polygon) / 75), _GROVE, (8, 19))
     return "lawn"
 
 
@@ -296,7 +367,10 @@ def quadrangle(plot: Plot) -> Surface:
     old = plot.rng.random() < 0.45
     kinds = ("old courtyard", "old ushape", "old lshape", "old tshape") if old else (
         "courtyard", "lshape", "ushape", "slab", "tshape", "round")  # fmt: skip
-    _fill(plot, (*kinds, "dormitory"), ("dormitory",), 4.0, 8.0)
+    _fill(plot, (*kinds, "dormitory"), ("dormitory",), float(plot.rng.uniform(3, 9)), 6.0)
+    if plot.rng.random() < 0.6:
+        _inside(plot, kinds, (), 3, 9.0)
+    _walks(plot, 3, "gravel" if old else "concrete")
     corners = inset(plot.polygon, np.full(4, 8.0))
     for a, b in ((0, 2), (1, 3)):
         plot.path(np.stack([corners[a], corners[b]]), 2.6, "gravel" if old else "concrete")
@@ -304,19 +378,22 @@ def quadrangle(plot: Plot) -> Surface:
         plot.path(np.stack([corners[i], corners[(i + 1) % 4]]), 2.2, "gravel" if old else "concrete")
     x, y = plot.middle
     plot.lay("plaza", float(x), float(y), 18, 18, 0.0, round_=True)
-    plot.plant(int(area(plot.polygon) / 150), _GROVE, (8, 17))
+    plot.plant(int(area(plot.polygon) / 85), _GROVE, (9, 20), clump=18 if plot.rng.random() < 0.4 else 0.0)
     return "lawn"
 
 
 def laboratories(plot: Plot) -> Surface:
     """Large flat-roofed buildings close together, with yards and car parks."""
-    _fill(plot, ("slab", "lshape", "tshape", "courtyard", "ushape", "hall", "slab"), (), 3.0, 7.0)
+    kinds = ("slab", "lshape", "tshape", "courtyard", "ushape", "hall", "slab")
+    _fill(plot, kinds, (), float(plot.rng.uniform(2, 7)), 5.0)
+    _inside(plot, kinds, (), 4, 6.0)
     _leftover_parking(plot)
+    _walks(plot, 2, "concrete")
     x, y = plot.middle
     corners = inset(plot.polygon, np.full(4, 3.0))
     for corner in corners:
         plot.path(np.stack([corner, np.array([x, y])]), 3.0, "concrete")
-    plot.plant(int(area(plot.polygon) / 170), _GROVE, (6, 13))
+    plot.plant(int(area(plot.polygon) / 110), _GROVE, (7, 17))
     return "lawn" if plot.rng.random() < 0.6 else "paved"
 
 
@@ -332,11 +409,13 @@ def _leftover_parking(plot: Plot) -> None:
 
 def offices(plot: Plot) -> Surface:
     """Towers and blocks on paved ground."""
-    _fill(plot, ("tower", "slab", "lshape", "courtyard", "ushape", "tower"), (), 1.0, 6.0)
+    kinds = ("tower", "slab", "lshape", "courtyard", "ushape", "tower", "tshape")
+    _fill(plot, kinds, (), 1.0, 4.0)
+    _inside(plot, ("slab", "lshape"), (), 3, 5.0)
     _leftover_parking(plot)
     x, y = plot.middle
     plot.lay("plaza", float(x), float(y), 20, 14, 0.0)
-    plot.plant(int(area(plot.polygon) / 260), (2, 1), (6, 10))
+    plot.plant(int(area(plot.polygon) / 150), (2, 1, 0), (6, 13))
     return "paved"
 
 
@@ -368,7 +447,7 @@ def industry(plot: Plot) -> Surface:
         x, y = start + along * rng.uniform(5, edge - 5) + normal * rng.uniform(4, across - 4)
         if plot.free(rectangle(float(x), float(y), 9, 4, angle)):
             plot.draft.stalls.append((float(x), float(y), angle + float(rng.integers(4)) * np.pi / 2, 2, 0.5))
-    plot.plant(int(area(plot.polygon) / 330), (2, 3, 5, 1), (6, 11))
+    plot.plant(int(area(plot.polygon) / 190), (2, 3, 5, 1, 0), (6, 14), clump=9)
     return "asphalt" if rng.random() < 0.65 else "concrete"
 
 
@@ -413,18 +492,18 @@ def old_town(plot: Plot) -> Surface:
         index = plot.pools.shared(kind, "", 30, rng)
         along = plot.edge(int(rng.integers(4)))[1]
         plot.build(index, float(x), float(y), float(np.arctan2(along[1], along[0])), 1.5)
-    plot.plant(int(area(plot.polygon) / 110), (1, 2, 5, 5), (4, 9))
+    plot.plant(int(area(plot.polygon) / 80), (1, 2, 5, 5), (5, 12))
     return "paved" if rng.random() < 0.6 else "garden"
 
 
 def civic(plot: Plot) -> Surface:
     """Public buildings around a square."""
-    _fill(plot, ("old courtyard", "old ushape", "church", "old tshape", "round", "old lshape"), (), 3.0, 5.0)
+    _fill(plot, ("old courtyard", "old ushape", "church", "old tshape", "old lshape", "courtyard"), (), 3.0, 5.0)
     x, y = plot.middle
     for size in (40, 28, 18):
         if plot.lay("plaza", float(x), float(y), size, size * 0.8, float(plot.rng.uniform(0, 3))):
             break
-    plot.plant(int(area(plot.polygon) / 200), (2, 1, 0), (7, 12))
+    plot.plant(int(area(plot.polygon) / 120), (2, 1, 0), (7, 15))
     return "paved"
 
 
@@ -458,7 +537,8 @@ def sports(plot: Plot) -> Surface:
                 plot.lay("court", *at(float(share), depth), 30, 15.5, angle)
     plot.build(plot.pools.shared("pavilion", plot.district.split, 3, rng), *at(0.1, 0.5), angle)
     _leftover_parking(plot)
-    plot.plant(int(area(plot.polygon) / 130), (2, 0, 3, 1), (8, 14))
+    _walks(plot, 2, "gravel")
+    plot.plant(int(area(plot.polygon) / 80), (2, 0, 3, 1), (8, 17))
     return "lawn"
 
 
@@ -475,15 +555,9 @@ def park(plot: Plot) -> Surface:
             extent = (high - low) * size * rng.uniform(0.7, 1.1, 2)
             if plot.lay("water", float(x), float(y), *extent.tolist(), float(rng.uniform(0, 3)), round_=True):
                 break
-    for _ in range(3):
-        a, b = (plot.polygon[i] + (plot.polygon[(i + 1) % 4] - plot.polygon[i]) * rng.uniform(0.1, 0.9)
-                for i in rng.permutation(4)[:2])  # fmt: skip
-        steps = np.linspace(0, 1, 16)[:, None]
-        side = np.array([a[1] - b[1], b[0] - a[0]]) * rng.uniform(-0.2, 0.2)
-        plot.path(a + (b - a) * steps + side * np.sin(np.pi * steps) + side * 0.4 * np.sin(2 * np.pi * steps), 2.4,
-                  "gravel")  # fmt: skip
-    plot.plant(int(area(plot.polygon) / 75), (0, 1, 2, 4, 0, 5), (8, 19), clump=16)
-    plot.plant(int(area(plot.polygon) / 330), (0, 1, 2, 3, 4), (8, 18))
+    _walks(plot, 4, "gravel")
+    plot.plant(int(area(plot.polygon) / 45), (0, 1, 2, 4, 0, 5), (8, 21), clump=16)
+    plot.plant(int(area(plot.polygon) / 200), (0, 1, 2, 3, 4), (8, 20))
     return "lawn" if rng.random() < 0.6 else "meadow"
 
 
@@ -502,7 +576,7 @@ def school(plot: Plot) -> Surface:
             if plot.lay(surface, float(x), float(y), *size, angle):  # type: ignore[arg-type]
                 break
     _leftover_parking(plot)
-    plot.plant(int(area(plot.polygon) / 130), _GROVE, (6, 12))
+    plot.plant(int(area(plot.polygon) / 90), _GROVE, (7, 16))
     return "lawn"
 
 
@@ -554,7 +628,7 @@ _USES: dict[Character, tuple[tuple[Use, float], ...]] = {
     "centre": ((offices, 0.52), (civic, 0.16), (laboratories, 0.16), (retail, 0.1), (park, 0.06)),
     "sports": ((sports, 0.45), (dormitories, 0.27), (detached, 0.14), (school, 0.14)),
     "park": ((park, 0.36), (quadrangle, 0.24), (terraces, 0.16), (dormitories, 0.16), (detached, 0.08)),
-    "countryside": ((countryside, 1.0),),
+    "countryside": ((countryside, 0.62), (detached, 0.2), (park, 0.18)),
     "river": ((riverside, 1.0),),
 }
 
@@ -563,7 +637,9 @@ def develop(plot: Plot) -> Surface:
     """Fill a block by the character of its district; returns what covers the rest of it."""
     options = _USES[plot.district.character]
     chosen = plot.rng.choice(len(options), p=[weight for _, weight in options])
-    return options[chosen][0](plot)
+    surface = options[chosen][0](plot)
+    plot.shrubs()
+    return surface
 
 
 def along_street(street: Street, draft: Draft, rng: np.random.Generator, terrain: Terrain) -> None:
@@ -571,9 +647,9 @@ def along_street(street: Street, draft: Draft, rng: np.random.Generator, terrain
     steps = np.diff(street.line, axis=0)
     lengths = np.concatenate([[0], np.cumsum(np.linalg.norm(steps, axis=1))])
     total = float(lengths[-1])
-    trees = rng.random() < (0.75 if street.kind == "arterial" else 0.4)
+    trees = street.pavement > 1 and rng.random() < (0.75 if street.kind == "arterial" else 0.45)
     species = int(rng.integers(0, 4))
-    size = float(rng.uniform(6, 11))
+    size = float(rng.uniform(6, 14))
 
     def at(along: float, aside: float) -> tuple[float, float, float]:
         x, y = (float(np.interp(along, lengths, street.line[:, k])) for k in (0, 1))
@@ -581,7 +657,7 @@ def along_street(street: Street, draft: Draft, rng: np.random.Generator, terrain
         angle = float(np.arctan2(dy, dx))
         return x - np.sin(angle) * aside, y + np.cos(angle) * aside, angle
 
-    parked = 0.0 if street.kind == "arterial" else float(rng.choice([0.0, 0.25, 0.6]))
+    parked = 0.0 if street.kind == "arterial" or street.pavement < 1 else float(rng.choice([0.0, 0.35, 0.7]))
     for side in (-1, 1):
         if parked:
             for along in np.arange(12, total - 12, 6.2):

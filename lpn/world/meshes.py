@@ -41,6 +41,14 @@ class Mesh:
         self.materials.append(material)
         self.tints.append(tint)
 
+    def quads(self, corners: Points, material: str, tints: Points) -> None:
+        """Many quadrilaterals (n, 4, 3) at once, with tints (n, 3)."""
+        self.vertices.append(corners.reshape(-1, 3))
+        self.uv.append(corners.reshape(-1, 3)[:, :2] / COVER)
+        self.sizes.extend([4] * len(corners))
+        self.materials.extend([material] * len(corners))
+        self.tints.extend((r, g, b) for r, g, b in tints.tolist())
+
     def wall(self, a: Points, b: Points, low: float, high: float, part: Part, start: float = 0.0) -> None:
         """A wall from a to b, outside to the right, with whole window units."""
         length = float(np.linalg.norm(b - a))
@@ -211,8 +219,8 @@ def tree(species: str, rng: np.random.Generator) -> Mesh:
     """A tree of height 1: some hundred leaf clumps as small quads, darker inside and below."""
     mesh = Mesh()
     across, low, lumps, leaves = {
-        "oak": (0.47, 0.2, 14, 800), "maple": (0.4, 0.18, 11, 700), "lime": (0.34, 0.16, 9, 620),
-        "poplar": (0.17, 0.08, 7, 520), "fir": (0.24, 0.06, 0, 760), "bush": (0.7, 0.0, 6, 300),
+        "oak": (0.52, 0.16, 22, 2300), "maple": (0.44, 0.14, 17, 2000), "lime": (0.38, 0.13, 13, 1700),
+        "poplar": (0.17, 0.08, 9, 1200), "fir": (0.24, 0.06, 0, 1600), "bush": (0.7, 0.0, 7, 420),
     }[species]  # fmt: skip
     if species == "fir":
         height = 1 - np.sqrt(rng.uniform(0.0, 1, leaves)) * (1 - low)
@@ -220,7 +228,7 @@ def tree(species: str, rng: np.random.Generator) -> Mesh:
         reach = across * (1 - height) ** 0.85 * rng.uniform(0.75, 1.05, leaves) * (1 + 0.2 * np.sin(around * 5))
         places = np.stack([np.cos(around) * reach, np.sin(around) * reach, height], axis=1)
         outward = places * (1, 1, 0) + (0, 0, 0.15)
-        size = 0.055
+        size = 0.035
     else:
         centre = np.array([0, 0, (1 + low) / 2])
         half = np.array([across, across, (1 - low) / 2])
@@ -231,19 +239,19 @@ def tree(species: str, rng: np.random.Generator) -> Mesh:
         pick = rng.integers(lumps, size=leaves)
         outward = rng.normal(size=(leaves, 3)) + direction[pick] * 0.6 + (0, 0, 0.3)
         outward /= np.linalg.norm(outward, axis=1)[:, None]
-        reach = rng.uniform(0.3, 0.5, lumps)[pick] * rng.uniform(0.85, 1.08, leaves)
+        reach = rng.uniform(0.22, 0.46, lumps)[pick] * rng.uniform(0.8, 1.1, leaves)
         places = hearts[pick] + outward * reach[:, None] * half
-        size = 0.075 if species != "bush" else 0.16
+        size = 0.043 if species != "bush" else 0.13
     shade = np.clip(0.55 + 0.55 * (places[:, 2] - low) / (1 - low), 0.5, 1.1) * rng.uniform(0.7, 1.25, leaves)
     outward = outward + rng.normal(0, 0.35, outward.shape)
     outward /= np.linalg.norm(outward, axis=1)[:, None]
     first = np.cross(outward, rng.normal(size=outward.shape))
     first /= np.linalg.norm(first, axis=1)[:, None]
     second = np.cross(outward, first)
-    for p, u, v, s, e in zip(places, first, second, shade, size * rng.uniform(0.6, 1.2, leaves), strict=True):
-        tint = (float(s), float(s), float(s * rng.uniform(0.8, 1.1)))
-        mesh.add(np.array([p - e * u - e * v * 0.6, p + e * u - e * v, p + e * u * 0.7 + e * v, p - e * u + e * v * 0.8]),
-                 "leaves", tint)  # fmt: skip
+    edge = (size * rng.uniform(0.6, 1.3, leaves))[:, None]
+    u, v = edge * first, edge * second
+    corners = np.stack([places - u - v * 0.6, places + u - v, places + u * 0.7 + v, places - u + v * 0.8], axis=1)
+    mesh.quads(corners, "leaves", np.stack([shade, shade, shade * rng.uniform(0.8, 1.1, leaves)], axis=1))
     if species not in ("fir", "bush"):
         mesh.box(0, 0, -0.1, 0.03, 0.03, 0.1 + (1 + low) / 2, 0, "plain", (0.1, 0.08, 0.06))
     return mesh

@@ -167,7 +167,7 @@ def ground(city: City, west: float, north: float, size: float, scale: float, sea
         ring = city.footprint(building)
         if seen(ring):
             canvas.fill(_grown(ring, 1.3), (0.24, 0.22, 0.18), 0.15, 0.3, 0.45, soft=0.5)
-    _streets(canvas, [street for street in city.streets if seen(street.line)])
+    _streets(canvas, [street for street in city.streets if seen(street.line)], season)
     _river(canvas, city, window)
     return np.clip(canvas.colour, 0.005, 0.85), np.clip(canvas.water, 0, 1)
 
@@ -331,14 +331,21 @@ def _track(canvas: Canvas, patch: Patch, season: Season, local: object) -> None:
     _grass(canvas, oval(patch.width / 2 - 8.8, straight), season, 0.1, 0.5)
 
 
-def _streets(canvas: Canvas, streets: list[Street]) -> None:
+def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
     for street in streets:
-        canvas.line(street.line, street.width + 2 * street.pavement, PAVING, 0.08, 1.0, 0.14)
+        rng = np.random.default_rng(int(abs(street.line[0].sum()) * 10) + 1)
+        tone = rng.uniform(0.6, 1.15)
+        paving: Colour = (PAVING[0] * tone, PAVING[1] * tone, PAVING[2] * tone)
+        canvas.line(street.line, street.width + 2 * street.pavement, paving, 0.08, 1.0, 0.16)
+        if street.pavement > 1.5 and rng.random() < 0.4:  # a verge between kerb and pavement
+            for side in (-1, 1):
+                canvas.line(_beside(street.line, side * (street.width / 2 + street.pavement * 0.3)), street.pavement * 0.5,
+                            season.grass, 0.15, 0.85, 0.25)  # fmt: skip
     for street in streets:
-        canvas.line(street.line, street.width + 0.35, (0.42, 0.41, 0.39), 0.05)
+        canvas.line(street.line, street.width + 0.35, (0.36, 0.35, 0.33), 0.05, 0.7)
     for street in streets:
         rng = np.random.default_rng(int(abs(street.line[0].sum()) * 10))
-        factor = rng.uniform(0.75, 1.45)
+        factor = rng.uniform(0.8, 1.8)
         canvas.line(street.line, street.width, tuple(factor * v for v in ASPHALT), 0.07, 1.0, 0.14)  # type: ignore[arg-type]
     for street in streets:
         rng = np.random.default_rng(int(abs(street.line[-1].sum()) * 10))

@@ -33,10 +33,10 @@ _ORDER: tuple[Character, ...] = (
     "university", "housing", "old town", "industry", "university", "centre", "housing", "sports", "university", "park",
 )  # fmt: skip
 _BLOCKS: dict[Character, tuple[float, float, float]] = {  # longest, widest, slant
-    "university": (170, 120, 0.06),
-    "housing": (150, 80, 0.05),
+    "university": (215, 150, 0.08),
+    "housing": (165, 84, 0.07),
     "industry": (190, 120, 0.04),
-    "old town": (105, 75, 0.14),
+    "old town": (110, 78, 0.15),
     "centre": (125, 90, 0.04),
     "sports": (190, 130, 0.05),
     "park": (230, 170, 0.09),
@@ -104,7 +104,7 @@ def _attempt(seed: int, wanted: int, more: int) -> City | None:
         districts.append(District(len(districts), name, character, split, polygon))
         own = np.random.default_rng([seed, 3, i, j])
         quad = Quad(corners, (margin("arterial"),) * 4)
-        for number, piece in enumerate(divide(quad, *_BLOCKS[character], own, warp, streets)):
+        for number, piece in enumerate(divide(quad, *_BLOCKS[character], own, warp, streets, character == "countryside")):
             block_rng = np.random.default_rng([seed, 4, i, j, number])
             outline = inset(warp(piece.corners), np.array(piece.margins))
             plot = uses.Plot(outline, districts[-1], block_rng, draft, pools, terrain)

@@ -50,10 +50,10 @@ def densified(line: Points, step: float = 12.0) -> Points:
     return np.concatenate([*pieces, line[-1:]])
 
 
-def street(line: Points, kind: StreetKind, warp: Warp) -> Street:
-    """A street along a straight line of the grid."""
+def street(line: Points, kind: StreetKind, warp: Warp, rural: bool = False) -> Street:
+    """A street along a straight line of the grid; without pavements in the countryside."""
     width = {"arterial": ARTERIAL, "local": LOCAL, "lane": LANE}[kind]
-    return Street(warp(densified(line)), width, kind, _PAVEMENT[kind])
+    return Street(warp(densified(line)), width, kind, 0.3 if rural else _PAVEMENT[kind])
 
 
 def margin(kind: StreetKind) -> float:
@@ -62,7 +62,8 @@ def margin(kind: StreetKind) -> float:
 
 
 def divide(
-    quad: Quad, long: float, short: float, slant: float, rng: np.random.Generator, warp: Warp, streets: list[Street]
+    quad: Quad, long: float, short: float, slant: float, rng: np.random.Generator, warp: Warp, streets: list[Street],
+    rural: bool = False,
 ) -> list[Quad]:
     """Cut a quad until no block is longer than `long` and wider than `short`; the cuts become streets.
 
@@ -84,12 +85,12 @@ def divide(
     lean = rng.uniform(-slant, slant)
     foot = corners[0] + (corners[1] - corners[0]) * np.clip(share + lean, 0.25, 0.75)
     head = corners[3] + (corners[2] - corners[3]) * np.clip(share - lean, 0.25, 0.75)
-    kind: StreetKind = "local" if size > 150 or rng.random() < 0.4 else "lane"
-    streets.append(street(np.stack([foot, head]), kind, warp))
+    kind: StreetKind = "local" if not rural and (size > 150 or rng.random() < 0.4) else "lane"
+    streets.append(street(np.stack([foot, head]), kind, warp, rural))
     half = margin(kind)
     left = Quad(np.stack([corners[0], foot, head, corners[3]]), (margins[0], half, margins[2], margins[3]))
     right = Quad(np.stack([foot, corners[1], corners[2], head]), (margins[0], margins[1], margins[2], half))
     return [
-        *divide(left, long, short, slant, rng, warp, streets),
-        *divide(right, long, short, slant, rng, warp, streets),
+        *divide(left, long, short, slant, rng, warp, streets, rural),
+        *divide(right, long, short, slant, rng, warp, streets, rural),
     ]
