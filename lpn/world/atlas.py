@@ -1,8 +1,8 @@
 """Every picture of a world before it is taken: its path, camera, and place; and the files that say so.
 
-    world.json   what stands where, and how each picture was taken
-    geo.csv      path,latitude,longitude,altitude,heading of each picture; altitude is the camera's height in metres
-                 above the plan's level 0, empty for satellite tiles
+world.json   what stands where, and how each picture was taken
+geo.csv      path,latitude,longitude,altitude,heading of each picture; altitude is the camera's height in metres
+             above the plan's level 0, empty for satellite tiles
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import numpy as np
 
 from lpn.world.cameras import Pose, Site, Tile, drone_poses, tile_around
 from lpn.world.city import City, Target
-from lpn.world.photo import SATELLITES
 from lpn.world.plan import plan_city
 
 FORMAT = "lpn-world/1"
@@ -61,14 +60,14 @@ class Sector:
     Attributes:
         x, y: middle of the square around its targets.
         reach: half its side.
-        day: which of the satellites' looks it has.
+        district: whose weather it has.
     """
 
     number: int
     x: float
     y: float
     reach: float
-    day: int
+    district: int
     tiles: tuple[Shot, ...]
     frames: tuple[Shot, ...]
 
@@ -96,7 +95,13 @@ class Atlas:
             "settings": asdict(self.settings),
             "site": {**asdict(site), "note": "A fictional place; the plan's metres are x east and y north of it."},
             "districts": [
-                {"number": d.number, "name": d.name, "character": d.character, "split": d.split, "polygon": _ring(d.polygon)}
+                {
+                    "number": d.number,
+                    "name": d.name,
+                    "character": d.character,
+                    "split": d.split,
+                    "polygon": _ring(d.polygon),
+                }
                 for d in city.districts
             ],
             "buildings": [self._building(target) for target in city.targets],
@@ -167,10 +172,9 @@ def make_atlas(settings: Settings) -> Atlas:
         places = np.array([[city.buildings[t.building].x, city.buildings[t.building].y] for t in groups[key]])
         low, high = places.min(axis=0), places.max(axis=0)
         x, y = ((low + high) / 2).tolist()
-        day = int(np.random.default_rng([settings.seed, 21, key[0]]).integers(len(SATELLITES)))
         tiles = tuple(_tile(city, target) for target in groups[key])
         frames = tuple(shot for target in groups[key] for shot in _frames(city, target, settings.views))
-        sectors.append(Sector(number, x, y, float((high - low).max() / 2), day, tiles, frames))
+        sectors.append(Sector(number, x, y, float((high - low).max() / 2), key[0], tiles, frames))
     return Atlas(settings, Site(), city, tuple(sectors))
 
 

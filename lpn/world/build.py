@@ -18,7 +18,7 @@ from lpn.files import check_writable, write_whole
 from lpn.world import photo
 from lpn.world.atlas import SIGHT, Atlas, Sector, Settings, Shot, make_atlas
 from lpn.world.cameras import TILE, Pose, Sweep, Tile
-from lpn.world.paint import hash_of
+from lpn.world.textures import hash_of
 
 if TYPE_CHECKING:
     from lpn.world.render import Scene
@@ -67,7 +67,8 @@ class Tally:
             return "Every picture was there already."
         frame = f"{self.frame_seconds / self.frames:.2f} s a drone picture" if self.frames else "no drone pictures"
         sweep = f", {self.sweep_seconds / self.sweeps:.0f} s a satellite sector" if self.sweeps else ""
-        return f"Made {self.frames} drone pictures and {self.sweeps} satellite sectors: {frame}{sweep}, {self.scene_seconds / max(1, self.scenes):.0f} s a scene."  # fmt: skip
+        scene = f"{self.scene_seconds / max(1, self.scenes):.0f} s a scene"
+        return f"Made {self.frames} drone pictures and {self.sweeps} satellite sectors: {frame}{sweep}, {scene}."
 
 
 def build_world(settings: Settings, out: Path, part: Part | None = None, threads: int = 0) -> Tally:
@@ -99,9 +100,7 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
 
             def scene(look: photo.Look, reach: float, sector: Sector = sector) -> Scene:
                 start = time.perf_counter()
-                made = render.Scene(
-                    atlas.city, sector.x, sector.y, 2 * reach, look, settings.samples, folder, threads
-                )
+                made = render.Scene(atlas.city, sector.x, sector.y, 2 * reach, look, settings.samples, folder, threads)
                 tally.scenes += 1
                 tally.scene_seconds += time.perf_counter() - start
                 return made
@@ -122,7 +121,7 @@ MakeScene = Callable[[photo.Look, float], "Scene"]
 def _tiles(atlas: Atlas, sector: Sector, shots: list[Shot], out: Path, scene: MakeScene, tally: Tally,
            done: Callable[[], None]) -> None:  # fmt: skip
     settings = atlas.settings
-    look = photo.SATELLITES[sector.day]
+    look = photo.satellite_look(settings.seed, sector.district)
     reach = sector.reach + TILE / 2 + _SPARE
     pixels = round(2 * reach * settings.tile_pixels / TILE)
     rng = np.random.default_rng([settings.seed, 31, sector.number])
@@ -147,12 +146,13 @@ def _tiles(atlas: Atlas, sector: Sector, shots: list[Shot], out: Path, scene: Ma
 
 def _frames(atlas: Atlas, sector: Sector, shots: list[Shot], out: Path, scene: MakeScene, tally: Tally,
             done: Callable[[], None]) -> None:  # fmt: skip
-    made = scene(photo.DRONE, sector.reach + SIGHT)
+    look = photo.drone_look(atlas.settings.seed, sector.district)
+    made = scene(look, sector.reach + SIGHT)
     for shot in shots:
         assert isinstance(shot.camera, Pose)
         start = time.perf_counter()
         light = made.frame(shot.camera, atlas.settings.pixels)
-        picture = photo.develop(light, photo.DRONE, _noise(atlas.settings, shot), shot.camera)
+        picture = photo.develop(light, look, _noise(atlas.settings, shot), shot.camera)
         _write(out, shot, photo.jpeg(picture, _QUALITY))
         tally.frames += 1
         tally.frame_seconds += time.perf_counter() - start
@@ -189,4 +189,6 @@ def _check_same(settings: Settings, out: Path) -> None:
     except (ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{file} is not a world's; choose another folder.") from error
     if held != asdict(settings):
-        raise OutputError(f"{out} holds a world made with other settings ({held}); choose another folder, or delete that one.")
+        raise OutputError(
+            f"{out} holds a world made with other settings ({held}); choose another folder, or delete that one."
+        )

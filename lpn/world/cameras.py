@@ -82,8 +82,8 @@ def drone_poses(aim: tuple[float, float, float], views: int, rng: np.random.Gene
         heading = (start + 360 * ROUNDS * share + rng.uniform(-6, 6)) % 360
         away = height / np.tan(np.radians(ELEVATION))
         h = np.radians(heading)
-        place = aim[0] - away * np.sin(h), aim[1] - away * np.cos(h), aim[2] + height
-        poses.append(Pose(*(float(v) for v in place), float(heading), -ELEVATION, FIELD_OF_VIEW))
+        x, y = float(aim[0] - away * np.sin(h)), float(aim[1] - away * np.cos(h))
+        poses.append(Pose(x, y, float(aim[2] + height), float(heading), -ELEVATION, FIELD_OF_VIEW))
     if views > 1:
         height = rng.uniform(200, HIGHEST)
         poses.append(Pose(aim[0], aim[1], float(aim[2] + height), float(rng.uniform(0, 360)), -90.0, FIELD_OF_VIEW))

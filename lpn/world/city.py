@@ -204,7 +204,9 @@ class City:
 
     def footprint(self, building: Building) -> Points:
         """The building's outline on the ground (n, 2)."""
-        return turned(self.architectures[building.architecture].ring, building.angle) + (building.x, building.y)
+        ring = self.architectures[building.architecture].ring
+        outline: Points = turned(ring, building.angle) + np.array([building.x, building.y])
+        return outline
 
     def height(self, x: float, y: float) -> float:
         """Height of the ground at one point."""

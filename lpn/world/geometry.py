@@ -13,13 +13,15 @@ Points = NDArray[np.float64]
 def rectangle(x: float, y: float, length: float, width: float, angle: float) -> Points:
     """Corners (4, 2) of a rectangle around (x, y); `angle` is that of its length, in radians from east."""
     half = np.array([[-length, -width], [length, -width], [length, width], [-length, width]]) / 2
-    return turned(half, angle) + (x, y)
+    corners: Points = turned(half, angle) + np.array([x, y])
+    return corners
 
 
 def turned(points: Points, angle: float) -> Points:
     """Points (n, 2) turned counter-clockwise about the origin."""
     c, s = np.cos(angle), np.sin(angle)
-    return points @ np.array([[c, s], [-s, c]])
+    result: Points = points @ np.array([[c, s], [-s, c]])
+    return result
 
 
 def overlap(a: Points, b: Points, margin: float = 0.0) -> bool:
@@ -63,7 +65,9 @@ def area(polygon: Points) -> float:
 def ellipse(x: float, y: float, length: float, width: float, angle: float, corners: int = 28) -> Points:
     """A polygon (corners, 2) on an ellipse of these diameters."""
     around = np.arange(corners) * 2 * np.pi / corners
-    return turned(np.stack([np.cos(around) * length / 2, np.sin(around) * width / 2], axis=1), angle) + (x, y)
+    ring = np.stack([np.cos(around) * length / 2, np.sin(around) * width / 2], axis=1)
+    moved: Points = turned(ring, angle) + np.array([x, y])
+    return moved
 
 
 def segment_distance(points: Points, start: Points, end: Points) -> Points:

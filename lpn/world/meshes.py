@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,7 +131,7 @@ def _shrunk(ring: Points, by: float) -> Points:
 
 def _pitched(mesh: Mesh, part: Part, ring: Points, cover: str) -> None:
     """Gable, hip, or barrel over a rectangle whose first edge runs along the ridge."""
-    a, b, c, d = ring[:4]
+    a, b, _, d = ring[:4]
     along = (b - a) / np.linalg.norm(b - a)
     depth = float(np.linalg.norm(d - a))
     across = (d - a) / depth
@@ -152,7 +153,7 @@ def _pitched(mesh: Mesh, part: Part, ring: Points, cover: str) -> None:
         return np.array([*(a + along * x + across * y), height])
 
     travelled = 0.0
-    for (y0, z0), (y1, z1) in zip(profile[:-1], profile[1:], strict=True):
+    for (y0, z0), (y1, z1) in pairwise(profile):
         ends = [(end if part.roof == "hip" and y == depth / 2 else -over) for y in (y0, y1)]
         corners = [at(ends[0], y0, z0), at(length - ends[0], y0, z0), at(length - ends[1], y1, z1), at(ends[1], y1, z1)]
         step = float(np.hypot(y1 - y0, z1 - z0))
@@ -180,7 +181,7 @@ def _round(mesh: Mesh, part: Part, ring: Points, cover: str) -> None:
     reach = np.cos(levels) if part.roof == "dome" else np.array([1.03, 0.0])
     rings = [np.column_stack([middle + (ring - middle) * r, np.full(len(ring), part.eaves + part.rise * np.sin(t))])
              for r, t in zip(reach, levels, strict=True)]  # fmt: skip
-    for low, high in zip(rings[:-1], rings[1:], strict=True):
+    for low, high in pairwise(rings):
         for i in range(len(ring)):
             j = (i + 1) % len(ring)
             mesh.add(np.array([low[i], low[j], high[j], high[i]]), cover, part.cover_tint)
@@ -233,7 +234,7 @@ def tree(species: str, rng: np.random.Generator) -> Mesh:
         centre = np.array([0, 0, (1 + low) / 2])
         half = np.array([across, across, (1 - low) / 2])
         # Lumps around the crown, then leaves on the lumps.
-        direction = rng.normal(size=(lumps, 3)) + (0, 0, 0.35)
+        direction = rng.normal(size=(lumps, 3)) + np.array([0, 0, 0.35])
         direction /= np.linalg.norm(direction, axis=1)[:, None]
         hearts = centre + direction * half * rng.uniform(0.45, 0.72, (lumps, 1))
         pick = rng.integers(lumps, size=leaves)

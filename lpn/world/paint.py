@@ -1,21 +1,17 @@
-"""Colours of the ground, and textures of walls and roofs, as linear reflectance in float32 arrays."""
+"""The colours of the ground: what grows, is paved, marked, and worn, as linear reflectance."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from lpn.world.architecture import Colour
+from lpn.world.canvas import Canvas, Image
 from lpn.world.city import City, Patch, Street
-from lpn.world.districts import parking_rows
-from lpn.world.geometry import Points, inset, turned, within
-
-Image = NDArray[np.float32]
-_PERIOD = 1024
+from lpn.world.geometry import Points, turned, within
+from lpn.world.plot import parking_rows
 
 
 @dataclass(frozen=True)
@@ -34,94 +30,6 @@ class Season:
     leaves: tuple[Colour, ...]
 
 
-@lru_cache(maxsize=8)
-def _noise(scale: float) -> Image:
-    """A periodic field (1024, 1024) of mean 0 and deviation 1 whose blobs are about `scale` pixels wide."""
-    rng = np.random.default_rng(int(scale * 97))
-    frequency = np.fft.fftfreq(_PERIOD)
-    squared = frequency[:, None] ** 2 + frequency[None] ** 2
-    keep = np.exp(-squared * (scale * 1.8) ** 2)
-    field = np.fft.ifft2(np.fft.fft2(rng.normal(size=(_PERIOD, _PERIOD))) * keep).real
-    return ((field - field.mean()) / field.std()).astype(np.float32)
-
-
-class Canvas:
-    """The ground of a window of the city, painted layer over layer.
-
-    Attributes:
-        colour: (h, w, 3) linear reflectance, north up.
-        water: (h, w) share of water.
-    """
-
-    def __init__(self, west: float, north: float, width: float, height: float, scale: float) -> None:
-        self.west, self.north, self.scale = west, north, scale
-        self.shape = (round(height / scale), round(width / scale))
-        self.colour = np.zeros((*self.shape, 3), np.float32)
-        self.water = np.zeros(self.shape, np.float32)
-
-    def pixels(self, points: Points) -> Points:
-        """Columns and rows of points (n, 2)."""
-        return np.stack([points[:, 0] - self.west, self.north - points[:, 1]], axis=1) / self.scale
-
-    def field(self, metres: float, rows: slice, columns: slice) -> Image:
-        """Noise with blobs of that size, the same at one place of the city in every window."""
-        pixels = metres / self.scale
-        shrink = max(1, int(pixels // 24))
-        y0, x0 = round(-self.north / self.scale), round(self.west / self.scale)
-        at = (np.arange(rows.start, rows.stop) + y0) // shrink % _PERIOD
-        along = (np.arange(columns.start, columns.stop) + x0) // shrink % _PERIOD
-        noise = _noise(pixels / shrink)[np.ix_(at, along)]
-        return cv2.blur(noise, (shrink, shrink)).astype(np.float32) if shrink > 1 else noise
-
-    def _masked(self, points: Points, grow: float) -> tuple[slice, slice, Points] | None:
-        at = self.pixels(points)
-        low = np.floor(at.min(axis=0) - grow - 2).astype(int)
-        high = np.ceil(at.max(axis=0) + grow + 3).astype(int)
-        x0, y0 = np.maximum(low, 0)
-        x1, y1 = np.minimum(high, (self.shape[1], self.shape[0]))
-        if x0 >= x1 or y0 >= y1:
-            return None
-        return slice(int(y0), int(y1)), slice(int(x0), int(x1)), (at - (x0, y0)) * 16
-
-    def fill(self, polygon: Points, colour: Colour, grain: float = 0.1, blotch: float = 0.1, strength: float = 1.0,
-             water: float = 0.0, soft: float = 0.0) -> None:  # fmt: skip
-        """A polygon in a colour that varies finely (`grain`) and in large blotches; `soft` metres blur its edge."""
-        crop = self._masked(polygon, soft / self.scale * 2)
-        if crop is None:
-            return
-        rows, columns, at = crop
-        mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
-        cv2.fillPoly(mask, [at.astype(np.int32)], 255, cv2.LINE_AA, 4)
-        self._blend(rows, columns, mask, colour, grain, blotch, strength, water, soft)
-
-    def line(self, line: Points, width: float, colour: Colour, grain: float = 0.05, strength: float = 1.0,
-             blotch: float = 0.0, soft: float = 0.0) -> None:  # fmt: skip
-        """A line `width` metres wide."""
-        crop = self._masked(line, width / self.scale)
-        if crop is None:
-            return
-        rows, columns, at = crop
-        mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
-        thick = max(1, round(width / self.scale))
-        strength = min(1.0, strength * width / self.scale) if width < self.scale else strength
-        cv2.polylines(mask, [at.astype(np.int32)], False, 255, thick, cv2.LINE_AA, 4)
-        self._blend(rows, columns, mask, colour, grain, blotch, strength, 0.0, soft)
-
-    def _blend(self, rows: slice, columns: slice, mask: NDArray[np.uint8], colour: Colour, grain: float, blotch: float,
-               strength: float, water: float, soft: float) -> None:  # fmt: skip
-        weight = mask.astype(np.float32) * np.float32(strength / 255)
-        if soft:
-            weight = cv2.GaussianBlur(weight, (0, 0), soft / self.scale).astype(np.float32)
-        value = np.ones(weight.shape, np.float32)
-        if grain:
-            value += grain * self.field(0.5, rows, columns)
-        if blotch:
-            value += blotch * (0.6 * self.field(4, rows, columns) + 0.7 * self.field(23, rows, columns))
-        layer = np.clip(value, 0.3, 2.0)[..., None] * np.array(colour, np.float32)
-        self.colour[rows, columns] += weight[..., None] * (layer - self.colour[rows, columns])
-        self.water[rows, columns] += weight * (np.float32(water) - self.water[rows, columns])
-
-
 ASPHALT: Colour = (0.125, 0.125, 0.13)
 PAVING: Colour = (0.33, 0.315, 0.285)
 LINE: Colour = (0.62, 0.62, 0.60)
@@ -138,7 +46,13 @@ _GROUND: dict[str, tuple[Colour, float, float]] = {  # colour, grain, blotch
     "water": ((0.045, 0.065, 0.05), 0.0, 0.1),
     "pool": ((0.12, 0.42, 0.52), 0.0, 0.05),
 }
-_FIELDS: tuple[Colour, ...] = ((0.24, 0.2, 0.09), (0.09, 0.14, 0.04), (0.2, 0.15, 0.1), (0.14, 0.17, 0.05), (0.3, 0.26, 0.14))
+_FIELDS: tuple[Colour, ...] = (
+    (0.24, 0.2, 0.09),
+    (0.09, 0.14, 0.04),
+    (0.2, 0.15, 0.1),
+    (0.14, 0.17, 0.05),
+    (0.3, 0.26, 0.14),
+)
 
 
 def ground(city: City, west: float, north: float, size: float, scale: float, season: Season) -> tuple[Image, Image]:
@@ -147,9 +61,7 @@ def ground(city: City, west: float, north: float, size: float, scale: float, sea
     window = np.array([[west, north - size], [west + size, north - size], [west + size, north], [west, north]])
 
     def seen(points: Points, reach: float = 10.0) -> bool:
-        return bool(
-            ((points.max(axis=0) > window[0] - reach) & (points.min(axis=0) < window[2] + reach)).all()
-        )
+        return bool(((points.max(axis=0) > window[0] - reach) & (points.min(axis=0) < window[2] + reach)).all())
 
     _grass(canvas, window, season, 0.5, 1.0)
     for block in city.blocks:
@@ -175,23 +87,26 @@ def ground(city: City, west: float, north: float, size: float, scale: float, sea
 def _grown(ring: Points, by: float) -> Points:
     middle = (ring.max(axis=0) + ring.min(axis=0)) / 2
     extent = np.ptp(ring, axis=0)
-    return middle + (ring - middle) * (1 + 2 * by / extent.max())
+    grown: Points = middle + (ring - middle) * (1 + 2 * by / extent.max())
+    return grown
 
 
 def _grass(canvas: Canvas, polygon: Points, season: Season, shade: float, worn: float) -> None:
     green, dry = np.array(season.grass), np.array(season.dry)
     share = np.clip(season.dryness * (0.5 + shade) * worn, 0, 1)
     base = tuple((green + (dry - green) * share).tolist())
-    canvas.fill(polygon, base, 0.13, 0.13)  # type: ignore[arg-type]
+    canvas.fill(polygon, base, 0.13, 0.13)
     # Dry and bare places come in blotches.
-    crop = canvas._masked(polygon, 0)
+    crop = canvas.masked(polygon, 0)
     if crop is None:
         return
     rows, columns, at = crop
     mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
     cv2.fillPoly(mask, [at.astype(np.int32)], 255, cv2.LINE_AA, 4)
     blotches = np.clip(0.5 * canvas.field(9, rows, columns) + 0.5 * canvas.field(2, rows, columns) - 0.5, 0, 1)
-    weight = (mask.astype(np.float32) / 255 * blotches * np.float32(min(0.8, 0.25 + 0.55 * season.dryness * worn)))[..., None]
+    weight = (mask.astype(np.float32) / 255 * blotches * np.float32(min(0.8, 0.25 + 0.55 * season.dryness * worn)))[
+        ..., None
+    ]
     canvas.colour[rows, columns] += weight * (np.array(season.dry, np.float32) - canvas.colour[rows, columns])
 
 
@@ -226,7 +141,8 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     middle = patch.polygon.mean(axis=0)
 
     def local(points: list[tuple[float, float]]) -> Points:
-        return turned(np.array(points), patch.angle) + middle
+        moved: Points = turned(np.array(points), patch.angle) + middle
+        return moved
 
     def marked(points: list[tuple[float, float]], width: float = 0.14, strength: float = 0.85) -> None:
         canvas.line(local(points), width, LINE, 0.05, strength)
@@ -248,7 +164,12 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
         stripes = 12
         for i in range(0, stripes, 2):
             x = -length / 2 + i * length / stripes
-            band = [(x, -width / 2), (x + length / stripes, -width / 2), (x + length / stripes, width / 2), (x, width / 2)]
+            band = [
+                (x, -width / 2),
+                (x + length / stripes, -width / 2),
+                (x + length / stripes, width / 2),
+                (x, width / 2),
+            ]
             canvas.fill(local(band), (0.13, 0.21, 0.06), 0.1, 0.1, 0.3)
         ring(length - 5, width - 5)
         marked([(0, -width / 2 + 2.5), (0, width / 2 - 2.5)])
@@ -257,15 +178,24 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
             x = side * (length / 2 - 2.5)
             for deep, wide in ((0.15, 0.55), (0.05, 0.25)):
                 inner = x - side * deep * length
-                marked([(x, -wide * width / 2), (inner, -wide * width / 2), (inner, wide * width / 2), (x, wide * width / 2)])
-            canvas.fill(local([(x - side * 7, -4), (x, -4), (x, 4), (x - side * 7, 4)]), season.dry, 0.2, 0.2, 0.5, soft=1.0)
+                marked(
+                    [
+                        (x, -wide * width / 2),
+                        (inner, -wide * width / 2),
+                        (inner, wide * width / 2),
+                        (x, wide * width / 2),
+                    ]
+                )
+            canvas.fill(
+                local([(x - side * 7, -4), (x, -4), (x, 4), (x - side * 7, 4)]), season.dry, 0.2, 0.2, 0.5, soft=1.0
+            )
     elif patch.surface == "track":
-        _track(canvas, patch, season, local)
+        _track(canvas, patch, season)
     elif patch.surface == "court":
         colours: tuple[Colour, ...] = ((0.10, 0.2, 0.12), (0.3, 0.12, 0.07), (0.09, 0.16, 0.27), (0.13, 0.13, 0.13))
         canvas.fill(patch.polygon, (0.12, 0.2, 0.13) if patch.shade < 0.5 else (0.25, 0.11, 0.07), 0.03, 0.06)
-        inner = local([(-12, -5.5), (12, -5.5), (12, 5.5), (-12, 5.5)])
-        canvas.fill(inner, colours[int(patch.shade * 3.99)], 0.03, 0.06)
+        field = local([(-12, -5.5), (12, -5.5), (12, 5.5), (-12, 5.5)])
+        canvas.fill(field, colours[int(patch.shade * 3.99)], 0.03, 0.06)
         ring(23.8, 11)
         ring(23.8, 8.2)
         marked([(0, -6), (0, 6)])
@@ -296,7 +226,9 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     elif patch.surface == "playground":
         canvas.fill(patch.polygon, _GROUND["playground"][0], 0.06, 0.1)
         for i, colour in enumerate(((0.3, 0.1, 0.06), (0.5, 0.36, 0.1), (0.1, 0.2, 0.35))):
-            canvas.fill(local([(-12 + 8 * i, -5), (-6 + 8 * i, -5), (-6 + 8 * i, 3), (-12 + 8 * i, 3)]), colour, 0.05, 0.1, 0.8)
+            canvas.fill(
+                local([(-12 + 8 * i, -5), (-6 + 8 * i, -5), (-6 + 8 * i, 3), (-12 + 8 * i, 3)]), colour, 0.05, 0.1, 0.8
+            )
     else:
         _surface(canvas, patch.polygon, patch.surface, season, patch.shade)
         if patch.surface == "plaza":
@@ -304,23 +236,27 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
                 shape = middle + (patch.polygon - middle) * scale
                 canvas.line(np.concatenate([shape, shape[:1]]), 0.6, (0.24, 0.21, 0.18), 0.05, 0.7)
         if patch.surface == "garden":
-            canvas.fill(middle + (patch.polygon - middle) * (0.9, 0.55), (0.14, 0.13, 0.06), 0.25, 0.3, 0.3 + 0.4 * patch.shade)
+            canvas.fill(
+                middle + (patch.polygon - middle) * (0.9, 0.55), (0.14, 0.13, 0.06), 0.25, 0.3, 0.3 + 0.4 * patch.shade
+            )
 
 
 def _clipped(line: Points, polygon: Points) -> Points:
     """The part of a straight line inside a convex polygon."""
     places = line[0] + (line[1] - line[0]) * np.linspace(0, 1, 120)[:, None]
     inside = places[within(places, polygon, 0.3)]
-    return inside[[0, -1]] if len(inside) else places[:1]
+    ends: Points = inside[[0, -1]] if len(inside) else places[:1]
+    return ends
 
 
-def _track(canvas: Canvas, patch: Patch, season: Season, local: object) -> None:
+def _track(canvas: Canvas, patch: Patch, season: Season) -> None:
     middle = patch.polygon.mean(axis=0)
 
     def oval(radius: float, straight: float) -> Points:
         around = np.linspace(-np.pi / 2, np.pi / 2, 20)
         right = np.stack([np.cos(around) * radius + straight / 2, np.sin(around) * radius], axis=1)
-        return turned(np.concatenate([right, -right]), patch.angle) + middle
+        ring: Points = turned(np.concatenate([right, -right]), patch.angle) + middle
+        return ring
 
     straight = patch.length - patch.width
     red: Colour = (0.33, 0.12, 0.08) if patch.shade < 0.75 else (0.12, 0.18, 0.3)
@@ -373,7 +309,8 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
 def _beside(line: Points, offset: float) -> Points:
     step = np.gradient(line, axis=0)
     step /= np.linalg.norm(step, axis=1)[:, None]
-    return line + offset * np.stack([-step[:, 1], step[:, 0]], axis=1)
+    moved: Points = line + offset * np.stack([-step[:, 1], step[:, 0]], axis=1)
+    return moved
 
 
 def _dashes(canvas: Canvas, line: Points, mark: float, pitch: float) -> None:
@@ -410,77 +347,3 @@ def _river(canvas: Canvas, city: City, window: Points) -> None:
     ):
         ring = np.concatenate([_beside(near, width / 2), _beside(near, -width / 2)[::-1]])
         canvas.fill(ring, colour, 0.06, 0.12, water=water)
-
-
-def wall_texture(style: str) -> Image:
-    """A wall of 16 by 8 window units, 32 pixels each: (256, 512, 3), bottom row last."""
-    rng = np.random.default_rng([hash_of(style), 1])
-    unit = 32
-    image = np.ones((8 * unit, 16 * unit, 3), np.float32)
-    image *= 1 + 0.06 * _noise(2.0)[: 8 * unit, : 16 * unit, None] + 0.06 * _noise(30.0)[: 8 * unit, : 16 * unit, None]
-    pane = {"punched": (7, 9, 18, 14), "sash": (10, 8, 12, 17), "ribbon": (0, 9, 32, 15), "glass": (1, 3, 30, 27)}.get(style)
-    for row in range(8):
-        for column in range(16):
-            y, x = row * unit, column * unit
-            if pane is not None:
-                px, py, w, h = pane
-                glass = np.array([0.10, 0.13, 0.16]) * rng.uniform(0.5, 1.7) + (0.25 if rng.random() < 0.1 else 0.0)
-                image[y + py - 1 : y + py + h + 1, max(0, x + px - 1) : x + px + w + 1] *= 1.12
-                image[y + py : y + py + h, x + px : x + px + w] = glass
-                if style in ("punched", "sash"):
-                    image[y + py : y + py + h, x + 15 : x + 17] *= 2.0
-                    image[y + py + h : y + py + h + 2, x + px - 1 : x + px + w + 1] = 0.85
-                if style == "ribbon":
-                    image[y + py : y + py + h, x : x + 2] = 0.5
-                if style == "glass":
-                    image[y : y + 3, x : x + unit] = rng.uniform(0.6, 0.9)
-            elif style == "cladding" and row % 2 == 1 and column % 5 == 2:
-                image[y + 8 : y + 32, x + 4 : x + 28] *= 0.55
-        if style in ("ribbon", "punched"):
-            image[row * unit : row * unit + 1] *= 0.8
-    if style == "cladding":
-        image *= (1 + 0.1 * np.sign(np.sin(np.arange(16 * unit) * 2 * np.pi / 8)))[None, :, None]
-    return np.clip(image, 0.02, 1.2)
-
-
-def roof_texture(style: str) -> Image:
-    """A roof of 32 m by 32 m: (512, 512, 3), of mean about 1."""
-    rng = np.random.default_rng([hash_of(style), 2])
-    size = 512
-    fine, blobs, large = (_noise(scale)[:size, :size] for scale in (1.2, 12.0, 60.0))
-    value = np.ones((size, size), np.float32)
-    if style in ("membrane", "bitumen"):
-        value += 0.05 * fine + 0.10 * np.minimum(blobs, 1) + 0.10 * large
-        for x in range(0, size, 32):
-            value[:, x] *= 0.82
-        for y in range(0, size, 128):
-            value[y + int(rng.integers(20))] *= 0.85
-        for _ in range(26):  # repairs
-            x, y = rng.integers(size - 60, size=2)
-            w, h = rng.integers(6, 50, size=2)
-            value[y : y + h, x : x + w] *= rng.uniform(0.8, 1.15)
-    elif style == "gravel":
-        value += 0.16 * fine + 0.14 * blobs + 0.12 * large
-    elif style == "tiles":
-        rows = (np.arange(size) * 32 / size / 0.4) % 1
-        value *= (0.78 + 0.35 * rows[:, None]).astype(np.float32)
-        value += 0.14 * fine + 0.10 * blobs + 0.08 * large
-    elif style == "seams":
-        value += 0.03 * fine + 0.05 * blobs + 0.06 * large
-        value[:, ::10] *= 0.75
-    elif style == "seats":
-        value[::14] *= 0.5
-        value[:, ::96] *= 1.6
-        value += 0.06 * fine
-    stain = np.clip(large + 0.6 * blobs - 1.3, 0, 1)
-    value *= 1 - 0.35 * stain
-    tinted = value[..., None] * (1 + 0.03 * _noise(20.0)[:size, :size, None] * np.array([1, 0, -1], np.float32))
-    return np.clip(tinted, 0.1, 1.6).astype(np.float32)
-
-
-def hash_of(name: str) -> int:
-    """A number that a name stands for, the same in every process."""
-    return sum((i + 1) * ord(letter) for i, letter in enumerate(name))
-
-
-__all__ = ["Canvas", "Season", "ground", "inset", "roof_texture", "wall_texture"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from lpn.world.architecture import Colour
 from lpn.world.cameras import Pose
-from lpn.world.paint import Image, Season
+from lpn.world.canvas import Image
+from lpn.world.paint import Season
 
 
 @dataclass(frozen=True)
@@ -46,10 +47,10 @@ class Look:
 _SUMMER = ((0.052, 0.085, 0.022), (0.07, 0.105, 0.026), (0.04, 0.07, 0.02), (0.085, 0.115, 0.03), (0.06, 0.085, 0.03))
 _LATE = ((0.06, 0.085, 0.02), (0.10, 0.10, 0.025), (0.05, 0.07, 0.022), (0.14, 0.10, 0.025), (0.08, 0.09, 0.03))
 _SPRING = ((0.06, 0.105, 0.025), (0.05, 0.085, 0.025), (0.04, 0.07, 0.022), (0.08, 0.12, 0.03), (0.05, 0.08, 0.03))
-_DRY = ((0.05, 0.065, 0.022), (0.06, 0.07, 0.024), (0.045, 0.055, 0.02), (0.075, 0.075, 0.03), (0.055, 0.06, 0.025))
+_DRY = ((0.07, 0.085, 0.03), (0.08, 0.09, 0.032), (0.05, 0.06, 0.022), (0.10, 0.095, 0.04), (0.075, 0.08, 0.033))
 
 DRONE = Look(
-    Season((0.095, 0.15, 0.04), (0.23, 0.20, 0.09), 0.25, _SUMMER), (46.0, 228.0), 1.6, (1.0, 1.0, 1.06), 1.28, 1.08, 0.13,
+    Season((0.095, 0.15, 0.04), (0.23, 0.20, 0.09), 0.25, _SUMMER), (46.0, 228.0), 1.6, (1.01, 1.0, 1.03), 1.26, 1.0, 0.12,
     (0.62, 0.69, 0.80), 0.45, 0.010, 1,
 )  # fmt: skip
 SATELLITES = (
@@ -57,9 +58,35 @@ SATELLITES = (
          0.05, (0.5, 0.55, 0.6), 0.7, 0.014, 2),
     Look(Season((0.08, 0.125, 0.04), (0.2, 0.18, 0.09), 0.2, _SPRING), (52.0, 165.0), 1.6, (0.94, 1.0, 1.16), 1.2, 1.0, 0.07,
          (0.55, 0.62, 0.75), 0.6, 0.012, 3),
-    Look(Season((0.10, 0.105, 0.05), (0.25, 0.2, 0.12), 0.7, _DRY), (33.0, 140.0), 1.25, (1.04, 1.0, 0.94), 1.3, 0.8, 0.04,
+    Look(Season((0.10, 0.105, 0.05), (0.25, 0.2, 0.12), 0.7, _DRY), (39.0, 140.0), 1.4, (1.04, 1.0, 0.94), 1.22, 0.8, 0.05,
          (0.5, 0.5, 0.5), 0.7, 0.018, 4),
 )  # fmt: skip
+
+
+def drone_look(seed: int, district: int) -> Look:
+    """The day on which a district was flown over: the drone's usual one, more or less."""
+    return _varied(DRONE, np.random.default_rng([seed, 41, district]))
+
+
+def satellite_look(seed: int, district: int) -> Look:
+    """The day on which the satellite saw a district: one of a few, more or less."""
+    rng = np.random.default_rng([seed, 42, district])
+    return _varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng)
+
+
+def _varied(look: Look, rng: np.random.Generator) -> Look:
+    elevation, bearing = look.sun
+    balance = np.array(look.balance) * rng.normal(1, 0.02, 3)
+    return replace(
+        look,
+        season=replace(look.season, dryness=float(look.season.dryness * rng.uniform(0.5, 1.6))),
+        sun=(float(elevation + rng.uniform(-7, 9)), float(bearing + rng.uniform(-25, 25))),
+        exposure=float(look.exposure * rng.uniform(0.86, 1.14)),
+        balance=(float(balance[0]), float(balance[1]), float(balance[2])),
+        contrast=float(look.contrast * rng.uniform(0.93, 1.06)),
+        saturation=float(look.saturation * rng.uniform(0.85, 1.1)),
+        haze=float(look.haze * rng.uniform(0.6, 1.5)),
+    )
 
 
 def develop(light: Image, look: Look, rng: np.random.Generator, pose: Pose | None = None) -> NDArray[np.uint8]:
@@ -76,7 +103,8 @@ def develop(light: Image, look: Look, rng: np.random.Generator, pose: Pose | Non
     if look.blur:
         shown = cv2.GaussianBlur(shown, (0, 0), look.blur)
     noise = rng.normal(0, look.noise, shown.shape) * 0.6 + rng.normal(0, look.noise, (*shown.shape[:2], 1))
-    return (np.clip(shown + noise, 0, 1) * 255 + 0.5).astype(np.uint8)
+    picture: NDArray[np.uint8] = (np.clip(shown + noise, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return picture
 
 
 def _distance(pose: Pose, pixels: int) -> Image:

@@ -9,11 +9,26 @@ from itertools import product
 import numpy as np
 
 from lpn.errors import InputError
-from lpn.world import districts as uses
 from lpn.world.city import (
-    Block, Bridge, Building, Character, City, District, Draft, River, Split, Stalls, Street, Target, Terrain, Trees,
+    Block,
+    Bridge,
+    Building,
+    Character,
+    City,
+    District,
+    Draft,
+    River,
+    Split,
+    Stalls,
+    Street,
+    Target,
+    Terrain,
+    Trees,
 )  # fmt: skip
+from lpn.world.districts import develop
 from lpn.world.geometry import Points, Waves, inset
+from lpn.world.grounds import along_street
+from lpn.world.plot import Plot, Pools
 from lpn.world.streets import ARTERIAL, RIM, SIDE, STRIP, Quad, Warp, densified, divide, margin, street
 
 TEST_SHARE = 0.35
@@ -52,7 +67,9 @@ def plan_city(seed: int, buildings: int) -> City:
         InputError: when the seed is negative or fewer than 2 buildings are asked for.
     """
     if seed < 0 or buildings < 2:
-        raise InputError(f"The world has seed {seed} and {buildings} buildings; expected a seed from 0, 2 buildings or more.")
+        raise InputError(
+            f"The world has seed {seed} and {buildings} buildings; expected a seed from 0, 2 buildings or more."
+        )
     for more in range(1, 6):
         city = _attempt(seed, buildings, more)
         if city is not None:
@@ -78,13 +95,13 @@ def _attempt(seed: int, wanted: int, more: int) -> City | None:
     drift = rng.uniform(-30, 30, len(ys))
     nodes[west + 1, :, 0], nodes[west + 2, :, 0] = xs[west + 1] + drift, xs[west + 2] + drift
     nodes[west + 2, :, 1] = nodes[west + 1, :, 1]
-    river, terrain = _river(nodes[west + 1], nodes[west + 2], warp, rng)
+    terrain = _river(nodes[west + 1], nodes[west + 2], warp, rng)
 
     districts: list[District] = []
     streets: list[Street] = []
     blocks: list[Block] = []
     draft = Draft()
-    pools = uses.Pools(np.random.default_rng([seed, 2]), draft.architectures)
+    pools = Pools(np.random.default_rng([seed, 2]), draft.architectures)
     used: Counter[str] = Counter()
     order = list(rng.permutation(len(_ORDER) // 2)) + list(range(len(_ORDER) // 2, len(_ORDER)))
     turn = {"train": 0, "test": 0}
@@ -104,16 +121,18 @@ def _attempt(seed: int, wanted: int, more: int) -> City | None:
         districts.append(District(len(districts), name, character, split, polygon))
         own = np.random.default_rng([seed, 3, i, j])
         quad = Quad(corners, (margin("arterial"),) * 4)
-        for number, piece in enumerate(divide(quad, *_BLOCKS[character], own, warp, streets, character == "countryside")):
+        for number, piece in enumerate(
+            divide(quad, *_BLOCKS[character], own, warp, streets, character == "countryside")
+        ):
             block_rng = np.random.default_rng([seed, 4, i, j, number])
             outline = inset(warp(piece.corners), np.array(piece.margins))
-            plot = uses.Plot(outline, districts[-1], block_rng, draft, pools, terrain)
-            surface = uses.develop(plot)
+            plot = Plot(outline, districts[-1], block_rng, draft, pools, terrain)
+            surface = develop(plot)
             blocks.append(Block(outline, districts[-1].number, surface))
     streets.extend(_arterials(nodes, west + 1, warp))
     bridges = _bridges(nodes, west + 1, warp)
     for line in streets:
-        uses.along_street(line, draft, np.random.default_rng([seed, 5, len(draft.stalls)]), terrain)
+        along_street(line, draft, np.random.default_rng([seed, 5, len(draft.stalls)]), terrain)
     targets = _choose(draft, districts, wanted, np.random.default_rng([seed, 6]))
     if targets is None:
         return None
@@ -133,11 +152,13 @@ def _forget_unused(draft: Draft) -> None:
     draft.buildings[:] = [replace(b, architecture=renumbered[b.architecture]) for b in draft.buildings]
 
 
-def _columns(rows: list[tuple[float, float, int, float, float]] | list[tuple[float, float, float, int, float]]) -> Points:
+def _columns(
+    rows: list[tuple[float, float, int, float, float]] | list[tuple[float, float, float, int, float]],
+) -> Points:
     return np.array(rows, dtype=np.float64).reshape(-1, 5).T
 
 
-def _river(west: Points, east: Points, warp: Warp, rng: np.random.Generator) -> tuple[River, Terrain]:
+def _river(west: Points, east: Points, warp: Warp, rng: np.random.Generator) -> Terrain:
     middle = warp(densified((west + east) / 2, 30.0))
     # Every y has one x; smoothed, so that the arterials' corners do not show in the water.
     y = np.arange(middle[0, 1] - 400, middle[-1, 1] + 400, 20.0)
@@ -145,13 +166,13 @@ def _river(west: Points, east: Points, warp: Warp, rng: np.random.Generator) -> 
     kernel = np.hanning(21) / np.hanning(21).sum()
     x = np.convolve(np.pad(x, 10, mode="edge"), kernel, mode="valid")
     river = River(np.stack([x, y], axis=1), float(rng.uniform(70, 88)), -3.2)
-    return river, Terrain(Waves.draw(rng, 7, 420, 1500), river)
+    return Terrain(Waves.draw(rng, 7, 420, 1500), river)
 
 
 def _arterials(nodes: Points, river: int, warp: Warp) -> list[Street]:
     """Along the lines of the grid; those that go from west to east stop at the river, where their bridges begin."""
     columns, rows, _ = nodes.shape
-    found = []
+    found: list[Street] = []
     for i in range(columns):
         found.extend(street(nodes[i, j : j + 2], "arterial", warp) for j in range(rows - 1))
     for j in range(rows):
@@ -166,7 +187,7 @@ def _bridges(nodes: Points, river: int, warp: Warp) -> list[Bridge]:
         along = b - a
         middle = (a + b) / 2
         angle = float(np.arctan2(along[1], along[0]))
-        bridges.append(Bridge(*middle.tolist(), angle, float(np.linalg.norm(along)), ARTERIAL + 5))
+        bridges.append(Bridge(float(middle[0]), float(middle[1]), angle, float(np.linalg.norm(along)), ARTERIAL + 5))
     return bridges
 
 
@@ -197,7 +218,7 @@ def _pick(draft: Draft, districts: list[int], number: int, rng: np.random.Genera
         if building.notable and building.district in districts:
             queues[building.district, counts[building.architecture] > 2].append(building)
     for queue in queues.values():
-        rng.shuffle(queue)  # type: ignore[arg-type]
+        queue[:] = [queue[i] for i in rng.permutation(len(queue))]
     picked: list[Building] = []
     places = np.zeros((0, 2))
     while len(picked) < number and any(queues.values()):

@@ -15,8 +15,9 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from lpn.world import meshes, paint
+from lpn.world import meshes, paint, textures
 from lpn.world.cameras import Pose, Sweep
+from lpn.world.canvas import Image
 from lpn.world.city import SPECIES, VEHICLES, City
 from lpn.world.geometry import Points
 from lpn.world.photo import Look
@@ -58,7 +59,7 @@ class Scene:
         self._hedges()
         self._bridges()
 
-    def frame(self, pose: Pose, pixels: int) -> paint.Image:
+    def frame(self, pose: Pose, pixels: int) -> Image:
         """The drone's picture: (pixels, pixels, 3) linear light."""
         data = self._camera.data
         data.type = "PERSP"
@@ -67,7 +68,7 @@ class Scene:
         self._aim(pose.axes(), (pose.x, pose.y, pose.z))
         return self._render(pixels)
 
-    def sweep(self, sweep: Sweep) -> paint.Image:
+    def sweep(self, sweep: Sweep) -> Image:
         """The satellite's picture: (pixels, pixels, 3) linear light."""
         axes = sweep.axes()
         data = self._camera.data
@@ -83,7 +84,7 @@ class Scene:
         matrix[:3, 3] = place
         self._camera.matrix_world = Matrix(matrix.tolist())
 
-    def _render(self, pixels: int) -> paint.Image:
+    def _render(self, pixels: int) -> Image:
         render = self._scene.render
         render.resolution_x = render.resolution_y = pixels
         file = self._folder / f"frame-{os.getpid()}.png"
@@ -143,7 +144,9 @@ class Scene:
         light.color = (1.0, 0.94, 0.86)
         sun = bpy.data.objects.new("sun", light)
         # A lamp shines along its -z.
-        towards = np.array([np.cos(elevation) * np.sin(bearing), np.cos(elevation) * np.cos(bearing), np.sin(elevation)])
+        towards = np.array(
+            [np.cos(elevation) * np.sin(bearing), np.cos(elevation) * np.cos(bearing), np.sin(elevation)]
+        )
         right = np.cross([0, 0, 1.0], towards)
         right /= np.linalg.norm(right)
         matrix = np.eye(4)
@@ -182,7 +185,9 @@ class Scene:
         for i in self._seen(x, y, 20):
             b = city.buildings[i]
             if b.architecture not in made:
-                made[b.architecture] = self._mesh(f"look {b.architecture}", meshes.building(city.architectures[b.architecture]))
+                made[b.architecture] = self._mesh(
+                    f"look {b.architecture}", meshes.building(city.architectures[b.architecture])
+                )
             self._put(made[b.architecture], _matrix(b.x, b.y, city.height(b.x, b.y), b.angle), f"building {i}")
 
     def _trees(self) -> None:
@@ -269,7 +274,9 @@ class Scene:
         slots = np.array([names.index(each) for each in shape.materials], dtype=np.int32)
         mesh.polygons.foreach_set("material_index", slots)
         attribute = mesh.attributes.new("tint", "FLOAT_COLOR", "FACE")
-        attribute.data.foreach_set("color", np.column_stack([tints, np.ones(len(tints))]).reshape(-1).astype(np.float32))
+        attribute.data.foreach_set(
+            "color", np.column_stack([tints, np.ones(len(tints))]).reshape(-1).astype(np.float32)
+        )
         return mesh
 
     def _material(self, name: str) -> Any:
@@ -277,12 +284,12 @@ class Scene:
             kind, _, style = name.partition(" ")
             image = None
             if kind in ("wall", "roof") and style != "plain":
-                texture = (paint.wall_texture if kind == "wall" else paint.roof_texture)(style)
-                image = self._image(name, texture / 2, None)
+                texture = (textures.wall_texture if kind == "wall" else textures.roof_texture)(style)
+                image = self._image(name, (texture / 2).astype(np.float32), None)
             self._materials[name] = _material(name, kind, image)
         return self._materials[name]
 
-    def _image(self, name: str, colour: paint.Image, alpha: paint.Image | None) -> Any:
+    def _image(self, name: str, colour: Image, alpha: Image | None) -> Any:
         """An sRGB image of linear colours in [0, 1], with a channel of its own."""
         shown = np.where(colour < 0.0031308, 12.92 * colour, 1.055 * np.maximum(colour, 1e-6) ** (1 / 2.4) - 0.055)
         channels = [shown[..., ::-1]] if alpha is None else [shown[..., ::-1], alpha[..., None]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -45,7 +46,7 @@ def densified(line: Points, step: float = 12.0) -> Points:
     """A line (n, 2) with points no more than `step` apart."""
     pieces = [
         a + (b - a) * np.arange(n := max(1, int(np.ceil(np.linalg.norm(b - a) / step))))[:, None] / n
-        for a, b in zip(line[:-1], line[1:], strict=True)
+        for a, b in pairwise(line)
     ]
     return np.concatenate([*pieces, line[-1:]])
 
@@ -62,7 +63,13 @@ def margin(kind: StreetKind) -> float:
 
 
 def divide(
-    quad: Quad, long: float, short: float, slant: float, rng: np.random.Generator, warp: Warp, streets: list[Street],
+    quad: Quad,
+    long: float,
+    short: float,
+    slant: float,
+    rng: np.random.Generator,
+    warp: Warp,
+    streets: list[Street],
     rural: bool = False,
 ) -> list[Quad]:
     """Cut a quad until no block is longer than `long` and wider than `short`; the cuts become streets.
