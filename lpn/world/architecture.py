@@ -98,7 +98,7 @@ class Architecture:
         return np.array(self.outline)
 
 
-WHITE, LIGHT, GREY, DARK = (0.66, 0.66, 0.64), (0.42, 0.42, 0.40), (0.25, 0.25, 0.25), (0.10, 0.10, 0.105)
+WHITE, LIGHT, GREY, DARK = (0.60, 0.60, 0.58), (0.42, 0.42, 0.40), (0.25, 0.25, 0.25), (0.10, 0.10, 0.105)
 GRAVEL, SAND = (0.30, 0.27, 0.23), (0.46, 0.40, 0.31)
 TERRACOTTA, BROWN, SLATE, COPPER = (0.27, 0.115, 0.075), (0.17, 0.10, 0.07), (0.095, 0.105, 0.125), (0.22, 0.40, 0.33)
 BRICK, BUFF, CONCRETE, RENDER, STONE = (

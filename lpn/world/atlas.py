@@ -21,7 +21,7 @@ from lpn.world.city import City, Target
 from lpn.world.plan import plan_city
 
 FORMAT = "lpn-world/1"
-SIGHT = 300.0  # metres around a target that its drone can see
+SIGHT = 312.0  # metres around a target that its drone can see, at most
 _AIM = 0.4  # share of the building's height that the drone looks at
 
 

@@ -212,7 +212,7 @@ def hall(rng: np.random.Generator) -> Architecture:
 def rotunda(rng: np.random.Generator) -> Architecture:
     """A round auditorium, domed, conical, or flat, on a low base."""
     dress = modern(rng)
-    across = rng.uniform(26, 44)
+    across = rng.uniform(24, 38)
     ring = tuple((float(x), float(y)) for x, y in ellipse(0, 0, across, across, 0, 36))
     eaves = rng.uniform(8, 14)
     roof: RoofShape = ("dome", "cone", "flat")[rng.integers(3)]

@@ -148,7 +148,7 @@ def quadrangle(plot: Plot) -> Surface:
     """Colleges around a lawn with crossing paths."""
     old = plot.rng.random() < 0.45
     kinds = ("old courtyard", "old ushape", "old lshape", "old tshape") if old else (
-        "courtyard", "lshape", "ushape", "slab", "tshape", "round")  # fmt: skip
+        "courtyard", "lshape", "ushape", "slab", "tshape", "lshape", "courtyard", "tshape", "round")  # fmt: skip
     _fill(plot, (*kinds, "dormitory"), ("dormitory",), float(plot.rng.uniform(3, 9)), 6.0)
     if plot.rng.random() < 0.6:
         _inside(plot, kinds, (), 3, 9.0)
@@ -175,7 +175,9 @@ def laboratories(plot: Plot) -> Surface:
     corners = inset(plot.polygon, np.full(4, 3.0))
     for corner in corners:
         plot.path(np.stack([corner, np.array([x, y])]), 3.0, "concrete")
-    plot.plant(int(area(plot.polygon) / 110), GROVE, (7, 17))
+    plot.islands(24)
+    plot.plant_beds((2, 1, 0, 5), (7, 16))
+    plot.plant(int(area(plot.polygon) / 140), GROVE, (7, 17))
     return "lawn" if plot.rng.random() < 0.6 else "paved"
 
 
@@ -187,7 +189,9 @@ def offices(plot: Plot) -> Surface:
     plot.leftover_parking()
     x, y = plot.middle
     plot.lay("plaza", float(x), float(y), 20, 14, 0.0)
-    plot.plant(int(area(plot.polygon) / 150), (2, 1, 0), (6, 13))
+    plot.islands(26)
+    plot.plant_beds((2, 1, 0, 5), (6, 14))
+    plot.plant(int(area(plot.polygon) / 190), (2, 1, 0), (6, 13))
     return "paved"
 
 
@@ -219,6 +223,8 @@ def industry(plot: Plot) -> Surface:
         x, y = start + along * rng.uniform(5, edge - 5) + normal * rng.uniform(4, across - 4)
         if plot.free(rectangle(float(x), float(y), 9, 4, angle)):
             plot.draft.stalls.append((float(x), float(y), angle + float(rng.integers(4)) * np.pi / 2, 2, 0.5))
+    plot.islands(10)
+    plot.plant_beds((2, 1, 0, 5), (6, 13))
     plot.plant(int(area(plot.polygon) / 190), (2, 3, 5, 1, 0), (6, 14), clump=9)
     return "asphalt" if rng.random() < 0.65 else "concrete"
 
@@ -236,6 +242,8 @@ def retail(plot: Plot) -> Surface:
         if plot.car_park(float(x), float(y), length, width, angle):
             break
     plot.leftover_parking()
+    plot.islands(14)
+    plot.plant_beds((2, 1, 5), (5, 11))
     plot.plant(int(area(plot.polygon) / 300), (2, 1, 5), (5, 9))
     return "asphalt"
 
@@ -275,7 +283,9 @@ def civic(plot: Plot) -> Surface:
     for size in (40, 28, 18):
         if plot.lay("plaza", float(x), float(y), size, size * 0.8, float(plot.rng.uniform(0, 3))):
             break
-    plot.plant(int(area(plot.polygon) / 120), (2, 1, 0), (7, 15))
+    plot.islands(20)
+    plot.plant_beds((2, 1, 0), (7, 16))
+    plot.plant(int(area(plot.polygon) / 150), (2, 1, 0), (7, 15))
     return "paved"
 
 

@@ -116,7 +116,7 @@ def riverside(plot: Plot) -> Surface:
     rng = plot.rng
     line = plot.terrain.river.line
     half = plot.terrain.river.width / 2
-    inside = line[within(line, plot.polygon)]
+    inside = line[within(line, plot.polygon, -9)]
     for side in (-1, 1):
         if len(inside) > 1:
             plot.path(inside + np.array([side * (half + 12), 0]), 3.4, "gravel")

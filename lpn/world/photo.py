@@ -50,7 +50,7 @@ _SPRING = ((0.06, 0.105, 0.025), (0.05, 0.085, 0.025), (0.04, 0.07, 0.022), (0.0
 _DRY = ((0.07, 0.085, 0.03), (0.08, 0.09, 0.032), (0.05, 0.06, 0.022), (0.10, 0.095, 0.04), (0.075, 0.08, 0.033))
 
 DRONE = Look(
-    Season((0.095, 0.15, 0.04), (0.23, 0.20, 0.09), 0.25, _SUMMER), (46.0, 228.0), 1.6, (1.01, 1.0, 1.03), 1.26, 1.0, 0.12,
+    Season((0.095, 0.15, 0.04), (0.23, 0.20, 0.09), 0.25, _SUMMER), (46.0, 228.0), 1.6, (1.01, 1.0, 1.03), 1.24, 1.0, 0.15,
     (0.62, 0.69, 0.80), 0.45, 0.010, 1,
 )  # fmt: skip
 SATELLITES = (
@@ -76,7 +76,7 @@ def satellite_look(seed: int, district: int) -> Look:
 
 def _varied(look: Look, rng: np.random.Generator) -> Look:
     elevation, bearing = look.sun
-    balance = np.array(look.balance) * rng.normal(1, 0.02, 3)
+    balance = np.array(look.balance) * rng.normal(1, (0.015, 0.01, 0.045))
     return replace(
         look,
         season=replace(look.season, dryness=float(look.season.dryness * rng.uniform(0.5, 1.6))),

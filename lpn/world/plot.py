@@ -66,6 +66,7 @@ class Plot:
     hard: list[Points] = field(default_factory=list)
     paths: list[Path] = field(default_factory=list)
     pads: list[Points] = field(default_factory=list)
+    beds: list[Points] = field(default_factory=list)
     trees: list[tuple[float, float]] = field(default_factory=list)
 
     def edge(self, i: int) -> tuple[Points, Points, Points, float]:
@@ -230,6 +231,32 @@ class Plot:
             for _ in range(6):
                 x, y = start + along * self.rng.uniform(0, edge) + normal * self.rng.uniform(0, across)
                 self.car_park(float(x), float(y), length, width, angle)
+
+    def islands(self, count: int) -> None:
+        """Beds of lawn in paved ground, some with a hedge around."""
+        rng = self.rng
+        low, high = self.polygon.min(axis=0), self.polygon.max(axis=0)
+        for _ in range(count):
+            x, y = rng.uniform(low, high)
+            along = self.edge(int(rng.integers(4)))[1]
+            length, width = float(rng.uniform(6, 26)), float(rng.uniform(3, 11))
+            bed = rectangle(float(x), float(y), length, width, float(np.arctan2(along[1], along[0])))
+            if self.free(bed, 0.8, 0.5):
+                angle = float(np.arctan2(along[1], along[0]))
+                self.draft.patches.append(Patch("lawn", bed, angle, length, width, float(rng.random())))
+                self.bodies.append(bed)
+                self.beds.append(bed)
+                if rng.random() < 0.3:
+                    for a, b in zip(bed[:2], bed[2:], strict=True):
+                        self.hedge(a, b)
+
+    def plant_beds(self, species: tuple[int, ...], height: tuple[float, float]) -> None:
+        """Trees and bushes in the beds, which count as ground again."""
+        self.bodies = [body for body in self.bodies if not any(body is bed for bed in self.beds)]
+        for bed in self.beds:
+            inside = bed[0] + (bed[1] - bed[0]) * self.rng.uniform(0.1, 0.9, (6, 1))
+            inside = inside + (bed[3] - bed[0]) * self.rng.uniform(0.15, 0.85, (6, 1))
+            self.plant_at(inside[: int(area(bed) / 22)], species, height, 1.5)
 
     def walks(self, count: int, surface: Surface) -> None:
         """Slightly bent paths across the block."""

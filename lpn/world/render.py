@@ -137,7 +137,7 @@ class Scene:
         sky.sun_elevation = elevation
         sky.sun_rotation = bearing
         links.new(sky.outputs[0], nodes["Background"].inputs["Color"])
-        nodes["Background"].inputs["Strength"].default_value = 0.05
+        nodes["Background"].inputs["Strength"].default_value = 0.06
         light = bpy.data.lights.new("sun", "SUN")
         light.energy = 4.6
         light.angle = np.radians(0.6)
