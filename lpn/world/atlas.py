@@ -21,6 +21,7 @@ from lpn.world.city import City, Target
 from lpn.world.plan import plan_city
 
 FORMAT = "lpn-world/1"
+EDITION = 1  # counts changes of the code that change the pictures of a seed
 SIGHT = 312.0  # metres around a target that its drone can see, at most
 _AIM = 0.4  # share of the building's height that the drone looks at
 
@@ -92,6 +93,7 @@ class Atlas:
         city, site = self.city, self.site
         values = {
             "format": FORMAT,
+            "edition": EDITION,
             "settings": asdict(self.settings),
             "site": {**asdict(site), "note": "A fictional place; the plan's metres are x east and y north of it."},
             "districts": [

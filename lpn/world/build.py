@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn.errors import InputError, OutputError
 from lpn.files import check_writable, write_whole
 from lpn.world import photo
-from lpn.world.atlas import SIGHT, Atlas, Sector, Settings, Shot, make_atlas
+from lpn.world.atlas import EDITION, SIGHT, Atlas, Sector, Settings, Shot, make_atlas
 from lpn.world.cameras import TILE, Pose, Sweep, Tile
 from lpn.world.textures import hash_of
 
@@ -82,7 +83,7 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
 
     part = part or Part()
     _check(settings)
-    _check_same(settings, out)
+    check_folder(settings, out)
     check_writable(out / "world.json")
     atlas = make_atlas(settings)
     write_whole(out / "world.json", atlas.world_json())
@@ -90,7 +91,11 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
     mine = [sector for sector in atlas.sectors if sector.number % part.count == part.number - 1]
     tally = Tally()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns) as bar, render.workplace() as folder:
+    with (
+        render.quiet() as stream,
+        Progress(*columns, console=Console(file=stream)) as bar,
+        render.workplace() as folder,
+    ):
         total = sum(len(sector.tiles) + len(sector.frames) for sector in mine)
         task = bar.add_task("Rendering", total=total)
         for sector in mine:
@@ -179,16 +184,27 @@ def _check(settings: Settings) -> None:
             raise InputError(f"The world's {name} are {value}; expected {low} to {high}.")
 
 
-def _check_same(settings: Settings, out: Path) -> None:
-    """OutputError when the folder holds another world."""
+def check_folder(settings: Settings, out: Path) -> None:
+    """Make sure that a folder holds no other world.
+
+    Raises:
+        OutputError: when it does.
+    """
     file = out / "world.json"
     if not file.is_file():
         return
     try:
-        held = json.loads(file.read_bytes())["settings"]
+        held = json.loads(file.read_bytes())
+        same = held["settings"] == asdict(settings)
+        edition = held["edition"]
     except (ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{file} is not a world's; choose another folder.") from error
-    if held != asdict(settings):
+    if not same:
         raise OutputError(
-            f"{out} holds a world made with other settings ({held}); choose another folder, or delete that one."
+            f"{out} holds a world made with other settings ({held['settings']}); choose another folder, or delete that one."
+        )
+    if edition != EDITION:
+        raise OutputError(
+            f"{out} holds a world made by edition {edition} of the program, and this is edition {EDITION}, whose pictures "
+            "differ; choose another folder, or delete that one."
         )

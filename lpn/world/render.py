@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TextIO
 
 import bpy
 import cv2
@@ -89,8 +90,7 @@ class Scene:
         render.resolution_x = render.resolution_y = pixels
         file = self._folder / f"frame-{os.getpid()}.png"
         render.filepath = str(file)
-        with _silence():
-            bpy.ops.render.render(write_still=True)
+        bpy.ops.render.render(write_still=True)
         shown = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
         file.unlink()
         if shown is None:
@@ -390,16 +390,20 @@ def _ground_material(image: Any) -> Any:
 
 
 @contextmanager
-def _silence() -> Iterator[None]:
-    """Blender reports every frame on the standard output, from C."""
-    kept = os.dup(1)
-    with Path(os.devnull).open("w") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
+def quiet() -> Iterator[TextIO]:
+    """Keep Blender's reports, written from C, off the terminal; yields a stream that still reaches it."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = [os.dup(number) for number in (1, 2)]
+    with Path(os.devnull).open("w") as nowhere, os.fdopen(os.dup(1), "w") as terminal:
         try:
-            yield
+            for number in (1, 2):
+                os.dup2(nowhere.fileno(), number)
+            yield terminal
         finally:
-            os.dup2(kept, 1)
-            os.close(kept)
+            for number, copy in zip((1, 2), kept, strict=True):
+                os.dup2(copy, number)
+                os.close(copy)
 
 
 @contextmanager

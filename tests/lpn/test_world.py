@@ -20,7 +20,7 @@ from lpn.datasets import open_dataset
 from lpn.errors import InputError, OutputError
 from lpn.world import cameras
 from lpn.world.atlas import Atlas, Settings, make_atlas
-from lpn.world.build import Part, build_world
+from lpn.world.build import Part, build_world, check_folder
 from lpn.world.canvas import Canvas
 from lpn.world.city import City
 from lpn.world.geometry import area, overlap, rectangle, within
@@ -239,6 +239,16 @@ def test_without_blender_the_command_says_what_to_install(tmp_path: Path) -> Non
 def test_the_command_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
     assert "world" in capsys.readouterr().out
+
+
+def test_another_world_in_the_folder_is_left_alone(tmp_path: Path, atlas: Atlas) -> None:
+    held = json.loads(atlas.world_json())
+    for changed in ({**held, "edition": 0}, {**held, "settings": {}}, []):
+        (tmp_path / "world.json").write_text(json.dumps(changed))
+        with pytest.raises(OutputError, match="choose another folder"):
+            check_folder(SETTINGS, tmp_path)
+    (tmp_path / "world.json").write_bytes(atlas.world_json())
+    check_folder(SETTINGS, tmp_path)
 
 
 @rendering
