@@ -170,7 +170,7 @@ class World:
     """Side of a drone picture."""
     tile_pixels: int = 512
     """Side of a satellite tile, which shows 160 m."""
-    samples: int = 8
+    samples: int = 4
     """Light paths a pixel; more is slower and finer."""
     part: str = "1/1"
     """Share of the work, as i/k: k processes with the same --out render one world."""

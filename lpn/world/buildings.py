@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,12 +13,14 @@ from lpn.world.architecture import (
     BROWN,
     BUFF,
     CONCRETE,
+    COPPER,
     DARK,
     GREEN,
     GREY,
     LIGHT,
     RUST,
     SAND,
+    STEEL,
     WHITE,
     Architecture,
     Corner,
@@ -216,6 +219,9 @@ def rotunda(rng: np.random.Generator) -> Architecture:
     ring = tuple((float(x), float(y)) for x, y in ellipse(0, 0, across, across, 0, 36))
     eaves = rng.uniform(8, 14)
     roof: RoofShape = ("dome", "cone", "flat")[rng.integers(3)]
+    if roof != "flat":
+        tint = near(rng, (WHITE, LIGHT, COPPER, GREY, STEEL)[rng.integers(5)])
+        dress = replace(dress, cover="seams", cover_tint=tint)
     parts = [dress.part(ring, eaves, roof, {"dome": across * 0.16, "cone": across * 0.1, "flat": 0.0}[roof])]
     items = plant(rng, box(-across * 0.3, -across * 0.3, across * 0.3, across * 0.3), eaves) if roof == "flat" else []
     if rng.random() < 0.6:
