@@ -166,12 +166,45 @@ class Describe:
         print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")
 
 
-COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe]] = {
+@dataclass
+class World:
+    """Plan and render a fictional city as a data set with exact positions; resumable."""
+
+    out: Path
+    """Folder to write, in University-1652's layout, with world.json and geo.csv."""
+    seed: int = 0
+    """The city; the same seed and numbers give the same pictures."""
+    buildings: int = 460
+    """Places to take pictures of, about a third of them for testing."""
+    views: int = 12
+    """Drone pictures of each place, the last from straight above."""
+    pixels: int = 256
+    """Side of a drone picture."""
+    tile_pixels: int = 512
+    """Side of a satellite tile, which shows 160 m."""
+    samples: int = 4
+    """Light paths a pixel; more is slower and finer."""
+    part: str = "1/1"
+    """Share of the work, as i/k: k processes with the same --out render one world."""
+    threads: int = 0
+    """Processor threads; 0 for all."""
+
+    def run(self) -> None:
+        from lpn.world.atlas import Settings
+        from lpn.world.build import Part, build_world
+
+        settings = Settings(self.seed, self.buildings, self.views, self.pixels, self.tile_pixels, self.samples)
+        tally = build_world(settings, self.out, Part.parse(self.part), self.threads)
+        print(f"{tally.describe()} The world is in {self.out}.")
+
+
+COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe | World]] = {
     "explore": Explore,
     "train": Train,
     "evaluate": Evaluate,
     "export": Export,
     "describe": Describe,
+    "world": World,
 }
 
 
@@ -236,9 +269,9 @@ def _numbers(text: str | None) -> list[int] | None:
 
 
 def _missing(error: ModuleNotFoundError) -> MissingPackageError:
-    extra = (
-        "train" if (error.name or "").split(".")[0] in ("torch", "onnx", "onnxscript", "safetensors", "yaml") else ""
-    )
+    package = (error.name or "").split(".")[0]
+    extra = "train" if package in ("torch", "onnx", "onnxscript", "safetensors", "yaml") else ""
+    extra = "world" if package in ("bpy", "mathutils") else extra
     wanted = f"lpn-explorer[{extra}]" if extra else "lpn-explorer"
     return MissingPackageError(f"This needs the package {error.name}, which is not installed; pip install '{wanted}'.")
 

@@ -1,0 +1,210 @@
+"""Every picture of a world before it is taken: its path, camera, and place; and the files that say so.
+
+world.json   what stands where, and how each picture was taken
+geo.csv      where what each picture shows lies, in the format of `lpn.geo`, with the drone's pose and the tile's width
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections import defaultdict
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from lpn.world.cameras import Pose, Site, Tile, drone_poses, tile_around
+from lpn.world.city import City, Target
+from lpn.world.plan import plan_city
+
+FORMAT = "lpn-world/1"
+EDITION = 1  # counts changes of the code that change the pictures of a seed
+SIGHT = 312.0  # metres around a target that its drone can see, at most
+_AIM = 0.4  # share of the building's height that the drone looks at
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What decides every pixel of a world.
+
+    Attributes:
+        seed, buildings: of the plan.
+        views: drone pictures of each building, the last of them from straight above.
+        pixels, tile_pixels: sides of a drone picture and of a satellite tile.
+        samples: light paths a pixel.
+    """
+
+    seed: int
+    buildings: int
+    views: int
+    pixels: int
+    tile_pixels: int
+    samples: int
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture; a test picture has two paths, as query and in the gallery."""
+
+    paths: tuple[str, ...]
+    target: int
+    camera: Pose | Tile
+
+
+@dataclass(frozen=True)
+class Sector:
+    """Targets near each other, rendered from one scene.
+
+    Attributes:
+        x, y: middle of the square around its targets.
+        reach: half its side.
+        district: whose weather it has.
+    """
+
+    number: int
+    x: float
+    y: float
+    reach: float
+    district: int
+    tiles: tuple[Shot, ...]
+    frames: tuple[Shot, ...]
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """A world's plan and all its pictures."""
+
+    settings: Settings
+    site: Site
+    city: City
+    sectors: tuple[Sector, ...]
+
+    @property
+    def shots(self) -> list[Shot]:
+        """All pictures, in order of place."""
+        shots = [shot for sector in self.sectors for shot in (*sector.tiles, *sector.frames)]
+        return sorted(shots, key=lambda shot: (shot.target, shot.paths))
+
+    def world_json(self) -> bytes:
+        """The file world.json."""
+        city, site = self.city, self.site
+        values = {
+            "format": FORMAT,
+            "edition": EDITION,
+            "settings": asdict(self.settings),
+            "site": {**asdict(site), "note": "A fictional place; the plan's metres are x east and y north of it."},
+            "districts": [
+                {
+                    "number": d.number,
+                    "name": d.name,
+                    "character": d.character,
+                    "split": d.split,
+                    "polygon": _ring(d.polygon),
+                }
+                for d in city.districts
+            ],
+            "buildings": [self._building(target) for target in city.targets],
+            "pictures": [self._picture(path, shot) for shot in self.shots for path in shot.paths],
+        }
+        return (json.dumps(values, indent=1) + "\n").encode()
+
+    def geo_csv(self) -> bytes:
+        """The file geo.csv, as `lpn.geo` reads it: positions of what pictures show."""
+        text = io.StringIO()
+        table = csv.writer(text, lineterminator="\n")
+        table.writerow(["path", "latitude", "longitude", "altitude", "heading", "tilt", "fov", "width"])
+        targets = {target.number: target for target in self.city.targets}
+        for shot in self.shots:
+            camera = shot.camera
+            if isinstance(camera, Pose):
+                x, y, z = _aim(self.city, targets[shot.target])
+                pose = [f"{camera.z - z:.1f}", f"{camera.heading % 360:.1f}", f"{camera.tilt:g}", f"{camera.fov:g}", ""]
+            else:
+                x, y = camera.x, camera.y
+                pose = ["", f"{camera.heading % 360:.1f}", "", "", f"{camera.size:g}"]
+            latitude, longitude = self.site.degrees(x, y)
+            for path in shot.paths:
+                table.writerow([path, f"{latitude:.7f}", f"{longitude:.7f}", *pose])
+        return text.getvalue().encode()
+
+    def _building(self, target: Target) -> dict[str, Any]:
+        city = self.city
+        building = city.buildings[target.building]
+        look = city.architectures[building.architecture]
+        latitude, longitude = self.site.degrees(building.x, building.y)
+        return {
+            "id": target.number,
+            "split": target.split,
+            "district": building.district,
+            "kind": look.kind,
+            "twins": target.twins or None,
+            "latitude": round(latitude, 7),
+            "longitude": round(longitude, 7),
+            "x": round(building.x, 2),
+            "y": round(building.y, 2),
+            "ground": round(city.height(building.x, building.y), 2),
+            "height": round(look.height, 2),
+            "footprint": _ring(city.footprint(building)),
+        }
+
+    def _picture(self, path: str, shot: Shot) -> dict[str, Any]:
+        camera = shot.camera
+        latitude, longitude = self.site.degrees(camera.x, camera.y)
+        place = {"path": path, "id": shot.target, "latitude": round(latitude, 7), "longitude": round(longitude, 7)}
+        pose = {key: round(value, 3) for key, value in asdict(camera).items()}
+        return {**place, "view": "drone" if isinstance(camera, Pose) else "satellite", **pose}
+
+
+def _ring(points: Any) -> list[list[float]]:
+    return [[round(float(x), 2), round(float(y), 2)] for x, y in points]
+
+
+def make_atlas(settings: Settings) -> Atlas:
+    """Plan a world and all its pictures.
+
+    Raises:
+        InputError: when no city can be planned with these settings.
+    """
+    city = plan_city(settings.seed, settings.buildings)
+    middles = {d.number: d.polygon.mean(axis=0) for d in city.districts}
+    groups: dict[tuple[int, bool, bool], list[Target]] = defaultdict(list)
+    for target in city.targets:
+        b = city.buildings[target.building]
+        east, north = (np.array([b.x, b.y]) > middles[b.district]).tolist()
+        groups[b.district, east, north].append(target)
+    sectors = []
+    for number, key in enumerate(sorted(groups)):
+        places = np.array([[city.buildings[t.building].x, city.buildings[t.building].y] for t in groups[key]])
+        low, high = places.min(axis=0), places.max(axis=0)
+        x, y = ((low + high) / 2).tolist()
+        tiles = tuple(_tile(city, target) for target in groups[key])
+        frames = tuple(shot for target in groups[key] for shot in _frames(city, target, settings.views))
+        sectors.append(Sector(number, x, y, float((high - low).max() / 2), key[0], tiles, frames))
+    return Atlas(settings, Site(), city, tuple(sectors))
+
+
+def _paths(target: Target, view: str, name: str) -> tuple[str, ...]:
+    folders = [f"train/{view}"] if target.split == "train" else [f"test/query_{view}", f"test/gallery_{view}"]
+    return tuple(f"{folder}/{target.number:04d}/{name}" for folder in folders)
+
+
+def _tile(city: City, target: Target) -> Shot:
+    b = city.buildings[target.building]
+    rng = np.random.default_rng([city.seed, 22, target.number])
+    return Shot(_paths(target, "satellite", f"{target.number:04d}.jpg"), target.number, tile_around(b.x, b.y, rng))
+
+
+def _frames(city: City, target: Target, views: int) -> list[Shot]:
+    rng = np.random.default_rng([city.seed, 23, target.number])
+    return [
+        Shot(_paths(target, "drone", f"image-{i + 1:02d}.jpg"), target.number, pose)
+        for i, pose in enumerate(drone_poses(_aim(city, target), views, rng))
+    ]
+
+
+def _aim(city: City, target: Target) -> tuple[float, float, float]:
+    """The point on a building that its drone looks at."""
+    b = city.buildings[target.building]
+    return b.x, b.y, city.height(b.x, b.y) + _AIM * city.architectures[b.architecture].height

@@ -1,0 +1,146 @@
+"""From where the city is seen: the site on the globe, satellite tiles, and University-1652's drone spiral.
+
+Metres are x east, y north, z up. A heading is in degrees clockwise from north; a tilt in degrees from the horizon, -90 is
+straight down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpn.world.geometry import Points
+
+TILE = 160.0  # metres a satellite tile shows
+HIGHEST, LOWEST, ROUNDS = 256.0, 121.5, 3  # of the spiral (University-1652, section 3)
+ELEVATION = 50.0  # degrees the drone stands above the horizon, seen from the building
+FIELD_OF_VIEW = 41.0  # degrees across
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where the plan's origin lies: in the open Atlantic, so that no real place is shown."""
+
+    latitude: float = 46.2
+    longitude: float = -31.4
+
+    def _metres_per_degree(self) -> tuple[float, float]:
+        # Radii of curvature of the WGS 84 ellipsoid at the origin; over 3 km the plane errs by centimetres.
+        a, e2 = 6378137.0, 6.69437999014e-3
+        sine = np.sin(np.radians(self.latitude))
+        north = a * (1 - e2) / (1 - e2 * sine**2) ** 1.5
+        east = a / np.sqrt(1 - e2 * sine**2) * np.cos(np.radians(self.latitude))
+        return float(np.radians(north)), float(np.radians(east))
+
+    def degrees(self, x: float, y: float) -> tuple[float, float]:
+        """Latitude and longitude of a point of the plan."""
+        north, east = self._metres_per_degree()
+        return self.latitude + y / north, self.longitude + x / east
+
+    def metres(self, latitude: float, longitude: float) -> tuple[float, float]:
+        """The point (x, y) of the plan at a latitude and longitude."""
+        north, east = self._metres_per_degree()
+        return (longitude - self.longitude) * east, (latitude - self.latitude) * north
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A perspective camera with square pictures: place, direction, and horizontal field of view in degrees."""
+
+    x: float
+    y: float
+    z: float
+    heading: float
+    tilt: float
+    fov: float
+
+    def axes(self) -> Points:
+        """Unit vectors (3, 3): right, up, and forward of the picture, as rows."""
+        h, t = np.radians(self.heading), np.radians(self.tilt)
+        ahead = np.array([np.sin(h), np.cos(h), 0.0])
+        forward = ahead * np.cos(t) + np.array([0, 0, np.sin(t)])
+        right = np.array([np.cos(h), -np.sin(h), 0.0])
+        return np.stack([right, np.cross(right, forward), forward])
+
+    def project(self, points: Points) -> Points:
+        """Places (n, 2) of points (n, 3) in the picture: x right and y down from -1 to 1, 0 at the centre."""
+        right, up, forward = ((points - (self.x, self.y, self.z)) @ self.axes().T).T
+        scale = 1 / np.tan(np.radians(self.fov / 2))
+        return np.stack([right / forward * scale, -up / forward * scale], axis=1)
+
+
+def drone_poses(aim: tuple[float, float, float], views: int, rng: np.random.Generator) -> list[Pose]:
+    """The spiral around a point: `views` - 1 pictures tilted at it, from 256 m down to 121.5 m in three rounds, and the
+    last one from straight above. Heights are above `aim`; the start and each heading vary by some degrees."""
+    tilted = max(1, views - 1) if views > 1 else 1
+    start = rng.uniform(-10, 10)
+    poses = []
+    for i in range(tilted):
+        share = i / (tilted - 1) if tilted > 1 else 0.0
+        height = HIGHEST + (LOWEST - HIGHEST) * share
+        heading = (start + 360 * ROUNDS * share + rng.uniform(-6, 6)) % 360
+        away = height / np.tan(np.radians(ELEVATION))
+        h = np.radians(heading)
+        x, y = float(aim[0] - away * np.sin(h)), float(aim[1] - away * np.cos(h))
+        poses.append(Pose(x, y, float(aim[2] + height), float(heading), -ELEVATION, FIELD_OF_VIEW))
+    if views > 1:
+        height = rng.uniform(200, HIGHEST)
+        poses.append(Pose(aim[0], aim[1], float(aim[2] + height), float(rng.uniform(0, 360)), -90.0, FIELD_OF_VIEW))
+    return poses
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A satellite tile: its centre, which misses the building's a little, and how far its top is turned from north."""
+
+    x: float
+    y: float
+    heading: float
+    size: float = TILE
+
+
+def tile_around(x: float, y: float, rng: np.random.Generator) -> Tile:
+    """The tile of a building at (x, y): up to 5 m off, up to 2.5 degrees from north."""
+    dx, dy = rng.uniform(-5, 5, 2)
+    return Tile(float(x + dx), float(y + dy), float(rng.uniform(-2.5, 2.5)))
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One large picture from a satellite, without perspective: `size` metres in `pixels` pixels around (x, y, z).
+
+    Attributes:
+        lean: degrees the satellite stands off the zenith.
+        bearing: degrees clockwise from north towards where it stands.
+    """
+
+    x: float
+    y: float
+    z: float
+    size: float
+    pixels: int
+    lean: float
+    bearing: float
+
+    def axes(self) -> Points:
+        """Unit vectors (3, 3): right, up, and forward of the picture, as rows; up is as near to north as can be."""
+        lean, bearing = np.radians(self.lean), np.radians(self.bearing)
+        forward = -np.array([np.sin(lean) * np.sin(bearing), np.sin(lean) * np.cos(bearing), np.cos(lean)])
+        right = np.cross(forward, [0.0, 1.0, 0.0])
+        right /= np.linalg.norm(right)
+        return np.stack([right, np.cross(right, forward), forward])
+
+    def project(self, points: Points) -> Points:
+        """Pixels (n, 2), column and row, of points (n, 3)."""
+        right, up, _ = self.axes()
+        local = (points - (self.x, self.y, self.z)) / (self.size / self.pixels)
+        return np.stack([local @ right, -(local @ up)], axis=1) + self.pixels / 2
+
+    def corners(self, tile: Tile) -> Points:
+        """Pixels (4, 2) of a tile's corners: top left, top right, bottom right, bottom left."""
+        h = np.radians(tile.heading)
+        right, up = np.array([np.cos(h), -np.sin(h)]), np.array([np.sin(h), np.cos(h)])
+        half = tile.size / 2
+        ground = [(tile.x, tile.y) + half * (a * right + b * up) for a, b in ((-1, 1), (1, 1), (1, -1), (-1, -1))]
+        return self.project(np.concatenate([np.array(ground), np.full((4, 1), self.z)], axis=1))

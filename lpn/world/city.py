@@ -1,0 +1,226 @@
+"""The planned city as plain data: metres in a plane with x east and y north; angles in radians from east."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from lpn.world.architecture import Architecture
+from lpn.world.geometry import Points, Waves, turned
+
+Split = Literal["train", "test", ""]
+Character = Literal["university", "housing", "industry", "old town", "centre", "sports", "park", "countryside", "river"]
+StreetKind = Literal["arterial", "local", "lane"]
+Surface = Literal[
+    "lawn", "meadow", "paved", "asphalt", "gravel", "garden", "concrete", "field", "wood", "dirt", "sand", "water",
+    "parking", "pitch", "track", "court", "pool", "plaza", "playground", "solar",
+]  # fmt: skip
+SPECIES = ("oak", "maple", "lime", "poplar", "fir", "bush")
+VEHICLES = ("car", "van", "truck", "bus")
+
+
+@dataclass(frozen=True)
+class District:
+    """A part of the city with one character, within arterial streets.
+
+    Attributes:
+        polygon: its boundary (n, 2).
+        split: the targets in it are all for training, or all for testing; empty where there are none.
+    """
+
+    number: int
+    name: str
+    character: Character
+    split: Split
+    polygon: Points
+
+
+@dataclass(frozen=True)
+class Street:
+    """A street along a line (n, 2), its carriageway `width` wide, with pavements of `pavement` on both sides."""
+
+    line: Points
+    width: float
+    kind: StreetKind
+    pavement: float
+
+
+@dataclass(frozen=True)
+class Block:
+    """Ground between streets: a convex polygon and what covers it where nothing else does."""
+
+    polygon: Points
+    district: int
+    surface: Surface
+
+
+@dataclass(frozen=True)
+class Building:
+    """One building: where its architecture stands.
+
+    Attributes:
+        number: its place in `City.buildings`.
+        architecture: index into `City.architectures`.
+        notable: large enough to be a target.
+    """
+
+    number: int
+    architecture: int
+    x: float
+    y: float
+    angle: float
+    district: int
+    notable: bool
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Ground of one use, a convex polygon; `angle` gives markings and furrows their direction, `shade` varies it."""
+
+    surface: Surface
+    polygon: Points
+    angle: float
+    length: float
+    width: float
+    shade: float
+
+
+@dataclass(frozen=True)
+class Path:
+    """A footpath or driveway along a line (n, 2)."""
+
+    line: Points
+    width: float
+    surface: Surface
+
+
+@dataclass(frozen=True)
+class Bridge:
+    """A street's deck over the river."""
+
+    x: float
+    y: float
+    angle: float
+    length: float
+    width: float
+
+
+@dataclass(frozen=True)
+class River:
+    """Water along a line (n, 2), `width` wide, whose surface lies at height `level`."""
+
+    line: Points
+    width: float
+    level: float
+
+
+@dataclass(frozen=True)
+class Target:
+    """A building that pictures are taken of.
+
+    Attributes:
+        number: the place's id, from 1.
+        building: index into `City.buildings`.
+        twins: number of its twin group, or 0 when its architecture is its own.
+        split: `train` or `test`, as its district.
+    """
+
+    number: int
+    building: int
+    twins: int
+    split: Split
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Height of the ground in metres: gentle waves, level at the river, whose bed is cut into it."""
+
+    waves: Waves
+    river: River
+
+    def bank(self, points: Points) -> Points:
+        """Distance (...,) from the river's edge, negative on the water."""
+        flat = points.reshape(-1, 2)
+        # The river runs from south to north, so its middle is a function of y.
+        line = self.river.line
+        middle = np.interp(flat[:, 1], line[:, 1], line[:, 0])
+        slope = np.gradient(line[:, 0], line[:, 1])
+        lean = np.interp(flat[:, 1], line[:, 1], slope)
+        distance: Points = (np.abs(flat[:, 0] - middle) / np.sqrt(1 + lean**2)).reshape(points.shape[:-1])
+        return distance - self.river.width / 2
+
+    def __call__(self, points: Points) -> Points:
+        """Heights (...,) at points (..., 2)."""
+        bank = self.bank(points)
+        rising = np.clip((bank - 30) / 220, 0, 1)
+        land = self.waves(points) * rising**2 * (3 - 2 * rising)
+        cut = np.clip((bank + 1.0) / 3.5, 0, 1)
+        height: Points = self.river.level + (land - self.river.level) * cut
+        return height
+
+
+@dataclass(frozen=True)
+class Trees:
+    """Trees as arrays (n,): x, y, index into SPECIES, height in metres, and a number in [0, 1) that varies the look."""
+
+    x: Points
+    y: Points
+    species: Points
+    height: Points
+    look: Points
+
+
+@dataclass(frozen=True)
+class Stalls:
+    """Places of vehicles as arrays (n,): x, y, angle, index into VEHICLES, and how often one stands there."""
+
+    x: Points
+    y: Points
+    angle: Points
+    vehicle: Points
+    chance: Points
+
+
+@dataclass(frozen=True)
+class City:
+    """Everything that was planned."""
+
+    seed: int
+    districts: tuple[District, ...]
+    streets: tuple[Street, ...]
+    blocks: tuple[Block, ...]
+    architectures: tuple[Architecture, ...]
+    buildings: tuple[Building, ...]
+    patches: tuple[Patch, ...]
+    paths: tuple[Path, ...]
+    hedges: tuple[Points, ...]
+    bridges: tuple[Bridge, ...]
+    terrain: Terrain
+    trees: Trees
+    stalls: Stalls
+    targets: tuple[Target, ...]
+
+    def footprint(self, building: Building) -> Points:
+        """The building's outline on the ground (n, 2)."""
+        ring = self.architectures[building.architecture].ring
+        outline: Points = turned(ring, building.angle) + np.array([building.x, building.y])
+        return outline
+
+    def height(self, x: float, y: float) -> float:
+        """Height of the ground at one point."""
+        return float(self.terrain(np.array([x, y])))
+
+
+@dataclass
+class Draft:
+    """What the planning of blocks collects."""
+
+    architectures: list[Architecture] = field(default_factory=list)
+    buildings: list[Building] = field(default_factory=list)
+    patches: list[Patch] = field(default_factory=list)
+    paths: list[Path] = field(default_factory=list)
+    hedges: list[Points] = field(default_factory=list)
+    trees: list[tuple[float, float, int, float, float]] = field(default_factory=list)
+    stalls: list[tuple[float, float, float, int, float]] = field(default_factory=list)

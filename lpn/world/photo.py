@@ -1,0 +1,124 @@
+"""From rendered light to a photograph: haze, exposure, colour, blur, sensor noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from lpn.world.architecture import Colour
+from lpn.world.cameras import Pose
+from lpn.world.canvas import Image
+from lpn.world.paint import Season
+
+
+@dataclass(frozen=True)
+class Look:
+    """One day, one camera.
+
+    Attributes:
+        sun: elevation above the horizon and bearing clockwise from north, in degrees.
+        exposure: factor on the light.
+        balance: gain of red, green, blue.
+        contrast: steepness around the middle grey, 1 leaves it.
+        saturation: 1 leaves it, 0 is grey.
+        haze: share of the light that the air replaces over 500 m.
+        veil: the haze's colour, as displayed (0 to 1).
+        blur: deviation in pixels.
+        noise: deviation of the sensor's noise, as displayed.
+        traffic: seed of which vehicles are there.
+    """
+
+    season: Season
+    sun: tuple[float, float]
+    exposure: float
+    balance: Colour
+    contrast: float
+    saturation: float
+    haze: float
+    veil: Colour
+    blur: float
+    noise: float
+    traffic: int
+
+
+_SUMMER = ((0.052, 0.085, 0.022), (0.07, 0.105, 0.026), (0.04, 0.07, 0.02), (0.085, 0.115, 0.03), (0.06, 0.085, 0.03))
+_LATE = ((0.06, 0.085, 0.02), (0.10, 0.10, 0.025), (0.05, 0.07, 0.022), (0.14, 0.10, 0.025), (0.08, 0.09, 0.03))
+_SPRING = ((0.06, 0.105, 0.025), (0.05, 0.085, 0.025), (0.04, 0.07, 0.022), (0.08, 0.12, 0.03), (0.05, 0.08, 0.03))
+_DRY = ((0.07, 0.085, 0.03), (0.08, 0.09, 0.032), (0.05, 0.06, 0.022), (0.10, 0.095, 0.04), (0.075, 0.08, 0.033))
+
+DRONE = Look(
+    Season((0.095, 0.15, 0.04), (0.23, 0.20, 0.09), 0.25, _SUMMER), (46.0, 228.0), 1.6, (1.01, 1.0, 1.03), 1.24, 1.0, 0.15,
+    (0.62, 0.69, 0.80), 0.45, 0.010, 1,
+)  # fmt: skip
+SATELLITES = (
+    Look(Season((0.085, 0.115, 0.04), (0.22, 0.18, 0.10), 0.45, _LATE), (38.0, 152.0), 1.6, (1.02, 1.0, 0.97), 1.3, 0.92,
+         0.05, (0.5, 0.55, 0.6), 0.7, 0.014, 2),
+    Look(Season((0.08, 0.125, 0.04), (0.2, 0.18, 0.09), 0.2, _SPRING), (52.0, 165.0), 1.6, (0.94, 1.0, 1.16), 1.2, 1.0, 0.07,
+         (0.55, 0.62, 0.75), 0.6, 0.012, 3),
+    Look(Season((0.10, 0.105, 0.05), (0.25, 0.2, 0.12), 0.7, _DRY), (39.0, 140.0), 1.6, (1.04, 1.0, 0.94), 1.22, 0.8, 0.05,
+         (0.5, 0.5, 0.5), 0.7, 0.018, 4),
+)  # fmt: skip
+
+
+def drone_look(seed: int, district: int) -> Look:
+    """The day on which a district was flown over: the drone's usual one, more or less."""
+    return _varied(DRONE, np.random.default_rng([seed, 41, district]))
+
+
+def satellite_look(seed: int, district: int) -> Look:
+    """The day on which the satellite saw a district: one of a few, more or less."""
+    rng = np.random.default_rng([seed, 42, district])
+    return _varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng)
+
+
+def _varied(look: Look, rng: np.random.Generator) -> Look:
+    elevation, bearing = look.sun
+    balance = np.array(look.balance) * rng.normal(1, (0.015, 0.01, 0.045))
+    return replace(
+        look,
+        season=replace(look.season, dryness=float(look.season.dryness * rng.uniform(0.5, 1.6))),
+        sun=(float(elevation + rng.uniform(-7, 9)), float(bearing + rng.uniform(-25, 25))),
+        exposure=float(look.exposure * rng.uniform(0.86, 1.14)),
+        balance=(float(balance[0]), float(balance[1]), float(balance[2])),
+        contrast=float(look.contrast * rng.uniform(0.93, 1.06)),
+        saturation=float(look.saturation * rng.uniform(0.85, 1.1)),
+        haze=float(look.haze * rng.uniform(0.6, 1.5)),
+    )
+
+
+def develop(light: Image, look: Look, rng: np.random.Generator, pose: Pose | None = None) -> NDArray[np.uint8]:
+    """A picture (h, w, 3) uint8 from linear light; `pose` gives the haze its depth, without it all is equally far."""
+    value = light * np.float32(look.exposure) * np.array(look.balance, np.float32)
+    # A film-like shoulder keeps white roofs from burning out.
+    value = value * (1 + value / 4.5) / (1 + value)
+    shown = np.where(value < 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055)
+    grey = shown @ np.array([0.3, 0.59, 0.11], np.float32)
+    shown = grey[..., None] + look.saturation * (shown - grey[..., None])
+    shown = 0.42 + look.contrast * (shown - 0.42)
+    depth = np.float32(look.haze) if pose is None else 1 - (1 - look.haze) ** (_distance(pose, light.shape[0]) / 500)
+    shown = shown + np.expand_dims(depth, -1) * (np.array(look.veil, np.float32) - shown)
+    if look.blur:
+        shown = cv2.GaussianBlur(shown, (0, 0), look.blur)
+    noise = rng.normal(0, look.noise, shown.shape) * 0.6 + rng.normal(0, look.noise, (*shown.shape[:2], 1))
+    picture: NDArray[np.uint8] = (np.clip(shown + noise, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return picture
+
+
+def _distance(pose: Pose, pixels: int) -> Image:
+    """How far the ground is (pixels, pixels) in metres, were it level 0 m below the picture's centre's."""
+    at = (np.arange(pixels) + 0.5) / pixels * 2 - 1
+    slope = np.tan(np.radians(pose.fov / 2))
+    right, up, forward = pose.axes()
+    rays = forward + slope * (at[None, :, None] * right - at[:, None, None] * up)
+    down = np.maximum(-rays[..., 2], 0.08)
+    distance: Image = (pose.z / down * np.linalg.norm(rays, axis=-1)).astype(np.float32)
+    return distance
+
+
+def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
+    """The picture (h, w, 3) in RGB as a JPEG file."""
+    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return data.tobytes()
