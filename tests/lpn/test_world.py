@@ -44,6 +44,13 @@ def city(atlas: Atlas) -> City:
     return atlas.city
 
 
+@pytest.mark.parametrize(("seed", "buildings"), [(0, 200), *((seed, 30) for seed in range(1, 6))])
+def test_any_seed_gives_a_city_of_the_size_asked_for(seed: int, buildings: int) -> None:
+    targets = plan_city(seed, buildings).targets
+    assert [target.number for target in targets] == list(range(1, buildings + 1))
+    assert {target.split for target in targets} == {"train", "test"}
+
+
 def test_the_same_seed_plans_the_same_world(atlas: Atlas) -> None:
     again = make_atlas(SETTINGS)
     assert again.world_json() == atlas.world_json()
