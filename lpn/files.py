@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import threading
 from contextlib import suppress
 from pathlib import Path
 
@@ -26,7 +27,7 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         OutputError: when it cannot be written; nothing is left behind.
     """
-    beside = path.parent / (path.name + ".part")
+    beside = _beside(path)
     try:
         _prepare(path)
         beside.write_bytes(data)
@@ -43,7 +44,7 @@ def check_writable(path: Path) -> None:
     Raises:
         OutputError: when it cannot.
     """
-    beside = path.parent / (path.name + ".part")
+    beside = _beside(path)
     try:
         _prepare(path)
         beside.touch()
@@ -55,6 +56,11 @@ def check_writable(path: Path) -> None:
 def printable(name: str) -> str:
     """A file's name as text that can be shown and sent: bytes that are not UTF-8 and control characters become "?"."""
     return "".join(c if c.isprintable() else "?" for c in name.encode("utf-8", "replace").decode())
+
+
+def _beside(path: Path) -> Path:
+    """A name that no other process or thread writes to at the same time."""
+    return path.parent / f"{path.name}.{os.getpid()}-{threading.get_ident()}.part"
 
 
 def _prepare(path: Path) -> None:

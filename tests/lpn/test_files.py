@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from lpn.errors import OutputError
+from lpn.files import check_writable, fingerprint, write_whole
+
+
+def test_a_file_is_whole_however_many_write_it(tmp_path: Path) -> None:
+    contents = [bytes([65 + i]) * 200_000 for i in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda data: write_whole(tmp_path / "deep" / "file", data), contents * 20))
+    assert (tmp_path / "deep" / "file").read_bytes() in contents
+    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["file"]
+
+
+def test_what_cannot_be_written_is_said_and_nothing_is_left(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_bytes(b"kept")
+    for path in (tmp_path / "folder", tmp_path / "file" / "below"):
+        for attempt in (check_writable, lambda p: write_whole(p, b"new")):
+            with pytest.raises(OutputError, match=f"{path.name} cannot be written"):
+                attempt(path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
+    assert (tmp_path / "file").read_bytes() == b"kept"
+
+
+def test_a_fingerprint_is_of_contents_alone(tmp_path: Path) -> None:
+    for name, data in (("a", b"one"), ("b", b"one"), ("c", b"two")):
+        (tmp_path / name).write_bytes(data)
+    a, b, c = (tmp_path / name for name in "abc")
+    assert fingerprint(a) == fingerprint(b) != fingerprint(c)
+    assert fingerprint(a, c) != fingerprint(c, a)
+    assert fingerprint(a) != fingerprint(a, also="other options")
