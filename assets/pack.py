@@ -15,14 +15,15 @@ from pathlib import Path
 import cv2
 
 import lpn
-from lpn import features
+from lpn import features, images
 from lpn.datasets import open_dataset
 from lpn.files import write_whole
 
-VIEWS = 8
-"""At most so many drone pictures of a place."""
+VIEWS = (2, 4, 6)
+"""Which of a place's drone pictures: from high up, from halfway down the spiral, and from straight above."""
 TILE = 384
 """Side of a tile in pixels."""
+QUALITY = 90
 
 
 def main() -> None:
@@ -31,15 +32,16 @@ def main() -> None:
     if out.exists():
         sys.exit(f"{out} is there already; delete it or choose another place.")
     kept: set[str] = set()
-    for source in sorted((world / "test" / "query_drone").glob("*/*.jpg")):
-        if int(source.stem.rpartition("-")[2]) <= VIEWS:
+    for role, view in (("query", "drone"), ("gallery", "satellite")):
+        for source in sorted((world / "test" / f"{role}_{view}").glob("*/*.jpg")):
+            if view == "drone" and int(source.stem.rpartition("-")[2]) not in VIEWS:
+                continue
             kept.add(source.relative_to(world).as_posix())
-            write_whole(out / source.relative_to(world), source.read_bytes())
-    for source in sorted((world / "test" / "gallery_satellite").glob("*/*.jpg")):
-        kept.add(source.relative_to(world).as_posix())
-        tile = cv2.resize(cv2.imread(str(source)), (TILE, TILE), interpolation=cv2.INTER_AREA)
-        encoded = cv2.imencode(".jpg", tile, [cv2.IMWRITE_JPEG_QUALITY, 86])[1]
-        write_whole(out / source.relative_to(world), encoded.tobytes())
+            data = source.read_bytes()
+            if view == "satellite":
+                tile = cv2.cvtColor(images.resize(images.load_picture(source), TILE, TILE), cv2.COLOR_RGB2BGR)
+                data = cv2.imencode(".jpg", tile, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
+            write_whole(out / source.relative_to(world), data)
     with (world / "geo.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
     lines = [header, *(row for row in rows if row[0] in kept)]
