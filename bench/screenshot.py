@@ -12,7 +12,7 @@ from playwright.sync_api import sync_playwright
 
 from bench.page import QUIET, Process, free_port
 
-NAME = "0156/image-02"
+NAME = "0156/02"
 
 
 def main() -> None:

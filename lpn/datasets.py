@@ -26,7 +26,8 @@ class Picture:
     Attributes:
         path: the file.
         label: the place it shows, from its folder's integer name.
-        name: how it is shown to people: the folder's name, and the file's where a place has several.
+        name: how it is shown to people: the folder's name, and where a place has several, the file's ("0005/01" for
+            0005/image-01.jpeg).
     """
 
     path: Path
@@ -114,6 +115,6 @@ def _pictures(folder: Path) -> list[Picture]:
             file for file in place.iterdir() if file.suffix.lower() in SUFFIXES and not hidden(file) and file.is_file()
         )
         for file in files:
-            name = place.name if len(files) == 1 else f"{place.name}/{file.stem}"
+            name = place.name if len(files) == 1 else f"{place.name}/{file.stem.removeprefix('image-')}"
             pictures.append(Picture(file, int(place.name), printable(name)))
     return pictures
