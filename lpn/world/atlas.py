@@ -20,7 +20,7 @@ from lpn.world.city import City, Target
 from lpn.world.plan import plan_city
 
 FORMAT = "lpn-world/1"
-EDITION = 1  # counts changes of the code that change the pictures of a seed
+EDITION = 2  # counts changes of the code that change the pictures of a seed
 SIGHT = 312.0  # metres around a target that its drone can see, at most
 _AIM = 0.4  # share of the building's height that the drone looks at
 
@@ -168,20 +168,17 @@ def make_atlas(settings: Settings) -> Atlas:
         InputError: when no city can be planned with these settings.
     """
     city = plan_city(settings.seed, settings.buildings)
-    middles = {d.number: d.polygon.mean(axis=0) for d in city.districts}
-    groups: dict[tuple[int, bool, bool], list[Target]] = defaultdict(list)
+    groups: dict[int, list[Target]] = defaultdict(list)
     for target in city.targets:
-        b = city.buildings[target.building]
-        east, north = (np.array([b.x, b.y]) > middles[b.district]).tolist()
-        groups[b.district, east, north].append(target)
+        groups[city.buildings[target.building].district].append(target)
     sectors = []
-    for number, key in enumerate(sorted(groups)):
-        places = np.array([[city.buildings[t.building].x, city.buildings[t.building].y] for t in groups[key]])
+    for number, district in enumerate(sorted(groups)):
+        places = np.array([[city.buildings[t.building].x, city.buildings[t.building].y] for t in groups[district]])
         low, high = places.min(axis=0), places.max(axis=0)
         x, y = ((low + high) / 2).tolist()
-        tiles = tuple(_tile(city, target) for target in groups[key])
-        frames = tuple(shot for target in groups[key] for shot in _frames(city, target, settings.views))
-        sectors.append(Sector(number, x, y, float((high - low).max() / 2), key[0], tiles, frames))
+        tiles = tuple(_tile(city, target) for target in groups[district])
+        frames = tuple(shot for target in groups[district] for shot in _frames(city, target, settings.views))
+        sectors.append(Sector(number, x, y, float((high - low).max() / 2), district, tiles, frames))
     return Atlas(settings, Site(), city, tuple(sectors))
 
 
