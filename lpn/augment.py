@@ -1,4 +1,4 @@
-"""Random changes to training pictures: one geometric warp, then colour."""
+"""Random changes to training pictures: compression, one geometric warp, then colour."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ def augment(
         angle: degrees the whole place is turned, mirror: whether it is mirrored, see `place_draw`.
         satellite: whether the satellite's extra rotation applies.
     """
+    if recipe.compression and rng.random() < recipe.compression:
+        picture = _compressed(picture, int(rng.integers(40, 96)))
     if mirror or (recipe.flip == "picture" and rng.random() < 0.5):
         picture = cast(Picture, np.ascontiguousarray(picture[:, ::-1]))
     native = rng.random() < recipe.own_canvas
@@ -45,6 +47,12 @@ def augment(
     warped = cast(Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=border))
     resized = images.resize(warped, recipe.size, recipe.size)
     return _recolour(resized, recipe.colour, rng) if recipe.colour else resized
+
+
+def _compressed(picture: Picture, quality: int) -> Picture:
+    """What is left of a picture after JPEG; a network that has seen only one quality leans on its traces."""
+    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return cast(Picture, np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]))
 
 
 def _recolour(picture: Picture, strength: float, rng: np.random.Generator) -> Picture:

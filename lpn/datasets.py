@@ -1,7 +1,7 @@
 """Data set folders in University-1652's layout: which pictures they hold, and of which place.
 
-    train/{satellite,drone,street,google}/<id>/*.jpg|jpeg|png
-    test/{query,gallery}_{satellite,drone,street}/<id>/*.jpg|jpeg|png
+    train/{satellite,drone,street,google}/<id>/*.jpg|jpeg|png|webp
+    test/{query,gallery}_{satellite,drone,street}/<id>/*.jpg|jpeg|png|webp
 
 The label of a picture is its folder's integer name.
 """

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
 
+import numpy as np
 import onnx
 import torch
 from torch import Tensor, nn
@@ -42,12 +43,16 @@ class _Graph(nn.Module):
         return parts, features, self.weight, self.bias, self.partition
 
 
-def export(model: str | Path, out: str | Path) -> list[Path]:
+def export(model: str | Path, out: str | Path, half: bool = False) -> list[Path]:
     """Export a `.pth` or `.safetensors` model for ONNX Runtime.
 
     The first group of views is written to `out`; a group that shares no weights with it, such as the street view,
     to a file beside it (`out` with the views' names before the suffix). Outputs: `parts` (B, n, D), `features`
     (B, C, h, w), and, independent of the input, `head_weight` (n, D, C), `head_bias` (n, D), `cells` (n, h, w).
+
+    Args:
+        half: keep weights as 16-bit floats, which halves the file; they are widened when it is opened, and computed with
+            in 32 bits.
 
     Returns:
         The files written.
@@ -67,7 +72,7 @@ def export(model: str | Path, out: str | Path) -> list[Path]:
     groups = loaded.spec.groups()
     metadata = {"format": FORMAT, "spec": loaded.spec.to_json(), "source": loaded.fingerprint}
     graphs = {
-        path: _graph(loaded, group[0], metadata | {"group": "+".join(group)})
+        path: _graph(loaded, group[0], metadata | {"group": "+".join(group)}, half)
         for path, group in zip(graph_files(out, groups), groups, strict=True)
     }
     for path, graph in reversed(graphs.items()):
@@ -87,7 +92,7 @@ def _quiet() -> Iterator[None]:
         logging.disable(logging.NOTSET)
 
 
-def _graph(model: TorchModel, view: View, metadata: dict[str, str]) -> bytes:
+def _graph(model: TorchModel, view: View, metadata: dict[str, str], half: bool) -> bytes:
     """Trace one view with a dynamic batch and return the serialised graph."""
     height, width = model.input_size
     example = torch.zeros(2, 3, height, width)
@@ -104,7 +109,25 @@ def _graph(model: TorchModel, view: View, metadata: dict[str, str]) -> bytes:
         )
     assert program is not None
     proto = program.model_proto
+    if half:
+        _halve(proto)
     onnx.helper.set_model_props(proto, metadata)
     buffer = io.BytesIO()
     onnx.save_model(proto, buffer)
     return buffer.getvalue()
+
+
+def _halve(proto: onnx.ModelProto) -> None:
+    """Store weights in 16 bits, each behind a Cast to the 32 bits that the graph computes with."""
+    graph = proto.graph
+    casts: list[onnx.NodeProto] = []
+    for weight in graph.initializer:
+        if weight.data_type != onnx.TensorProto.FLOAT:
+            continue
+        name, values = weight.name, onnx.numpy_helper.to_array(weight)
+        stored = f"{name}.half"
+        weight.CopyFrom(onnx.numpy_helper.from_array(values.astype(np.float16), stored))
+        casts.append(onnx.helper.make_node("Cast", [stored], [name], to=onnx.TensorProto.FLOAT))
+    nodes = [*casts, *graph.node]
+    del graph.node[:]
+    graph.node.extend(nodes)

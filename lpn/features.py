@@ -1,6 +1,6 @@
 """Descriptors of many pictures, kept on disk: a folder that a later step can read, resume, or check.
 
-    descriptors.npy   (N, n, D) float32, memory-mapped when read, each part of norm 1/sqrt(n)
+    descriptors.npy   (N, n, D) float32 or float16, memory-mapped when read, each part of norm 1/sqrt(n)
     manifest.json     format, model fingerprint, view, angle, and for each row its file with size and time
 
 The manifest is written last, so a folder with a manifest is complete. While pictures are being described, the rows
@@ -20,9 +20,10 @@ from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
+import numpy.typing as npt
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn import images
@@ -40,6 +41,7 @@ except ImportError:  # not a POSIX system: there, two processes must not describ
 log = logging.getLogger(__name__)
 
 FORMAT = "lpn-descriptors/1"
+Precision = Literal["float32", "float16"]
 
 _BATCH = 8
 
@@ -63,6 +65,7 @@ class Manifest:
         rotate: degrees counter-clockwise the pictures were turned first.
         n_parts, embedding: n and D.
         rows: the file of each row.
+        precision: of the numbers on disk.
     """
 
     fingerprint: str
@@ -71,6 +74,7 @@ class Manifest:
     n_parts: int
     embedding: int
     rows: tuple[Row, ...]
+    precision: Precision = "float32"
     format: str = FORMAT
 
     def to_json(self) -> bytes:
@@ -85,6 +89,8 @@ class Manifest:
             if values.pop("format") != FORMAT:
                 raise ValueError("another format")
             rows = tuple(Row(str(r["file"]), int(r["size"]), int(r["time_ns"])) for r in values.pop("rows"))
+            if values.get("precision", "float32") not in get_args(Precision):
+                raise ValueError("another precision")
             return cls(rows=rows, **values)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise StoreError(
@@ -93,15 +99,24 @@ class Manifest:
 
     def comparable(self, other: Manifest) -> bool:
         """Whether rows of the same file may be taken over from another store."""
-        return (self.fingerprint, self.view, self.rotate) == (other.fingerprint, other.view, other.rotate)
+        return self._kind == other._kind
+
+    @property
+    def _kind(self) -> tuple[str, str, float, str]:
+        return self.fingerprint, self.view, self.rotate, self.precision
 
 
 @dataclass(frozen=True, eq=False)
 class Store:
-    """A complete store. `descriptors` is (N, n, D) float32, memory-mapped, read-only."""
+    """A complete store. `descriptors` is (N, n, D) in the manifest's precision, memory-mapped, read-only."""
 
     manifest: Manifest
-    descriptors: FloatArray
+    descriptors: FloatArray | npt.NDArray[np.float16]
+
+    @property
+    def float32(self) -> FloatArray:
+        """The descriptors (N, n, D) in float32: memory-mapped where they are stored so, else a copy."""
+        return cast(FloatArray, self.descriptors.astype(np.float32, copy=False))
 
 
 def open_store(folder: str | Path) -> Store:
@@ -122,12 +137,12 @@ def open_store(folder: str | Path) -> Store:
         descriptors = np.load(folder / "descriptors.npy", mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise StoreError(f"descriptors.npy in {folder} is missing or damaged; describe the pictures again.") from error
-    if descriptors.shape != expected or descriptors.dtype != np.float32:
+    if descriptors.shape != expected or descriptors.dtype != np.dtype(manifest.precision):
         raise StoreError(
-            f"descriptors.npy in {folder} is {descriptors.dtype} {descriptors.shape}, but its manifest says float32 "
-            f"{expected}; describe the pictures again."
+            f"descriptors.npy in {folder} is {descriptors.dtype} {descriptors.shape}, but its manifest says "
+            f"{manifest.precision} {expected}; describe the pictures again."
         )
-    return Store(manifest, cast(FloatArray, descriptors))
+    return Store(manifest, descriptors)
 
 
 def describe(
@@ -138,11 +153,12 @@ def describe(
     root: Path | None = None,
     rotate: float = 0.0,
     title: str = "Describing",
+    precision: Precision = "float32",
 ) -> Store:
     """Describe picture files into a store, mirror included; what is there already is not computed again.
 
-    Killed at any moment, the next call goes on where it stood. A complete store in `out` of the same model, view, and
-    angle hands over the rows of files that did not change.
+    Killed at any moment, the next call goes on where it stood. A complete store in `out` of the same model, view,
+    angle, and precision hands over the rows of files that did not change.
 
     Args:
         files: the pictures, in the order of the rows.
@@ -150,15 +166,16 @@ def describe(
         root: folder that the file names in the manifest are relative to.
         rotate: degrees counter-clockwise each picture is turned first, corners black.
         title: shown beside the progress bar.
+        precision: of the numbers on disk; they are computed in float32.
 
     Raises:
         PictureError: naming the first file that is not a picture, before anything is computed where its header tells.
-        StoreError: when `out` cannot be written, or holds descriptors of another model, view, or angle.
+        StoreError: when `out` cannot be written, or holds descriptors of another model, view, angle, or precision.
     """
     model.check_view(view)
     out = Path(out)
     rows = tuple(_row(file, root) for file in files)
-    manifest = Manifest(model.fingerprint, view, float(rotate), model.n_parts, model.spec.embedding, rows)
+    manifest = Manifest(model.fingerprint, view, float(rotate), model.n_parts, model.spec.embedding, rows, precision)
     before = _usable(out, manifest)
     if before is not None and before.manifest == manifest:
         return before
@@ -222,7 +239,7 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ro
     folder = cache_folder() / "descriptors" / hashlib.sha256(identity.encode()).hexdigest()[:24]
     turned = f", turned {rotate:g}°" if rotate else ""
     try:
-        return describe(model, files, view, folder, rotate=rotate, title=f"Describing {view}{turned}").descriptors
+        return describe(model, files, view, folder, rotate=rotate, title=f"Describing {view}{turned}").float32
     except (StoreError, OutputError) as error:
         raise StoreError(
             f"The cache of descriptors in {cache_folder()} cannot be used ({error}) Set LPN_CACHE to a folder that can be "
@@ -243,7 +260,7 @@ def shipped_descriptors(model: Model, pictures: Sequence[Picture], view: View, s
     these = [("/".join(picture.path.parts[-2:]), picture.path.stat().st_size) for picture in pictures]
     wanted = (model.fingerprint, view, 0.0, model.n_parts)
     found = (held.manifest.fingerprint, held.manifest.view, held.manifest.rotate, held.manifest.n_parts)
-    return held.descriptors if found == wanted and rows == these else None
+    return held.float32 if found == wanted and rows == these else None
 
 
 def passing_descriptors(model: Model, pictures: Sequence[Picture], view: View, rotate: float = 0.0) -> FloatArray:
@@ -304,9 +321,9 @@ def _usable(out: Path, manifest: Manifest) -> Store | None:
     if store is not None and not manifest.comparable(store.manifest):
         held = store.manifest
         raise StoreError(
-            f"{out} holds {held.view} descriptors of model {held.fingerprint}, turned {held.rotate:g}°, and these would be "
-            f"{manifest.view} of {manifest.fingerprint}, turned {manifest.rotate:g}°; choose another folder, or delete "
-            "that one."
+            f"{out} holds {held.view} descriptors of model {held.fingerprint}, turned {held.rotate:g}°, in {held.precision}, "
+            f"and these would be {manifest.view} of {manifest.fingerprint}, turned {manifest.rotate:g}°, in "
+            f"{manifest.precision}; choose another folder, or delete that one."
         )
     return store
 
@@ -349,7 +366,7 @@ def _fill(model: Model, files: Sequence[Path], manifest: Manifest, out: Path, be
         known |= _known_rows(manifest, left)
         shape = (len(files), manifest.n_parts, manifest.embedding)
         fresh_part = part.with_name(part.name + ".new")
-        array = np.lib.format.open_memmap(fresh_part, mode="w+", dtype=np.float32, shape=shape)
+        array = np.lib.format.open_memmap(fresh_part, mode="w+", dtype=manifest.precision, shape=shape)
         for i, row in known.items():
             array[i] = row
         array.flush()
@@ -372,7 +389,7 @@ def _prepared(
     model: Model,
     files: Sequence[Path],
     rotate: float,
-    known: dict[int, FloatArray],
+    known: dict[int, npt.NDArray[Any]],
     batches: Sequence[range],
     done: int,
     title: str,
@@ -402,16 +419,18 @@ def _interrupted(manifest: Manifest, part: Path, planned: Path, progress_file: P
         saved: Any = json.loads(progress_file.read_bytes())
         plan = Manifest.from_json(planned.read_bytes(), planned.name)
         array = np.load(part, mmap_mode="r", allow_pickle=False)
-        fits = array.shape == (len(plan.rows), manifest.n_parts, manifest.embedding) and array.dtype == np.float32
+        fits = array.shape == (len(plan.rows), manifest.n_parts, manifest.embedding) and array.dtype == np.dtype(
+            manifest.precision
+        )
         done = int(saved["done"])
         if not (fits and manifest.comparable(plan) and 0 < done <= len(plan.rows)):
             return None
-        return Store(plan, cast(FloatArray, array[:done]))
+        return Store(plan, array[:done])
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, LPNError):
         return None
 
 
-def _known_rows(manifest: Manifest, before: Store | None) -> dict[int, FloatArray]:
+def _known_rows(manifest: Manifest, before: Store | None) -> dict[int, npt.NDArray[Any]]:
     """Rows of the same files that another store has."""
     if before is None or not manifest.comparable(before.manifest):
         return {}

@@ -21,7 +21,7 @@ cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 Picture = npt.NDArray[np.uint8]
 """An RGB picture, (H, W, 3) uint8."""
 
-SUFFIXES = (".jpg", ".jpeg", ".png")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 MAX_PIXELS = 50_000_000
 
 _MEAN = np.array([0.485, 0.456, 0.406], dtype=np.float32)
@@ -47,7 +47,7 @@ def load_picture(path: str | Path) -> Picture:
 
 
 def decode_picture(data: bytes, name: str) -> Picture:
-    """Decode the bytes of a JPEG, PNG, or other common picture file; `name` is used in messages only.
+    """Decode the bytes of a JPEG, PNG, WebP, or other common picture file; `name` is used in messages only.
 
     Raises:
         PictureError: when they are not a picture, or one of more than 50 megapixels.
@@ -58,7 +58,7 @@ def decode_picture(data: bytes, name: str) -> Picture:
     except cv2.error:
         decoded = None
     if decoded is None:
-        raise PictureError(f"{name} is not a picture that can be read; expected a JPEG or PNG file.")
+        raise PictureError(f"{name} is not a picture that can be read; expected a JPEG, PNG, or WebP file.")
     return cast(Picture, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
 
 
@@ -81,7 +81,7 @@ def _check_size(file: BinaryIO, name: str) -> None:
             with Image.open(file) as header:
                 width, height = header.size
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise PictureError(f"{name} is not a picture that can be read; expected a JPEG or PNG file.") from error
+        raise PictureError(f"{name} is not a picture that can be read; expected a JPEG, PNG, or WebP file.") from error
     if width * height > MAX_PIXELS:
         raise PictureError(
             f"{name} is {width} x {height} pixels; at most {MAX_PIXELS // 1_000_000} megapixels are read, so make it smaller."

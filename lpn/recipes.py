@@ -24,7 +24,8 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     **dict.fromkeys(("lr", "temperature"), (_ABOVE_ZERO, _MOST, "a number above 0")),
     **dict.fromkeys(("dropout", "ema"), (0, _BELOW_ONE, "a number from 0 up to, not including, 1")),
     **dict.fromkeys(
-        ("label_smoothing", "black_corners", "own_canvas", "shift", "colour"), (0, 1, "a number from 0 to 1")
+        ("label_smoothing", "black_corners", "own_canvas", "shift", "colour", "compression"),
+        (0, 1, "a number from 0 to 1"),
     ),
     **dict.fromkeys(
         (
@@ -114,6 +115,8 @@ class Recipe:
     """Random scale, up to exp(+-scale)."""
     colour: float = 0.0
     """Strength 0 .. 1 of random brightness, contrast, colour cast, and grey."""
+    compression: float = 0.0
+    """How often a picture is compressed as JPEG first, with a quality from 40 to 95."""
     flip: Literal["none", "picture", "place"] = "picture"
     """What is mirrored, half of the time: each picture on its own (published), or all views of a place together."""
 
@@ -170,7 +173,7 @@ _SMALL = Recipe(
 RECIPES: dict[str, Recipe] = {
     "university1652": Recipe(),
     "small": _SMALL,
-    "world": replace(_SMALL, epochs=60, satellite_rotation=180.0, place_rotation=0.0),
+    "world": replace(_SMALL, epochs=60, satellite_rotation=180.0, place_rotation=0.0, compression=0.5),
 }
 """university1652: the paper's. small: for some hundred places, from an ImageNet backbone, where drone pictures share a
 heading. world: the same where each has its own, as around a rendered city's buildings."""

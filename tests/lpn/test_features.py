@@ -147,6 +147,35 @@ def test_a_store_that_comes_along_is_used_for_its_own_pictures_and_model(
     assert features.shipped_descriptors(model, pictures, "drone", tmp_path / "store") is None
 
 
+def test_a_store_of_half_the_size_says_nearly_the_same(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lpn.datasets import Picture
+
+    files = features.pictures_below(folder)
+    whole = features.describe(model, files, "drone", tmp_path / "whole", root=folder)
+    with monkeypatch.context() as patch:
+        Counting(model, patch, die_after=8)
+        with pytest.raises(KeyboardInterrupt):
+            features.describe(model, files, "drone", tmp_path / "half", root=folder, precision="float16")
+    count = Counting(model, monkeypatch)
+    half = features.describe(model, files, "drone", tmp_path / "half", root=folder, precision="float16")
+    assert count.described == 12
+    assert (half.descriptors.dtype, half.float32.dtype, half.manifest.precision) == (np.float16, np.float32, "float16")
+    np.testing.assert_allclose(half.float32, whole.descriptors, atol=2e-4)
+    assert np.abs(half.float32 - whole.descriptors).max() > 0
+    pictures = [Picture(file, 1, file.stem) for file in files]
+    shipped = features.shipped_descriptors(model, pictures, "drone", tmp_path / "half")
+    assert shipped is not None
+    np.testing.assert_array_equal(shipped, half.float32)
+    with pytest.raises(StoreError, match=r"in float16, and these would be .* in float32"):
+        features.describe(model, files, "drone", tmp_path / "half", root=folder)
+    manifest = json.loads((tmp_path / "whole" / "manifest.json").read_text())
+    del manifest["precision"]  # as stores made before there was a choice
+    (tmp_path / "whole" / "manifest.json").write_text(json.dumps(manifest))
+    assert features.open_store(tmp_path / "whole").manifest.precision == "float32"
+
+
 def test_two_at_once_describe_into_one_folder_once(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -181,13 +210,16 @@ def test_unreadable_pictures_are_named_before_anything_is_computed(
 
 def test_damaged_stores_are_refused_in_words(model: Model, folder: Path, tmp_path: Path) -> None:
     files = features.pictures_below(folder)
-    for damage in ("cut", "shape", "manifest", "text"):
+    for damage in ("cut", "shape", "precision", "manifest", "text"):
         store = tmp_path / damage
         features.describe(model, files, "drone", store)
         if damage == "cut":
             (store / "descriptors.npy").write_bytes((store / "descriptors.npy").read_bytes()[:500])
         elif damage == "shape":
             np.save(store / "descriptors.npy", np.zeros((2, 4, 512), np.float32))
+        elif damage == "precision":
+            text = (store / "manifest.json").read_text()
+            (store / "manifest.json").write_text(text.replace("float32", "int4"))
         else:
             (store / "manifest.json").write_text("{}" if damage == "manifest" else "\x00")
         with pytest.raises(LPNError, match="describe the pictures again"):

@@ -51,6 +51,12 @@ def test_other_pixel_formats_become_rgb(mode: str, tmp_path: Path) -> None:
     assert np.abs(loaded.mean() - np.asarray(grey).mean()) < 12
 
 
+def test_webp_is_read_as_what_it_shows(tmp_path: Path) -> None:
+    Image.fromarray(worlds.place(3)).save(tmp_path / "picture.webp", lossless=True)
+    np.testing.assert_array_equal(images.load_picture(tmp_path / "picture.webp"), worlds.place(3))
+    assert ".webp" in images.SUFFIXES
+
+
 def test_exif_orientation_is_obeyed(tmp_path: Path) -> None:
     picture = Image.fromarray(worlds.place(4)[:40])
     exif = picture.getexif()
