@@ -52,7 +52,7 @@ def augment(
 def _compressed(picture: Picture, quality: int) -> Picture:
     """What is left of a picture after JPEG; a network that has seen only one quality leans on its traces."""
     _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return cast(Picture, np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]))
+    return cast(Picture, cv2.cvtColor(cast(Picture, cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB))
 
 
 def _recolour(picture: Picture, strength: float, rng: np.random.Generator) -> Picture:

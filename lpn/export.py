@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
 import onnx
@@ -20,6 +20,8 @@ from lpn.engine import FORMAT, HEAD_OUTPUTS, OUTPUTS, graph_files
 from lpn.errors import InputError
 from lpn.files import check_writable, write_whole
 from lpn.spec import View
+
+Storage = Literal["float32", "float16", "int8"]
 
 
 class _Graph(nn.Module):
@@ -43,7 +45,7 @@ class _Graph(nn.Module):
         return parts, features, self.weight, self.bias, self.partition
 
 
-def export(model: str | Path, out: str | Path, half: bool = False) -> list[Path]:
+def export(model: str | Path, out: str | Path, storage: Storage = "float32") -> list[Path]:
     """Export a `.pth` or `.safetensors` model for ONNX Runtime.
 
     The first group of views is written to `out`; a group that shares no weights with it, such as the street view,
@@ -51,8 +53,9 @@ def export(model: str | Path, out: str | Path, half: bool = False) -> list[Path]
     (B, C, h, w), and, independent of the input, `head_weight` (n, D, C), `head_bias` (n, D), `cells` (n, h, w).
 
     Args:
-        half: keep weights as 16-bit floats, which halves the file; they are widened when it is opened, and computed with
-            in 32 bits.
+        storage: of the weights in the file. float16 halves the file; int8 takes convolutions to a quarter, one scale per
+            output channel, and the rest to half. They are widened when it is opened, and computed with in float32, so
+            that neither is faster.
 
     Returns:
         The files written.
@@ -72,7 +75,7 @@ def export(model: str | Path, out: str | Path, half: bool = False) -> list[Path]
     groups = loaded.spec.groups()
     metadata = {"format": FORMAT, "spec": loaded.spec.to_json(), "source": loaded.fingerprint}
     graphs = {
-        path: _graph(loaded, group[0], metadata | {"group": "+".join(group)}, half)
+        path: _graph(loaded, group[0], metadata | {"group": "+".join(group)}, storage)
         for path, group in zip(graph_files(out, groups), groups, strict=True)
     }
     for path, graph in reversed(graphs.items()):
@@ -92,7 +95,7 @@ def _quiet() -> Iterator[None]:
         logging.disable(logging.NOTSET)
 
 
-def _graph(model: TorchModel, view: View, metadata: dict[str, str], half: bool) -> bytes:
+def _graph(model: TorchModel, view: View, metadata: dict[str, str], storage: Storage) -> bytes:
     """Trace one view with a dynamic batch and return the serialised graph."""
     height, width = model.input_size
     example = torch.zeros(2, 3, height, width)
@@ -109,25 +112,34 @@ def _graph(model: TorchModel, view: View, metadata: dict[str, str], half: bool) 
         )
     assert program is not None
     proto = program.model_proto
-    if half:
-        _halve(proto)
+    if storage != "float32":
+        _shrink(proto, storage)
     onnx.helper.set_model_props(proto, metadata)
     buffer = io.BytesIO()
     onnx.save_model(proto, buffer)
     return buffer.getvalue()
 
 
-def _halve(proto: onnx.ModelProto) -> None:
-    """Store weights in 16 bits, each behind a Cast to the 32 bits that the graph computes with."""
+def _shrink(proto: onnx.ModelProto, storage: Storage) -> None:
+    """Store weights in fewer bits, behind nodes that widen them to the 32 bits that the graph computes with."""
     graph = proto.graph
-    casts: list[onnx.NodeProto] = []
-    for weight in graph.initializer:
-        if weight.data_type != onnx.TensorProto.FLOAT:
+    widening: list[onnx.NodeProto] = []
+    for weight in list(graph.initializer):
+        values = onnx.numpy_helper.to_array(weight)
+        if values.dtype != np.float32:
             continue
-        name, values = weight.name, onnx.numpy_helper.to_array(weight)
-        stored = f"{name}.half"
-        weight.CopyFrom(onnx.numpy_helper.from_array(values.astype(np.float16), stored))
-        casts.append(onnx.helper.make_node("Cast", [stored], [name], to=onnx.TensorProto.FLOAT))
-    nodes = [*casts, *graph.node]
+        name, stored = weight.name, f"{weight.name}.stored"
+        # Heads and cells are few, and what the graph yields of them must be what it computes with.
+        if storage == "float16" or values.ndim != 4:
+            widened, narrow = name, values.astype(np.float16)
+        else:
+            widened = f"{name}.wide"
+            scale = np.maximum(np.abs(values).max(axis=(1, 2, 3), keepdims=True), 1e-30) / np.float32(127)
+            narrow = np.round(values / scale).astype(np.int8)
+            graph.initializer.append(onnx.numpy_helper.from_array(scale.astype(np.float32), f"{name}.scale"))
+            widening.append(onnx.helper.make_node("Mul", [widened, f"{name}.scale"], [name]))
+        weight.CopyFrom(onnx.numpy_helper.from_array(narrow, stored))
+        widening.insert(0, onnx.helper.make_node("Cast", [stored], [widened], to=onnx.TensorProto.FLOAT))
+    nodes = [*widening, *graph.node]
     del graph.node[:]
     graph.node.extend(nodes)
