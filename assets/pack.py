@@ -19,11 +19,8 @@ from lpn import features, images
 from lpn.datasets import open_dataset
 from lpn.files import write_whole
 
-VIEWS = (2, 4, 6)
-"""Which of a place's drone pictures: from high up, from halfway down the spiral, and from straight above."""
-TILE = 384
-"""Side of a tile in pixels."""
-QUALITY = 90
+QUALITY = {"drone": 62, "satellite": 72}
+"""Of WebP; sensor noise does not survive it, and is most of what a better one would cost."""
 
 
 def main() -> None:
@@ -31,24 +28,21 @@ def main() -> None:
     world, model, out = (Path(argument) for argument in sys.argv[1:4])
     if out.exists():
         sys.exit(f"{out} is there already; delete it or choose another place.")
-    kept: set[str] = set()
+    kept: dict[str, str] = {}
     for role, view in (("query", "drone"), ("gallery", "satellite")):
         for source in sorted((world / "test" / f"{role}_{view}").glob("*/*.jpg")):
-            if view == "drone" and int(source.stem.rpartition("-")[2]) not in VIEWS:
-                continue
-            kept.add(source.relative_to(world).as_posix())
-            data = source.read_bytes()
-            if view == "satellite":
-                tile = cv2.cvtColor(images.resize(images.load_picture(source), TILE, TILE), cv2.COLOR_RGB2BGR)
-                data = cv2.imencode(".jpg", tile, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
-            write_whole(out / source.relative_to(world), data)
+            picture = cv2.cvtColor(images.load_picture(source), cv2.COLOR_RGB2BGR)
+            data = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, QUALITY[view]])[1].tobytes()
+            inside = source.relative_to(world)
+            kept[inside.as_posix()] = inside.with_suffix(".webp").as_posix()
+            write_whole(out / kept[inside.as_posix()], data)
     with (world / "geo.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
-    lines = [header, *(row for row in rows if row[0] in kept)]
+    lines = [header, *([kept[row[0]], *row[1:]] for row in rows if row[0] in kept)]
     write_whole(out / "geo.csv", ("\n".join(",".join(line) for line in lines) + "\n").encode())
     plan = json.loads((world / "world.json").read_bytes())
     plan["buildings"] = [building for building in plan["buildings"] if building["split"] == "test"]
-    plan["pictures"] = [picture for picture in plan["pictures"] if picture["path"] in kept]
+    plan["pictures"] = [{**shot, "path": kept[shot["path"]]} for shot in plan["pictures"] if shot["path"] in kept]
     write_whole(out / "world.json", json.dumps(plan, separators=(",", ":")).encode())
     shutil.copy(model, out / "lpn.onnx")
     opened, dataset = lpn.load(out / "lpn.onnx"), open_dataset(out)
@@ -58,7 +52,7 @@ def main() -> None:
     ):
         root = out / "test" / folder
         files = [picture.path for picture in pictures]
-        features.describe(opened, files, view, out / "descriptors" / folder, root=root)
+        features.describe(opened, files, view, out / "descriptors" / folder, root=root, precision="float16")
 
 
 if __name__ == "__main__":

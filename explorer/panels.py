@@ -84,7 +84,7 @@ class Panels:
         walk.on_click(lambda _: self._change(moves.get(walk.value, lambda s: s)))
         self._angle = gui.add_slider("Rotate", -180, 180, 1, state.angle)
         self._upload = gui.add_upload_button(
-            "Use my own picture", mime_type="image/jpeg,image/png", icon=viser.Icon.UPLOAD
+            "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
         )
         self._upload.on_upload(self._uploaded)
         with gui.add_folder("Look"):
