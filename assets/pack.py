@@ -52,7 +52,7 @@ def main() -> None:
     ):
         root = out / "test" / folder
         files = [picture.path for picture in pictures]
-        features.describe(opened, files, view, out / "descriptors" / folder, root=root, precision="float16")
+        features.describe(opened, files, view, out / "descriptors" / folder, root=root, precision="int8")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Descriptors of many pictures, kept on disk: a folder that a later step can read, resume, or check.
 
-    descriptors.npy   (N, n, D) float32 or float16, memory-mapped when read, each part of norm 1/sqrt(n)
+    descriptors.npy   (N, n, D) float32, float16, or int8, memory-mapped when read; each part has norm 1/sqrt(n), and in int8
+                      the direction alone, its largest number brought to 127
     manifest.json     format, model fingerprint, view, angle, and for each row its file with size and time
 
 The manifest is written last, so a folder with a manifest is complete. While pictures are being described, the rows
@@ -41,7 +42,7 @@ except ImportError:  # not a POSIX system: there, two processes must not describ
 log = logging.getLogger(__name__)
 
 FORMAT = "lpn-descriptors/1"
-Precision = Literal["float32", "float16"]
+Precision = Literal["float32", "float16", "int8"]
 
 _BATCH = 8
 
@@ -111,12 +112,16 @@ class Store:
     """A complete store. `descriptors` is (N, n, D) in the manifest's precision, memory-mapped, read-only."""
 
     manifest: Manifest
-    descriptors: FloatArray | npt.NDArray[np.float16]
+    descriptors: FloatArray | npt.NDArray[np.float16] | npt.NDArray[np.int8]
 
     @property
     def float32(self) -> FloatArray:
         """The descriptors (N, n, D) in float32: memory-mapped where they are stored so, else a copy."""
-        return cast(FloatArray, self.descriptors.astype(np.float32, copy=False))
+        values = self.descriptors.astype(np.float32, copy=False)
+        if self.manifest.precision == "int8":
+            norms = np.linalg.norm(values, axis=2, keepdims=True)
+            values *= np.float32(self.manifest.n_parts**-0.5) / np.maximum(norms, np.float32(1e-12))
+        return values
 
 
 def open_store(folder: str | Path) -> Store:
@@ -379,10 +384,19 @@ def _fill(model: Model, files: Sequence[Path], manifest: Manifest, out: Path, be
     for batch, prepared in _prepared(model, files, manifest.rotate, known, batches, done, title):
         fresh = [i for i in batch if i not in known]
         if fresh:
-            array[fresh] = model.descriptors(prepared, cast(View, manifest.view))
+            array[fresh] = _stored(model.descriptors(prepared, cast(View, manifest.view)), manifest.precision)
         array.flush()
         write_whole(progress_file, json.dumps({"done": batch.stop}).encode())
     del array
+
+
+def _stored(descriptors: FloatArray, precision: Precision) -> npt.NDArray[Any]:
+    """Descriptors as they are kept on disk, see the top of this module."""
+    if precision == "int8":
+        largest = np.abs(descriptors).max(axis=2, keepdims=True)
+        directions: npt.NDArray[np.int8] = np.round(descriptors * (127 / np.maximum(largest, 1e-12))).astype(np.int8)
+        return directions
+    return descriptors.astype(precision, copy=False)
 
 
 def _prepared(

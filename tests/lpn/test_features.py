@@ -147,8 +147,14 @@ def test_a_store_that_comes_along_is_used_for_its_own_pictures_and_model(
     assert features.shipped_descriptors(model, pictures, "drone", tmp_path / "store") is None
 
 
-def test_a_store_of_half_the_size_says_nearly_the_same(
-    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("precision", "error"), [("float16", 2e-4), ("int8", 4e-3)])
+def test_a_smaller_store_says_nearly_the_same(
+    precision: features.Precision,
+    error: float,
+    model: Model,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from lpn.datasets import Picture
 
@@ -157,19 +163,24 @@ def test_a_store_of_half_the_size_says_nearly_the_same(
     with monkeypatch.context() as patch:
         Counting(model, patch, die_after=8)
         with pytest.raises(KeyboardInterrupt):
-            features.describe(model, files, "drone", tmp_path / "half", root=folder, precision="float16")
+            features.describe(model, files, "drone", tmp_path / "small", root=folder, precision=precision)
     count = Counting(model, monkeypatch)
-    half = features.describe(model, files, "drone", tmp_path / "half", root=folder, precision="float16")
+    small = features.describe(model, files, "drone", tmp_path / "small", root=folder, precision=precision)
     assert count.described == 12
-    assert (half.descriptors.dtype, half.float32.dtype, half.manifest.precision) == (np.float16, np.float32, "float16")
-    np.testing.assert_allclose(half.float32, whole.descriptors, atol=2e-4)
-    assert np.abs(half.float32 - whole.descriptors).max() > 0
+    assert (small.descriptors.dtype, small.float32.dtype, small.manifest.precision) == (
+        precision,
+        np.float32,
+        precision,
+    )
+    np.testing.assert_allclose(small.float32, whole.descriptors, atol=error)
+    np.testing.assert_allclose(np.linalg.norm(small.float32, axis=2), 0.5, atol=1e-3)
+    assert np.abs(small.float32 - whole.descriptors).max() > 0
     pictures = [Picture(file, 1, file.stem) for file in files]
-    shipped = features.shipped_descriptors(model, pictures, "drone", tmp_path / "half")
+    shipped = features.shipped_descriptors(model, pictures, "drone", tmp_path / "small")
     assert shipped is not None
-    np.testing.assert_array_equal(shipped, half.float32)
-    with pytest.raises(StoreError, match=r"in float16, and these would be .* in float32"):
-        features.describe(model, files, "drone", tmp_path / "half", root=folder)
+    np.testing.assert_array_equal(shipped, small.float32)
+    with pytest.raises(StoreError, match=rf"in {precision}, and these would be .* in float32"):
+        features.describe(model, files, "drone", tmp_path / "small", root=folder)
     manifest = json.loads((tmp_path / "whole" / "manifest.json").read_text())
     del manifest["precision"]  # as stores made before there was a choice
     (tmp_path / "whole" / "manifest.json").write_text(json.dumps(manifest))
