@@ -18,6 +18,8 @@ import lpn
 from lpn import features, images
 from lpn.datasets import open_dataset
 from lpn.files import write_whole
+from lpn.world.atlas import Settings, make_atlas
+from lpn.world.model3d import city_model, test_window
 
 VIEWS = (2, 4, 6)
 """Which of a place's drone pictures: from high up, from halfway down the spiral, and from straight above."""
@@ -50,6 +52,8 @@ def main() -> None:
     plan["buildings"] = [building for building in plan["buildings"] if building["split"] == "test"]
     plan["pictures"] = [picture for picture in plan["pictures"] if picture["path"] in kept]
     write_whole(out / "world.json", json.dumps(plan, separators=(",", ":")).encode())
+    atlas = make_atlas(Settings(**plan["settings"]))
+    write_whole(out / "city.glb", city_model(atlas.city, atlas.site, test_window(atlas)))
     shutil.copy(model, out / "lpn.onnx")
     opened, dataset = lpn.load(out / "lpn.onnx"), open_dataset(out)
     for folder, view, pictures in (

@@ -35,7 +35,7 @@ class GalleryMap:
         self._exhibit = exhibit
         self._answer: Answer | None = None
         self._task = ""
-        self._scale, self._middle, self._viewpoint = 1.0, np.zeros(2), Viewpoint()
+        self._scale, self._middle = 1.0, np.zeros(2)
         self._scene = scene = client.scene
         self._city: viser.GlbHandle | None = None
         self._ground = Plane(scene, "/map/ground", 1.0, 1.0, _point(0, 0, 0))
@@ -68,12 +68,13 @@ class GalleryMap:
         camera = self._show_camera(answer, places)
         self._show_lines(answer, places, camera, _ROOFS * self._scale if city else _LINES)
         self._lines.thickness = 5.0 if city else 3.0
-        self._put_sign(self._over_city(answer, places, camera) if city else self._whole(places))
+        viewpoint = self._over_city(answer, places, camera) if city else self._whole(places)
+        self._camera.scale = 0.5 * viewpoint.ratio
         self._caption.show(self._words(answer))
         self._query.show(overlays.framed(overlays.square(answer.query.picture, 256), overlays.TEXT, 4))
         colour = overlays.verdict_colour(answer.chosen.true)
         self._tile.show(overlays.framed(overlays.square(answer.tile.picture, 256), colour, 6))
-        return self._viewpoint
+        return viewpoint
 
     def _lay_out(self, answer: Answer, places: Places) -> None:
         west, south, east, north = places.bounds()
@@ -81,7 +82,6 @@ class GalleryMap:
         self._middle = np.array([west + east, south + north]) / 2
         handle = self._ground.handle
         handle.render_width, handle.render_height = (east - west) * self._scale, (north - south) * self._scale
-        self._ground.show(self._exhibit.mosaic(answer.task))
         self._task = answer.task.name
 
     def _show_city(self, answer: Answer, places: Places) -> bool:
@@ -89,6 +89,8 @@ class GalleryMap:
         model = self._exhibit.city
         shown = answer.state.city and model is not None
         self._ground.handle.visible = not shown
+        if not shown:
+            self._ground.show(self._exhibit.mosaic(answer.task))
         if shown and model is not None:
             self._city = self._city or self._scene.add_glb(
                 "/map/city", model.data, wxyz=_UPRIGHT, cast_shadow=False, receive_shadow=False
@@ -113,10 +115,8 @@ class GalleryMap:
             points.append(camera)
         return over(np.array(points) - AT, _NEAR * self._scale)
 
-    def _put_sign(self, viewpoint: Viewpoint) -> None:
-        """Put query, words, and tile where they are seen along the top."""
-        self._viewpoint = viewpoint
-        self._camera.scale = 0.5 * viewpoint.ratio
+    def put_sign(self, viewpoint: Viewpoint, aspect: float) -> None:
+        """Put query, words, and tile where they are seen from there in a window of that aspect, along the top."""
         edge = (SIDE - PICTURE) / 2
         for plane, x, width in (
             (self._query, -edge, PICTURE),
@@ -124,7 +124,7 @@ class GalleryMap:
             (self._tile, edge, PICTURE),
         ):
             plane.handle.render_width, plane.handle.render_height = width * viewpoint.ratio, PICTURE * viewpoint.ratio
-            plane.handle.position = viewpoint.sign(x)
+            plane.handle.position = viewpoint.sign(x, aspect)
             plane.handle.wxyz = viewpoint.towards
 
     def _place(self, ground: npt.NDArray[np.float64], up: float, lift: float = 0.0) -> npt.NDArray[np.float64]:

@@ -159,7 +159,8 @@ class Stage:
         tangent = math.tan(_FOV / 2)
         distance = max(_HEIGHT / 2 / tangent, _WIDTH / 2 / (tangent * self._aspect))
         position, target = np.array([*_MIDDLE, distance]), np.array([*_MIDDLE, 0.0])
-        if self._viewpoint is not None:
+        if self._viewpoint is not None and self._map is not None:
+            self._map.put_sign(self._viewpoint, self._aspect)
             position, target = self._viewpoint.camera(self._aspect, _FOV)
         with self._client.atomic():
             camera.fov = _FOV

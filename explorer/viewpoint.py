@@ -31,7 +31,7 @@ class Viewpoint:
         side: how large it is, and with it all that stands on the map, in stage units.
         depth: its extent from south to north.
         tilt: radians from straight down.
-        floating: whether the sign hangs over the part's middle, as where the map goes on behind it, or stands at its edge.
+        floating: whether the sign hangs along the top of what is seen, or stands on the far edge of the part.
     """
 
     middle: tuple[float, float] = (0.0, 0.0)
@@ -56,17 +56,17 @@ class Viewpoint:
         half = (self.tilt + math.pi) / 2
         return math.cos(half), math.sin(half), 0.0, 0.0
 
-    def sign(self, x: float) -> npt.NDArray[np.float64]:
-        """Where the middle of a picture is that is `x` to the right on a sign along the top; the whole map's units."""
+    def sign(self, x: float, aspect: float) -> npt.NDArray[np.float64]:
+        """Where the middle of a picture is that is `x` to the right on the sign, in units of the whole map."""
         if self.floating:
-            start, up = self._target, self._height - PICTURE / 2 - 0.1
+            start, up = self._target, self._height(aspect) - PICTURE / 2 - 0.1
         else:
             start, up = self._ground + np.array([0.0, self.depth / 2, 0.0]), PICTURE / 2 + 0.15
         return np.asarray(start + self.ratio * (np.array([x, 0.0, 0.0]) + up * self.above), np.float64)
 
     def camera(self, aspect: float, fov: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """Where the browser's camera stands and looks to have the part and the sign in view."""
-        distance = self.ratio * max(self._height, 4.7 / aspect) / math.tan(fov / 2)
+        distance = self.ratio * self._height(aspect) / math.tan(fov / 2)
         target = self._target
         return target + distance * np.array([0.0, -math.sin(self.tilt), math.cos(self.tilt)]), target
 
@@ -79,10 +79,9 @@ class Viewpoint:
         """What the camera looks at: between the part and the sign above it."""
         return np.asarray(self._ground + self.ratio * 0.5 * (PICTURE + 0.2) * self.above, np.float64)
 
-    @property
-    def _height(self) -> float:
+    def _height(self, aspect: float) -> float:
         """Half of what is seen from bottom to top, in units of the whole map."""
-        return (SIDE * math.cos(self.tilt) + PICTURE) / 2 + 0.4
+        return max((SIDE * math.cos(self.tilt) + PICTURE) / 2 + 1.0, 4.7 / aspect)
 
 
 def over(points: npt.NDArray[np.float64], least: float) -> Viewpoint:

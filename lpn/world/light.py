@@ -43,7 +43,8 @@ def displayed(light: Points) -> NDArray[np.uint8]:
 def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """sRGB colours in linear steps, as glTF wants the colours of vertices."""
     value = colours / 255
-    return np.rint(255 * np.where(value < 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
+    steps = 255 * np.where(value < 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.rint(steps), np.uint8)
 
 
 def sunshine(city: City, west: float, north: float, shape: tuple[int, int], scale: float) -> Image:

@@ -182,7 +182,7 @@ def _painted(city: City, window: Window, pixel: float) -> NDArray[np.uint8]:
     width, height = round((east - west) / pixel), round((north - south) / pixel)
     sun = light.sunshine(city, west, north, (height, width), pixel)
     picture = np.empty((height, width, 3), np.uint8)
-    side = round(_PIECE / pixel)
+    side = max(int(np.ceil(length / np.ceil(length * pixel / _PIECE))) for length in (width, height))
     for top in range(0, height, side):
         for left in range(0, width, side):
             rows, columns = slice(top, min(top + side, height)), slice(left, min(left + side, width))
