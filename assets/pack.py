@@ -18,6 +18,8 @@ import lpn
 from lpn import features, images
 from lpn.datasets import open_dataset
 from lpn.files import write_whole
+from lpn.world.atlas import Settings, make_atlas
+from lpn.world.model3d import city_model, test_window
 
 QUALITY = {"drone": 62, "satellite": 72}
 """Of WebP; sensor noise does not survive it, and is most of what a better one would cost."""
@@ -44,6 +46,8 @@ def main() -> None:
     plan["buildings"] = [building for building in plan["buildings"] if building["split"] == "test"]
     plan["pictures"] = [{**shot, "path": kept[shot["path"]]} for shot in plan["pictures"] if shot["path"] in kept]
     write_whole(out / "world.json", json.dumps(plan, separators=(",", ":")).encode())
+    atlas = make_atlas(Settings(**plan["settings"]))
+    write_whole(out / "city.glb", city_model(atlas.city, atlas.site, test_window(atlas)))
     shutil.copy(model, out / "lpn.onnx")
     opened, dataset = lpn.load(out / "lpn.onnx"), open_dataset(out)
     for folder, view, pictures in (

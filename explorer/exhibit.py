@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,6 +18,7 @@ from explorer import chart, overlays
 from explorer.chart import Places
 from explorer.session import TRUTH, State
 from lpn import explain, features, geo, images, metrics, retrieval
+from lpn.city import CityModel, city_model
 from lpn.datasets import Picture as Entry
 from lpn.datasets import open_dataset
 from lpn.errors import DataError
@@ -26,6 +28,8 @@ from lpn.images import Picture
 from lpn.model import FloatArray, Model
 from lpn.retrieval import Described, Match, Ranking
 from lpn.spec import View
+
+log = logging.getLogger(__name__)
 
 STORES = "descriptors"
 """Folder of a data set in which stores of its test split may come along: `query_drone`, `gallery_satellite`, ..."""
@@ -77,6 +81,7 @@ class Exhibit:
             task.name: task
             for task in (self._open(data, dataset.queries(q), dataset.gallery(g), q, g) for q, g in known)
         }
+        self.city = _city(data) if any(task.places is not None for task in self.tasks.values()) else None
         self.part_names = self._part_names()
         self.map_sizes = {view: cast("tuple[int, int]", self._map_size(view)) for view in self.model.views}
         self._tile = lru_cache(maxsize=256)(self._describe_tile)
@@ -148,6 +153,15 @@ class Exhibit:
 
     def _make_thumbnail(self, path: Path) -> str:
         return overlays.data_uri(overlays.square(images.load_picture(path), 64))
+
+
+def _city(data: Path) -> CityModel | None:
+    """The data set's 3-D model; one that cannot be used is no reason not to start."""
+    try:
+        return city_model(data)
+    except DataError as error:
+        log.warning("The map has no city: %s", error)
+        return None
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,20 +15,15 @@ from explorer.chart import Places
 from explorer.exhibit import Answer, Exhibit
 from explorer.planes import Plane, Rotation
 from explorer.session import State
+from explorer.viewpoint import AT, PICTURE, SIDE, Viewpoint, over
 from lpn import geo
 
-AT = np.array([60.0, 0.0, 0.0])
-"""The map lies this far from the compared pair, in stage units, so that neither is in the other's picture."""
-
-_SIDE = 8.0
 _LINES = 0.2
-_PICTURE = 2.1
-_WORDS = 3.3
-_TILT = math.radians(38)
-_ABOVE = np.array([0.0, math.cos(_TILT), math.sin(_TILT)])
-"""What is up in the browser's picture of the map."""
-_TOWARDS: Rotation = (math.cos((_TILT + math.pi) / 2), math.sin((_TILT + math.pi) / 2), 0.0, 0.0)
-"""Sets a scene image upright in that picture."""
+_WORDS = SIDE - 2 * PICTURE
+_ROOFS = 42.0  # metres above the ground at which tiles and lines are drawn over the city
+_NEAR = 520.0  # metres of ground that are seen of it at least
+_UPRIGHT: Rotation = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
+"""Turns glTF's y up into the stage's z up."""
 
 
 class GalleryMap:
@@ -41,13 +36,12 @@ class GalleryMap:
         self._answer: Answer | None = None
         self._task = ""
         self._scale, self._middle = 1.0, np.zeros(2)
-        scene = client.scene
+        self._scene = scene = client.scene
+        self._city: viser.GlbHandle | None = None
         self._ground = Plane(scene, "/map/ground", 1.0, 1.0, _point(0, 0, 0))
-        self._caption = Plane(scene, "/map/caption", _WORDS, 0.6 * _WORDS, _point(0, 0, 0))
-        self._query = Plane(scene, "/map/query", _PICTURE, _PICTURE, _point(0, 0, 0))
-        self._tile = Plane(scene, "/map/tile", _PICTURE, _PICTURE, _point(0, 0, 0))
-        for plane in (self._caption, self._query, self._tile):
-            plane.handle.wxyz = _TOWARDS
+        self._caption = Plane(scene, "/map/caption", _WORDS, PICTURE, _point(0, 0, 0))
+        self._query = Plane(scene, "/map/query", PICTURE, PICTURE, _point(0, 0, 0))
+        self._tile = Plane(scene, "/map/tile", PICTURE, PICTURE, _point(0, 0, 0))
         self._lines = scene.add_line_segments(
             "/map/lines",
             np.zeros((1, 2, 3), np.float32),
@@ -55,70 +49,109 @@ class GalleryMap:
             thickness=3.0,
             thickness_units="screen",
         )
-        self._tiles = [Plane(scene, f"/map/tile{slot}", 0.3, 0.3, _point(0, 0, 0)) for slot in range(shown)]
+        self._tiles = [Plane(scene, f"/map/tile{slot}", 0.3, 0.3, _point(0, 0, 0), "png") for slot in range(shown)]
         for slot, tile in enumerate(self._tiles):
             tile.handle.on_click(self._clicked(slot, on_select))
         self._camera: viser.CameraFrustumHandle = scene.add_camera_frustum(
             "/map/camera", fov=0.7, aspect=1.0, scale=0.5, color=overlays.TEXT, visible=False, cast_shadow=False
         )
 
-    @staticmethod
-    def view(aspect: float, fov: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Where the browser's camera stands and looks to have all of the map in view."""
-        distance = max(4.6, 4.7 / aspect) / math.tan(fov / 2)
-        middle = AT + 0.5 * (_PICTURE + 0.2) * _ABOVE
-        return middle + distance * np.array([0.0, -math.sin(_TILT), math.cos(_TILT)]), middle
-
-    def show(self, answer: Answer) -> None:
-        """Draw an answer whose task has places."""
+    def show(self, answer: Answer) -> Viewpoint:
+        """Draw an answer whose task has places; returns from where to look at it."""
         places = answer.task.places
         assert places is not None
         self._answer = answer
         if self._task != answer.task.name:
             self._lay_out(answer, places)
-        self._show_tiles(answer, places)
+        city = self._show_city(answer, places)
+        self._show_tiles(answer, places, city, _ROOFS * self._scale if city else 0.03)
         camera = self._show_camera(answer, places)
-        self._show_lines(answer, places, camera)
+        self._show_lines(answer, places, camera, _ROOFS * self._scale if city else _LINES)
+        self._lines.thickness = 5.0 if city else 3.0
+        viewpoint = self._over_city(answer, places, camera) if city else self._whole(places)
+        self._camera.scale = 0.5 * viewpoint.ratio
         self._caption.show(self._words(answer))
         self._query.show(overlays.framed(overlays.square(answer.query.picture, 256), overlays.TEXT, 4))
         colour = overlays.verdict_colour(answer.chosen.true)
         self._tile.show(overlays.framed(overlays.square(answer.tile.picture, 256), colour, 6))
+        return viewpoint
 
     def _lay_out(self, answer: Answer, places: Places) -> None:
         west, south, east, north = places.bounds()
-        self._scale = _SIDE / max(east - west, north - south)
+        self._scale = SIDE / max(east - west, north - south)
         self._middle = np.array([west + east, south + north]) / 2
         handle = self._ground.handle
         handle.render_width, handle.render_height = (east - west) * self._scale, (north - south) * self._scale
-        self._ground.show(self._exhibit.mosaic(answer.task))
-        edge = np.add(AT, (0.0, (north - south) * self._scale / 2, 0.0))
-        for plane, x in (
-            (self._caption, 0.0),
-            (self._query, (_PICTURE - _SIDE) / 2),
-            (self._tile, (_SIDE - _PICTURE) / 2),
-        ):
-            plane.handle.position = np.add(edge, (x, 0.0, 0.0)) + (_PICTURE / 2 + 0.15) * _ABOVE
         self._task = answer.task.name
+
+    def _show_city(self, answer: Answer, places: Places) -> bool:
+        """Put the city in the ground's place, or take it away; it is sent when it is first shown."""
+        model = self._exhibit.city
+        shown = answer.state.city and model is not None
+        self._ground.handle.visible = not shown
+        if not shown:
+            self._ground.show(self._exhibit.mosaic(answer.task))
+        if shown and model is not None:
+            self._city = self._city or self._scene.add_glb(
+                "/map/city", model.data, wxyz=_UPRIGHT, cast_shadow=False, receive_shadow=False
+            )
+            self._city.scale = self._scale
+            self._city.position = self._place(geo.on_plane([model.origin], places.origin)[0], 0.0)
+        if self._city is not None:
+            self._city.visible = shown
+        return shown
+
+    def _whole(self, places: Places) -> Viewpoint:
+        _, south, _, north = places.bounds()
+        return Viewpoint(depth=(north - south) * self._scale)
+
+    def _over_city(self, answer: Answer, places: Places, camera: npt.NDArray[np.float64] | None) -> Viewpoint:
+        """A view in which the drone, the compared tile, and the true one are."""
+        half = 0.6 * places.width
+        tiles = [answer.chosen.index, *([answer.truth.index] if answer.truth is not None else [])]
+        around = [places.ground[tile] + np.array(off) * half for tile in tiles for off in ((-1, -1), (1, 1))]
+        points = [self._place(point, 0.0) for point in around]
+        if camera is not None:
+            points.append(camera)
+        return over(np.array(points) - AT, _NEAR * self._scale)
+
+    def put_sign(self, viewpoint: Viewpoint, aspect: float) -> None:
+        """Put query, words, and tile where they are seen from there in a window of that aspect, along the top."""
+        edge = (SIDE - PICTURE) / 2
+        for plane, x, width in (
+            (self._query, -edge, PICTURE),
+            (self._caption, 0.0, _WORDS),
+            (self._tile, edge, PICTURE),
+        ):
+            plane.handle.render_width, plane.handle.render_height = width * viewpoint.ratio, PICTURE * viewpoint.ratio
+            plane.handle.position = viewpoint.sign(x, aspect)
+            plane.handle.wxyz = viewpoint.towards
 
     def _place(self, ground: npt.NDArray[np.float64], up: float, lift: float = 0.0) -> npt.NDArray[np.float64]:
         """A place (east, north) and height in metres on the stage, raised by some stage units more."""
         x, y = (ground - self._middle) * self._scale
         return np.asarray(AT + np.array([x, y, up * self._scale + lift]), np.float64)
 
-    def _show_tiles(self, answer: Answer, places: Places) -> None:
+    def _show_tiles(self, answer: Answer, places: Places, city: bool, lift: float) -> None:
+        """The ranked tiles as pictures on the ground, or as frames above the roofs."""
         side = max(places.width * self._scale, 0.12)
         for slot, plane in enumerate(self._tiles):
             plane.handle.visible = slot < len(answer.matches)
             if not plane.handle.visible:
                 continue
             match = answer.matches[slot]
-            picture = overlays.square(self._exhibit.entry_picture(answer.task.gallery[match.index].path), 96)
-            framed = overlays.framed(picture, overlays.verdict_colour(match.true), 5)
+            colour = overlays.verdict_colour(match.true)
+            if city:
+                chosen = match.index == answer.chosen.index
+                framed = overlays.outlined(160, colour, 7 if chosen else 4, 0.12 if chosen else 0.03)
+            else:
+                picture = overlays.square(self._exhibit.entry_picture(answer.task.gallery[match.index].path), 96)
+                framed = overlays.framed(picture, colour, 5)
             plane.show(overlays.numbered(framed, match.rank))
             plane.handle.render_width = plane.handle.render_height = side
             # The nearest lies on top where tiles overlap.
-            height = 0.03 + 0.012 * (len(self._tiles) - slot)
-            plane.handle.position = self._place(places.ground[match.index], 0.0, height)
+            height = (0.001 if city else 0.012) * (len(self._tiles) - slot)
+            plane.handle.position = self._place(places.ground[match.index], 0.0, lift + height)
 
     def _show_camera(self, answer: Answer, places: Places) -> npt.NDArray[np.float64] | None:
         """The frustum at the query's pose; None when it is not known."""
@@ -139,13 +172,13 @@ class GalleryMap:
         self._camera.image = overlays.square(answer.query.picture, 128)
         return at
 
-    def _show_lines(self, answer: Answer, places: Places, camera: npt.NDArray[np.float64] | None) -> None:
+    def _show_lines(self, answer: Answer, places: Places, camera: npt.NDArray[np.float64] | None, lift: float) -> None:
         """From the camera, or from the true place, to the compared tile; a frame around the true tile."""
         segments: list[tuple[npt.NDArray[Any], npt.NDArray[Any], overlays.Colour]] = []
-        chosen = self._place(places.ground[answer.chosen.index], 0.0, _LINES)
+        chosen = self._place(places.ground[answer.chosen.index], 0.0, lift)
         truth = None
         if answer.truth is not None:
-            truth = self._place(places.ground[answer.truth.index], 0.0, _LINES)
+            truth = self._place(places.ground[answer.truth.index], 0.0, lift)
             half = max(places.width * self._scale, 0.12) / 2
             signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
             corners = [np.add(truth, (x * half, y * half, 0.0)) for x, y in signs]
@@ -164,26 +197,26 @@ class GalleryMap:
         """What the two pictures above the map are, and how far apart they lie."""
         chosen = answer.chosen
         name = answer.task.gallery[chosen.index].name
-        image, draw = overlays.caption(420, 252)
+        image, draw = overlays.caption(456, 252)
         source = "your picture" if answer.state.upload else answer.task.query_view
-        draw.text((0, 30), "‹", overlays.DIM, overlays.font(34), anchor="lm")
-        draw.text((26, 30), "QUERY", overlays.TEXT, overlays.font(30), anchor="lm")
+        draw.text((18, 30), "‹", overlays.DIM, overlays.font(34), anchor="lm")
+        draw.text((44, 30), "QUERY", overlays.TEXT, overlays.font(30), anchor="lm")
         draw.text(
-            (26, 66),
+            (44, 66),
             overlays.fitted(draw, f"{source} {answer.name}", 24, 394),
             overlays.DIM,
             overlays.font(24),
             anchor="lm",
         )
-        draw.text((420, 186), "›", overlays.DIM, overlays.font(34), anchor="rm")
-        draw.text((394, 186), f"RANK {chosen.rank}", overlays.TEXT, overlays.font(30), anchor="rm")
-        left = 394 - draw.textlength(f"RANK {chosen.rank}", font=overlays.font(30))
+        draw.text((438, 186), "›", overlays.DIM, overlays.font(34), anchor="rm")
+        draw.text((412, 186), f"RANK {chosen.rank}", overlays.TEXT, overlays.font(30), anchor="rm")
+        left = 412 - draw.textlength(f"RANK {chosen.rank}", font=overlays.font(30))
         overlays.draw_sign(draw, left - 40, 174, 24, chosen.true)
         tile = overlays.fitted(draw, f"{answer.task.gallery_view} {name}", 24, 394)
-        draw.text((394, 222), tile, overlays.DIM, overlays.font(24), anchor="rm")
+        draw.text((412, 222), tile, overlays.DIM, overlays.font(24), anchor="rm")
         if answer.off is not None:
             colour = overlays.verdict_colour(chosen.true)
-            draw.text((210, 126), f"{answer.off[chosen.index]:,.0f} m off", colour, overlays.font(40), anchor="mm")
+            draw.text((228, 126), f"{answer.off[chosen.index]:,.0f} m off", colour, overlays.font(40), anchor="mm")
         return np.asarray(image)
 
     def _clicked(self, slot: int, on_select: Callable[[State, int], None]) -> Callable[[Any], None]:

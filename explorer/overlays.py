@@ -115,8 +115,17 @@ def framed(picture: Picture, colour: Colour, width: int) -> Picture:
     return drawn
 
 
-def numbered(picture: Picture, number: int) -> Picture:
-    """Write a number on a dark patch in the top left corner."""
+def outlined(size: int, colour: Colour, width: int, tint: float) -> npt.NDArray[np.uint8]:
+    """A see-through square with a frame, its inside covered with the colour by a share: (size, size, 4) RGBA."""
+    drawn = np.empty((size, size, 4), np.uint8)
+    drawn[..., :3] = colour
+    drawn[..., 3] = 255
+    drawn[width:-width, width:-width, 3] = round(255 * tint)
+    return drawn
+
+
+def numbered(picture: npt.NDArray[np.uint8], number: int) -> npt.NDArray[np.uint8]:
+    """Write a number on a dark patch in the top left corner of an RGB or RGBA picture."""
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
     width = draw.textlength(str(number), font=font(30))

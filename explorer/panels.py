@@ -92,6 +92,7 @@ class Panels:
             self._exploded = gui.add_checkbox("Take apart", state.exploded)
             mapped = any(task.places is not None for task in exhibit.tasks.values())
             self._map = gui.add_checkbox("Map", state.map, visible=mapped)
+            self._city = gui.add_checkbox("City", state.city, visible=False)
             self._heat = gui.add_checkbox("Heatmap", state.heat)
             self._heat_part = gui.add_dropdown("Heat of", (ALL_PARTS, *exhibit.part_names), initial_value=ALL_PARTS)
             self._opacity = gui.add_slider("Opacity", 0.0, 1.0, 0.05, state.opacity)
@@ -108,7 +109,7 @@ class Panels:
             self._picker_buttons = [_uuid(button) for button in bridges]
             gui.add_html(pages.hidden(self._picker_buttons))
         self._watch(self._task, self._angle, self._rings, self._exploded, self._heat, self._heat_part, self._opacity)
-        self._watch(self._find, self._map)
+        self._watch(self._find, self._map, self._city)
 
     def _build_parts(self, gui: viser.GuiApi, state: State) -> None:
         gui.add_html(pages.PARTS_NOTE)
@@ -153,6 +154,7 @@ class Panels:
             ("Compare the true tile", "T", lambda s: replace(s, selected=session.TRUTH)),
             ("Take the rings apart", "X", lambda s: replace(s, exploded=not s.exploded)),
             ("Map or pair", "M", self.flip_map),
+            ("City on the map or tiles", "C", self.flip_city),
         ]
         for label, key, change in commands:
             gui.add_command(label, hotkey=key).on_trigger(self._does(change))
@@ -172,6 +174,7 @@ class Panels:
             rings=bool(self._rings.value),
             exploded=bool(self._exploded.value),
             map=bool(self._map.value),
+            city=bool(self._city.value),
             heat=bool(self._heat.value),
             heat_part=part,
             opacity=session.number(self._opacity.value, 0, 1, state.opacity),
@@ -195,6 +198,7 @@ class Panels:
             (self._rings, state.rings),
             (self._exploded, state.exploded),
             (self._map, state.map),
+            (self._city, state.city),
             (self._heat, state.heat),
             *zip(self._enabled, state.enabled, strict=True),
             *zip(self._weights, state.weights, strict=True),
@@ -202,6 +206,9 @@ class Panels:
         for handle, value in pairs:
             if handle.value != value:
                 handle.value = value
+        stands = self._has_city(state)
+        if self._city.visible != stands:
+            self._city.visible = stands
 
     def show(self, answer: Answer, sequence: int, started: float) -> None:
         """Show an answer; `started` is when drawing began, by `time.perf_counter`."""
@@ -241,6 +248,13 @@ class Panels:
     def flip_map(self, state: State) -> State:
         """Map in place of pair, or back, where positions are known."""
         return replace(state, map=not state.map and self._exhibit.tasks[state.task].places is not None)
+
+    def flip_city(self, state: State) -> State:
+        """The city in three dimensions or the tiles, where the map is shown and has both."""
+        return replace(state, city=not state.city) if self._has_city(state) else state
+
+    def _has_city(self, state: State) -> bool:
+        return state.map and self._exhibit.city is not None and self._exhibit.tasks[state.task].places is not None
 
     def _queries(self, state: State) -> int:
         return len(self._exhibit.tasks[state.task].queries)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import numpy.typing as npt
 import viser
@@ -15,10 +17,16 @@ UPRIGHT: Rotation = (0.0, 1.0, 0.0, 0.0)
 
 
 class Plane:
-    """A picture on the stage that is sent again only when its pixels changed."""
+    """A picture on the stage that is sent again only when its pixels changed; as "png" it may be see-through."""
 
     def __init__(
-        self, scene: viser.SceneApi, name: str, width: float, height: float, position: tuple[float, float, float]
+        self,
+        scene: viser.SceneApi,
+        name: str,
+        width: float,
+        height: float,
+        position: tuple[float, float, float],
+        encoding: Literal["jpeg", "png"] = "jpeg",
     ) -> None:
         blank = np.full((2, 2, 3), overlays.BACKGROUND, np.uint8)
         self._shown: npt.NDArray[np.uint8] = blank
@@ -27,7 +35,7 @@ class Plane:
             blank,
             width,
             height,
-            format="jpeg",
+            format=encoding,
             jpeg_quality=88,
             cast_shadow=False,
             receive_shadow=False,

@@ -41,6 +41,7 @@ class State:
         rings: whether part boundaries are drawn.
         exploded: whether the rings are lifted apart.
         map: whether the gallery is shown as a map in place of the compared pair.
+        city: whether the map shows the 3-D model of the city, where there is one, in place of its tiles.
         find: text that picture names must contain in the picker.
         page: page of the picker.
     """
@@ -59,6 +60,7 @@ class State:
     rings: bool = True
     exploded: bool = False
     map: bool = False
+    city: bool = True
     find: str = ""
     page: int = 0
 

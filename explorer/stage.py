@@ -15,6 +15,7 @@ from explorer.exhibit import DISPLAY, Answer, Exhibit
 from explorer.gallery_map import GalleryMap
 from explorer.planes import UPRIGHT, Plane, Rotation, title
 from explorer.session import State
+from explorer.viewpoint import Viewpoint
 from lpn.images import Picture
 from lpn.retrieval import Described, Match
 from lpn.spec import View
@@ -136,7 +137,8 @@ class Stage:
             self._cards.append((photo, label))
             for plane in (photo, label):
                 plane.handle.on_click(self._clicked(slot, on_select))
-        self._aspect, self._mapped, self._on_select = 0.0, False, on_select
+        self._aspect, self._on_select = 0.0, on_select
+        self._viewpoint: Viewpoint | None = None
         self._map: GalleryMap | None = None
         client.camera.on_update(lambda _: self.fit())
         self.fit()
@@ -157,26 +159,27 @@ class Stage:
         tangent = math.tan(_FOV / 2)
         distance = max(_HEIGHT / 2 / tangent, _WIDTH / 2 / (tangent * self._aspect))
         position, target = np.array([*_MIDDLE, distance]), np.array([*_MIDDLE, 0.0])
-        if self._mapped:
-            position, target = GalleryMap.view(self._aspect, _FOV)
+        if self._viewpoint is not None and self._map is not None:
+            self._map.put_sign(self._viewpoint, self._aspect)
+            position, target = self._viewpoint.camera(self._aspect, _FOV)
         with self._client.atomic():
             camera.fov = _FOV
-            camera.up_direction = (0.0, 0.0, 1.0) if self._mapped else (0.0, 1.0, 0.0)
+            camera.up_direction = (0.0, 0.0, 1.0) if self._viewpoint else (0.0, 1.0, 0.0)
             camera.position = position
             camera.look_at = target
 
     def show(self, answer: Answer) -> None:
         """Draw an answer."""
         state, task = answer.state, answer.task
-        mapped = state.map and task.places is not None
-        if mapped:
+        viewpoint = None
+        if state.map and task.places is not None:
             self._map = self._map or GalleryMap(self._client, self._exhibit, SHOWN, self._on_select)
             with self._client.atomic():
-                self._map.show(answer)
-        if mapped != self._mapped:
-            self._mapped = mapped
+                viewpoint = self._map.show(answer)
+        if viewpoint != self._viewpoint:
+            self._viewpoint = viewpoint
             self._aim()
-        if mapped:
+        if viewpoint is not None:
             return
         left = self._decorated(answer, answer.query, task.query_view)
         right = self._decorated(answer, answer.tile, task.gallery_view)

@@ -115,14 +115,23 @@ def metres(a: Sequence[Position], b: Sequence[Position]) -> FloatArray:
 
 
 def on_plane(places: Sequence[Position], origin: Position) -> FloatArray:
-    """Metres east and north of an origin, on a plane that touches the Earth there: (N, 2) float64.
+    """Metres east and north of an origin, on a plane that touches the WGS 84 ellipsoid there: (N, 2) float64.
 
     Within 50 km of the origin, below 60 degrees of latitude, distances on it are wrong by less than 1 %.
     """
-    latitude, longitude = _radians(places)
-    middle, start = math.radians(origin.latitude), math.radians(origin.longitude)
-    east = (longitude - start + np.pi) % (2 * np.pi) - np.pi
-    return EARTH_RADIUS * np.stack([east * math.cos(middle), latitude - middle], axis=1)
+    degrees = np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
+    north, east = metres_per_degree(origin.latitude)
+    turned = (degrees[:, 1] - origin.longitude + 180) % 360 - 180
+    return np.stack([turned * east, (degrees[:, 0] - origin.latitude) * north], axis=1)
+
+
+def metres_per_degree(latitude: float) -> tuple[float, float]:
+    """Metres of a degree of latitude and of a degree of longitude at a latitude on the WGS 84 ellipsoid."""
+    a, e2 = 6378137.0, 6.69437999014e-3
+    sine = np.sin(np.radians(latitude))
+    north = a * (1 - e2) / (1 - e2 * sine**2) ** 1.5
+    east = a / np.sqrt(1 - e2 * sine**2) * np.cos(np.radians(latitude))
+    return float(np.radians(north)), float(np.radians(east))
 
 
 def camera(place: Position, origin: Position) -> FloatArray | None:

@@ -13,6 +13,7 @@ from lpn.export import export
 from lpn.images import Picture, rotate
 from lpn.network import LPN
 from lpn.spec import ModelSpec
+from lpn.world.glb import Primitive, glb
 
 SIZE = 96
 
@@ -70,6 +71,27 @@ def map_dataset(root: Path) -> Path:
         lines.append(f"{file.relative_to(root).as_posix()},{46 - row * 0.0009:.6f},{7 + column * 0.0013:.6f},{pose}")
     (root / "geo.csv").write_text("\n".join(lines) + "\n")
     return root
+
+
+def city() -> bytes:
+    """A `city.glb` of red ground and houses for the places above, 400 m by 500 m."""
+    solid = [_box(150, -250, 700, 800, -5)]
+    solid += [_box(east, -south, 40, 40, 30) for east in range(0, 500, 100) for south in range(0, 600, 100)]
+    vertices = np.concatenate(solid)
+    faces = _BOX + 8 * np.arange(len(solid))[:, None, None]
+    colours = np.full((len(vertices), 3), (230, 4, 4), np.uint8)
+    colours[8:] = (250, 10, 120)
+    return glb([Primitive("houses", vertices, faces.reshape(-1, 3), colours)], {"latitude": 45.9991, "longitude": 7.0})
+
+
+_BOX = np.array(
+    [(0, 1, 5), (0, 5, 4), (1, 2, 6), (1, 6, 5), (2, 3, 7), (2, 7, 6), (3, 0, 4), (3, 4, 7), (4, 5, 6), (4, 6, 7)]
+)
+
+
+def _box(east: float, north: float, length: float, width: float, top: float) -> np.ndarray:
+    ring = [(-length, -width), (length, -width), (length, width), (-length, width)]
+    return np.array([(east + x / 2, north + y / 2, z) for z in (top - 30, top) for x, y in ring], np.float64)
 
 
 def make_network(n_parts: int = 4, size: int = 64, classes: int = 6, seed: int = 0) -> LPN:

@@ -14,11 +14,13 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from lpn import city
 from lpn.errors import InputError, OutputError
 from lpn.files import check_writable, write_whole
 from lpn.world import photo
 from lpn.world.atlas import EDITION, SIGHT, Atlas, Sector, Settings, Shot, make_atlas
 from lpn.world.cameras import TILE, Pose, Sweep, Tile
+from lpn.world.model3d import city_model, test_window
 from lpn.world.textures import hash_of
 
 if TYPE_CHECKING:
@@ -88,6 +90,8 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
     atlas = make_atlas(settings)
     write_whole(out / "world.json", atlas.world_json())
     write_whole(out / "geo.csv", atlas.geo_csv())
+    if part.number == 1:  # parts that run at the same time need not all make it
+        write_whole(out / city.NAME, city_model(atlas.city, atlas.site, test_window(atlas)))
     mine = [sector for sector in atlas.sectors if sector.number % part.count == part.number - 1]
     tally = Tally()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

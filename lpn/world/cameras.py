@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpn.geo import metres_per_degree
 from lpn.world.geometry import Points
 
 TILE = 160.0  # metres a satellite tile shows
@@ -25,22 +26,14 @@ class Site:
     latitude: float = 46.2
     longitude: float = -31.4
 
-    def _metres_per_degree(self) -> tuple[float, float]:
-        # Radii of curvature of the WGS 84 ellipsoid at the origin; over 3 km the plane errs by centimetres.
-        a, e2 = 6378137.0, 6.69437999014e-3
-        sine = np.sin(np.radians(self.latitude))
-        north = a * (1 - e2) / (1 - e2 * sine**2) ** 1.5
-        east = a / np.sqrt(1 - e2 * sine**2) * np.cos(np.radians(self.latitude))
-        return float(np.radians(north)), float(np.radians(east))
-
     def degrees(self, x: float, y: float) -> tuple[float, float]:
         """Latitude and longitude of a point of the plan."""
-        north, east = self._metres_per_degree()
+        north, east = metres_per_degree(self.latitude)
         return self.latitude + y / north, self.longitude + x / east
 
     def metres(self, latitude: float, longitude: float) -> tuple[float, float]:
         """The point (x, y) of the plan at a latitude and longitude."""
-        north, east = self._metres_per_degree()
+        north, east = metres_per_degree(self.latitude)
         return (longitude - self.longitude) * east, (latitude - self.latitude) * north
 
 

@@ -90,6 +90,15 @@ def mapped_app(model_file: Path, tmp_path: Path) -> Iterator[Running]:
 
 
 @pytest.fixture
+def city_app(model_file: Path, tmp_path: Path) -> Iterator[Running]:
+    """The app on drawn places whose city stands beside their positions."""
+    data = worlds.map_dataset(worlds.make_dataset(tmp_path / "places"))
+    (data / "city.glb").write_bytes(worlds.city())
+    with started(data, model_file, tmp_path / "cache") as running:
+        yield running
+
+
+@pytest.fixture
 def real_app(real_run: RealRun, tmp_path: Path) -> Iterator[Running]:
     """The app on real University-1652 pictures, with an LPN trained on them."""
     export(real_run.after, tmp_path / "real.onnx")

@@ -210,6 +210,7 @@ def test_the_map_says_how_far_off_the_answer_is(mapped_app: Running, contexts: C
     pair = explorer.stage()
     explorer.key("m")
     expect(explorer.field("Map")).to_be_checked()
+    expect(explorer.field("City")).to_have_count(0)  # this data set has none
     shown = explorer.stage()
     assert difference(pair, shown) > 0.2
     explorer.rows.nth(4).click()
@@ -219,6 +220,35 @@ def test_the_map_says_how_far_off_the_answer_is(mapped_app: Running, contexts: C
     expect(explorer.field("Map")).not_to_be_checked()
     explorer.page.wait_for_timeout(500)
     assert difference(pair, explorer.stage()) < difference(pair, shown) / 2
+
+
+def crimson(png: bytes) -> float:
+    """Share of pixels in the colours of the drawn city, which nothing else on the page has."""
+    blue, green, red = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).astype(int).transpose(2, 0, 1)
+    return float(((red > 120) & (green < 0.5 * red) & (blue < 0.8 * red)).mean())
+
+
+def test_the_city_stands_on_the_map_until_it_is_switched_off(
+    city_app: Running, contexts: Callable[[], BrowserContext]
+) -> None:
+    explorer = Explorer(contexts().new_page())
+    explorer.open(city_app.url)
+    expect(explorer.field("City")).to_have_count(0)
+    assert crimson(explorer.stage()) < 0.05
+    explorer.key("m")
+    expect(explorer.field("City")).to_be_checked()
+    explorer.page.wait_for_timeout(1500)
+    with_city = crimson(explorer.stage())
+    assert with_city > 0.3
+    explorer.key("c")
+    expect(explorer.field("City")).not_to_be_checked()
+    explorer.page.wait_for_timeout(700)
+    assert crimson(explorer.stage()) < 0.05
+    explorer.tick("City", True)
+    explorer.page.wait_for_timeout(700)
+    assert crimson(explorer.stage()) == pytest.approx(with_city, abs=0.05)
+    explorer.key("m")
+    expect(explorer.field("City")).to_have_count(0)
 
 
 def test_the_demo_opens_without_being_told_anything(

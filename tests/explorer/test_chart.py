@@ -56,5 +56,5 @@ def test_the_picture_of_all_tiles_shows_each_at_its_place(tmp_path: Path) -> Non
 
 def test_a_width_that_is_not_given_is_the_usual_distance() -> None:
     tiles = [Position(0.0, i * 0.001) for i in range(6)]
-    assert chart.places(tiles, tiles).width == pytest.approx(111.2, abs=0.1)
+    assert chart.places(tiles, tiles).width == pytest.approx(111.3, abs=0.1)
     assert chart.places(tiles[:1], tiles[:1]).width == 100

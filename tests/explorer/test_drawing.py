@@ -104,3 +104,28 @@ def test_a_model_without_the_views_of_the_data_is_refused(tmp_path: Path, model_
     worlds.write(tmp_path / "street" / "test" / "gallery_satellite" / "0001" / "a.png", worlds.place(1))
     with pytest.raises(DataError, match="street-to-satellite"):
         Exhibit(tmp_path / "street", model_file)
+
+
+def test_a_city_that_cannot_be_used_is_said_and_left_out(
+    tmp_path: Path, model_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = worlds.map_dataset(worlds.make_dataset(tmp_path / "places", train=1, test=2))
+    assert Exhibit(data, model_file).city is None
+    assert not caplog.messages
+    (data / "city.glb").write_bytes(worlds.city())
+    city = Exhibit(data, model_file).city
+    assert city is not None
+    assert city.data == worlds.city()
+    (data / "city.glb").write_bytes(worlds.city()[:-9])
+    assert Exhibit(data, model_file).city is None
+    assert len(caplog.messages) == 1
+    assert "city.glb has" in caplog.messages[0]
+
+
+def test_a_frame_over_the_city_shows_what_is_below_it() -> None:
+    drawn = overlays.outlined(40, overlays.TRUE_COLOUR, 3, 0.1)
+    assert drawn.shape == (40, 40, 4)
+    assert (drawn[..., 3] == 255).sum() == 40**2 - 34**2
+    assert drawn[20, 20, 3] == 26
+    assert tuple(drawn[0, 0, :3]) == overlays.TRUE_COLOUR
+    assert (overlays.numbered(drawn, 7)[8, 8] == (*overlays.BACKGROUND, 255)).all()

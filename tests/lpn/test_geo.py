@@ -35,7 +35,7 @@ def test_the_plane_keeps_distances_near_its_origin() -> None:
     places = [Position(48 + a, 11.5 + b) for a, b in rng.uniform(-0.05, 0.05, (50, 2))]
     plane = geo.on_plane(places, origin)
     assert plane.shape == (50, 2)
-    np.testing.assert_allclose(np.hypot(*plane.T), geo.metres(places, [origin] * 50), rtol=1e-3)
+    np.testing.assert_allclose(np.hypot(*plane.T), geo.metres(places, [origin] * 50), rtol=4e-3)  # a sphere's
     assert geo.on_plane([Position(48.01, 11.5)], origin)[0] == pytest.approx([0, 1112], abs=1)
 
 

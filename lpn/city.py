@@ -1,0 +1,111 @@
+"""A data set's city in three dimensions: `city.glb` beside `geo.csv`.
+
+A binary glTF file of at most 4 MB that holds all it needs. As in every glTF file y is up, and lengths are metres; x is
+east and -z is north. Its origin lies at the latitude and longitude (WGS 84 degrees) that the scene's or the asset's
+extras record:
+
+    "scenes": [{"nodes": [0], "extras": {"latitude": 46.2, "longitude": -31.4}}]
+
+`lpn world` writes one; any other program may.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lpn.errors import DataError
+from lpn.geo import Position
+
+NAME = "city.glb"
+LARGEST = 4_000_000
+"""Bytes that the file has at most: every browser that opens the map loads it."""
+
+_MAGIC, _JSON = b"glTF", b"JSON"
+_DRACO = "KHR_draco_mesh_compression"
+
+
+@dataclass(frozen=True)
+class CityModel:
+    """A 3-D model.
+
+    Attributes:
+        data: the file.
+        origin: where the model's origin lies.
+    """
+
+    data: bytes
+    origin: Position
+
+
+def city_model(root: Path) -> CityModel | None:
+    """The city of a data set's folder, or None where it has no `city.glb`.
+
+    Raises:
+        DataError: when there is one that cannot be used.
+    """
+    path = root / NAME
+    if not path.is_file():
+        return None
+    try:
+        size = path.stat().st_size
+        if size > LARGEST:
+            raise DataError(
+                f"{NAME} has {size / 1e6:.1f} MB; expected at most {LARGEST / 1e6:g} MB, so leave detail out."
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path} cannot be read ({error.strerror}); check that it is there and readable.") from error
+    return CityModel(data, _origin(_header(data)))
+
+
+def _header(data: bytes) -> dict[str, Any]:
+    """The JSON of a GLB file."""
+    if len(data) < 20 or data[:4] != _MAGIC or data[16:20] != _JSON:
+        raise DataError(f"{NAME} is not a binary glTF file; export it as .glb.")
+    version, length, chunk = struct.unpack_from("<III", data, 4)
+    if version != 2:
+        raise DataError(f"{NAME} is of glTF version {version}; expected version 2.")
+    if length != len(data) or 20 + chunk > length:
+        raise DataError(f"{NAME} has {len(data)} bytes where it says {length}; copy it again.")
+    try:
+        header = json.loads(data[20 : 20 + chunk])
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{NAME} is damaged: its header is not JSON; export it again.") from error
+    if not isinstance(header, dict):
+        raise DataError(f"{NAME} is damaged: its header is not a glTF scene; export it again.")
+    # Nothing may make the page load from elsewhere: other files, or the decoder of compressed meshes.
+    parts = [part for key in ("buffers", "images") for part in _dicts(header.get(key))]
+    if any("uri" in part and not str(part["uri"]).startswith("data:") for part in parts):
+        raise DataError(f"{NAME} refers to other files; export it with everything embedded.")
+    if _DRACO in str(header.get("extensionsUsed")):
+        raise DataError(f"{NAME} is compressed with Draco, which is not supported; export it without.")
+    return header
+
+
+def _origin(header: dict[str, Any]) -> Position:
+    extras = [part.get("extras") for part in (*_dicts(header.get("scenes")), *_dicts([header.get("asset")]))]
+    for found in _dicts(extras):
+        if "latitude" in found and "longitude" in found:
+            latitude, longitude = found["latitude"], found["longitude"]
+            if not (_degrees(latitude, 90) and _degrees(longitude, 180)):
+                raise DataError(
+                    f"{NAME} has its origin at {latitude!r}, {longitude!r}; expected degrees of latitude and longitude."
+                )
+            return Position(float(latitude), float(longitude))
+    raise DataError(
+        f"{NAME} does not say where it stands; record latitude and longitude of its origin in its scene's extras."
+    )
+
+
+def _degrees(value: object, limit: float) -> bool:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return number and math.isfinite(value) and abs(value) <= limit  # type: ignore[arg-type]
+
+
+def _dicts(values: object) -> list[dict[str, Any]]:
+    return [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
