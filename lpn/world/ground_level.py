@@ -6,9 +6,9 @@ of the building is judged on the plan: straight lines to its walls, against the 
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +16,19 @@ from numpy.typing import NDArray
 from lpn.errors import InputError
 from lpn.world.cameras import TILE, Panorama, Pose
 from lpn.world.city import SPECIES, City, Target
-from lpn.world.geometry import Points, rectangle, segment_distance, within
+from lpn.world.geometry import Points, segment_distance
 from lpn.world.meshes import CROWNS, VEHICLE_SIZES
 from lpn.world.streets import beside, densified
+from lpn.world.surroundings import Things, distances
 
 NEAR, FAR = 15.0, 45.0  # metres from a building's walls to who photographs it
+CLOSER = 9.0  # where little of it can be seen from there, open ground this far off will do too
 EYES = (1.7, 2.5)  # metres above the ground
 FIELDS = (60.0, 75.0)  # degrees across
 APART = 20.0  # metres between panoramas, where there is room
 _SPACING = 3.0  # of the places tried along streets and paths
 _TRIED = 48  # places from which the view is judged, of each building
-_HEDGE = 2.4  # metres high
+_ENOUGH = 8  # of them from which nearly half of the walls can be seen
 _Kind = NDArray[np.int_]
 _LANE, _PAVEMENT, _PATH, _OPEN = range(4)
 
@@ -60,108 +62,88 @@ class Outdoors:
     def __init__(self, city: City) -> None:
         self._city = city
         self._ways, self._kinds = _ways(city)
-        self._middles = np.array([[b.x, b.y] for b in city.buildings])
-        self._bodies = [rectangle(b.x, b.y, *city.architectures[b.architecture].size, b.angle) for b in city.buildings]
+        looks = [city.architectures[b.architecture] for b in city.buildings]
+        self._bodies = np.array(
+            [(b.x, b.y, *np.array(k.size) / 2, b.angle, k.height) for b, k in zip(city.buildings, looks, strict=True)]
+        )
         across, low = np.array([CROWNS[name] for name in SPECIES]).T
-        species = city.trees.species.astype(int)
-        self._trees = np.stack([city.trees.x, city.trees.y], axis=1)
-        self._crowns = np.maximum(1.15 * across[species] * city.trees.height, 0.4)
-        self._low, self._high = low[species] * city.trees.height, city.trees.height
-        self._stalls = np.stack([city.stalls.x, city.stalls.y], axis=1)
-        self._water = [patch.polygon for patch in city.patches if patch.surface in ("water", "pool")]
+        trees, stalls = city.trees, city.stalls
+        species = trees.species.astype(int)
+        # The outermost leaves of a crown hang a little outside its nominal radius.
+        crowns = np.maximum(1.15 * across[species] * trees.height, 0.4)
+        self._trees = np.stack([trees.x, trees.y, crowns, low[species] * trees.height, trees.height], axis=1)
+        kinds = stalls.vehicle.astype(int)
+        sizes = np.array(VEHICLE_SIZES)[kinds] / 2
+        self._vehicles = np.column_stack([stalls.x, stalls.y, sizes, stalls.angle])
+        self._tall = kinds > 0
+        self._water = tuple(patch.polygon for patch in city.patches if patch.surface in ("water", "pool"))
         self._hedges = np.array(city.hedges).reshape(-1, 2, 2)
 
     def open(self, places: Points) -> NDArray[np.bool_]:
-        """Which places (n, 2) somebody can stand on, with a car's roof above the ground or nothing."""
-        low, high = places.min(axis=0) - 20, places.max(axis=0) + 20
-        free: NDArray[np.bool_] = self._city.terrain.bank(places) > 4
-        for i in _inside(self._middles, low - 60, high + 60):
-            free &= ~within(places, self._bodies[i], -1.2)
-        for polygon in self._water:
-            if (polygon.max(axis=0) > low).all() and (polygon.min(axis=0) < high).all():
-                free &= ~within(places, polygon, -1.5)
-        near = _inside(self._trees, low, high)
-        free &= (_distances(places, self._trees[near]) > self._crowns[near] + 0.3).all(axis=1)
-        for a, b in self._hedges[_inside(self._hedges.mean(axis=1), low - 60, high + 60)]:
-            free &= segment_distance(places, a, b) > 1.2
-        near = _inside(self._stalls, low, high)
-        angles, kinds = self._city.stalls.angle[near], self._city.stalls.vehicle[near].astype(int)
-        gap = places[:, None] - self._stalls[near]
-        along = np.abs(gap[..., 0] * np.cos(angles) + gap[..., 1] * np.sin(angles))
-        aside = np.abs(gap[..., 1] * np.cos(angles) - gap[..., 0] * np.sin(angles))
-        length, width = np.array(VEHICLE_SIZES)[kinds].T
-        free &= ~((along < length / 2 + 1.5) & (aside < width / 2 + 0.9)).any(axis=1)
-        return free
+        """Which places (n, 2) somebody can stand at, on dry ground and with nothing overhead."""
+        dry: NDArray[np.bool_] = self._city.terrain.bank(places) > 4
+        return dry & self._things(places.min(axis=0), places.max(axis=0)).room(places)
 
     def around(self, target: Target, near: float = NEAR, far: float = FAR) -> Stands:
-        """Places to stand that lie `near` to `far` metres from a target's walls; open ground where streets are few.
+        """Places to stand, `near` to `far` metres from a target's walls; open ground too, where they show little of it.
 
         Raises:
             InputError: when there are none.
         """
-        city = self._city
-        building = city.buildings[target.building]
-        corners = city.footprint(building)
-        ring = densified(np.concatenate([corners, corners[:1]]), 5.0)
-        low, high = ring.min(axis=0), ring.max(axis=0)
-        close = _inside(self._ways, low - far, high + far)
-        found = self._judged(target, ring, self._ways[close], self._kinds[close], near, far)
-        if (found.seen > 0.4).sum() < 8:
-            x, y = (np.arange(a - far, b + far, 4.0) for a, b in zip(low, high, strict=True))
+        corners = self._city.footprint(self._city.buildings[target.building])
+        low, high = corners.min(axis=0) - far, corners.max(axis=0) + far
+        things = self._things(low, high)
+        close = _inside(self._ways, low, high)
+        found = self._judged(target, things, self._ways[close], self._kinds[close], (near, far), _TRIED)
+        if (found.seen > 0.4).sum() < _ENOUGH:
+            x, y = (np.arange(a, b, 3.0) for a, b in zip(low, high, strict=True))
             grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-            more = self._judged(target, ring, grid, np.full(len(grid), _OPEN), near, far)
+            kinds = np.full(len(grid), _OPEN)
+            more = self._judged(target, things, grid, kinds, (min(near, CLOSER), far), 3 * _TRIED)
             found = Stands(*(np.concatenate(pair) for pair in zip(_columns(found), _columns(more), strict=True)))
         if not len(found.places):
             raise InputError(f"There is nowhere to stand around place {target.number} of this world; try another seed.")
         return found
 
-    def _judged(self, target: Target, ring: Points, places: Points, kinds: _Kind, near: float, far: float) -> Stands:
-        away = np.min([segment_distance(places, a, b) for a, b in itertools.pairwise(ring)], axis=0)
-        body = self._bodies[target.building]
-        keep = np.flatnonzero((away > near) & (away < far) & ~within(places, body))
-        if len(keep):
-            keep = keep[self.open(places[keep])]
-        if len(keep) > _TRIED:
-            keep = keep[np.random.default_rng([self._city.seed, 24, target.number]).permutation(len(keep))[:_TRIED]]
-        views = [self._view(target, ring, place) for place in places[keep]]
+    def _things(self, low: Points, high: Points) -> Things:
+        """What stands in a box, or reaches into it."""
+        numbers = _inside(self._bodies[:, :2], low - 60, high + 60)
+        trees = self._trees[_inside(self._trees[:, :2], low - 15, high + 15)]
+        hedges = self._hedges[_inside(self._hedges.mean(axis=1), low - 60, high + 60)]
+        near = _inside(self._vehicles[:, :2], low - 10, high + 10)
+        water = tuple(p for p in self._water if (p.max(axis=0) > low - 2).all() and (p.min(axis=0) < high + 2).all())
+        return Things(numbers, self._bodies[numbers], trees, hedges, self._vehicles[near], self._tall[near], water)
+
+    def _judged(
+        self, target: Target, things: Things, places: Points, kinds: _Kind, reach: tuple[float, float], most: int
+    ) -> Stands:
+        city, building = self._city, self._city.buildings[target.building]
+        corners = city.footprint(building)
+        ring = np.concatenate([corners, corners[:1]])
+        away = np.min([segment_distance(places, a, b) for a, b in pairwise(ring)], axis=0)
+        keep = np.flatnonzero((away > reach[0]) & (away < reach[1]) & (city.terrain.bank(places) > 4))
+        keep = keep[things.room(places[keep])]
+        if len(keep) > most:
+            keep = keep[np.random.default_rng([city.seed, 24, target.number]).permutation(len(keep))[:most]]
+        height = city.architectures[building.architecture].height
+        line = densified(ring, 5.0)
+        views = [_view(things, target.building, line, height, place) for place in places[keep]]
         seen, aims = np.array([view[0] for view in views]), np.array([view[1] for view in views]).reshape(-1, 2)
         return Stands(places[keep], kinds[keep], away[keep], seen, aims)
 
-    def _view(self, target: Target, ring: Points, place: Points) -> tuple[float, Points]:
-        """The share of the walls facing a place that can be seen from there, and their middle (2,)."""
-        steps = np.diff(ring, axis=0)
-        middles = (ring[1:] + ring[:-1]) / 2
-        outward = np.stack([steps[:, 1], -steps[:, 0]], axis=1)
-        facing = middles[((place - middles) * outward).sum(axis=1) > 0]
-        if not len(facing):
-            return 0.0, ring.mean(axis=0)
-        facing = facing[:: max(1, len(facing) // 7)]
-        city = self._city
-        height = city.architectures[city.buildings[target.building].architecture].height
-        shares = np.linspace(0.04, 0.95, 24)
-        lines = place + shares[:, None] * (facing[:, None] - place)  # (walls, steps, 2)
-        heights = 2.0 + shares * (min(0.7 * height, 14.0) - 2.0)
-        hidden = self._hidden(target.building, lines.reshape(-1, 2), np.tile(heights, len(facing)))
-        clear = ~hidden.reshape(len(facing), -1).any(axis=1)
-        aim: Points = facing[clear].mean(axis=0) if clear.any() else facing.mean(axis=0)
-        return float(clear.mean()), aim
 
-    def _hidden(self, own: int, points: Points, heights: Points) -> NDArray[np.bool_]:
-        """Which points (n, 2) at these heights above the ground lie in a building but `own`, a crown, or a hedge."""
-        city = self._city
-        low, high = points.min(axis=0), points.max(axis=0)
-        hidden = np.zeros(len(points), bool)
-        for i in _inside(self._middles, low - 60, high + 60):
-            if i != own:
-                tall = city.architectures[city.buildings[i].architecture].height
-                hidden |= within(points, self._bodies[i]) & (heights < tall)
-        near = _inside(self._trees, low - 12, high + 12)
-        inside = _distances(points, self._trees[near]) < 0.9 * self._crowns[near]
-        between = (heights[:, None] > self._low[near]) & (heights[:, None] < self._high[near])
-        hidden |= (inside & between).any(axis=1)
-        for a, b in self._hedges[_inside(self._hedges.mean(axis=1), low - 60, high + 60)]:
-            hidden |= (segment_distance(points, a, b) < 0.7) & (heights < _HEDGE)
-        return hidden
+def _view(things: Things, own: int, line: Points, height: float, place: Points) -> tuple[float, Points]:
+    """The share of the walls along a ring (n, 2) facing a place that can be seen from there, and their middle (2,)."""
+    steps, middles = np.diff(line, axis=0), (line[1:] + line[:-1]) / 2
+    outward = np.stack([steps[:, 1], -steps[:, 0]], axis=1)
+    facing = middles[((place - middles) * outward).sum(axis=1) > 0]
+    if not len(facing):
+        return 0.0, middles.mean(axis=0)
+    facing = facing[:: max(1, len(facing) // 8)]
+    tops = np.full(len(facing), min(0.7 * height, 14.0))
+    clear = things.clear(np.broadcast_to(place, facing.shape), facing, tops, own)
+    aim: Points = facing[clear].mean(axis=0) if clear.any() else facing.mean(axis=0)
+    return float(clear.mean()), aim
 
 
 def street_poses(outdoors: Outdoors, city: City, target: Target, count: int) -> list[Pose]:
@@ -179,7 +161,7 @@ def street_poses(outdoors: Outdoors, city: City, target: Target, count: int) -> 
     stands = outdoors.around(target)
     if len(stands.places) < count:
         raise InputError(f"Place {target.number} has room for {len(stands.places)} street pictures; ask for no more.")
-    score = stands.seen - 0.12 * (stands.kind == _PATH) - 0.3 * (stands.kind == _OPEN) - 0.004 * stands.away
+    score = 1.3 * stands.seen - 0.12 * (stands.kind == _PATH) - 0.3 * (stands.kind == _OPEN) - 0.004 * stands.away
     score += rng.uniform(0, 0.1, len(score))
     side = np.arctan2(*(stands.places - (building.x, building.y)).T)
     aside = np.full(len(score), np.pi)
@@ -187,7 +169,7 @@ def street_poses(outdoors: Outdoors, city: City, target: Target, count: int) -> 
     height = city.architectures[building.architecture].height
     poses: list[Pose] = []
     for _ in range(count):
-        pick = int(np.argmax(score + 0.5 * np.minimum(aside / np.radians(80), 1)))
+        pick = int(np.argmax(score + 0.3 * np.minimum(aside / np.radians(80), 1)))
         score[pick] = -np.inf
         aside = np.minimum(aside, np.abs((side - side[pick] + np.pi) % (2 * np.pi) - np.pi))
         x, y = stands.places[pick].tolist()
@@ -228,11 +210,11 @@ def panoramas(
             )
             score -= 0.2 * (stands.kind == _PAVEMENT) + 2.0 * ~covered(target, stands.places)
             if len(taken):
-                score -= np.clip(APART - _distances(stands.places, taken).min(axis=1), 0, None) * (4 / APART)
+                score -= np.clip(APART - distances(stands.places, taken).min(axis=1), 0, None) * (4 / APART)
             score[~own_side] = -np.inf
             pick = int(np.argmax(score))
             x, y = stands.places[pick].tolist()
-            if not own_side[pick] or (len(taken) and _distances(stands.places[pick][None], taken).min() < 1):
+            if not own_side[pick] or (len(taken) and distances(stands.places[pick][None], taken).min() < 1):
                 raise InputError(f"Place {target.number} has room for {number} panoramas; ask for no more.")
             taken = np.concatenate([taken, stands.places[pick][None]])
             found[target.number].append(Panorama(x, y, city.height(x, y) + float(rng.uniform(2.1, 2.5))))
@@ -255,12 +237,6 @@ def _ways(city: City) -> tuple[Points, _Kind]:
 
 def _inside(points: Points, low: Points, high: Points) -> NDArray[np.int_]:
     return np.flatnonzero(((points > low) & (points < high)).all(axis=1))
-
-
-def _distances(a: Points, b: Points) -> Points:
-    """Distances (n, m) between points (n, 2) and (m, 2)."""
-    distances: Points = np.hypot(a[:, None, 0] - b[:, 0], a[:, None, 1] - b[:, 1])
-    return distances
 
 
 def _columns(stands: Stands) -> tuple[Points, _Kind, Points, Points, Points]:

@@ -16,7 +16,7 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from lpn.world import meshes, paint, textures
+from lpn.world import closeup, meshes, paint, textures
 from lpn.world.cameras import Panorama, Pose, Sweep
 from lpn.world.canvas import Image
 from lpn.world.city import SPECIES, VEHICLES, City
@@ -80,7 +80,12 @@ class Scene:
         return self._render(*panorama.size(pixels))
 
     def come_down(self) -> None:
-        """Prepare for pictures from the ground, which show the sky and what is near; the drone and the satellite do not."""
+        """Prepare for pictures from the ground, which show the sky and what is near; the drone's and satellite's do not."""
+        bearing = self._look.sun[1]
+        closeup.open_sky(self._scene.world, bearing, self._look.clouds)
+        closeup.grain(bpy.data.materials["ground"])
+        closeup.refine(self._materials.items())
+        self._scene.cycles.transparent_max_bounces = 6
 
     def sweep(self, sweep: Sweep) -> Image:
         """The satellite's picture: (pixels, pixels, 3) linear light."""
