@@ -36,15 +36,15 @@ class Things:
 
     def room(self, places: Points) -> NDArray[np.bool_]:
         """At which places (n, 2) somebody can stand and see more than a crown's leaves or a car's door."""
-        free: NDArray[np.bool_] = ~self._within(places, self.bodies, np.full((len(self.bodies), 2), 1.2)).any(axis=1)
+        built = self._within(places, self.bodies, np.full((len(self.bodies), 2), 1.2))
+        parked = self._within(places, self.vehicles, np.where(self.tall[:, None], (3.0, 1.8), (1.5, 0.9)))
+        leafy = distances(places, self.trees[:, :2]) < self.trees[:, 2] + 0.3
+        free = ~np.concatenate([built, parked, leafy], axis=1).any(axis=1)
         for polygon in self.water:
             free &= ~within(places, polygon, -1.5)
-        free &= (distances(places, self.trees[:, :2]) > self.trees[:, 2] + 0.3).all(axis=1)
         for a, b in self.hedges:
             free &= segment_distance(places, a, b) > 1.2
-        gaps = np.where(self.tall[:, None], (3.0, 1.8), (1.5, 0.9))
-        free &= ~self._within(places, self.vehicles, gaps).any(axis=1)
-        return free
+        return np.asarray(free, bool)
 
     @staticmethod
     def _within(places: Points, boxes: Points, more: Points) -> NDArray[np.bool_]:
@@ -67,7 +67,7 @@ class Things:
         off = np.linalg.norm(to - share[..., None] * ways[:, None], axis=2)
         z = heights(share)
         _, _, radius, bottom, top = self.trees.T
-        hidden: NDArray[np.bool_] = ((off < 0.8 * radius) & (z > bottom) & (z < top)).any(axis=1)
+        hidden = ((off < 0.8 * radius) & (z > bottom) & (z < top)).any(axis=1)
 
         along = self.hedges[:, 1] - self.hedges[:, 0]
         to = self.hedges[:, 0] - starts[:, None]
@@ -84,7 +84,7 @@ class Things:
         first = np.maximum(sides.min(axis=0).max(axis=2), low)
         last = np.minimum(sides.max(axis=0).min(axis=2), high)
         hidden |= ((first < last) & (heights(first) < boxes[:, 5])).any(axis=1)
-        return ~hidden
+        return np.asarray(~hidden, bool)
 
 
 def distances(a: Points, b: Points) -> Points:
