@@ -50,8 +50,7 @@ class Things:
     def _within(places: Points, boxes: Points, more: Points) -> NDArray[np.bool_]:
         """Which places (n, 2) lie in which boxes, larger by `more` (m, 2) on each side: (n, m)."""
         local = np.abs(_turned_back(places[:, None] - boxes[:, :2], boxes[:, 4]))
-        inside: NDArray[np.bool_] = (local < boxes[:, 2:4] + more).all(axis=2)
-        return inside
+        return np.asarray((local < boxes[:, 2:4] + more).all(axis=2))
 
     def clear(self, starts: Points, ends: Points, tops: Points, own: int) -> NDArray[np.bool_]:
         """Which lines of sight (n, 2) to (n, 2), from 2 m above the ground to `tops` (n,), meet nothing but building `own`."""
