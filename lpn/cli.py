@@ -188,6 +188,10 @@ class World:
     """Side of a satellite tile, which shows 160 m."""
     samples: int = 4
     """Light paths a pixel; more is slower and finer."""
+    streets: int = 0
+    """Street-level pictures of each place; can be raised in a world that is there."""
+    panoramas: int = 0
+    """Panoramas near each place, in cvusa/ with a tile around each; can be raised in a world that is there."""
     part: str = "1/1"
     """Share of the work, as i/k: k processes with the same --out render one world."""
     threads: int = 0
@@ -197,7 +201,16 @@ class World:
         from lpn.world.atlas import Settings
         from lpn.world.build import Part, build_world
 
-        settings = Settings(self.seed, self.buildings, self.views, self.pixels, self.tile_pixels, self.samples)
+        settings = Settings(
+            self.seed,
+            self.buildings,
+            self.views,
+            self.pixels,
+            self.tile_pixels,
+            self.samples,
+            self.streets,
+            self.panoramas,
+        )
         tally = build_world(settings, self.out, Part.parse(self.part), self.threads)
         print(f"{tally.describe()} The world is in {self.out}.")
 

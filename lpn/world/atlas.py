@@ -2,6 +2,7 @@
 
 world.json   what stands where, and how each picture was taken
 geo.csv      where what each picture shows lies, in the format of `lpn.geo`, with the drone's pose and the tile's width
+cvusa/       the panoramas and their tiles have files of their own, see `lpn.world.cvusa`
 """
 
 from __future__ import annotations
@@ -11,17 +12,22 @@ import io
 import json
 from collections import defaultdict
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lpn.world.cameras import Pose, Site, Tile, drone_poses, tile_around
+from lpn.world import cvusa
+from lpn.world.cameras import Panorama, Pose, Site, Tile, drone_poses, tile_around
 from lpn.world.city import City, Target
+from lpn.world.geometry import Points
+from lpn.world.ground_level import Outdoors, panoramas, street_poses
 from lpn.world.plan import plan_city
 
 FORMAT = "lpn-world/1"
 EDITION = 2  # counts changes of the code that change the pictures of a seed
 SIGHT = 312.0  # metres around a target that its drone can see, at most
+SPARE = 14.0  # metres around the tiles' ground, for their turn and offset
 _AIM = 0.4  # share of the building's height that the drone looks at
 
 
@@ -34,6 +40,8 @@ class Settings:
         views: drone pictures of each building, the last of them from straight above.
         pixels, tile_pixels: sides of a drone picture and of a satellite tile.
         samples: light paths a pixel.
+        streets: pictures of each building from street level.
+        panoramas: of each building's surroundings.
     """
 
     seed: int
@@ -42,6 +50,11 @@ class Settings:
     pixels: int
     tile_pixels: int
     samples: int
+    streets: int = 0
+    panoramas: int = 0
+
+
+View = Literal["satellite", "drone", "street", "panorama"]
 
 
 @dataclass(frozen=True)
@@ -50,7 +63,8 @@ class Shot:
 
     paths: tuple[str, ...]
     target: int
-    camera: Pose | Tile
+    view: View
+    camera: Pose | Tile | Panorama
 
 
 @dataclass(frozen=True)
@@ -61,6 +75,9 @@ class Sector:
         x, y: middle of the square around its targets.
         reach: half its side.
         district: whose weather it has.
+        tiles: the satellite's, those of panoramas last.
+        frames: the drone's.
+        walks: what is taken from the ground.
     """
 
     number: int
@@ -70,6 +87,16 @@ class Sector:
     district: int
     tiles: tuple[Shot, ...]
     frames: tuple[Shot, ...]
+    walks: tuple[Shot, ...]
+
+    @property
+    def shots(self) -> tuple[Shot, ...]:
+        """All its pictures."""
+        return *self.tiles, *self.frames, *self.walks
+
+    def covers(self, places: Points) -> NDArray[np.bool_]:
+        """Which places (n, 2) the satellite's picture covers with a tile to the north around them."""
+        return _covers(self.x, self.y, self.reach, places)
 
 
 @dataclass(frozen=True)
@@ -84,7 +111,7 @@ class Atlas:
     @property
     def shots(self) -> list[Shot]:
         """All pictures, in order of place."""
-        shots = [shot for sector in self.sectors for shot in (*sector.tiles, *sector.frames)]
+        shots = [shot for sector in self.sectors for shot in sector.shots]
         return sorted(shots, key=lambda shot: (shot.target, shot.paths))
 
     def world_json(self) -> bytes:
@@ -112,21 +139,41 @@ class Atlas:
 
     def geo_csv(self) -> bytes:
         """The file geo.csv, as `lpn.geo` reads it: positions of what pictures show."""
+        return self._geo([(path, shot) for shot in self.shots if not _of_cvusa(shot) for path in shot.paths])
+
+    def cvusa_files(self) -> dict[str, bytes]:
+        """The files of CVUSA's layout that are no pictures, by path; none without panoramas."""
+        shots = {shot.paths[0]: shot for shot in self.shots if _of_cvusa(shot)}
+        if not shots:
+            return {}
+        pairs = [
+            (target.split, cvusa.tile_path(target.number, i), cvusa.panorama_path(target.number, i))
+            for target in self.city.targets
+            for i in range(self.settings.panoramas)
+        ]
+        rows = [(path.removeprefix(f"{cvusa.FOLDER}/"), shots[path]) for _, *both in pairs for path in both]
+        return {f"{cvusa.FOLDER}/geo.csv": self._geo(rows), **cvusa.splits(pairs)}
+
+    def _geo(self, rows: list[tuple[str, Shot]]) -> bytes:
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
         table.writerow(["path", "latitude", "longitude", "altitude", "heading", "tilt", "fov", "width"])
         targets = {target.number: target for target in self.city.targets}
-        for shot in self.shots:
+        for path, shot in rows:
             camera = shot.camera
+            x, y, z = camera.x, camera.y, 0.0
             if isinstance(camera, Pose):
                 x, y, z = _aim(self.city, targets[shot.target])
-                pose = [f"{camera.z - z:.1f}", f"{camera.heading % 360:.1f}", f"{camera.tilt:g}", f"{camera.fov:g}", ""]
-            else:
-                x, y = camera.x, camera.y
+            if isinstance(camera, Tile):
                 pose = ["", f"{camera.heading % 360:.1f}", "", "", f"{camera.size:g}"]
+            elif isinstance(camera, Panorama):
+                pose = ["", "0.0", "", "", ""]
+            elif shot.view == "street":  # altitude and tilt are those of cameras that look down
+                pose = ["", f"{camera.heading % 360:.1f}", "", f"{camera.fov:.1f}", ""]
+            else:
+                pose = [f"{camera.z - z:.1f}", f"{camera.heading % 360:.1f}", f"{camera.tilt:g}", f"{camera.fov:g}", ""]
             latitude, longitude = self.site.degrees(x, y)
-            for path in shot.paths:
-                table.writerow([path, f"{latitude:.7f}", f"{longitude:.7f}", *pose])
+            table.writerow([path, f"{latitude:.7f}", f"{longitude:.7f}", *pose])
         return text.getvalue().encode()
 
     def _building(self, target: Target) -> dict[str, Any]:
@@ -154,7 +201,7 @@ class Atlas:
         latitude, longitude = self.site.degrees(camera.x, camera.y)
         place = {"path": path, "id": shot.target, "latitude": round(latitude, 7), "longitude": round(longitude, 7)}
         pose = {key: round(value, 3) for key, value in asdict(camera).items()}
-        return {**place, "view": "drone" if isinstance(camera, Pose) else "satellite", **pose}
+        return {**place, "view": shot.view, **pose}
 
 
 def _ring(points: Any) -> list[list[float]]:
@@ -171,15 +218,43 @@ def make_atlas(settings: Settings) -> Atlas:
     groups: dict[int, list[Target]] = defaultdict(list)
     for target in city.targets:
         groups[city.buildings[target.building].district].append(target)
-    sectors = []
-    for number, district in enumerate(sorted(groups)):
-        places = np.array([[city.buildings[t.building].x, city.buildings[t.building].y] for t in groups[district]])
+    squares: dict[int, tuple[float, float, float]] = {}
+    for district, members in groups.items():
+        places = np.array([[city.buildings[t.building].x, city.buildings[t.building].y] for t in members])
         low, high = places.min(axis=0), places.max(axis=0)
         x, y = ((low + high) / 2).tolist()
-        tiles = tuple(_tile(city, target) for target in groups[district])
-        frames = tuple(shot for target in groups[district] for shot in _frames(city, target, settings.views))
-        sectors.append(Sector(number, x, y, float((high - low).max() / 2), district, tiles, frames))
+        squares[district] = x, y, float((high - low).max() / 2)
+
+    def covered(target: Target, places: Points) -> NDArray[np.bool_]:
+        return _covers(*squares[city.buildings[target.building].district], places)
+
+    outdoors = Outdoors(city)
+    around = panoramas(outdoors, city, settings.panoramas, covered)
+    sectors = []
+    for number, district in enumerate(sorted(groups)):
+        members = groups[district]
+        centred = [_centred(target, i, at) for target in members for i, at in enumerate(around[target.number])]
+        tiles = (*(_tile(city, target) for target in members), *centred)
+        frames = tuple(shot for target in members for shot in _frames(city, target, settings.views))
+        walks = tuple(
+            shot
+            for target in members
+            for shot in (
+                *_streets(outdoors, city, target, settings.streets),
+                *_panoramas(target, around[target.number]),
+            )
+        )
+        sectors.append(Sector(number, *squares[district], district, tiles, frames, walks))
     return Atlas(settings, Site(), city, tuple(sectors))
+
+
+def _covers(x: float, y: float, reach: float, places: Points) -> NDArray[np.bool_]:
+    inside: NDArray[np.bool_] = np.abs(places - (x, y)).max(axis=1) < reach + SPARE - 1
+    return inside
+
+
+def _of_cvusa(shot: Shot) -> bool:
+    return shot.paths[0].startswith(f"{cvusa.FOLDER}/")
 
 
 def _paths(target: Target, view: str, name: str) -> tuple[str, ...]:
@@ -190,15 +265,35 @@ def _paths(target: Target, view: str, name: str) -> tuple[str, ...]:
 def _tile(city: City, target: Target) -> Shot:
     b = city.buildings[target.building]
     rng = np.random.default_rng([city.seed, 22, target.number])
-    return Shot(_paths(target, "satellite", f"{target.number:04d}.jpg"), target.number, tile_around(b.x, b.y, rng))
+    paths = _paths(target, "satellite", f"{target.number:04d}.jpg")
+    return Shot(paths, target.number, "satellite", tile_around(b.x, b.y, rng))
 
 
 def _frames(city: City, target: Target, views: int) -> list[Shot]:
     rng = np.random.default_rng([city.seed, 23, target.number])
     return [
-        Shot(_paths(target, "drone", f"image-{i + 1:02d}.jpg"), target.number, pose)
+        Shot(_paths(target, "drone", f"image-{i + 1:02d}.jpg"), target.number, "drone", pose)
         for i, pose in enumerate(drone_poses(_aim(city, target), views, rng))
     ]
+
+
+def _streets(outdoors: Outdoors, city: City, target: Target, count: int) -> list[Shot]:
+    return [
+        Shot(_paths(target, "street", f"image-{i + 1:02d}.jpg"), target.number, "street", pose)
+        for i, pose in enumerate(street_poses(outdoors, city, target, count))
+    ]
+
+
+def _panoramas(target: Target, cameras: list[Panorama]) -> list[Shot]:
+    return [
+        Shot((cvusa.panorama_path(target.number, i),), target.number, "panorama", camera)
+        for i, camera in enumerate(cameras)
+    ]
+
+
+def _centred(target: Target, number: int, at: Panorama) -> Shot:
+    """The tile with a panorama's camera in its middle."""
+    return Shot((cvusa.tile_path(target.number, number),), target.number, "satellite", Tile(at.x, at.y, 0.0))
 
 
 def _aim(city: City, target: Target) -> tuple[float, float, float]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -18,8 +19,8 @@ from lpn import city
 from lpn.errors import InputError, OutputError
 from lpn.files import check_writable, write_whole
 from lpn.world import photo
-from lpn.world.atlas import EDITION, SIGHT, Atlas, Sector, Settings, Shot, make_atlas
-from lpn.world.cameras import TILE, Pose, Sweep, Tile
+from lpn.world.atlas import EDITION, SIGHT, SPARE, Atlas, Sector, Settings, Shot, make_atlas
+from lpn.world.cameras import TILE, Panorama, Pose, Sweep, Tile
 from lpn.world.model3d import city_model, test_window
 from lpn.world.textures import hash_of
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from lpn.world.render import Scene
 
 _QUALITY = 88
-_SPARE = 14.0  # metres around the tiles' ground, for their turn and offset
+_ADDED = ("streets", "panoramas")  # settings that may be raised in a world that is there
 
 
 @dataclass(frozen=True)
@@ -63,15 +64,27 @@ class Tally:
     sweep_seconds: float = 0.0
     frames: int = 0
     frame_seconds: float = 0.0
+    streets: int = 0
+    street_seconds: float = 0.0
+    panoramas: int = 0
+    panorama_seconds: float = 0.0
 
     def describe(self) -> str:
         """One sentence for the console."""
-        if not self.frames and not self.sweeps:
+        steps = (
+            (self.frames, "drone pictures", self.frame_seconds, "s a drone picture"),
+            (self.streets, "street pictures", self.street_seconds, "s a street picture"),
+            (self.panoramas, "panoramas", self.panorama_seconds, "s a panorama"),
+            (self.sweeps, "satellite sectors", self.sweep_seconds, "s a satellite sector"),
+        )
+        made = [step for step in steps if step[0]]
+        if not made:
             return "Every picture was there already."
-        frame = f"{self.frame_seconds / self.frames:.2f} s a drone picture" if self.frames else "no drone pictures"
-        sweep = f", {self.sweep_seconds / self.sweeps:.0f} s a satellite sector" if self.sweeps else ""
-        scene = f"{self.scene_seconds / max(1, self.scenes):.0f} s a scene"
-        return f"Made {self.frames} drone pictures and {self.sweeps} satellite sectors: {frame}{sweep}, {scene}."
+        counts = " and ".join(", ".join(f"{count} {name}" for count, name, _, _ in made).rsplit(", ", 1))
+        costs = ", ".join(
+            f"{seconds / count:.{0 if seconds > 9 * count else 2}f} {per}" for count, _, seconds, per in made
+        )
+        return f"Made {counts}: {costs}, {self.scene_seconds / max(1, self.scenes):.0f} s a scene."
 
 
 def build_world(settings: Settings, out: Path, part: Part | None = None, threads: int = 0) -> Tally:
@@ -90,6 +103,8 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
     atlas = make_atlas(settings)
     write_whole(out / "world.json", atlas.world_json())
     write_whole(out / "geo.csv", atlas.geo_csv())
+    for name, data in atlas.cvusa_files().items():
+        write_whole(out / name, data)
     if part.number == 1:  # parts that run at the same time need not all make it
         write_whole(out / city.NAME, city_model(atlas.city, atlas.site, test_window(atlas)))
     mine = [sector for sector in atlas.sectors if sector.number % part.count == part.number - 1]
@@ -100,96 +115,136 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
         Progress(*columns, console=Console(file=stream)) as bar,
         render.workplace() as folder,
     ):
-        total = sum(len(sector.tiles) + len(sector.frames) for sector in mine)
-        task = bar.add_task("Rendering", total=total)
+        task = bar.add_task("Rendering", total=sum(len(sector.shots) for sector in mine))
+        studio = _Studio(render.Scene, atlas, out, folder, threads, tally, lambda: bar.advance(task))
         for sector in mine:
-            tiles = [shot for shot in sector.tiles if not _there(out, shot)]
-            frames = [shot for shot in sector.frames if not _there(out, shot)]
-            bar.advance(task, len(sector.tiles) + len(sector.frames) - len(tiles) - len(frames))
-
-            def scene(look: photo.Look, reach: float, sector: Sector = sector) -> Scene:
-                start = time.perf_counter()
-                made = render.Scene(atlas.city, sector.x, sector.y, 2 * reach, look, settings.samples, folder, threads)
-                tally.scenes += 1
-                tally.scene_seconds += time.perf_counter() - start
-                return made
-
-            def done() -> None:
-                bar.advance(task)
-
+            tiles, frames, walks = (
+                [shot for shot in shots if not _there(out, shot)]
+                for shots in (sector.tiles, sector.frames, sector.walks)
+            )
+            bar.advance(task, len(sector.shots) - len(tiles) - len(frames) - len(walks))
             if tiles:
-                _tiles(atlas, sector, tiles, out, scene, tally, done)
+                studio.tiles(sector, tiles)
             if frames:
-                _frames(atlas, sector, frames, out, scene, tally, done)
+                studio.frames(sector, frames)
+            if walks:
+                studio.walks(sector, walks)
     return tally
 
 
-MakeScene = Callable[[photo.Look, float], "Scene"]
+@dataclass(frozen=True)
+class _Studio:
+    """Takes a sector's pictures and writes them; `done` is called after each."""
 
+    make: type[Scene]
+    atlas: Atlas
+    out: Path
+    folder: Path
+    threads: int
+    tally: Tally
+    done: Callable[[], None]
 
-def _tiles(atlas: Atlas, sector: Sector, shots: list[Shot], out: Path, scene: MakeScene, tally: Tally,
-           done: Callable[[], None]) -> None:  # fmt: skip
-    settings = atlas.settings
-    look = photo.satellite_look(settings.seed, sector.district)
-    reach = sector.reach + TILE / 2 + _SPARE
-    pixels = round(2 * reach * settings.tile_pixels / TILE)
-    rng = np.random.default_rng([settings.seed, 31, sector.number])
-    height = atlas.city.height(sector.x, sector.y)
-    sweep = Sweep(sector.x, sector.y, height, 2 * reach, pixels, float(rng.uniform(1, 7)), float(rng.uniform(0, 360)))
-    made = scene(look, reach + 40)
-    start = time.perf_counter()
-    light = made.sweep(sweep)
-    tally.sweeps += 1
-    tally.sweep_seconds += time.perf_counter() - start
-    side = settings.tile_pixels
-    corners = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32) - 0.5
-    for shot in shots:
-        assert isinstance(shot.camera, Tile)
-        at = (sweep.corners(shot.camera) - 0.5).astype(np.float32)
-        matrix = cv2.getPerspectiveTransform(at, corners)
-        cut = cv2.warpPerspective(light, matrix, (side, side), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        picture = photo.develop(np.maximum(cut, 0).astype(np.float32), look, _noise(settings, shot))
-        _write(out, shot, photo.jpeg(picture, _QUALITY))
-        done()
+    def tiles(self, sector: Sector, shots: list[Shot]) -> None:
+        """Satellite tiles, cut from one picture."""
+        usual = sector.reach + TILE / 2 + SPARE
+        every = np.array([(shot.camera.x, shot.camera.y) for shot in sector.tiles])
+        inside = sector.covers(np.array([(shot.camera.x, shot.camera.y) for shot in shots]))
+        # Where a district has few places, a panorama may stand outside the picture of them, which must stay as it is.
+        farthest = float(np.abs(every - (sector.x, sector.y)).max()) + TILE / 2 + SPARE
+        for covered, reach in ((True, usual), (False, farthest)):
+            some = [shot for shot, within in zip(shots, inside, strict=True) if within == covered]
+            if some:
+                self._cut(sector, some, reach)
 
+    def frames(self, sector: Sector, shots: list[Shot]) -> None:
+        """The drone's pictures."""
+        look = photo.drone_look(self.atlas.settings.seed, sector.district)
+        made = self._scene(sector, look, sector.reach + SIGHT)
+        for shot in shots:
+            assert isinstance(shot.camera, Pose)
+            start = time.perf_counter()
+            light = made.frame(shot.camera, self.atlas.settings.pixels)
+            self._write(shot, photo.develop(light, look, self._noise(shot), shot.camera))
+            self.tally.frames += 1
+            self.tally.frame_seconds += time.perf_counter() - start
 
-def _frames(atlas: Atlas, sector: Sector, shots: list[Shot], out: Path, scene: MakeScene, tally: Tally,
-            done: Callable[[], None]) -> None:  # fmt: skip
-    look = photo.drone_look(atlas.settings.seed, sector.district)
-    made = scene(look, sector.reach + SIGHT)
-    for shot in shots:
-        assert isinstance(shot.camera, Pose)
+    def walks(self, sector: Sector, shots: list[Shot]) -> None:
+        """Street pictures and panoramas."""
+        settings, tally = self.atlas.settings, self.tally
+        look = photo.street_look(settings.seed, sector.district)
+        made = self._scene(sector, look, sector.reach + SIGHT)
+        made.come_down()
+        for shot in shots:
+            start = time.perf_counter()
+            if isinstance(shot.camera, Panorama):
+                light = made.panorama(shot.camera, settings.pixels)
+            else:
+                assert isinstance(shot.camera, Pose)
+                light = made.frame(shot.camera, settings.pixels)
+            self._write(shot, photo.develop(light, photo.metered(look, light), self._noise(shot)))
+            seconds = time.perf_counter() - start
+            if shot.view == "panorama":
+                tally.panoramas, tally.panorama_seconds = tally.panoramas + 1, tally.panorama_seconds + seconds
+            else:
+                tally.streets, tally.street_seconds = tally.streets + 1, tally.street_seconds + seconds
+
+    def _cut(self, sector: Sector, shots: list[Shot], reach: float) -> None:
+        settings, city = self.atlas.settings, self.atlas.city
+        look = photo.satellite_look(settings.seed, sector.district)
+        rng = np.random.default_rng([settings.seed, 31, sector.number])
+        pixels = round(2 * reach * settings.tile_pixels / TILE)
+        height = city.height(sector.x, sector.y)
+        lean, bearing = float(rng.uniform(1, 7)), float(rng.uniform(0, 360))
+        sweep = Sweep(sector.x, sector.y, height, 2 * reach, pixels, lean, bearing)
+        made = self._scene(sector, look, reach + 40)
         start = time.perf_counter()
-        light = made.frame(shot.camera, atlas.settings.pixels)
-        picture = photo.develop(light, look, _noise(atlas.settings, shot), shot.camera)
-        _write(out, shot, photo.jpeg(picture, _QUALITY))
-        tally.frames += 1
-        tally.frame_seconds += time.perf_counter() - start
-        done()
+        light = made.sweep(sweep)
+        self.tally.sweeps += 1
+        self.tally.sweep_seconds += time.perf_counter() - start
+        side = settings.tile_pixels
+        corners = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32) - 0.5
+        for shot in shots:
+            assert isinstance(shot.camera, Tile)
+            at = (sweep.corners(shot.camera) - 0.5).astype(np.float32)
+            matrix = cv2.getPerspectiveTransform(at, corners)
+            cut = cv2.warpPerspective(
+                light, matrix, (side, side), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+            )
+            self._write(shot, photo.develop(np.maximum(cut, 0).astype(np.float32), look, self._noise(shot)))
 
+    def _scene(self, sector: Sector, look: photo.Look, reach: float) -> Scene:
+        start = time.perf_counter()
+        samples = self.atlas.settings.samples
+        made = self.make(self.atlas.city, sector.x, sector.y, 2 * reach, look, samples, self.folder, self.threads)
+        self.tally.scenes += 1
+        self.tally.scene_seconds += time.perf_counter() - start
+        return made
 
-def _noise(settings: Settings, shot: Shot) -> np.random.Generator:
-    return np.random.default_rng([settings.seed, 32, hash_of(shot.paths[0])])
+    def _noise(self, shot: Shot) -> np.random.Generator:
+        return np.random.default_rng([self.atlas.settings.seed, 32, hash_of(shot.paths[0])])
+
+    def _write(self, shot: Shot, picture: NDArray[np.uint8]) -> None:
+        data = photo.jpeg(picture, _QUALITY)
+        for path in shot.paths:
+            write_whole(self.out / path, data)
+        self.done()
 
 
 def _there(out: Path, shot: Shot) -> bool:
     return all((out / path).is_file() for path in shot.paths)
 
 
-def _write(out: Path, shot: Shot, data: bytes) -> None:
-    for path in shot.paths:
-        write_whole(out / path, data)
-
-
 def _check(settings: Settings) -> None:
-    for name, low, high in (("views", 1, 54), ("pixels", 32, 2048), ("tile_pixels", 32, 2048), ("samples", 1, 4096)):
+    limits = {"views": (1, 54), "pixels": (32, 2048), "tile_pixels": (32, 2048), "samples": (1, 4096),
+              "streets": (0, 24), "panoramas": (0, 12)}  # fmt: skip
+    for name, (low, high) in limits.items():
         value = getattr(settings, name)
         if not low <= value <= high:
             raise InputError(f"The world's {name} are {value}; expected {low} to {high}.")
 
 
 def check_folder(settings: Settings, out: Path) -> None:
-    """Make sure that a folder holds no other world.
+    """Make sure that a folder holds no other world; the same with fewer street pictures or panoramas can be added to.
 
     Raises:
         OutputError: when it does.
@@ -197,9 +252,12 @@ def check_folder(settings: Settings, out: Path) -> None:
     file = out / "world.json"
     if not file.is_file():
         return
+    asked = asdict(settings)
     try:
         held = json.loads(file.read_bytes())
-        same = held["settings"] == asdict(settings)
+        had = {**dict.fromkeys(_ADDED, 0), **held["settings"]}  # worlds were made before there were any of these
+        same = {**had, **{name: asked[name] for name in _ADDED}} == asked
+        fewer = [name for name in _ADDED if asked[name] < had[name]]
         edition = held["edition"]
     except (ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{file} is not a world's; choose another folder.") from error
@@ -211,4 +269,9 @@ def check_folder(settings: Settings, out: Path) -> None:
         raise OutputError(
             f"{out} holds a world made by edition {edition} of the program, and this is edition {EDITION}, whose pictures "
             "differ; choose another folder, or delete that one."
+        )
+    if fewer:
+        raise OutputError(
+            f"{out} holds a world with {' and '.join(f'{had[name]} {name}' for name in fewer)} of each place; ask for as "
+            "many or more, or choose another folder."
         )

@@ -63,6 +63,33 @@ class Pose:
         return np.stack([right / forward * scale, -up / forward * scale], axis=1)
 
 
+@dataclass(frozen=True)
+class Panorama:
+    """A camera that sees all around (equirectangular), as in CVUSA: north in the middle column, east right of it.
+
+    Attributes:
+        x, y, z: where it stands in metres.
+        low, high: degrees above the horizon of the bottom and the top of the picture.
+    """
+
+    x: float
+    y: float
+    z: float
+    low: float = -29.0
+    high: float = 360 * 2 / 11 - 29.0  # CVUSA's panoramas have 1232 x 224 pixels, as many to a degree both ways
+
+    def size(self, pixels: int) -> tuple[int, int]:
+        """Width and height of about as many pixels as a square of side `pixels` has: 616 x 112 for 256."""
+        height = 2 * round(pixels * 7 / 32)
+        return round(height * 5.5), height
+
+    def project(self, points: Points) -> Points:
+        """Places (n, 2) of points (n, 3) in the picture: x right and y down from -1 to 1, 0 at the centre."""
+        dx, dy, dz = (points - (self.x, self.y, self.z)).T
+        up = np.degrees(np.arctan2(dz, np.hypot(dx, dy)))
+        return np.stack([np.arctan2(dx, dy) / np.pi, 1 - 2 * (up - self.low) / (self.high - self.low)], axis=1)
+
+
 def drone_poses(aim: tuple[float, float, float], views: int, rng: np.random.Generator) -> list[Pose]:
     """The spiral around a point: `views` - 1 pictures tilted at it, from 256 m down to 121.5 m in three rounds, and the
     last one from straight above. Heights are above `aim`; the start and each heading vary by some degrees."""

@@ -14,6 +14,11 @@ from lpn.world.geometry import Points, area, rectangle
 BAYS, STOREYS = 16, 8  # of a wall's texture
 COVER = 32.0  # metres across a roof's texture
 FOOT = -4.0  # walls reach this far below the ground they stand on
+CROWNS = {  # radius of the crown and where it begins, for a tree of height 1
+    "oak": (0.52, 0.16), "maple": (0.44, 0.14), "lime": (0.38, 0.13), "poplar": (0.17, 0.08), "fir": (0.24, 0.06),
+    "bush": (0.7, 0.0),
+}  # fmt: skip
+VEHICLE_SIZES = ((4.4, 1.8), (5.2, 2.0), (9.7, 2.5), (11.5, 2.5))  # length and width in metres, as in `city.VEHICLES`
 
 
 @dataclass
@@ -219,9 +224,10 @@ def _item(mesh: Mesh, item: Item) -> None:
 def tree(species: str, rng: np.random.Generator) -> Mesh:
     """A tree of height 1: some hundred leaf clumps as small quads, darker inside and below."""
     mesh = Mesh()
-    across, low, lumps, leaves = {
-        "oak": (0.52, 0.16, 22, 2300), "maple": (0.44, 0.14, 17, 2000), "lime": (0.38, 0.13, 13, 1700),
-        "poplar": (0.17, 0.08, 9, 1200), "fir": (0.24, 0.06, 0, 1600), "bush": (0.7, 0.0, 7, 420),
+    across, low = CROWNS[species]
+    lumps, leaves = {
+        "oak": (22, 2300), "maple": (17, 2000), "lime": (13, 1700), "poplar": (9, 1200), "fir": (0, 1600),
+        "bush": (7, 420),
     }[species]  # fmt: skip
     if species == "fir":
         height = 1 - np.sqrt(rng.uniform(0.0, 1, leaves)) * (1 - low)

@@ -12,6 +12,7 @@ from lpn.world.canvas import Canvas, Image
 from lpn.world.city import City, Patch, Street
 from lpn.world.geometry import Points, turned, within
 from lpn.world.plot import parking_rows
+from lpn.world.streets import beside
 
 
 @dataclass(frozen=True)
@@ -275,7 +276,7 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
         canvas.line(street.line, street.width + 2 * street.pavement, paving, 0.08, 1.0, 0.16)
         if street.pavement > 1.5 and rng.random() < 0.4:  # a verge between kerb and pavement
             for side in (-1, 1):
-                canvas.line(_beside(street.line, side * (street.width / 2 + street.pavement * 0.3)), street.pavement * 0.5,
+                canvas.line(beside(street.line, side * (street.width / 2 + street.pavement * 0.3)), street.pavement * 0.5,
                             season.grass, 0.15, 0.85, 0.25)  # fmt: skip
     for street in streets:
         canvas.line(street.line, street.width + 0.35, (0.36, 0.35, 0.33), 0.05, 0.7)
@@ -288,29 +289,22 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
         offsets = (-5.3, -1.9, 1.9, 5.3) if street.kind == "arterial" else (-1.6, 1.6)
         for offset in offsets:  # wheels darken the lanes
             for wheel in (-0.75, 0.75):
-                canvas.line(_beside(street.line, offset + wheel), 0.5, (0.07, 0.07, 0.07), 0.1, 0.2)
+                canvas.line(beside(street.line, offset + wheel), 0.5, (0.07, 0.07, 0.07), 0.1, 0.2)
         for _ in range(rng.poisson(len(street.line) / 4)):  # patches and trenches
             i = int(rng.integers(len(street.line) - 1))
             off = rng.uniform(-0.35, 0.35) * street.width
-            piece = _beside(street.line[i : i + 2], off)
+            piece = beside(street.line[i : i + 2], off)
             canvas.line(piece, rng.uniform(0.8, 3), (0.075, 0.075, 0.078), 0.05, rng.uniform(0.3, 0.8))
     for street in streets:
         line = street.line
         if street.kind == "arterial":
-            canvas.line(_beside(line, 0.12), 0.15, LINE, 0.1, 0.8)
-            canvas.line(_beside(line, -0.12), 0.15, LINE, 0.1, 0.8)
+            canvas.line(beside(line, 0.12), 0.15, LINE, 0.1, 0.8)
+            canvas.line(beside(line, -0.12), 0.15, LINE, 0.1, 0.8)
             for offset in (-3.6, 3.6):
-                _dashes(canvas, _beside(line, offset), 3.0, 9.0)
+                _dashes(canvas, beside(line, offset), 3.0, 9.0)
         elif street.kind == "local":
             _dashes(canvas, line, 2.0, 6.0)
         _crossings(canvas, street)
-
-
-def _beside(line: Points, offset: float) -> Points:
-    step = np.gradient(line, axis=0)
-    step /= np.linalg.norm(step, axis=1)[:, None]
-    moved: Points = line + offset * np.stack([-step[:, 1], step[:, 0]], axis=1)
-    return moved
 
 
 def _dashes(canvas: Canvas, line: Points, mark: float, pitch: float) -> None:
@@ -345,5 +339,5 @@ def _river(canvas: Canvas, city: City, window: Points) -> None:
         (river.width + 1.0, (0.17, 0.15, 0.12), 0.0),
         (river.width - 0.5, (0.04, 0.055, 0.045), 1.0),
     ):
-        ring = np.concatenate([_beside(near, width / 2), _beside(near, -width / 2)[::-1]])
+        ring = np.concatenate([beside(near, width / 2), beside(near, -width / 2)[::-1]])
         canvas.fill(ring, colour, 0.06, 0.12, water=water)

@@ -29,6 +29,7 @@ class Look:
         blur: deviation in pixels.
         noise: deviation of the sensor's noise, as displayed.
         traffic: seed of which vehicles are there.
+        clouds: how much of the sky they fill, 0 to 1, where it is seen.
     """
 
     season: Season
@@ -42,8 +43,10 @@ class Look:
     blur: float
     noise: float
     traffic: int
+    clouds: float = 0.0
 
 
+_METER = 0.1  # usual light of a scene, as a mean of logarithms
 _SUMMER = ((0.052, 0.085, 0.022), (0.07, 0.105, 0.026), (0.04, 0.07, 0.02), (0.085, 0.115, 0.03), (0.06, 0.085, 0.03))
 _LATE = ((0.06, 0.085, 0.02), (0.10, 0.10, 0.025), (0.05, 0.07, 0.022), (0.14, 0.10, 0.025), (0.08, 0.09, 0.03))
 _SPRING = ((0.06, 0.105, 0.025), (0.05, 0.085, 0.025), (0.04, 0.07, 0.022), (0.08, 0.12, 0.03), (0.05, 0.08, 0.03))
@@ -63,6 +66,16 @@ SATELLITES = (
 )  # fmt: skip
 
 
+STREETS = (
+    Look(Season((0.075, 0.125, 0.035), (0.2, 0.18, 0.09), 0.15, _SPRING), (34.0, 130.0), 1.6, (1.0, 1.0, 1.02), 1.15, 1.05,
+         0.02, (0.6, 0.68, 0.78), 0.45, 0.010, 5, 0.35),
+    Look(Season((0.085, 0.115, 0.04), (0.22, 0.18, 0.10), 0.5, _LATE), (27.0, 245.0), 1.6, (1.03, 1.0, 0.95), 1.2, 0.95,
+         0.03, (0.62, 0.64, 0.66), 0.5, 0.012, 6, 0.85),
+    Look(Season((0.09, 0.14, 0.04), (0.22, 0.19, 0.09), 0.3, _SUMMER), (58.0, 200.0), 1.6, (0.98, 1.0, 1.06), 1.2, 1.0,
+         0.02, (0.6, 0.68, 0.8), 0.4, 0.010, 7, 0.15),
+)  # fmt: skip
+
+
 def drone_look(seed: int, district: int) -> Look:
     """The day on which a district was flown over: the drone's usual one, more or less."""
     return _varied(DRONE, np.random.default_rng([seed, 41, district]))
@@ -72,6 +85,19 @@ def satellite_look(seed: int, district: int) -> Look:
     """The day on which the satellite saw a district: one of a few, more or less."""
     rng = np.random.default_rng([seed, 42, district])
     return _varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng)
+
+
+def street_look(seed: int, district: int) -> Look:
+    """The day on which people walked through a district: one of a few, more or less."""
+    rng = np.random.default_rng([seed, 43, district])
+    return _varied(STREETS[int(rng.integers(len(STREETS)))], rng)
+
+
+def metered(look: Look, light: Image) -> Look:
+    """The look with the exposure a camera on the ground would choose, at least partly, for the lower part of (h, w, 3)."""
+    grey = np.maximum(light[len(light) // 3 :].mean(axis=-1), 1e-3)
+    middle = float(np.exp(np.log(grey).mean()))
+    return replace(look, exposure=look.exposure * float(np.clip(_METER / middle, 0.4, 3.0)) ** 0.7)
 
 
 def _varied(look: Look, rng: np.random.Generator) -> Look:

@@ -16,8 +16,8 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from lpn.world import meshes, paint, textures
-from lpn.world.cameras import Pose, Sweep
+from lpn.world import closeup, meshes, paint, textures
+from lpn.world.cameras import Panorama, Pose, Sweep
 from lpn.world.canvas import Image
 from lpn.world.city import SPECIES, VEHICLES, City
 from lpn.world.geometry import Points
@@ -67,7 +67,25 @@ class Scene:
         data.sensor_fit = "HORIZONTAL"
         data.angle = np.radians(pose.fov)
         self._aim(pose.axes(), (pose.x, pose.y, pose.z))
-        return self._render(pixels)
+        return self._render(pixels, pixels)
+
+    def panorama(self, panorama: Panorama, pixels: int) -> Image:
+        """All around from the ground: (h, w, 3) linear light, of `panorama.size(pixels)`."""
+        data = self._camera.data
+        data.type = "PANO"
+        data.panorama_type = "EQUIRECTANGULAR"
+        data.latitude_min, data.latitude_max = np.radians([panorama.low, panorama.high])
+        level = Pose(panorama.x, panorama.y, panorama.z, 0.0, 0.0, 90.0)
+        self._aim(level.axes(), (panorama.x, panorama.y, panorama.z))
+        return self._render(*panorama.size(pixels))
+
+    def come_down(self) -> None:
+        """Prepare for pictures from the ground, which show the sky and what is near; the drone's and satellite's do not."""
+        bearing = self._look.sun[1]
+        closeup.open_sky(self._scene.world, bearing, self._look.clouds)
+        closeup.grain(bpy.data.materials["ground"])
+        closeup.refine(self._materials.items())
+        self._scene.cycles.transparent_max_bounces = 6
 
     def sweep(self, sweep: Sweep) -> Image:
         """The satellite's picture: (pixels, pixels, 3) linear light."""
@@ -76,7 +94,7 @@ class Scene:
         data.type = "ORTHO"
         data.ortho_scale = sweep.size
         self._aim(axes, tuple(np.array([sweep.x, sweep.y, sweep.z]) - axes[2] * 600))
-        return self._render(sweep.pixels)
+        return self._render(sweep.pixels, sweep.pixels)
 
     def _aim(self, axes: Points, place: tuple[float, float, float]) -> None:
         right, up, forward = axes
@@ -85,9 +103,9 @@ class Scene:
         matrix[:3, 3] = place
         self._camera.matrix_world = Matrix(matrix.tolist())
 
-    def _render(self, pixels: int) -> Image:
+    def _render(self, width: int, height: int) -> Image:
         render = self._scene.render
-        render.resolution_x = render.resolution_y = pixels
+        render.resolution_x, render.resolution_y = width, height
         file = self._folder / f"frame-{os.getpid()}.png"
         render.filepath = str(file)
         bpy.ops.render.render(write_still=True)

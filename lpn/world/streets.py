@@ -51,6 +51,14 @@ def densified(line: Points, step: float = 12.0) -> Points:
     return np.concatenate([*pieces, line[-1:]])
 
 
+def beside(line: Points, offset: float) -> Points:
+    """A line (n, 2) moved `offset` metres to its left."""
+    step = np.gradient(line, axis=0)
+    step /= np.linalg.norm(step, axis=1)[:, None]
+    moved: Points = line + offset * np.stack([-step[:, 1], step[:, 0]], axis=1)
+    return moved
+
+
 def street(line: Points, kind: StreetKind, warp: Warp, rural: bool = False) -> Street:
     """A street along a straight line of the grid; without pavements in the countryside."""
     width = {"arterial": ARTERIAL, "local": LOCAL, "lane": LANE}[kind]

@@ -10,8 +10,11 @@ import json
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -21,13 +24,16 @@ from lpn.errors import InputError, OutputError
 from lpn.geo import Position, Positions, camera, metres
 from lpn.world import cameras
 from lpn.world.atlas import Atlas, Settings, make_atlas
-from lpn.world.build import Part, build_world, check_folder
+from lpn.world.build import Part, Tally, build_world, check_folder
 from lpn.world.canvas import Canvas
 from lpn.world.city import City
-from lpn.world.geometry import area, overlap, rectangle, within
+from lpn.world.geometry import area, overlap, rectangle, segment_distance, within
+from lpn.world.ground_level import Outdoors
 from lpn.world.plan import SPACING, plan_city
+from lpn.world.surroundings import Things
 
 SETTINGS = Settings(seed=5, buildings=24, views=4, pixels=48, tile_pixels=64, samples=1)
+WALKED = replace(SETTINGS, streets=3, panoramas=2)
 
 rendering = pytest.mark.skipif(
     importlib.util.find_spec("bpy") is None, reason="needs Blender: pip install 'lpn-explorer[world]'"
@@ -37,6 +43,12 @@ rendering = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def atlas() -> Atlas:
     return make_atlas(SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def walked() -> Atlas:
+    """The same world with pictures from the ground."""
+    return make_atlas(WALKED)
 
 
 @pytest.fixture(scope="module")
@@ -245,6 +257,150 @@ def test_every_picture_belongs_to_one_sector(atlas: Atlas) -> None:
     assert Counter(shot.target for shot in shots) == dict.fromkeys(range(1, 25), 5)
 
 
+def _cameras(atlas: Atlas, view: str) -> list[tuple[int, Any]]:
+    return [(shot.target, shot.camera) for shot in atlas.shots if shot.view == view]
+
+
+def test_pictures_from_the_ground_leave_all_others_as_they_were(atlas: Atlas, walked: Atlas) -> None:
+    others = [shot for shot in walked.shots if shot.view == "drone" or shot.paths[0].startswith(("train/s", "test/"))]
+    assert [shot for shot in others if shot.view != "street"] == atlas.shots
+    # Cameras and sectors, as main's edition 2 planned them.
+    numbers = [[*vars(shot.camera).values()] for shot in atlas.shots]
+    numbers += [[s.x, s.y, s.reach, s.district, s.number] for s in atlas.sectors]
+    found = hashlib.sha256(json.dumps([[round(v, 3) for v in row] for row in numbers]).encode()).hexdigest()
+    assert found == "1ffcb4a061318f9b753dea56cab28c065ae79d573e285ad9550f405c87d26d9f"
+
+
+def test_more_pictures_from_the_ground_keep_those_there_are(walked: Atlas) -> None:
+    more = {shot.paths: shot for shot in make_atlas(replace(SETTINGS, streets=5, panoramas=3)).shots}
+    assert {shot.paths for shot in walked.shots} < set(more)
+    assert all(more[shot.paths] == shot for shot in walked.shots)
+
+
+def test_people_stand_in_the_open(walked: Atlas) -> None:
+    city = walked.city
+    rings = [city.footprint(building).astype(np.float32) for building in city.buildings]
+    pools = [p.polygon.astype(np.float32) for p in city.patches if p.surface in ("water", "pool")]
+    trees = np.stack([city.trees.x, city.trees.y], axis=1)
+    taken = [pose for view in ("street", "panorama") for _, pose in _cameras(walked, view)]
+    assert len(taken) == 24 * (3 + 2)
+    for pose in taken:
+        here = (pose.x, pose.y)
+        assert min(-cv2.pointPolygonTest(ring, here, True) for ring in rings) > 1
+        assert all(cv2.pointPolygonTest(ring, here, False) < 0 for ring in pools)
+        assert city.terrain.bank(np.array(here)) > 3
+        assert 1.7 <= pose.z - city.height(*here) <= 2.5
+        assert np.linalg.norm(trees - here, axis=1).min() > 0.5
+        for a, b in city.hedges:
+            if np.abs((a + b) / 2 - here).max() < 60:
+                assert segment_distance(np.array([here]), a, b)[0] > 1
+
+
+def test_a_street_picture_looks_at_its_building(walked: Atlas) -> None:
+    targets = {target.number: target for target in walked.city.targets}
+    for number, pose in _cameras(walked, "street"):
+        building = walked.city.buildings[targets[number].building]
+        ring = walked.city.footprint(building).astype(np.float32)
+        assert 9 <= -cv2.pointPolygonTest(ring, (pose.x, pose.y), True) <= 45.1
+        ahead = np.radians(pose.heading)
+        way = np.arange(9, 150)[:, None] * (np.sin(ahead), np.cos(ahead)) + (pose.x, pose.y)
+        assert any(cv2.pointPolygonTest(ring, (float(x), float(y)), True) > -2 for x, y in way)
+        assert 0 <= pose.tilt <= 20
+        assert 60 <= pose.fov <= 75
+
+
+def test_most_street_pictures_show_most_of_a_wall(walked: Atlas) -> None:
+    outdoors = Outdoors(walked.city)
+    shares = []
+    for number, pose in _cameras(walked, "street"):
+        stands = outdoors.around(walked.city.targets[number - 1])
+        shares.append(stands.seen[np.argmin(np.hypot(*(stands.places - (pose.x, pose.y)).T))])
+    assert np.median(shares) > 0.7
+
+
+def test_what_stands_between_hides_a_wall() -> None:
+    line = np.array([[0.0, 0.0]]), np.array([[40.0, 0.0]]), np.array([8.0])
+    nothing = {"numbers": np.arange(0), "bodies": np.zeros((0, 6)), "trees": np.zeros((0, 5)),
+               "hedges": np.zeros((0, 2, 2)), "vehicles": np.zeros((0, 5)), "tall": np.zeros(0, bool), "water": ()}  # fmt: skip
+
+    def clear(**things: Any) -> bool:
+        return bool(Things(**{**nothing, **things}).clear(*line, own=7)[0])
+
+    house, tree = np.array([[20.0, 0, 4, 4, 0.3, 9]]), np.array([[20.0, 1, 3, 1, 12]])
+    hedge = np.array([[[2.0, -2], [2, 2]]])
+    assert clear()
+    assert not clear(numbers=np.array([3]), bodies=house)
+    assert clear(numbers=np.array([7]), bodies=house)  # the building itself
+    assert clear(numbers=np.array([3]), bodies=house + np.array([0, 20, 0, 0, 0, 0]))
+    assert not clear(trees=tree)
+    assert clear(trees=tree + np.array([0, 0, 0, 8, 8]))  # below its crown
+    assert not clear(hedges=hedge)
+    assert clear(hedges=hedge + np.array([20, 0]))  # over it
+
+
+def test_a_panorama_has_north_in_the_middle_and_a_tile_around_it(walked: Atlas) -> None:
+    camera = cameras.Panorama(10, 20, 2)
+    around = camera.project(np.array([[10.0, 120, 2], [110, 20, 2], [-90, 20, 2], [10, 21, 2 + 1]]))
+    assert around[:, 0] == pytest.approx([0, 0.5, -0.5, 0])
+    assert around[3, 1] < around[0, 1]  # 45 degrees up
+    assert camera.size(256) == (616, 112)  # half of CVUSA's
+    tiles = {shot.paths[0]: shot.camera for shot in walked.shots if shot.view == "satellite"}
+    places = []
+    for shot in walked.shots:
+        if shot.view == "panorama":
+            tile = tiles[shot.paths[0].replace("streetview/panos", "bingmap/19")]
+            assert (tile.x, tile.y) == (shot.camera.x, shot.camera.y)
+            assert isinstance(tile, cameras.Tile)
+            assert (tile.heading, tile.size) == (0, cameras.TILE)
+            places.append([tile.x, tile.y])
+    middle = np.interp(np.array(places)[:, 1], *walked.city.terrain.river.line.T[::-1])
+    assert (np.abs(np.array(places)[:, 0] - middle) > cameras.TILE / 2).all()  # no tile of both splits
+    apart = np.linalg.norm(np.array(places)[:, None] - np.array(places), axis=-1)
+    assert apart[~np.eye(len(places), dtype=bool)].min() > 1
+
+
+def test_a_reader_of_cvusa_finds_pairs_of_both_splits(walked: Atlas, tmp_path: Path) -> None:
+    files = walked.cvusa_files()
+    assert set(files) == {"cvusa/geo.csv", "cvusa/splits/train-19zl.csv", "cvusa/splits/val-19zl.csv"}
+    splits = {building["id"]: building["split"] for building in json.loads(walked.world_json())["buildings"]}
+    pictures = {path for shot in walked.shots for path in shot.paths}
+    found: dict[str, set[int]] = {}
+    for split, name in (("train", "train"), ("test", "val")):
+        lines = files[f"cvusa/splits/{name}-19zl.csv"].decode().splitlines(keepends=True)
+        for line in lines:
+            tile, panorama, rest = line.split(",")  # as published readers do, whose last value keeps the line's end
+            assert rest == "\n"
+            assert {f"cvusa/{tile}", f"cvusa/{panorama}"} <= pictures
+            assert Path(tile).parent.as_posix() == "bingmap/19"
+            assert Path(panorama).parent.as_posix() == "streetview/panos"
+            number = int(tile.split("/")[-1].split(".")[0])
+            assert number == int(Path(panorama).stem)
+            assert splits[number // 100] == split
+            found.setdefault(split, set()).add(number)
+    assert len(found["train"]) == 16 * 2
+    assert len(found["test"]) == 8 * 2
+    assert not found["train"] & found["test"]
+    (tmp_path / "geo.csv").write_bytes(files["cvusa/geo.csv"])
+    shown = [shot for shot in walked.shots if shot.view == "panorama"]
+    places = Positions(tmp_path).of([Picture(tmp_path / shot.paths[0].removeprefix("cvusa/"), 0, "") for shot in shown])
+    for shot, place in zip(shown, places, strict=True):
+        at = walked.site.metres(place.latitude, place.longitude)
+        assert at == pytest.approx((shot.camera.x, shot.camera.y), abs=0.05)
+
+
+def test_files_name_the_pictures_from_the_ground(walked: Atlas, tmp_path: Path) -> None:
+    pictures = json.loads(walked.world_json())["pictures"]
+    assert Counter(p["view"] for p in pictures) == {
+        "drone": 16 * 4 + 8 * 4 * 2, "street": 16 * 3 + 8 * 3 * 2, "panorama": 24 * 2, "satellite": 16 + 8 * 2 + 24 * 2
+    }  # fmt: skip
+    (tmp_path / "geo.csv").write_bytes(walked.geo_csv())
+    streets = [p for p in pictures if p["view"] == "street"]
+    assert any(p["path"] == "test/gallery_street/0020/image-03.jpg" for p in streets)
+    for place in Positions(tmp_path).of([Picture(tmp_path / p["path"], p["id"], "") for p in streets]):
+        assert place.heading is not None
+        assert place.altitude is None
+
+
 @pytest.mark.parametrize("text", ["", "2", "3/2", "0/4", "a/b", "1/2/3"])
 def test_a_part_is_i_of_k(text: str) -> None:
     with pytest.raises(InputError, match="i/k"):
@@ -277,6 +433,46 @@ def test_another_world_in_the_folder_is_left_alone(tmp_path: Path, atlas: Atlas)
             check_folder(SETTINGS, tmp_path)
     (tmp_path / "world.json").write_bytes(atlas.world_json())
     check_folder(SETTINGS, tmp_path)
+
+
+def test_a_world_can_be_added_to_but_not_taken_from(tmp_path: Path, atlas: Atlas, walked: Atlas) -> None:
+    old = json.loads(atlas.world_json())
+    for name in ("streets", "panoramas"):  # worlds were made before there were these settings
+        del old["settings"][name]
+    (tmp_path / "world.json").write_text(json.dumps(old))
+    check_folder(SETTINGS, tmp_path)
+    check_folder(WALKED, tmp_path)
+    with pytest.raises(OutputError, match="other settings"):
+        check_folder(replace(WALKED, views=5), tmp_path)
+    (tmp_path / "world.json").write_bytes(walked.world_json())
+    check_folder(replace(WALKED, streets=4), tmp_path)
+    with pytest.raises(OutputError, match="3 streets and 2 panoramas of each place; ask for as many or more"):
+        check_folder(SETTINGS, tmp_path)
+    with pytest.raises(OutputError, match="2 panoramas of each place"):
+        check_folder(replace(WALKED, panoramas=1), tmp_path)
+
+
+def test_the_sentence_at_the_end_counts_every_kind_of_picture() -> None:
+    tally = Tally(2, 10.0, 1, 30.0, 0, 0.0, 4, 8.0, 2, 3.0)
+    assert tally.describe() == (
+        "Made 4 street pictures, 2 panoramas and 1 satellite sectors: 2.00 s a street picture, 1.50 s a panorama, "
+        "30 s a satellite sector, 5 s a scene."
+    )
+    assert Tally().describe() == "Every picture was there already."
+
+
+@rendering
+def test_a_world_that_is_there_gets_pictures_from_the_ground(tmp_path: Path) -> None:
+    small = Settings(seed=2, buildings=2, views=1, pixels=40, tile_pixels=48, samples=1)
+    build_world(small, tmp_path)
+    kept = {file: _digest(file) for file in tmp_path.rglob("*.jpg")}
+    tally = build_world(replace(small, streets=1, panoramas=1), tmp_path)
+    assert (tally.frames, tally.streets, tally.panoramas) == (0, 2, 2)
+    assert {file: _digest(file) for file in kept} == kept
+    assert len(open_dataset(tmp_path).queries("street")) == 1
+    assert len(list(tmp_path.glob("cvusa/bingmap/19/*.jpg"))) == 2
+    panorama = cv2.imread(str(next(tmp_path.glob("cvusa/streetview/panos/*.jpg"))))
+    assert panorama.shape == (18, 99, 3)
 
 
 @rendering

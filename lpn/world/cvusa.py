@@ -1,0 +1,41 @@
+"""The panoramas of a world in CVUSA's layout, in a folder of its own, each with a tile centred where it was taken.
+
+    cvusa/bingmap/19/<number>.jpg      the tile: north up, the panorama's camera in the middle
+    cvusa/streetview/panos/<number>.jpg   the panorama: north in the middle column, as the polar transform of a tile
+    cvusa/splits/{train,val}-19zl.csv  pairs of both, by the split of the place
+    cvusa/geo.csv                      where both were taken, in the format of `lpn.geo`
+
+A number is its place's, followed by two digits that count the place's panoramas from 00.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lpn.world.city import Split
+
+FOLDER = "cvusa"
+MOST = 100  # panoramas of a place that there are numbers for
+_SPLITS: dict[Split, str] = {"train": f"{FOLDER}/splits/train-19zl.csv", "test": f"{FOLDER}/splits/val-19zl.csv"}
+
+
+def tile_path(place: int, number: int) -> str:
+    """The path of a tile in the world's folder."""
+    return f"{FOLDER}/bingmap/19/{place:05d}{number:02d}.jpg"
+
+
+def panorama_path(place: int, number: int) -> str:
+    """The path of a panorama in the world's folder."""
+    return f"{FOLDER}/streetview/panos/{place:05d}{number:02d}.jpg"
+
+
+def splits(pairs: Sequence[tuple[Split, str, str]]) -> dict[str, bytes]:
+    """The files of both splits, by path, from each pair's split, tile, and panorama.
+
+    CVUSA's third column names a picture of what each pixel shows. There are none here, so it is empty; it is there
+    because readers that split a line at its commas would take the line's end for a part of the second.
+    """
+    lines: dict[str, list[str]] = {file: [] for file in _SPLITS.values()}
+    for split, tile, panorama in pairs:
+        lines[_SPLITS[split]].append(",".join([*(path.removeprefix(f"{FOLDER}/") for path in (tile, panorama)), ""]))
+    return {file: "".join(f"{line}\n" for line in found).encode() for file, found in lines.items()}

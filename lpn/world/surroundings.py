@@ -1,0 +1,104 @@
+"""What stands about in a part of the city: where it leaves room to stand, and what it hides from there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lpn.world.geometry import Points, segment_distance, within
+
+_HEDGE = 2.4  # metres high
+
+
+@dataclass(frozen=True)
+class Things:
+    """What stands in a part of the city.
+
+    Attributes:
+        numbers: (b,) of the buildings, as in `City.buildings`.
+        bodies: (b, 6) x, y, half length, half width, angle, height of each.
+        trees: (t, 5) x, y, radius of the crown, where it begins and ends above the ground.
+        hedges: (h, 2, 2).
+        vehicles: (v, 5) x, y, half length, half width, angle, of those that are there some days.
+        tall: (v,) which of them one cannot look over.
+        water: polygons.
+    """
+
+    numbers: NDArray[np.int_]
+    bodies: Points
+    trees: Points
+    hedges: Points
+    vehicles: Points
+    tall: NDArray[np.bool_]
+    water: tuple[Points, ...]
+
+    def room(self, places: Points) -> NDArray[np.bool_]:
+        """At which places (n, 2) somebody can stand and see more than a crown's leaves or a car's door."""
+        built = self._within(places, self.bodies, np.full((len(self.bodies), 2), 1.2))
+        parked = self._within(places, self.vehicles, np.where(self.tall[:, None], (3.0, 1.8), (1.5, 0.9)))
+        leafy = distances(places, self.trees[:, :2]) < self.trees[:, 2] + 0.3
+        free = ~np.concatenate([built, parked, leafy], axis=1).any(axis=1)
+        for polygon in self.water:
+            free &= ~within(places, polygon, -1.5)
+        for a, b in self.hedges:
+            free &= segment_distance(places, a, b) > 1.2
+        return np.asarray(free, bool)
+
+    @staticmethod
+    def _within(places: Points, boxes: Points, more: Points) -> NDArray[np.bool_]:
+        """Which places (n, 2) lie in which boxes, larger by `more` (m, 2) on each side: (n, m)."""
+        local = np.abs(_turned_back(places[:, None] - boxes[:, :2], boxes[:, 4]))
+        return np.asarray((local < boxes[:, 2:4] + more).all(axis=2))
+
+    def clear(self, starts: Points, ends: Points, tops: Points, own: int) -> NDArray[np.bool_]:
+        """Which lines of sight (n, 2) to (n, 2), from 2 m above the ground to `tops` (n,), meet nothing but building `own`."""
+        ways = ends - starts
+        low, high = 0.04, 0.95  # shares of a line that count
+
+        def heights(share: Points) -> Points:
+            risen: Points = 2.0 + share * (tops[:, None] - 2.0)
+            return risen
+
+        to = self.trees[:, :2] - starts[:, None]
+        share = np.clip((to * ways[:, None]).sum(axis=2) / (ways**2).sum(axis=1)[:, None], low, high)
+        off = np.linalg.norm(to - share[..., None] * ways[:, None], axis=2)
+        z = heights(share)
+        _, _, radius, bottom, top = self.trees.T
+        hidden = ((off < 0.8 * radius) & (z > bottom) & (z < top)).any(axis=1)
+
+        along = self.hedges[:, 1] - self.hedges[:, 0]
+        to = self.hedges[:, 0] - starts[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            across = _cross(ways[:, None], along)
+            share, other = _cross(to, along) / across, _cross(to, ways[:, None]) / across
+            met = (share > low) & (share < high) & (other >= 0) & (other <= 1)
+            hidden |= (met & (heights(share) < _HEDGE)).any(axis=1)
+
+            boxes = self.bodies[self.numbers != own]
+            begin = _turned_back(starts[:, None] - boxes[:, :2], boxes[:, 4])
+            way = _turned_back(np.repeat(ways[:, None], len(boxes), axis=1), boxes[:, 4])
+            sides = np.stack([(-boxes[:, 2:4] - begin) / way, (boxes[:, 2:4] - begin) / way])
+        first = np.maximum(sides.min(axis=0).max(axis=2), low)
+        last = np.minimum(sides.max(axis=0).min(axis=2), high)
+        hidden |= ((first < last) & (heights(first) < boxes[:, 5])).any(axis=1)
+        return np.asarray(~hidden, bool)
+
+
+def distances(a: Points, b: Points) -> Points:
+    """Distances (n, m) between points (n, 2) and (m, 2)."""
+    result: Points = np.hypot(a[:, None, 0] - b[:, 0], a[:, None, 1] - b[:, 1])
+    return result
+
+
+def _cross(a: Points, b: Points) -> Points:
+    product: Points = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product
+
+
+def _turned_back(points: Points, angles: Points) -> Points:
+    """Points (n, m, 2) turned clockwise by `angles` (m,)."""
+    c, s = np.cos(angles), np.sin(angles)
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([c * x + s * y, c * y - s * x], axis=-1)
