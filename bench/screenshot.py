@@ -1,4 +1,7 @@
-"""Makes the pictures in `docs/`: `python -m bench.screenshot docs`, the demo's failure NAME as pair and as map."""
+"""Makes the pictures in `docs/`: `python -m bench.screenshot docs BASELINE.onnx`, the demo's three stories (docs/demo.md).
+
+BASELINE is the demo's network with n = 1; without it, the picture that needs it is left as it is.
+"""
 
 from __future__ import annotations
 
@@ -6,40 +9,77 @@ import os
 import shutil
 import sys
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from playwright.sync_api import sync_playwright
+import cv2
+from playwright.sync_api import Browser, sync_playwright
 
 from bench.page import QUIET, Process, free_port
+from lpn.cli import DEMO
+from lpn.files import write_whole
 
-NAME = "0156/02"
+QUALITY = 84
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture: of which query, after which keys, and whether by the baseline."""
+
+    file: str
+    query: str
+    keys: str = ""
+    baseline: bool = False
+
+
+SHOTS = (
+    Shot("success.jpg", "0000/00", "m"),
+    Shot("twin-n1.jpg", "0000/00", baseline=True),
+    Shot("twin-n4.jpg", "0000/00"),
+    Shot("failure.jpg", "0000/00"),
+    Shot("failure-map.jpg", "0000/00", "m"),
+)
 
 
 def main() -> None:
-    """Start the app, open it, take the pictures."""
+    """Start the app with each model, open it, take the pictures."""
     out = Path(sys.argv[1])
+    models = [(False, DEMO / "lpn.onnx"), *((True, Path(argument)) for argument in sys.argv[2:3])]
     with ExitStack() as stack:
-        command = [sys.executable, "-m", "lpn.cli", "explore", "--port", str(free_port())]
-        app = stack.enter_context(Process(command, dict(os.environ)))
         browser = stack.enter_context(sync_playwright()).chromium.launch(
             executable_path=shutil.which("chromium"), args=QUIET
         )
-        page = browser.new_page(viewport={"width": 1456, "height": 835})
-        page.goto(app.url)
-        page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
-        page.wait_for_timeout(2500)
-        for notice in page.locator(".mantine-Notification-closeButton").all():
-            notice.click()
-        row = page.locator('label:text-is("Find name")').locator("xpath=ancestor::div[contains(@class,'Flex')][1]")
-        row.locator("input").last.fill(NAME)
-        page.wait_for_timeout(1000)
-        row.locator("input").last.blur()
-        page.wait_for_timeout(2000)
-        page.screenshot(path=str(out / "screenshot.png"))
-        page.keyboard.press("m")
-        page.wait_for_timeout(3500)
-        page.screenshot(path=str(out / "map.png"))
+        for baseline, model in models:
+            command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(DEMO), "--model", str(model)]
+            app = stack.enter_context(Process([*command, "--port", str(free_port())], dict(os.environ)))
+            for shot in SHOTS:
+                if shot.baseline == baseline:
+                    _take(browser, app.url, shot, out)
         browser.close()
+
+
+def _take(browser: Browser, url: str, shot: Shot, out: Path) -> None:
+    page = browser.new_page(viewport={"width": 1456, "height": 835})
+    page.goto(url)
+    page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
+    page.wait_for_timeout(2500)
+    for notice in page.locator(".mantine-Notification-closeButton").all():
+        notice.click()
+    row = page.locator('label:text-is("Find name")').locator("xpath=ancestor::div[contains(@class,'Flex')][1]")
+    row.locator("input").last.fill(shot.query)
+    page.wait_for_timeout(1000)
+    row.locator("input").last.blur()
+    page.wait_for_timeout(2000)
+    for key in shot.keys:
+        page.keyboard.press(key)
+        page.wait_for_timeout(6000)
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "page.png"
+        page.screenshot(path=str(file))
+        data = cv2.imencode(".jpg", cv2.imread(str(file)), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
+    write_whole(out / shot.file, data)
+    page.close()
 
 
 if __name__ == "__main__":

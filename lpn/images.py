@@ -16,7 +16,10 @@ from lpn.errors import PictureError
 from lpn.files import printable
 
 # Its remarks on damaged files would stand between the sentences that name them.
-cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+if hasattr(cv2, "setLogLevel"):  # OpenCV 4
+    cv2.setLogLevel(0)
+else:
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 Picture = npt.NDArray[np.uint8]
 """An RGB picture, (H, W, 3) uint8."""
