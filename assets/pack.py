@@ -24,6 +24,9 @@ from lpn.world.model3d import city_model, test_window
 QUALITY = {"drone": 62, "satellite": 72}
 """Of WebP; sensor noise does not survive it, and is most of what a better one would cost."""
 
+LARGEST_CITY = 2_800_000
+"""Bytes of city.glb."""
+
 
 def main() -> None:
     """Copy, shrink, describe."""
@@ -47,7 +50,7 @@ def main() -> None:
     plan["pictures"] = [{**shot, "path": kept[shot["path"]]} for shot in plan["pictures"] if shot["path"] in kept]
     write_whole(out / "world.json", json.dumps(plan, separators=(",", ":")).encode())
     atlas = make_atlas(Settings(**plan["settings"]))
-    write_whole(out / "city.glb", city_model(atlas.city, atlas.site, test_window(atlas)))
+    write_whole(out / "city.glb", city_model(atlas.city, atlas.site, test_window(atlas), LARGEST_CITY))
     shutil.copy(model, out / "lpn.onnx")
     opened, dataset = lpn.load(out / "lpn.onnx"), open_dataset(out)
     for folder, view, pictures in (
