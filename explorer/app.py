@@ -17,7 +17,7 @@ import viser
 
 from explorer import session
 from explorer.exhibit import Analyst, Exhibit
-from explorer.panels import Change, Panels
+from explorer.panels import THUMBS, Change, Panels
 from explorer.session import State
 from explorer.stage import SHOWN, Stage
 from explorer.worker import Worker
@@ -34,7 +34,7 @@ class Visitor:
         self._lock = threading.RLock()
         self._sequence = 0
         task = next(iter(exhibit.tasks))
-        self._state = State(task, exhibit.model.n_parts)
+        self._state = State(task, exhibit.model.n_parts, query=exhibit.first, page=exhibit.first // THUMBS)
         self._analyst = Analyst(exhibit)
         with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
             client.gui.configure_theme(
@@ -113,7 +113,7 @@ class App:
             visitor.leave()
 
 
-def run(data: Path, model: Path, host: str = "127.0.0.1", port: int = 8080) -> None:
+def run(data: Path, model: Path, query: str | None = None, host: str = "127.0.0.1", port: int = 8080) -> None:
     """Open a model and a data set, serve the explorer, print its address, and return when interrupted.
 
     Raises:
@@ -121,7 +121,7 @@ def run(data: Path, model: Path, host: str = "127.0.0.1", port: int = 8080) -> N
     """
     host = host or "0.0.0.0"
     _check_free(host, port)
-    app = App(Exhibit(data, model), host, port)
+    app = App(Exhibit(data, model, query), host, port)
     port = app.server.get_port()
     shown = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     if host not in ("127.0.0.1", "localhost", "::1"):

@@ -21,7 +21,7 @@ from lpn import explain, features, geo, images, metrics, retrieval
 from lpn.city import CityModel, city_model
 from lpn.datasets import Picture as Entry
 from lpn.datasets import open_dataset
-from lpn.errors import DataError
+from lpn.errors import DataError, InputError
 from lpn.evaluate import error_shares
 from lpn.files import printable
 from lpn.images import Picture
@@ -64,9 +64,16 @@ class Task:
 
 
 class Exhibit:
-    """A model and a data set, opened once for all browsers."""
+    """A model and a data set, opened once for all browsers.
 
-    def __init__(self, data: Path, model: Path) -> None:
+    Args:
+        query: name of the query of the first task that a browser shows first; without it, that task's first.
+
+    Raises:
+        LPNError: when model or data set cannot be used, or there is no such query.
+    """
+
+    def __init__(self, data: Path, model: Path, query: str | None = None) -> None:
         self.model: Model = lpn.load(model)
         self.model_name, self.data_name = printable(model.name), printable(data.resolve().name)
         dataset = open_dataset(data)
@@ -81,6 +88,7 @@ class Exhibit:
             task.name: task
             for task in (self._open(data, dataset.queries(q), dataset.gallery(g), q, g) for q, g in known)
         }
+        self.first = 0 if query is None else self._position(query)
         self.city = _city(data) if any(task.places is not None for task in self.tasks.values()) else None
         self.part_names = self._part_names()
         self.map_sizes = {view: cast("tuple[int, int]", self._map_size(view)) for view in self.model.views}
@@ -89,6 +97,12 @@ class Exhibit:
         self._mosaics: dict[str, Picture] = {}
         self._mosaic_lock = Lock()
         self.entry_picture = lru_cache(maxsize=64)(images.load_picture)
+
+    def _position(self, query: str) -> int:
+        names = [entry.name for entry in next(iter(self.tasks.values())).queries]
+        if query not in names:
+            raise InputError(f"{self.data_name} has no query {query}; its names are such as {names[0]}.")
+        return names.index(query)
 
     def tile(self, task: Task, index: int) -> Described:
         """A gallery picture as the network sees it; kept, because many queries share their tiles."""

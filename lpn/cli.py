@@ -18,6 +18,8 @@ from lpn.recipes import RECIPES, Recipe
 
 DEMO = Path(__file__).parents[1] / "assets" / "demo"
 """The demo's data set and model, in a checkout."""
+DEMO_QUERY = "0394/06"
+"""What the demo opens with."""
 
 ViewName = Literal["satellite", "street", "drone"]
 TaskName = Literal[
@@ -38,6 +40,8 @@ class Explore:
     """Data set in University-1652's layout, of which the test split is shown; by default the demo."""
     model: Path | None = None
     """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth; by default the demo's, for the demo."""
+    query: str | None = None
+    """Name of the query to open with, as the picker shows it; by default the first."""
     host: str = "127.0.0.1"
     """Address to listen on; any other than 127.0.0.1 lets other machines in, without a password."""
     port: int = 8080
@@ -52,7 +56,8 @@ class Explore:
             raise InputError(
                 "The demo is not part of this installation; give a data set with --data and a model with --model."
             )
-        run(self.data or DEMO, self.model or DEMO / "lpn.onnx", self.host, self.port)
+        query = DEMO_QUERY if self.data is None and self.query is None else self.query
+        run(self.data or DEMO, self.model or DEMO / "lpn.onnx", query, self.host, self.port)
 
 
 @dataclass

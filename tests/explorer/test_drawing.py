@@ -9,7 +9,7 @@ import pytest
 from explorer import overlays, pages, words
 from explorer.exhibit import Analyst, Exhibit
 from explorer.session import State, Upload
-from lpn.errors import DataError
+from lpn.errors import DataError, InputError
 from lpn.partition import Partition
 from tests import worlds
 
@@ -104,6 +104,15 @@ def test_a_model_without_the_views_of_the_data_is_refused(tmp_path: Path, model_
     worlds.write(tmp_path / "street" / "test" / "gallery_satellite" / "0001" / "a.png", worlds.place(1))
     with pytest.raises(DataError, match="street-to-satellite"):
         Exhibit(tmp_path / "street", model_file)
+
+
+def test_the_query_to_open_with_goes_by_its_name(tmp_path: Path, model_file: Path) -> None:
+    data = worlds.make_dataset(tmp_path / "places", train=1, test=4)
+    assert Exhibit(data, model_file).first == 0
+    names = [entry.name for entry in next(iter(Exhibit(data, model_file).tasks.values())).queries]
+    assert Exhibit(data, model_file, names[2]).first == 2
+    with pytest.raises(InputError, match=f"places has no query <b>x; its names are such as {names[0]}"):
+        Exhibit(data, model_file, "<b>x")
 
 
 def test_a_city_that_cannot_be_used_is_said_and_left_out(
