@@ -72,7 +72,7 @@ demo: $(VENV)/.world
 	$(BIN)/lpn train --data runs/world --out runs/demo --recipe world $(if $(INIT),--init "$(INIT)") \
 	  $(if $(wildcard runs/demo/state.pt),--resume)
 	$(BIN)/lpn export --model runs/demo/last.safetensors --out runs/demo/lpn.onnx --storage int8
-	$(BIN)/python assets/pack.py runs/world runs/demo/lpn.onnx runs/demo/packed
+	test -d runs/demo/packed || $(BIN)/python assets/pack.py runs/world runs/demo/lpn.onnx runs/demo/packed
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache *.egg-info

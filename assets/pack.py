@@ -33,6 +33,8 @@ def main() -> None:
     world, model, out = (Path(argument) for argument in sys.argv[1:4])
     if out.exists():
         sys.exit(f"{out} is there already; delete it or choose another place.")
+    whole, out = out, out.with_name(out.name + ".part")
+    shutil.rmtree(out, ignore_errors=True)
     kept: dict[str, str] = {}
     for role, view in (("query", "drone"), ("gallery", "satellite")):
         for source in sorted((world / "test" / f"{role}_{view}").glob("*/*.jpg")):
@@ -60,6 +62,7 @@ def main() -> None:
         root = out / "test" / folder
         files = [picture.path for picture in pictures]
         features.describe(opened, files, view, out / "descriptors" / folder, root=root, precision="int8")
+    out.rename(whole)
 
 
 if __name__ == "__main__":

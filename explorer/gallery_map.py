@@ -22,6 +22,7 @@ _LINES = 0.2
 _WORDS = SIDE - 2 * PICTURE
 _ROOFS = 42.0  # metres above the ground at which tiles and lines are drawn over the city
 _NEAR = 520.0  # metres of ground that are seen of it at least
+_FAR = 5000.0  # metres from the compared tile within which the camera is kept in view
 _UPRIGHT: Rotation = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 """Turns glTF's y up into the stage's z up."""
 
@@ -111,7 +112,7 @@ class GalleryMap:
         tiles = [answer.chosen.index, *([answer.truth.index] if answer.truth is not None else [])]
         around = [places.ground[tile] + np.array(off) * half for tile in tiles for off in ((-1, -1), (1, 1))]
         points = [self._place(point, 0.0) for point in around]
-        if camera is not None:
+        if camera is not None and float(np.abs(camera - points[0]).max()) < _FAR * self._scale:
             points.append(camera)
         return over(np.array(points) - AT, _NEAR * self._scale)
 

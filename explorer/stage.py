@@ -155,16 +155,16 @@ class Stage:
         """Point the camera at the pair and its matches, or at the map."""
         if not self._aspect:
             return
-        camera = self._client.camera
+        camera, viewpoint = self._client.camera, self._viewpoint
         tangent = math.tan(_FOV / 2)
         distance = max(_HEIGHT / 2 / tangent, _WIDTH / 2 / (tangent * self._aspect))
         position, target = np.array([*_MIDDLE, distance]), np.array([*_MIDDLE, 0.0])
-        if self._viewpoint is not None and self._map is not None:
-            self._map.put_sign(self._viewpoint, self._aspect)
-            position, target = self._viewpoint.camera(self._aspect, _FOV)
+        if viewpoint is not None and self._map is not None:
+            self._map.put_sign(viewpoint, self._aspect)
+            position, target = viewpoint.camera(self._aspect, _FOV)
         with self._client.atomic():
             camera.fov = _FOV
-            camera.up_direction = (0.0, 0.0, 1.0) if self._viewpoint else (0.0, 1.0, 0.0)
+            camera.up_direction = (0.0, 0.0, 1.0) if viewpoint else (0.0, 1.0, 0.0)
             camera.position = position
             camera.look_at = target
 

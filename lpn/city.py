@@ -12,7 +12,6 @@ extras record:
 from __future__ import annotations
 
 import json
-import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +24,7 @@ NAME = "city.glb"
 LARGEST = 4_000_000
 """Bytes that the file has at most: every browser that opens the map loads it."""
 
-_MAGIC, _JSON = b"glTF", b"JSON"
+_MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _DRACO = "KHR_draco_mesh_compression"
 
 
@@ -67,24 +66,45 @@ def _header(data: bytes) -> dict[str, Any]:
     """The JSON of a GLB file."""
     if len(data) < 20 or data[:4] != _MAGIC or data[16:20] != _JSON:
         raise DataError(f"{NAME} is not a binary glTF file; export it as .glb.")
-    version, length, chunk = struct.unpack_from("<III", data, 4)
+    version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
         raise DataError(f"{NAME} is of glTF version {version}; expected version 2.")
-    if length != len(data) or 20 + chunk > length:
-        raise DataError(f"{NAME} has {len(data)} bytes where it says {length}; copy it again.")
+    chunks = _chunks(data)
+    if length != len(data) or chunks is None:
+        raise DataError(f"{NAME} has {len(data)} bytes where it says {length} or its parts do; copy it again.")
+    # Of two headers, a browser may take the one that was not looked at.
+    if [kind for kind, _ in chunks] not in ([_JSON], [_JSON, _BINARY]):
+        raise DataError(f"{NAME} holds more than a header and one block of data; export it again.")
     try:
-        header = json.loads(data[20 : 20 + chunk])
+        header = json.loads(chunks[0][1])
     except (ValueError, RecursionError) as error:
         raise DataError(f"{NAME} is damaged: its header is not JSON; export it again.") from error
     if not isinstance(header, dict):
         raise DataError(f"{NAME} is damaged: its header is not a glTF scene; export it again.")
     # Nothing may make the page load from elsewhere: other files, or the decoder of compressed meshes.
-    parts = [part for key in ("buffers", "images") for part in _dicts(header.get(key))]
-    if any("uri" in part and not str(part["uri"]).startswith("data:") for part in parts):
+    if _refers(header):
         raise DataError(f"{NAME} refers to other files; export it with everything embedded.")
-    if _DRACO in str(header.get("extensionsUsed")):
+    if _DRACO in str([header.get("extensionsUsed"), header.get("extensionsRequired")]):
         raise DataError(f"{NAME} is compressed with Draco, which is not supported; export it without.")
     return header
+
+
+def _chunks(data: bytes) -> list[tuple[bytes, bytes]] | None:
+    """The kind and content of each chunk, or None where they do not end with the file."""
+    found, at = [], 12
+    while at + 8 <= len(data):
+        (size,) = struct.unpack_from("<I", data, at)
+        found.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + size]))
+        at += 8 + size
+    return found if at == len(data) else None
+
+
+def _refers(value: object) -> bool:
+    """Whether there is an address anywhere below a value that is not of data in itself."""
+    if isinstance(value, dict):
+        own = "uri" in value and not str(value["uri"]).startswith("data:")
+        return own or any(_refers(below) for below in value.values())
+    return isinstance(value, list) and any(_refers(below) for below in value)
 
 
 def _origin(header: dict[str, Any]) -> Position:
@@ -104,7 +124,7 @@ def _origin(header: dict[str, Any]) -> Position:
 
 def _degrees(value: object, limit: float) -> bool:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return number and math.isfinite(value) and abs(value) <= limit  # type: ignore[arg-type]
+    return number and -limit <= value <= limit  # type: ignore[operator]
 
 
 def _dicts(values: object) -> list[dict[str, Any]]:

@@ -138,6 +138,8 @@ def _shrink(proto: onnx.ModelProto, storage: Storage) -> None:
             narrow = np.round(values / scale).astype(np.int8)
             graph.initializer.append(onnx.numpy_helper.from_array(scale.astype(np.float32), f"{name}.scale"))
             widening.append(onnx.helper.make_node("Mul", [widened, f"{name}.scale"], [name]))
+        if not np.isfinite(narrow).all():
+            raise InputError(f"The weights {name} are too large for {storage}; export them as float32.")
         weight.CopyFrom(onnx.numpy_helper.from_array(narrow, stored))
         widening.insert(0, onnx.helper.make_node("Cast", [stored], [widened], to=onnx.TensorProto.FLOAT))
     nodes = [*widening, *graph.node]

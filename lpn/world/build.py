@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -26,6 +27,8 @@ from lpn.world.textures import hash_of
 
 if TYPE_CHECKING:
     from lpn.world.render import Scene
+
+log = logging.getLogger(__name__)
 
 _QUALITY = 88
 _ADDED = ("streets", "panoramas")  # settings that may be raised in a world that is there
@@ -105,8 +108,8 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
     write_whole(out / "geo.csv", atlas.geo_csv())
     for name, data in atlas.cvusa_files().items():
         write_whole(out / name, data)
-    if part.number == 1:  # parts that run at the same time need not all make it
-        write_whole(out / city.NAME, city_model(atlas.city, atlas.site, test_window(atlas)))
+    if part.number == 1 and not (out / city.NAME).is_file():  # parts that run at the same time need not all make it
+        _write_city(atlas, out)
     mine = [sector for sector in atlas.sectors if sector.number % part.count == part.number - 1]
     tally = Tally()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -132,6 +135,14 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
     return tally
 
 
+def _write_city(atlas: Atlas, out: Path) -> None:
+    """A city too large for its model is photographed all the same."""
+    try:
+        write_whole(out / city.NAME, city_model(atlas.city, atlas.site, test_window(atlas)))
+    except InputError as error:
+        log.warning("The world gets no %s: %s", city.NAME, error)
+
+
 @dataclass(frozen=True)
 class _Studio:
     """Takes a sector's pictures and writes them; `done` is called after each."""
@@ -146,20 +157,20 @@ class _Studio:
 
     def tiles(self, sector: Sector, shots: list[Shot]) -> None:
         """Satellite tiles, cut from one picture."""
-        usual = sector.reach + TILE / 2 + SPARE
-        every = np.array([(shot.camera.x, shot.camera.y) for shot in sector.tiles])
         inside = sector.covers(np.array([(shot.camera.x, shot.camera.y) for shot in shots]))
-        # Where a district has few places, a panorama may stand outside the picture of them, which must stay as it is.
-        farthest = float(np.abs(every - (sector.x, sector.y)).max()) + TILE / 2 + SPARE
-        for covered, reach in ((True, usual), (False, farthest)):
-            some = [shot for shot, within in zip(shots, inside, strict=True) if within == covered]
-            if some:
-                self._cut(sector, some, reach)
+        covered = [shot for shot, within in zip(shots, inside, strict=True) if within]
+        if covered:
+            self._cut(sector, covered, sector.x, sector.y, sector.reach + TILE / 2 + SPARE)
+        # Where a district has few places, a panorama may stand outside the picture of them. It gets one of its own, so
+        # that a tile does not depend on which others were asked for.
+        for shot, within in zip(shots, inside, strict=True):
+            if not within:
+                self._cut(sector, [shot], shot.camera.x, shot.camera.y, TILE / 2 + SPARE)
 
     def frames(self, sector: Sector, shots: list[Shot]) -> None:
         """The drone's pictures."""
         look = photo.drone_look(self.atlas.settings.seed, sector.district)
-        made = self._scene(sector, look, sector.reach + SIGHT)
+        made = self._scene(sector.x, sector.y, look, sector.reach + SIGHT)
         for shot in shots:
             assert isinstance(shot.camera, Pose)
             start = time.perf_counter()
@@ -172,7 +183,7 @@ class _Studio:
         """Street pictures and panoramas."""
         settings, tally = self.atlas.settings, self.tally
         look = photo.street_look(settings.seed, sector.district)
-        made = self._scene(sector, look, sector.reach + SIGHT)
+        made = self._scene(sector.x, sector.y, look, sector.reach + SIGHT)
         made.come_down()
         for shot in shots:
             start = time.perf_counter()
@@ -188,15 +199,15 @@ class _Studio:
             else:
                 tally.streets, tally.street_seconds = tally.streets + 1, tally.street_seconds + seconds
 
-    def _cut(self, sector: Sector, shots: list[Shot], reach: float) -> None:
+    def _cut(self, sector: Sector, shots: list[Shot], x: float, y: float, reach: float) -> None:
         settings, city = self.atlas.settings, self.atlas.city
         look = photo.satellite_look(settings.seed, sector.district)
         rng = np.random.default_rng([settings.seed, 31, sector.number])
         pixels = round(2 * reach * settings.tile_pixels / TILE)
-        height = city.height(sector.x, sector.y)
+        height = city.height(x, y)
         lean, bearing = float(rng.uniform(1, 7)), float(rng.uniform(0, 360))
-        sweep = Sweep(sector.x, sector.y, height, 2 * reach, pixels, lean, bearing)
-        made = self._scene(sector, look, reach + 40)
+        sweep = Sweep(x, y, height, 2 * reach, pixels, lean, bearing)
+        made = self._scene(x, y, look, reach + 40)
         start = time.perf_counter()
         light = made.sweep(sweep)
         self.tally.sweeps += 1
@@ -212,10 +223,10 @@ class _Studio:
             )
             self._write(shot, photo.develop(np.maximum(cut, 0).astype(np.float32), look, self._noise(shot)))
 
-    def _scene(self, sector: Sector, look: photo.Look, reach: float) -> Scene:
+    def _scene(self, x: float, y: float, look: photo.Look, reach: float) -> Scene:
         start = time.perf_counter()
         samples = self.atlas.settings.samples
-        made = self.make(self.atlas.city, sector.x, sector.y, 2 * reach, look, samples, self.folder, self.threads)
+        made = self.make(self.atlas.city, x, y, 2 * reach, look, samples, self.folder, self.threads)
         self.tally.scenes += 1
         self.tally.scene_seconds += time.perf_counter() - start
         return made

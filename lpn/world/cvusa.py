@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from lpn.world.city import Split
 
 FOLDER = "cvusa"
-MOST = 100  # panoramas of a place that there are numbers for
 _SPLITS: dict[Split, str] = {"train": f"{FOLDER}/splits/train-19zl.csv", "test": f"{FOLDER}/splits/val-19zl.csv"}
 
 
