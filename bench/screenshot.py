@@ -17,7 +17,7 @@ import cv2
 from playwright.sync_api import Browser, sync_playwright
 
 from bench.page import QUIET, Process, free_port
-from lpn.cli import DEMO
+from lpn.cli import DEMO, DEMO_QUERY
 from lpn.files import write_whole
 
 QUALITY = 84
@@ -34,11 +34,11 @@ class Shot:
 
 
 SHOTS = (
-    Shot("success.jpg", "0000/00", "m"),
-    Shot("twin-n1.jpg", "0000/00", baseline=True),
-    Shot("twin-n4.jpg", "0000/00"),
-    Shot("failure.jpg", "0000/00"),
-    Shot("failure-map.jpg", "0000/00", "m"),
+    Shot("success.jpg", DEMO_QUERY, "m"),
+    Shot("twin-n1.jpg", "0447/07", baseline=True),
+    Shot("twin-n4.jpg", "0447/07"),
+    Shot("failure.jpg", "0449/05"),
+    Shot("failure-map.jpg", "0449/05", "m"),
 )
 
 
@@ -51,26 +51,26 @@ def main() -> None:
             executable_path=shutil.which("chromium"), args=QUIET
         )
         for baseline, model in models:
-            command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(DEMO), "--model", str(model)]
-            app = stack.enter_context(Process([*command, "--port", str(free_port())], dict(os.environ)))
             for shot in SHOTS:
                 if shot.baseline == baseline:
-                    _take(browser, app.url, shot, out)
+                    _take(browser, shot, model, out)
         browser.close()
 
 
-def _take(browser: Browser, url: str, shot: Shot, out: Path) -> None:
+def _take(browser: Browser, shot: Shot, model: Path, out: Path) -> None:
+    command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(DEMO), "--model", str(model)]
+    with Process([*command, "--query", shot.query, "--port", str(free_port())], dict(os.environ)) as app:
+        _open(browser, app.url, shot, out)
+
+
+def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
     page = browser.new_page(viewport={"width": 1456, "height": 835})
     page.goto(url)
     page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
-    page.wait_for_timeout(2500)
+    page.wait_for_timeout(4000)
     for notice in page.locator(".mantine-Notification-closeButton").all():
         notice.click()
-    row = page.locator('label:text-is("Find name")').locator("xpath=ancestor::div[contains(@class,'Flex')][1]")
-    row.locator("input").last.fill(shot.query)
     page.wait_for_timeout(1000)
-    row.locator("input").last.blur()
-    page.wait_for_timeout(2000)
     for key in shot.keys:
         page.keyboard.press(key)
         page.wait_for_timeout(6000)
