@@ -55,13 +55,14 @@ def main() -> None:
     write_whole(out / "city.glb", city_model(atlas.city, atlas.site, test_window(atlas), LARGEST_CITY))
     shutil.copy(model, out / "lpn.onnx")
     opened, dataset = lpn.load(out / "lpn.onnx"), open_dataset(out)
-    for folder, view, pictures in (
-        ("query_drone", "drone", dataset.queries("drone")),
-        ("gallery_satellite", "satellite", dataset.gallery("satellite")),
+    # Distances are shown of the gallery's; those of the queries only rank each one for the header and the picker.
+    for folder, view, pictures, precision in (
+        ("query_drone", "drone", dataset.queries("drone"), "int8"),
+        ("gallery_satellite", "satellite", dataset.gallery("satellite"), "float16"),
     ):
         root = out / "test" / folder
         files = [picture.path for picture in pictures]
-        features.describe(opened, files, view, out / "descriptors" / folder, root=root, precision="int8")
+        features.describe(opened, files, view, out / "descriptors" / folder, root=root, precision=precision)
     out.rename(whole)
 
 

@@ -27,7 +27,8 @@ def test_the_demo_s_descriptors_are_its_model_s(folder: str, view: str) -> None:
     some = range(0, len(pictures), max(1, len(pictures) // 6))
     prepared = np.stack([images.prepare(images.load_picture(pictures[i].path), model.input_size) for i in some])
     found = model.descriptors(prepared, view)  # type: ignore[arg-type]
-    np.testing.assert_allclose(shipped[list(some)], found, atol=1e-2 * float(np.abs(found).max()))
+    error = 1e-2 if view == "drone" else 1e-3  # 8 bits and 16
+    np.testing.assert_allclose(shipped[list(some)], found, atol=error * float(np.abs(found).max()))
 
 
 def test_the_demo_is_all_there() -> None:

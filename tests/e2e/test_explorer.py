@@ -13,6 +13,7 @@ from playwright.sync_api import BrowserContext, expect
 
 import lpn
 from lpn import datasets, explain, geo, images, retrieval
+from lpn.cli import DEMO_QUERY
 from lpn.retrieval import Ranking
 from tests import worlds
 from tests.e2e.conftest import Explorer, Running
@@ -258,8 +259,7 @@ def test_the_demo_opens_without_being_told_anything(
     explorer.open(demo_app.url)
     expect(explorer.page.locator("#lpn-header")).to_contain_text("demo")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("within 50 m")
-    query = datasets.open_dataset(demo_app.data).queries("drone")[0]
-    assert_shows(explorer, demo_app, expected(demo_app, query.name))
+    assert_shows(explorer, demo_app, expected(demo_app, DEMO_QUERY))
     explorer.key("m")
     expect(explorer.field("Map")).to_be_checked()
     assert len(np.unique(cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_GRAYSCALE))) > 100
