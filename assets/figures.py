@@ -47,7 +47,9 @@ def main() -> None:
 def _directions(model: Model, dataset: Dataset, task: str, twins: dict[int, int | None]) -> None:
     query_view, gallery_view = task.split("-to-")
     pictures = dataset.queries(query_view), dataset.gallery(gallery_view)
-    (query, own), (tiles, theirs) = (_described(model, p, v) for p, v in zip(pictures, task.split("-to-"), strict=True))
+    (query, own), (tiles, theirs) = (
+        _described(model, p, v) for p, v in zip(pictures, (query_view, gallery_view), strict=True)
+    )
     whole = metrics.evaluate(query, own, tiles, theirs)
     top = theirs[metrics.best(query, tiles, theirs)]
     right = top == own

@@ -112,12 +112,21 @@ def _graph(model: TorchModel, view: View, metadata: dict[str, str], storage: Sto
         )
     assert program is not None
     proto = program.model_proto
+    _forget_origin(proto)
     if storage != "float32":
         _shrink(proto, storage)
     onnx.helper.set_model_props(proto, metadata)
     buffer = io.BytesIO()
     onnx.save_model(proto, buffer)
     return buffer.getvalue()
+
+
+def _forget_origin(proto: onnx.ModelProto) -> None:
+    """Take out the exporter's notes on where in which source file each node was made: paths of this machine."""
+    graph = proto.graph
+    for part in (proto, graph, *graph.node, *graph.initializer, *graph.value_info, *graph.input, *graph.output):
+        del part.metadata_props[:]
+        part.doc_string = ""
 
 
 def _shrink(proto: onnx.ModelProto, storage: Storage) -> None:

@@ -79,6 +79,13 @@ def test_a_smaller_file_hardly_changes_the_answer(storage: Storage, share: float
     close(np.einsum("pdc,bpc->bpd", heads.weight, pooled) + heads.bias, parts)
 
 
+def test_an_exported_file_names_no_path_of_the_machine_that_made_it(model_file: Path) -> None:
+    data = model_file.read_bytes()
+    assert str(Path(lpn.__file__).parent).encode() not in data
+    assert b"site-packages" not in data
+    assert b"stack_trace" not in data
+
+
 def test_heads_and_cells_rebuild_the_embedding(model_file: Path) -> None:
     engine = lpn.load(model_file)
     pictures = seeded.pictures(5, 2, 64, 64)
