@@ -84,12 +84,13 @@ class Exhibit:
                 f"The test split of {self.data_name} offers {', '.join(dataset.tasks()) or 'no task'}, but the model knows "
                 f"only the views {', '.join(self.model.views)}; give a data set or a model that fit each other."
             )
+        where = geo.positions(data)
         self.tasks = {
             task.name: task
-            for task in (self._open(data, dataset.queries(q), dataset.gallery(g), q, g) for q, g in known)
+            for task in (self._open(data, where, dataset.queries(q), dataset.gallery(g), q, g) for q, g in known)
         }
         self.first = 0 if query is None else self._position(query)
-        self.city = _city(data) if any(task.places is not None for task in self.tasks.values()) else None
+        self.city = None if where is None else _city(data)
         self.part_names = self._part_names()
         self.map_sizes = {view: cast("tuple[int, int]", self._map_size(view)) for view in self.model.views}
         self._tile = lru_cache(maxsize=256)(self._describe_tile)
@@ -117,11 +118,16 @@ class Exhibit:
         return overlays.part_masks(self.model.spec.partition(view), self.map_sizes[view], size)
 
     def _open(
-        self, data: Path, queries: list[Entry], gallery: list[Entry], query_view: View, gallery_view: View
+        self,
+        data: Path,
+        where: geo.Positions | None,
+        queries: list[Entry],
+        gallery: list[Entry],
+        query_view: View,
+        gallery_view: View,
     ) -> Task:
         query = self._described(data / STORES / f"query_{query_view}", queries, query_view)
         tiles = self._described(data / STORES / f"gallery_{gallery_view}", gallery, gallery_view)
-        where = geo.positions(data)
         laid = None if where is None else chart.places(where.of(queries), where.of(gallery))
         query_labels, labels = (np.array([entry.label for entry in entries]) for entries in (queries, gallery))
         near: dict[str, float] = {}

@@ -16,8 +16,6 @@ from lpn.errors import DataError
 from lpn.files import printable
 from lpn.images import SUFFIXES
 
-TRAIN_FOLDERS = ("satellite", "drone", "street", "google")
-
 
 @dataclass(frozen=True)
 class Picture:
