@@ -92,7 +92,7 @@ class Exhibit:
         self.first = 0 if query is None else self._position(query)
         self.city = None if where is None else _city(data)
         self.part_names = self._part_names()
-        self.map_sizes = {view: cast("tuple[int, int]", self._map_size(view)) for view in self.model.views}
+        self.map_sizes = {view: self.model.map_size(view) for view in self.model.views}
         self._tile = lru_cache(maxsize=256)(self._describe_tile)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._mosaics: dict[str, Picture] = {}
@@ -164,9 +164,6 @@ class Exhibit:
         """Each part's name, with that of the other views after it where they cut differently (CVUSA)."""
         names = [self.model.spec.partition(view).names() for view in self.model.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
-
-    def _map_size(self, view: View) -> tuple[int, ...]:
-        return self.model.heads(view).cells.shape[1:]
 
     def _describe_tile(self, path: Path, view: View) -> Described:
         return retrieval.describe_picture(self.model, images.load_picture(path), view)

@@ -18,7 +18,7 @@ from torch import Tensor
 from lpn.errors import ModelFileError
 from lpn.files import fingerprint, write_whole
 from lpn.model import FloatArray, Heads, Model
-from lpn.network import LPN
+from lpn.network import LPN, map_size
 from lpn.spec import BRANCH, ModelSpec, View
 
 FORMAT = "lpn-explorer/1"
@@ -44,16 +44,18 @@ class TorchModel(Model):
             parts, features = self.network.embed(torch.tensor(images, device=device), view)
         return cast(FloatArray, parts.cpu().numpy()), cast(FloatArray, features.cpu().numpy())
 
+    def map_size(self, view: View) -> tuple[int, int]:
+        """(h, w) of the feature map of a picture of the model's input size."""
+        return map_size(self.network.branch(view).model, self.input_size)
+
     def heads(self, view: View) -> Heads:
-        """The affine heads and cell weights for exact explanation."""
+        """The affine heads and cell weights for exact explanation; InputError with SAFA, which has none."""
         self.check_view(view)
-        height, width = self.input_size
+        self.check_heads()
         with torch.inference_mode():
-            device = next(self.network.parameters()).device
-            map_size = self.network.features(torch.zeros(1, 3, height, width, device=device), view).shape[2:]
             pairs = [head.affine() for head in self.network.heads]
             weight, bias = (torch.stack([pair[i] for pair in pairs]).cpu().numpy() for i in (0, 1))
-        return Heads(weight, bias, self.spec.partition(view).weights(*map_size))
+        return Heads(weight, bias, self.spec.partition(view).weights(*self.map_size(view)))
 
 
 def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchModel:

@@ -26,11 +26,14 @@ class Picture:
         label: the place it shows, from its folder's integer name.
         name: how it is shown to people: the folder's name, and where a place has several, the file's ("0005/01" for
             0005/image-01.jpeg).
+        box: the part of it that is meant, (left, top, right, bottom) in pixels, where a data set marks one (the queries
+            of Oxford5k and Paris6k); else None.
     """
 
     path: Path
     label: int
     name: str
+    box: tuple[float, float, float, float] | None = None
 
 
 class Dataset:

@@ -21,6 +21,12 @@ from lpn.spec import ModelSpec, View
 FORMAT = "lpn-explorer-onnx/1"
 OUTPUTS = ("parts", "features")
 HEAD_OUTPUTS = ("head_weight", "head_bias", "cells")
+SAFA_OUTPUTS = ("attention",)
+
+
+def extra_outputs(spec: ModelSpec) -> tuple[str, ...]:
+    """What a graph yields beside `OUTPUTS`: its heads, or SAFA's weight maps of the picture."""
+    return SAFA_OUTPUTS if spec.pooling == "safa" else HEAD_OUTPUTS
 
 
 class Engine(Model):
@@ -64,9 +70,16 @@ class Engine(Model):
         self._check_size(images, view)
         return cast(FloatArray, self._sessions[view].run(["parts"], {"images": images})[0])
 
-    def heads(self, view: View) -> Heads:
-        """The affine heads and cell weights for exact explanation, read from the graph once."""
+    def map_size(self, view: View) -> tuple[int, int]:
+        """(h, w) of the feature map, as the graph says it."""
         self.check_view(view)
+        shape = next(output.shape for output in self._sessions[view].get_outputs() if output.name == "features")
+        return int(shape[2]), int(shape[3])
+
+    def heads(self, view: View) -> Heads:
+        """The affine heads and cell weights for exact explanation, read from the graph once; InputError with SAFA."""
+        self.check_view(view)
+        self.check_heads()
         if view not in self._heads:
             blank = np.zeros((1, 3, *self.input_size), np.float32)
             outputs = self._sessions[view].run(list(HEAD_OUTPUTS), {"images": blank})
@@ -94,11 +107,8 @@ def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
 def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
     metadata = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map)
     names = {output.name for output in session.get_outputs()}
-    if (
-        metadata.get("format") != FORMAT
-        or not {"spec", "source", "group"} <= set(metadata)
-        or not {*OUTPUTS, *HEAD_OUTPUTS} <= names
-    ):
+    ours = metadata.get("format") == FORMAT and {"spec", "source", "group"} <= set(metadata)
+    if not ours or not {*OUTPUTS, *extra_outputs(ModelSpec.from_json(metadata["spec"]))} <= names:
         raise ModelFileError(
             f"{path.name} is an ONNX model but not one written by `lpn export`; export your LPN with it."
         )

@@ -16,12 +16,26 @@ import torch
 from torch import Tensor, nn
 
 from lpn.checkpoints import TorchModel, load_torch
-from lpn.engine import FORMAT, HEAD_OUTPUTS, OUTPUTS, graph_files
+from lpn.engine import FORMAT, OUTPUTS, extra_outputs, graph_files
 from lpn.errors import InputError
 from lpn.files import check_writable, write_whole
+from lpn.network import weigh
 from lpn.spec import View
 
 Storage = Literal["float32", "float16", "int8"]
+
+
+class _SafaGraph(nn.Module):
+    """SAFA at test time for one view."""
+
+    def __init__(self, model: TorchModel, view: View) -> None:
+        super().__init__()
+        self.network, self.view = model.network, view
+
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        features = self.network.features(images, self.view)
+        attention = self.network.attention(features, self.view)
+        return weigh(features, attention), features, attention
 
 
 class _Graph(nn.Module):
@@ -50,7 +64,8 @@ def export(model: str | Path, out: str | Path, storage: Storage = "float32") -> 
 
     The first group of views is written to `out`; a group that shares no weights with it, such as the street view,
     to a file beside it (`out` with the views' names before the suffix). Outputs: `parts` (B, n, D), `features`
-    (B, C, h, w), and, independent of the input, `head_weight` (n, D, C), `head_bias` (n, D), `cells` (n, h, w).
+    (B, C, h, w), and, independent of the input, `head_weight` (n, D, C), `head_bias` (n, D), `cells` (n, h, w); SAFA has
+    `attention` (B, n, M, h, w) in their place.
 
     Args:
         storage: of the weights in the file. float16 halves the file; int8 takes convolutions to a quarter, one scale per
@@ -101,10 +116,10 @@ def _graph(model: TorchModel, view: View, metadata: dict[str, str], storage: Sto
     example = torch.zeros(2, 3, height, width)
     with _quiet():
         program = torch.onnx.export(
-            _Graph(model, view).eval(),
+            (_SafaGraph if model.spec.pooling == "safa" else _Graph)(model, view).eval(),
             (example,),
             input_names=["images"],
-            output_names=[*OUTPUTS, *HEAD_OUTPUTS],
+            output_names=[*OUTPUTS, *extra_outputs(model.spec)],
             dynamic_shapes={"images": {0: torch.export.Dim("batch", min=1)}},
             dynamo=True,
             optimize=True,

@@ -381,7 +381,7 @@ def _fill(model: Model, files: Sequence[Path], manifest: Manifest, out: Path, be
         write_whole(planned, manifest.to_json())
     bounds = [*range(done, len(files), _BATCH), len(files)]
     batches = [range(a, b) for a, b in pairwise(bounds)]
-    for batch, prepared in _prepared(model, files, manifest.rotate, known, batches, done, title):
+    for batch, prepared in _prepared(model, files, manifest, known, batches, done, title):
         fresh = [i for i in batch if i not in known]
         if fresh:
             array[fresh] = _stored(model.descriptors(prepared, cast(View, manifest.view)), manifest.precision)
@@ -402,17 +402,18 @@ def _stored(descriptors: FloatArray, precision: Precision) -> npt.NDArray[Any]:
 def _prepared(
     model: Model,
     files: Sequence[Path],
-    rotate: float,
+    manifest: Manifest,
     known: dict[int, npt.NDArray[Any]],
     batches: Sequence[range],
     done: int,
     title: str,
 ) -> Iterator[tuple[range, FloatArray]]:
     """Batches ready for the model, the next one decoded while the caller computes."""
+    view = cast(View, manifest.view)
 
     def prepare(batch: range) -> FloatArray:
         pictures = [images.load_picture(files[i]) for i in batch if i not in known]
-        turned = [images.prepare(images.rotate(picture, rotate), model.input_size) for picture in pictures]
+        turned = [model.prepare(images.rotate(picture, manifest.rotate), view) for picture in pictures]
         return np.stack(turned) if turned else np.zeros((0, 3, *model.input_size), np.float32)
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

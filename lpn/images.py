@@ -107,6 +107,23 @@ def resize(picture: Picture, height: int, width: int) -> Picture:
     return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BICUBIC))
 
 
+def polar(picture: Picture, height: int, width: int) -> Picture:
+    """Unroll a north-up square tile around its centre, as SAFA does, into a panorama's shape: (height, width, 3).
+
+    Row i of column j shows what lies S/2 (height - 1 - i) / height pixels from the centre of a tile of side S, in the
+    direction 360 j / width degrees clockwise from south. North is in the middle column, the centre in the bottom row.
+    """
+    side = min(picture.shape[:2])
+    radius = side / 2 * (height - 1 - np.arange(height)) / height
+    angle = 2 * np.pi * np.arange(width) / width
+    columns = (picture.shape[1] - 1) / 2 - radius[:, None] * np.sin(angle)
+    rows = (picture.shape[0] - 1) / 2 + radius[:, None] * np.cos(angle)
+    shown = cv2.remap(
+        picture, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return cast(Picture, shown)
+
+
 def shrink(picture: Picture, side: int) -> Picture:
     """Resize a picture, keeping its proportions, so that no side is longer than `side` pixels."""
     height, width = picture.shape[:2]

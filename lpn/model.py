@@ -9,7 +9,9 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from lpn import images as pictures
 from lpn.errors import InputError
+from lpn.images import Picture
 from lpn.spec import ModelSpec, View
 
 FloatArray = npt.NDArray[np.float32]
@@ -63,7 +65,25 @@ class Model(ABC):
 
     @abstractmethod
     def heads(self, view: View) -> Heads:
-        """The affine heads and cell weights for exact explanation."""
+        """The affine heads and cell weights for exact explanation.
+
+        Raises:
+            InputError: when the model has no such view, or weighs cells anew for each picture (SAFA).
+        """
+
+    @abstractmethod
+    def map_size(self, view: View) -> tuple[int, int]:
+        """(h, w) of the feature map of a picture of the model's input size."""
+
+    def shape(self, picture: Picture, view: View) -> Picture:
+        """A picture as the network gets it, before normalisation: (height, width, 3) uint8 of the input size."""
+        if self.spec.unrolled(view):
+            return pictures.polar(picture, *self.input_size)
+        return pictures.resize(picture, *self.input_size)
+
+    def prepare(self, picture: Picture, view: View) -> FloatArray:
+        """A picture ready for the model: (3, height, width) float32, in the published order."""
+        return pictures.normalise(self.shape(picture, view))
 
     def part_embeddings(self, images: Any, view: View) -> FloatArray:
         """Raw head outputs of one forward pass, (B, n, D) float32, in the checkpoint's classifier order.
@@ -78,13 +98,14 @@ class Model(ABC):
     def descriptors(self, images: Any, view: View, mirror: bool = True) -> FloatArray:
         """Descriptors for retrieval, (B, n, D) float32, each part of norm 1/sqrt(n).
 
-        With `mirror`, the head outputs of the picture and of its horizontal mirror are added first, as published.
+        With `mirror`, the head outputs of the picture and of its horizontal mirror are added first, as published for LPN;
+        a model that tells left from right (SAFA) is described without.
 
         Raises:
             InputError: as for `part_embeddings`.
         """
         raw = self.part_embeddings(images, view)
-        if mirror:
+        if mirror and self.spec.mirrored:
             raw = raw + self.part_embeddings(np.ascontiguousarray(self._batch(images, view)[..., ::-1]), view)
         return normalise(raw)
 
@@ -92,6 +113,13 @@ class Model(ABC):
         """Raise InputError unless the model has the view."""
         if view not in self.views:
             raise InputError(f"This model has no {view!r} view; it has {', '.join(self.views)}.")
+
+    def check_heads(self) -> None:
+        """Raise InputError unless the model has affine heads."""
+        if self.spec.pooling == "safa":
+            raise InputError(
+                "This model is SAFA: it weighs the cells of each picture anew and has no heads that hold for all of them."
+            )
 
     def _parts(self, images: FloatArray, view: View) -> FloatArray:
         """The part embeddings of one chunk; for models that can leave the feature map out."""

@@ -1,32 +1,71 @@
 """The Local Pattern Network (Wang et al., section III): backbone, partition, one classifier head per part.
 
 Module names follow the published checkpoints: `model_1.model.*` satellite, `model_2.model.*` street,
-`model_3.model.*` drone, `classifier{i}.*` (or `classifier.*` for the baseline, n = 1).
+`model_3.model.*` drone, `classifier{i}.*` (or `classifier.*` for the baseline, n = 1). SAFA has no classifiers, but
+spatial-aware layers in each branch, `model_1.aware.{i}.*`, one for each part.
 """
 
 from __future__ import annotations
 
+import copy
 from typing import cast
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lpn.backbones import BackboneName, LastLayer, build_backbone
 from lpn.errors import InputError
+from lpn.partition import Partition
 from lpn.spec import BRANCH, ModelSpec, View
 
 
-class Branch(nn.Module):
-    """One view's backbone under the name the published checkpoints give it, `model`."""
+class SpatialAware(nn.Module):
+    """The spatial-aware layers of SAFA (Shi et al. 2019) for one part of P cells: from what is strongest in each cell, over
+    all channels, two linear maps without an activation between them, P to P/2 to P, make each of M weight maps."""
 
-    def __init__(self, spec: ModelSpec) -> None:
+    def __init__(self, cells: int, maps: int) -> None:
+        super().__init__()
+        half = max(cells // 2, 1)
+        self.weight1 = nn.Parameter(nn.init.trunc_normal_(torch.empty(maps, cells, half), std=0.005, a=-0.01, b=0.01))
+        self.bias1 = nn.Parameter(torch.full((maps, 1, half), 0.1))
+        self.weight2 = nn.Parameter(nn.init.trunc_normal_(torch.empty(maps, half, cells), std=0.005, a=-0.01, b=0.01))
+        self.bias2 = nn.Parameter(torch.full((maps, 1, cells), 0.1))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Weight of each cell in each map: (B, C, h, w) -> (B, M, h w)."""
+        strongest = features.amax(dim=1).flatten(1).unsqueeze(0)
+        hidden = torch.matmul(strongest, self.weight1) + self.bias1
+        return (torch.matmul(hidden, self.weight2) + self.bias2).transpose(0, 1)
+
+
+class Branch(nn.Module):
+    """One view's backbone under the name the published checkpoints give it, `model`, and SAFA's layers if any."""
+
+    def __init__(self, spec: ModelSpec, partition: Partition) -> None:
         super().__init__()
         self.model = build_backbone(
             cast(BackboneName, spec.backbone), cast(LastLayer, spec.last_layer), spec.last_stride
         )
+        if spec.pooling == "safa":
+            height, width = map_size(self.model, spec.input_size)
+            if width < spec.n_parts:
+                raise InputError(
+                    f"The feature map is {height} x {width} cells, too few for {spec.n_parts} strips; use wider pictures or "
+                    "fewer parts."
+                )
+            begin, end = partition.strip(0, width)
+            self.aware = nn.ModuleList([SpatialAware(height * (end - begin), spec.maps) for _ in range(spec.n_parts)])
 
     def forward(self, images: Tensor) -> Tensor:
         return cast(Tensor, self.model(images))
+
+
+def map_size(backbone: nn.Module, input_size: tuple[int, int]) -> tuple[int, int]:
+    """(h, w) of the feature map of a picture of that size, without computing it."""
+    with torch.device("meta"):
+        shadow = copy.deepcopy(backbone).to("meta").eval()
+        return cast("tuple[int, int]", tuple(shadow(torch.zeros(1, 3, *input_size)).shape[2:]))
 
 
 class PartHead(nn.Module):
@@ -56,15 +95,28 @@ class PartHead(nn.Module):
 
 
 class LPN(nn.Module):
-    """An LPN with one branch per view of `spec`; branches that share weights are one module under two names."""
+    """An LPN with one branch per view of `spec`; branches that share weights are one module under two names.
+
+    Raises:
+        InputError: when the spec contradicts itself.
+    """
 
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__()
         self.spec = spec
         for view in spec.views:
             owner = spec.owner(view)
-            self.add_module(BRANCH[view], Branch(spec) if owner == view else self.get_submodule(BRANCH[owner]))
+            branch = Branch(spec, spec.partition(view)) if owner == view else self.get_submodule(BRANCH[owner])
+            self.add_module(BRANCH[view], branch)
         channels = self.branch(spec.views[0]).model.channels
+        self.head_names: list[str] = []
+        if spec.pooling == "safa":
+            if spec.embedding != spec.maps * channels:
+                raise InputError(
+                    f"The model's embedding is {spec.embedding}; SAFA with {spec.maps} maps of {channels} channels has "
+                    f"{spec.maps * channels}."
+                )
+            return
         self.head_names = ["classifier"] if spec.n_parts == 1 else [f"classifier{i}" for i in range(spec.n_parts)]
         for name in self.head_names:
             self.add_module(name, PartHead(channels, spec))
@@ -81,7 +133,7 @@ class LPN(nn.Module):
 
     @property
     def heads(self) -> list[PartHead]:
-        """The head of each part, in the checkpoint's classifier order."""
+        """The head of each part, in the checkpoint's classifier order; none with SAFA."""
         return [cast(PartHead, self.get_submodule(name)) for name in self.head_names]
 
     def features(self, images: Tensor, view: View) -> Tensor:
@@ -94,15 +146,42 @@ class LPN(nn.Module):
         cells = torch.from_numpy(weights).to(features).flatten(1)
         return torch.matmul(cells, features.flatten(2).transpose(1, 2))
 
+    def attention(self, features: Tensor, view: View) -> Tensor:
+        """SAFA's weight of each cell in each of a part's maps, 0 outside of the part: (B, C, h, w) -> (B, n, M, h, w).
+
+        Raises:
+            InputError: when the model has no spatial-aware layers.
+        """
+        if self.spec.pooling != "safa":
+            raise InputError(
+                "This model weighs the cells of every picture alike; only SAFA has weight maps of a picture."
+            )
+        partition, maps = self.spec.partition(view), []
+        height, width = features.shape[2:]
+        for part, layers in enumerate(self.branch(view).aware):
+            begin, end = partition.strip(part, width)
+            weights = layers(features[..., begin:end]).unflatten(2, (height, end - begin))
+            maps.append(F.pad(weights, (begin, width - end)))
+        return torch.stack(maps, 1)
+
     def forward(self, images: Tensor, view: View) -> tuple[Tensor, Tensor]:
-        """Part embeddings (B, n, D), the raw head outputs, and class scores (B, n, classes)."""
-        pooled = self.pool(self.features(images, view), view)
-        embeddings = torch.stack([head.add_block(pooled[:, i]) for i, head in enumerate(self.heads)], 1)
+        """Part embeddings (B, n, D), the raw head outputs, and class scores (B, n, classes), of which SAFA has none."""
+        embeddings, _ = self.embed(images, view)
+        if not self.heads:
+            return embeddings, embeddings[..., :0]
         scores = torch.stack([head.classifier(embeddings[:, i]) for i, head in enumerate(self.heads)], 1)
         return embeddings, scores
 
     def embed(self, images: Tensor, view: View) -> tuple[Tensor, Tensor]:
         """Part embeddings (B, n, D) and the feature map (B, C, h, w) they were pooled from."""
         features = self.features(images, view)
+        if self.spec.pooling == "safa":
+            return weigh(features, self.attention(features, view)), features
         pooled = self.pool(features, view)
         return torch.stack([head.add_block(pooled[:, i]) for i, head in enumerate(self.heads)], 1), features
+
+
+def weigh(features: Tensor, attention: Tensor) -> Tensor:
+    """SAFA's part embeddings: (B, C, h, w) summed under weights (B, n, M, h, w) give (B, n, M C), map by map."""
+    cells = features.flatten(2).transpose(1, 2).unsqueeze(1)
+    return torch.matmul(attention.flatten(3), cells).flatten(2)

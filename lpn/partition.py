@@ -15,12 +15,13 @@ import numpy.typing as npt
 
 from lpn.errors import InputError
 
-Kind = Literal["rings", "rows", "columns", "whole"]
+Kind = Literal["rings", "rows", "columns", "windows", "whole"]
 Weighting = Literal["published", "area"]
 Box = tuple[float, float, float, float]
 
-KINDS: tuple[Kind, ...] = ("rings", "rows", "columns", "whole")
+KINDS: tuple[Kind, ...] = ("rings", "rows", "columns", "windows", "whole")
 WEIGHTINGS: tuple[Weighting, ...] = ("published", "area")
+_ENDS = {"rows": ("top", "bottom"), "columns": ("left", "right"), "windows": ("left", "right")}
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,9 @@ class Partition:
 
     Attributes:
         kind: "rings" (square rings around the centre), "rows" (horizontal strips, top to bottom), "columns"
-            (vertical strips, left to right), or "whole" (the baseline: one part, n = 1).
+            (vertical strips, left to right), "windows" (vertical strips of equal width, left to right, each floor(W / n)
+            further on, so that they overlap where n does not divide the width W; SAFA + LPN's), or "whole" (the baseline:
+            one part, n = 1).
         n: number of parts, at least 1.
         weighting: how a ring is averaged. "published" divides a ring's sum by the area of its whole box, the inner
             part counted as zeros, as the released LPN does; "area" divides by the ring's own area, as the paper's
@@ -69,7 +72,7 @@ class Partition:
             return max(height, 2 * self.n), max(width, 2 * self.n)
         if self.kind == "rows":
             return max(height, self.n), width
-        if self.kind == "columns":
+        if self.kind in ("columns", "windows"):
             return height, max(width, self.n)
         return height, width
 
@@ -80,7 +83,7 @@ class Partition:
         the strip that holds its middle, and `weights` have both.
         """
         rows, columns = self.grid(height, width)
-        if self.kind in ("rows", "columns"):
+        if self.kind in ("rows", "columns", "windows"):
             length = rows if self.kind == "rows" else columns
             strip = (2 * np.arange(length) + 1) * self.n // (2 * length)
             return np.broadcast_to(strip[:, None] if self.kind == "rows" else strip[None, :], (rows, columns)).copy()
@@ -96,7 +99,7 @@ class Partition:
         `einsum("nhw,chw->nc", weights, map)` is the pooled map. The bilinear resize of a small map is folded in, so
         these are always weights of real cells. With "area" weighting each part sums to one.
         """
-        if self.kind in ("rows", "columns"):
+        if self.kind in ("rows", "columns", "windows"):
             return self._strip_weights(height, width)
         rows, columns = self.grid(height, width)
         labels = self.labels(height, width)
@@ -127,6 +130,8 @@ class Partition:
                 boxes.append((0.0, part / self.n, 1.0, (part + 1) / self.n))
             elif self.kind == "columns":
                 boxes.append((part / self.n, 0.0, (part + 1) / self.n, 1.0))
+            elif self.kind == "windows":
+                boxes.append((self.strip(part, columns)[0] / columns, 0.0, self.strip(part, columns)[1] / columns, 1.0))
             else:
                 ring = self.n - 1 - part if self.outside_in else part
                 top, bottom, left, right = self._ring_box(rows, columns, ring)
@@ -137,7 +142,7 @@ class Partition:
         """A short name for each part, as a person would say it: "1 centre", "2", "3", "4 outer"."""
         if self.n == 1:
             return ["1 whole"]
-        first, last = {"rows": ("top", "bottom"), "columns": ("left", "right")}.get(self.kind, ("centre", "outer"))
+        first, last = _ENDS.get(self.kind, ("centre", "outer"))
         if self.outside_in:
             first, last = last, first
         return [f"1 {first}", *(str(i + 1) for i in range(1, self.n - 1)), f"{self.n} {last}"]
@@ -149,14 +154,22 @@ class Partition:
         down, across = (ring + 1) * (rows // (2 * self.n)), (ring + 1) * (columns // (2 * self.n))
         return rows // 2 - down, rows // 2 + down, columns // 2 - across, columns // 2 + across
 
+    def strip(self, part: int, length: int) -> tuple[int, int]:
+        """Where strip `part` of `length` rows or columns begins and ends, the end not included.
+
+        Rows and columns are cut as adaptive pooling to n does, from floor(i L / n) to ceil((i + 1) L / n); windows begin
+        at i floor(L / n) and are L - (n - 1) floor(L / n) wide.
+        """
+        if self.kind == "windows":
+            step = length // self.n
+            return part * step, part * step + length - (self.n - 1) * step
+        return part * length // self.n, -(-(part + 1) * length // self.n)
+
     def _strip_weights(self, height: int, width: int) -> npt.NDArray[np.float32]:
-        """Adaptive average pooling to n x 1 or 1 x n: strip i covers floor(i L / n) .. ceil((i + 1) L / n)."""
-        self.grid(height, width)
         weights = np.zeros((self.n, height, width), dtype=np.float32)
-        length = height if self.kind == "rows" else width
         for part in range(self.n):
-            strip = slice(part * length // self.n, -(-(part + 1) * length // self.n))
-            covered = weights[part, strip, :] if self.kind == "rows" else weights[part, :, strip]
+            begin, end = self.strip(part, height if self.kind == "rows" else width)
+            covered = weights[part, begin:end, :] if self.kind == "rows" else weights[part, :, begin:end]
             covered[...] = 1.0 / covered.size
         return weights
 

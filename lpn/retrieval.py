@@ -103,11 +103,12 @@ class Ranking:
 
 
 def describe_picture(model: Model, picture: Picture, view: View, angle: float = 0.0) -> Described:
-    """Turn a picture by `angle` degrees counter-clockwise and describe it, mirror included, in one batch of two."""
+    """Turn a picture by `angle` degrees counter-clockwise and describe it, with its mirror in one batch of two."""
     turned = images.rotate(picture, angle)
-    prepared = images.prepare(turned, model.input_size)
-    parts, features = model.run(np.stack([prepared, prepared[..., ::-1]]), view)
-    descriptor = normalise(cast(FloatArray, parts[0] + parts[1]))
+    prepared = model.prepare(turned, view)
+    batch = [prepared, prepared[..., ::-1]] if model.spec.mirrored else [prepared]
+    parts, features = model.run(np.stack(batch), view)
+    descriptor = normalise(cast(FloatArray, parts.sum(axis=0)))
     return Described(turned, descriptor, explain.activation(features[0]))
 
 

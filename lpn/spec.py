@@ -11,6 +11,8 @@ from lpn.partition import WEIGHTINGS, Partition, Weighting
 
 View = Literal["satellite", "street", "drone"]
 Activation = Literal["none", "leaky_relu"]
+Layout = Literal["university", "cvusa", "strips"]
+Pooling = Literal["average", "safa"]
 
 VIEWS: tuple[View, ...] = ("satellite", "street", "drone")
 BRANCH: dict[View, str] = {"satellite": "model_1", "street": "model_2", "drone": "model_3"}
@@ -21,6 +23,8 @@ _ALLOWED: dict[str, tuple[Any, ...]] = {
     "last_layer": ("layer3", "layer4"),
     "shared": (True, False),
     "layout": ("university", "cvusa", "strips"),
+    "pooling": ("average", "safa"),
+    "polar": (True, False),
     "weighting": WEIGHTINGS,
     "activation": ("none", "leaky_relu"),
 }
@@ -39,6 +43,11 @@ class ModelSpec:
         n_parts: parts per descriptor; 1 is the baseline.
         layout: "university" (square rings for every view), "cvusa" (rings outside in for the satellite, rows for
             the street), or "strips" (columns for every view, the paper's Figure 4).
+        pooling: what becomes of a part. "average" pools it and embeds the mean by the part's head (LPN); "safa" describes it
+            by `maps` sums over its cells, weighted by spatial-aware layers (Shi et al. 2019), without a head; its parts
+            are columns, overlapping where n does not divide the map.
+        maps: weighted sums per part with "safa"; the embedding then has maps x channels numbers.
+        polar: satellite tiles are unrolled around their centre first, as `images.polar` does.
         weighting: how a ring is averaged, see `Partition`.
         activation: between BatchNorm and Dropout in the head; "none" as released.
         embedding: dimension D of a part's embedding.
@@ -53,19 +62,22 @@ class ModelSpec:
     views: tuple[View, ...] = ("satellite", "street", "drone")
     shared: bool = True
     n_parts: int = 4
-    layout: Literal["university", "cvusa", "strips"] = "university"
+    layout: Layout = "university"
     weighting: Weighting = "published"
     activation: Activation = "none"
     embedding: int = 512
     classes: int = 701
     dropout: float = 0.5
     input_size: tuple[int, int] = (256, 256)
+    pooling: Pooling = "average"
+    maps: int = 8
+    polar: bool = False
 
     def __post_init__(self) -> None:
         if not self.views or any(view not in VIEWS for view in self.views):
             raise InputError(f"The views are {self.views}; expected one to three of {', '.join(VIEWS)}.")
         object.__setattr__(self, "views", tuple(v for v in VIEWS if v in self.views))
-        for name in ("n_parts", "embedding", "classes", "last_stride"):
+        for name in ("n_parts", "embedding", "classes", "last_stride", "maps"):
             _check_count(name, getattr(self, name))
         if len(self.input_size) != 2:
             raise InputError(f"The input size is {self.input_size}; expected height and width.")
@@ -81,6 +93,8 @@ class ModelSpec:
 
     def partition(self, view: View) -> Partition:
         """How the feature map of `view` is cut."""
+        if self.pooling == "safa":
+            return Partition("windows", self.n_parts)
         if self.n_parts == 1:
             return Partition("whole", 1)
         if self.layout == "strips":
@@ -102,6 +116,15 @@ class ModelSpec:
         keys = {view: (self.owner(view), self.partition(view)) for view in self.views}
         ordered = list(dict.fromkeys(keys.values()))
         return [tuple(view for view in self.views if keys[view] == key) for key in ordered]
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether a descriptor adds the mirrored picture's, as published for LPN; SAFA's layers know left from right."""
+        return self.pooling == "average"
+
+    def unrolled(self, view: View) -> bool:
+        """Whether pictures of `view` are unrolled around their centre before the network sees them."""
+        return self.polar and view == "satellite"
 
     def to_json(self) -> str:
         """One line of JSON, read back by `from_json`."""
@@ -131,6 +154,8 @@ class ModelSpec:
         """One line for a header or a log: "LPN resnet18/layer3, n = 4, 256 x 256"."""
         backbone = self.backbone if self.last_layer == "layer4" else f"{self.backbone}/{self.last_layer}"
         name = "Baseline" if self.n_parts == 1 else "LPN"
+        if self.pooling == "safa":
+            name = "SAFA" if self.n_parts == 1 else "SAFA + LPN"
         return f"{name} {backbone}, n = {self.n_parts}, {self.input_size[0]} x {self.input_size[1]}"
 
 
