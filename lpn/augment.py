@@ -11,6 +11,7 @@ import numpy as np
 from lpn import images
 from lpn.images import Picture
 from lpn.recipes import Recipe
+from lpn.spec import View
 
 
 def place_draw(recipe: Recipe, rng: np.random.Generator) -> tuple[float, bool]:
@@ -19,24 +20,44 @@ def place_draw(recipe: Recipe, rng: np.random.Generator) -> tuple[float, bool]:
 
 
 def augment(
-    picture: Picture, recipe: Recipe, rng: np.random.Generator, angle: float, mirror: bool, satellite: bool
+    picture: Picture,
+    recipe: Recipe,
+    rng: np.random.Generator,
+    angle: float,
+    mirror: bool,
+    view: View,
+    panorama: bool = False,
 ) -> Picture:
-    """One random version of a picture at the recipe's size: (size, size, 3) uint8.
+    """One random version of a picture at the recipe's input size: (height, width, 3) uint8.
 
     Args:
-        angle: degrees the whole place is turned, mirror: whether it is mirrored, see `place_draw`.
-        satellite: whether the satellite's extra rotation applies.
+        angle: degrees counter-clockwise the whole place is turned, mirror: whether it is mirrored, see `place_draw`.
+        view: the satellite alone has its further rotation, and is unrolled where the recipe says so.
+        panorama: the picture shows the full circle, north in the middle; it is turned by moving its columns around.
     """
+    height, width = recipe.input_size
+    unrolled = recipe.polar and view == "satellite"
     if recipe.compression and rng.random() < recipe.compression:
         picture = _compressed(picture, int(rng.integers(40, 96)))
     if mirror or (recipe.flip == "picture" and rng.random() < 0.5):
         picture = cast(Picture, np.ascontiguousarray(picture[:, ::-1]))
-    native = rng.random() < recipe.own_canvas
-    if not native:
-        picture = images.resize(picture, recipe.size, recipe.size)
-    angle += float(rng.uniform(-1, 1)) * recipe.rotation
-    if satellite:
-        angle += float(rng.uniform(-1, 1)) * recipe.satellite_rotation
+    if panorama:
+        # Turned counter-clockwise, what was east is in the north: columns move to the left.
+        picture = images.resize(np.roll(picture, -round(angle / 360 * picture.shape[1]), axis=1), height, width)
+    else:
+        native = rng.random() < recipe.own_canvas
+        if not native and not unrolled:
+            picture = images.resize(picture, height, width)
+        angle += float(rng.uniform(-1, 1)) * recipe.rotation
+        if view == "satellite":
+            angle += float(rng.uniform(-1, 1)) * recipe.satellite_rotation
+        picture = _warped(picture, angle, recipe, rng)
+        picture = images.polar(picture, height, width) if unrolled else images.resize(picture, height, width)
+    return _recolour(picture, recipe.colour, rng) if recipe.colour else picture
+
+
+def _warped(picture: Picture, angle: float, recipe: Recipe, rng: np.random.Generator) -> Picture:
+    """Turned, scaled, and shifted in one step."""
     scale = math.exp(float(rng.uniform(-1, 1)) * recipe.scale)
     height, width = picture.shape[:2]
     matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, scale)
@@ -44,9 +65,7 @@ def augment(
     black = rng.random() < recipe.black_corners
     turned = cv2.BORDER_CONSTANT if black else cv2.BORDER_REFLECT_101
     border = turned if angle else cv2.BORDER_REPLICATE
-    warped = cast(Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=border))
-    resized = images.resize(warped, recipe.size, recipe.size)
-    return _recolour(resized, recipe.colour, rng) if recipe.colour else resized
+    return cast(Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=border))
 
 
 def _compressed(picture: Picture, quality: int) -> Picture:

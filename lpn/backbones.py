@@ -16,6 +16,15 @@ from lpn.errors import InputError
 BackboneName = Literal["resnet18", "resnet50", "vgg16_bn"]
 LastLayer = Literal["layer3", "layer4"]
 
+CHANNELS: dict[tuple[str, str], int] = {
+    ("resnet18", "layer3"): 256,
+    ("resnet18", "layer4"): 512,
+    ("resnet50", "layer3"): 1024,
+    ("resnet50", "layer4"): 2048,
+    ("vgg16_bn", "layer4"): 512,
+}
+"""Channels of the last feature map, by backbone and last layer."""
+
 
 class BasicBlock(nn.Module):
     """Two 3 x 3 convolutions and a shortcut (He et al. 2016, ResNet-18)."""

@@ -14,13 +14,25 @@ import tyro
 
 import lpn
 from lpn.errors import InputError, LPNError, MissingPackageError
-from lpn.recipes import RECIPES, Recipe
+from lpn.recipes import RECIPES, Recipe, method
 
 DEMO = Path(__file__).parents[1] / "assets" / "demo"
 """The demo's data set and model, in a checkout."""
 DEMO_QUERY = "0394/06"
 """What the demo opens with."""
 
+MethodName = Literal[
+    "lpn",
+    "instance",
+    "contrastive",
+    "triplet-0.3",
+    "triplet-0.5",
+    "soft-margin",
+    "lpn-cvusa",
+    "lpn-strips",
+    "safa",
+    "safa-lpn",
+]
 ViewName = Literal["satellite", "street", "drone"]
 TaskName = Literal[
     "drone-to-satellite",
@@ -115,8 +127,11 @@ class Train:
     """Data set in University-1652's layout."""
     out: Path
     """Folder of the run: last.safetensors, log.csv, and what --resume needs."""
-    recipe: Literal["university1652", "small", "world"] = "university1652"
-    """The paper's recipe, one for some hundred places, or the latter for drone pictures of all headings."""
+    recipe: Literal["university1652", "cvusa", "safa", "small", "world"] = "university1652"
+    """The paper's recipe for a data set, SAFA's, one for some hundred places, or the latter for pictures of all headings."""
+    method: MethodName | None = None
+    """One of the methods the paper compares, by default what the recipe says: lpn, the instance-loss baseline, the baseline
+    by another loss, strips, or SAFA."""
     init: Path | None = None
     """Weights for the backbone (.safetensors or .pth, torchvision's names), loaded as far as they go."""
     resume: bool = False
@@ -264,21 +279,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parse(command: Callable[..., Any], arguments: list[str], program: str) -> Any:
     if command is not Train:
         return tyro.cli(command, args=arguments, prog=program)
-    # The recipe named decides what the other flags default to, so it is read first.
-    name = "university1652"
-    for position, argument in enumerate(arguments):
-        if argument.startswith("--recipe="):
-            name = argument.partition("=")[2]
-        elif argument == "--recipe" and position + 1 < len(arguments):
-            name = arguments[position + 1]
-    if name not in RECIPES:
+    # The recipe and the method named decide what the other flags default to, so they are read first.
+    name, chosen = (_given(arguments, flag) for flag in ("--recipe", "--method"))
+    if name is not None and name not in RECIPES:
         raise InputError(f"There is no recipe {name!r}; choose one of {', '.join(RECIPES)}.")
-    return tyro.cli(
-        Train,
-        args=arguments,
-        prog=program,
-        default=Train(tyro.MISSING, tyro.MISSING, cast(Any, name), settings=RECIPES[name]),
-    )
+    settings = RECIPES[name or "university1652"]
+    if chosen is not None:
+        settings = method(chosen, settings)
+    named = Train(tyro.MISSING, tyro.MISSING, cast(Any, name or "university1652"), cast(Any, chosen), settings=settings)
+    return tyro.cli(Train, args=arguments, prog=program, default=named)
+
+
+def _given(arguments: Sequence[str], flag: str) -> str | None:
+    """The value given to a flag, before the rest is parsed."""
+    value = None
+    for position, argument in enumerate(arguments):
+        if argument.startswith(f"{flag}="):
+            value = argument.partition("=")[2]
+        elif argument == flag and position + 1 < len(arguments):
+            value = arguments[position + 1]
+    return value
 
 
 def _numbers(text: str | None) -> list[int] | None:

@@ -37,7 +37,13 @@ class Picture:
 
 
 class Dataset:
-    """A folder in University-1652's layout. Pictures are listed when asked for, in order of place and file name."""
+    """A folder in University-1652's layout. Pictures are listed when asked for, in order of place and file name.
+
+    Attributes:
+        panoramas: whether street pictures show the full circle, north in the middle column.
+    """
+
+    panoramas = False
 
     def __init__(self, root: Path) -> None:
         self.root = root

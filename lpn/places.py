@@ -25,8 +25,8 @@ class Places:
         PictureError: naming the first file that is not a picture.
     """
 
-    def __init__(self, dataset: Dataset, console: Console) -> None:
-        sets = {name: dataset.train(name) for name in (*VIEWS, "google")}
+    def __init__(self, dataset: Dataset, console: Console, google: bool = True) -> None:
+        sets = {name: dataset.train(name) for name in (*VIEWS, *(["google"] if google else []))}
         by_place = {name: _by_label(pictures) for name, pictures in sets.items() if pictures}
         if "google" in by_place and "street" not in by_place:
             del by_place["google"]

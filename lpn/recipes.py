@@ -1,4 +1,4 @@
-"""Named training recipes: every number that decides what a training does, in one place."""
+"""Named training recipes and the methods the paper compares: every number that decides what a training does."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import json
 import math
 import sys
 from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from lpn.errors import InputError
 from lpn.partition import Weighting
+from lpn.spec import Layout, Pooling
 
 _ABOVE_ZERO = math.ulp(0.0)
 _BELOW_ONE = math.nextafter(1.0, 0.0)
@@ -17,11 +18,11 @@ _MOST = sys.float_info.max
 _RANGES: dict[str, tuple[float, float, str]] = {
     # BatchNorm in the heads needs two places a step.
     **dict.fromkeys(("batch",), (2, _MOST, "2 or more")),
-    **dict.fromkeys(("n_parts", "epochs"), (1, _MOST, "1 or more")),
+    **dict.fromkeys(("n_parts", "epochs", "maps"), (1, _MOST, "1 or more")),
     # VGG's five poolings leave nothing of less.
     "size": (32, _MOST, "32 or more"),
-    "scale": (0, 2, "a number from 0 to 2"),
-    **dict.fromkeys(("lr", "temperature"), (_ABOVE_ZERO, _MOST, "a number above 0")),
+    **dict.fromkeys(("scale", "margin"), (0, 2, "a number from 0 to 2")),
+    **dict.fromkeys(("lr", "temperature", "alpha"), (_ABOVE_ZERO, _MOST, "a number above 0")),
     **dict.fromkeys(("dropout", "ema"), (0, _BELOW_ONE, "a number from 0 up to, not including, 1")),
     **dict.fromkeys(
         ("label_smoothing", "black_corners", "own_canvas", "shift", "colour", "compression"),
@@ -34,7 +35,8 @@ _RANGES: dict[str, tuple[float, float, str]] = {
             "warmup_epochs",
             "weight_decay",
             "instance",
-            "contrastive",
+            "infonce",
+            "width",
             "rotation",
             "satellite_rotation",
             "place_rotation",
@@ -60,8 +62,21 @@ class Recipe:
     """How a ring is averaged: published (divided by its whole box) or area (its own mean)."""
     shared: bool = True
     """Satellite and drone share their weights."""
+    layout: Layout = "university"
+    """How maps are cut: university (rings in every view), cvusa (rings of the satellite, outermost first, against rows of the
+    panorama), or strips (columns of every view, Figure 4)."""
+    pooling: Pooling = "average"
+    """What becomes of a part: average (its mean through a head) or safa (sums weighted by spatial-aware layers)."""
+    maps: int = 8
+    """Weighted sums per part with safa."""
+    polar: bool = False
+    """Satellite tiles are unrolled around their centre into a panorama's shape first."""
+    google: bool = True
+    """Pictures of train/google, where there are any, train the street branch as well."""
     size: int = 256
-    """Height and width in pixels of the pictures the network is fed."""
+    """Height in pixels of the pictures the network is fed."""
+    width: int = 0
+    """Their width; 0 for the same."""
     dropout: float = 0.5
     """Dropout in the heads (0.5 in the paper; the released script passes 0.75)."""
 
@@ -69,7 +84,7 @@ class Recipe:
     """Passes over all places, one picture of each view per place."""
     batch: int = 8
     """Places per step; each step sees one picture of every view of each."""
-    optimizer: Literal["sgd", "adamw"] = "sgd"
+    optimizer: Literal["sgd", "adam", "adamw"] = "sgd"
     """SGD has momentum 0.9 with Nesterov."""
     lr: float = 0.01
     """Learning rate of the heads."""
@@ -94,10 +109,19 @@ class Recipe:
     """How the instance losses of parts and views are put together; the paper sums, a mean keeps their weight for any n."""
     label_smoothing: float = 0.0
     """Smoothing of the targets of both losses."""
-    contrastive: float = 0.0
+    infonce: float = 0.0
     """Weight of a symmetric InfoNCE loss between each view's descriptors and the satellite's, over the batch."""
     temperature: float = 0.07
-    """Temperature of the contrastive loss."""
+    """Temperature of the InfoNCE loss."""
+    metric: Literal["none", "contrastive", "triplet", "soft_margin"] = "none"
+    """A loss on distances between each view's descriptors and the satellite's, over the batch: contrastive, triplet, or
+    weighted soft-margin triplet."""
+    margin: float = 0.3
+    """Margin of the contrastive and the triplet loss, in Euclidean distance (0 to 2)."""
+    alpha: float = 10.0
+    """Weight of the soft-margin triplet loss inside its exponent."""
+    mining: Literal["all", "hardest"] = "all"
+    """Which wrong places of the batch count: all of them, or only the nearest to each picture."""
 
     rotation: float = 0.0
     """Each picture is turned by up to this many degrees either way, on its own."""
@@ -134,8 +158,19 @@ class Recipe:
             raise InputError(
                 "The recipe has last_layer = layer3 with vgg16_bn, which has no such layer; leave it at layer4."
             )
-        if self.instance <= 0 and self.contrastive <= 0:
-            raise InputError("The recipe has no loss: instance and contrastive are both 0; give one of them a weight.")
+        if self.instance <= 0 and self.infonce <= 0 and self.metric == "none":
+            raise InputError(
+                "The recipe has no loss: instance and infonce are both 0 and metric is none; give one of them a weight."
+            )
+        if self.pooling == "safa" and self.instance > 0:
+            raise InputError(
+                f"The recipe has instance = {self.instance} with safa, which has no class layer; set it to 0 and choose a metric."
+            )
+
+    @property
+    def input_size(self) -> tuple[int, int]:
+        """(height, width) in pixels of the pictures the network is fed."""
+        return self.size, self.width or self.size
 
     def to_json(self) -> str:
         """One line of JSON."""
@@ -158,7 +193,7 @@ _SMALL = Recipe(
     joint_views=True,
     reduction="mean",
     label_smoothing=0.1,
-    contrastive=1.0,
+    infonce=1.0,
     rotation=10.0,
     satellite_rotation=0.0,
     place_rotation=15.0,
@@ -170,10 +205,86 @@ _SMALL = Recipe(
     flip="place",
 )
 
+_CVUSA = Recipe(
+    backbone="vgg16_bn",
+    layout="cvusa",
+    n_parts=8,
+    shared=False,
+    batch=16,
+    lr=0.1,
+    warmup_epochs=5,
+    satellite_rotation=0.0,
+    flip="place",
+)
+
 RECIPES: dict[str, Recipe] = {
     "university1652": Recipe(),
+    "cvusa": _CVUSA,
+    "safa": replace(
+        _CVUSA,
+        layout="university",
+        n_parts=1,
+        pooling="safa",
+        polar=True,
+        instance=0.0,
+        metric="soft_margin",
+        size=112,
+        width=616,
+        epochs=100,
+        batch=32,
+        optimizer="adam",
+        lr=1e-5,
+        backbone_ratio=1.0,
+        decay_epoch=100,
+        warmup_epochs=0,
+        weight_decay=0.0,
+        shift=0.0,
+    ),
     "small": _SMALL,
     "world": replace(_SMALL, epochs=60, satellite_rotation=180.0, place_rotation=0.0, compression=0.5),
 }
-"""university1652: the paper's. small: for some hundred places, from an ImageNet backbone, where drone pictures share a
-heading. world: the same where each has its own, as around a rendered city's buildings."""
+"""university1652, cvusa: the paper's. safa: that of SAFA, whose panoramas have 112 x 616 pixels. small: for some hundred
+places, from an ImageNet backbone, where drone pictures share a heading. world: the same where each has its own, as around a
+rendered city's buildings."""
+
+_BASELINE: dict[str, Any] = {"n_parts": 1, "layout": "university", "pooling": "average", "polar": False}
+_DISTANCES: dict[str, Any] = {**_BASELINE, "instance": 0.0, "infonce": 0.0}
+_SAFA: dict[str, Any] = {
+    "layout": "university",
+    "pooling": "safa",
+    "polar": True,
+    "shared": False,
+    "instance": 0.0,
+    "infonce": 0.0,
+    "metric": "soft_margin",
+    "size": 112,
+    "width": 616,
+}
+
+METHODS: dict[str, dict[str, Any]] = {
+    "lpn": {"layout": "university", "pooling": "average", "polar": False},
+    "instance": _BASELINE,
+    "contrastive": {**_DISTANCES, "metric": "contrastive", "margin": 1.0},
+    "triplet-0.3": {**_DISTANCES, "metric": "triplet", "margin": 0.3},
+    "triplet-0.5": {**_DISTANCES, "metric": "triplet", "margin": 0.5},
+    "soft-margin": {**_DISTANCES, "metric": "soft_margin"},
+    "lpn-cvusa": {"layout": "cvusa", "n_parts": 8, "shared": False},
+    "lpn-strips": {"layout": "strips", "n_parts": 8, "shared": False, "polar": True},
+    "safa": {**_SAFA, "n_parts": 1},
+    "safa-lpn": {**_SAFA, "n_parts": 8},
+}
+"""What the paper compares, each as what it changes in a recipe. lpn: square rings. instance: the baseline with global average
+pooling. contrastive, triplet-*, soft-margin: the baseline trained by distances over the batch instead. lpn-cvusa: the
+released rings against rows. lpn-strips: columns of panorama and unrolled tile. safa, safa-lpn: Shi et al. 2019, alone and by
+strips."""
+
+
+def method(name: str, recipe: Recipe) -> Recipe:
+    """A recipe with what a method of `METHODS` changes in it.
+
+    Raises:
+        InputError: when there is no such method.
+    """
+    if name not in METHODS:
+        raise InputError(f"There is no method {name!r}; choose one of {', '.join(METHODS)}.")
+    return replace(recipe, **METHODS[name])

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,6 +24,7 @@ from torch import Tensor
 
 from lpn import checkpoints, images
 from lpn.augment import augment, place_draw
+from lpn.backbones import CHANNELS
 from lpn.datasets import Dataset
 from lpn.errors import InputError, ModelFileError
 from lpn.evaluate import PROTOCOL, evaluate
@@ -66,7 +68,7 @@ class Trainer:
     ) -> None:
         self.console = console or Console()
         self.dataset, self.out, self.recipe, self.evaluate_every = dataset, out, recipe, evaluate_every
-        self.places = Places(dataset, self.console)
+        self.places = Places(dataset, self.console, recipe.google)
         self.device = checkpoints.best_device()
         self.bfloat16 = recipe.precision == "bfloat16" or (recipe.precision == "auto" and _has_bfloat16(self.device))
         if len(self.places) < recipe.batch:
@@ -175,10 +177,10 @@ class Trainer:
         groups = spec.groups()
         batches: dict[object, list[str]] = {}
         for name in sets:
-            key = next(g for g in groups if _branch(name) in g) if self.recipe.joint_views else name
+            key = next(g for g in groups if branch_of(name) in g) if self.recipe.joint_views else name
             batches.setdefault(key, []).append(name)
         for names in batches.values():
-            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), _branch(names[0]))
+            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), branch_of(names[0]))
             sizes = [len(sets[name]) for name in names]
             for name, e, s in zip(names, embeddings.split(sizes), scores.split(sizes), strict=True):
                 outputs[name] = (e, s)
@@ -203,7 +205,8 @@ class Trainer:
             angle, mirror = place_draw(self.recipe, rng)
             for name, files in self.places.files.items():
                 path = files[place][int(rng.integers(len(files[place])))]
-                picture = augment(self.places.picture(path), self.recipe, rng, angle, mirror, name == "satellite")
+                panorama = self.dataset.panoramas and name == "street"
+                picture = augment(self.places.picture(path), self.recipe, rng, angle, mirror, branch_of(name), panorama)
                 sets[name].append(images.normalise(picture))
         batch = {
             name: torch.from_numpy(np.stack(pictures)).contiguous(memory_format=torch.channels_last)
@@ -321,35 +324,43 @@ class Trainer:
         self.console.print(f"Going on after epoch {len(self.history)} of {self.recipe.epochs}.")
 
 
-def _branch(name: str) -> View:
+def branch_of(name: str) -> View:
     """The view whose branch a set of pictures goes through."""
     return "street" if name == "google" else cast(View, name)
 
 
 def _spec(recipe: Recipe, places: Places) -> ModelSpec:
-    return ModelSpec(
+    spec = ModelSpec(
         backbone=recipe.backbone,
         last_layer=recipe.last_layer,
         views=places.views,
         shared=recipe.shared and "drone" in places.views,
         n_parts=recipe.n_parts,
+        layout=recipe.layout,
         weighting=recipe.weighting,
         classes=len(places),
         dropout=recipe.dropout,
-        input_size=(recipe.size, recipe.size),
+        input_size=recipe.input_size,
+        pooling=recipe.pooling,
+        maps=recipe.maps,
+        polar=recipe.polar,
     )
+    if recipe.pooling == "safa":
+        return replace(spec, embedding=spec.maps * CHANNELS[spec.backbone, spec.last_layer])
+    return spec
 
 
 def _optimizer(network: LPN, recipe: Recipe) -> torch.optim.Optimizer:
     """Two groups: the backbones at their lower rate, then the heads."""
-    backbone = {id(p): p for view in network.spec.views for p in network.branch(view).parameters()}
+    backbone = {id(p): p for view in network.spec.views for p in network.branch(view).model.parameters()}
     heads = [p for p in network.parameters() if id(p) not in backbone]
     groups = [
         {"params": list(backbone.values()), "lr": recipe.lr * recipe.backbone_ratio},
         {"params": heads, "lr": recipe.lr},
     ]
-    if recipe.optimizer == "adamw":
-        return torch.optim.AdamW(groups, weight_decay=recipe.weight_decay)
+    if recipe.optimizer in ("adam", "adamw"):
+        kind = torch.optim.AdamW if recipe.optimizer == "adamw" else torch.optim.Adam
+        return kind(groups, weight_decay=recipe.weight_decay)
     return torch.optim.SGD(groups, momentum=0.9, nesterov=True, weight_decay=recipe.weight_decay)
 
 

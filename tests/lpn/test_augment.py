@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lpn import images
 from lpn.augment import augment
 from lpn.images import Picture
 from lpn.recipes import Recipe
@@ -11,7 +12,7 @@ STILL = Recipe(backbone="resnet18", size=worlds.SIZE, shift=0.0, satellite_rotat
 
 
 def changed(recipe: Recipe, seed: int) -> Picture:
-    return augment(worlds.place(7), recipe, np.random.default_rng(seed), 0.0, False, satellite=False)
+    return augment(worlds.place(7), recipe, np.random.default_rng(seed), 0.0, False, "drone")
 
 
 def test_a_recipe_without_changes_leaves_the_picture_alone() -> None:
@@ -26,3 +27,25 @@ def test_compression_leaves_its_traces_as_often_as_it_is_told() -> None:
     often = Recipe(**{**STILL.__dict__, "compression": 0.5})
     touched = sum(not np.array_equal(changed(often, seed), worlds.place(7)) for seed in range(40))
     assert 8 < touched < 32
+
+
+def test_a_turned_place_is_turned_alike_in_its_tile_and_its_panorama() -> None:
+    still = Recipe(**{**STILL.__dict__, "size": 48, "width": 192, "polar": True, "black_corners": 0.0})
+    tile = images.resize(worlds.place(7), 384, 384)
+    panorama = images.polar(tile, 48, 192)
+    rng = np.random.default_rng(0)
+
+    def difference(angle: float, mirror: bool, other_angle: float, other_mirror: bool) -> float:
+        unrolled = augment(tile, still, rng, angle, mirror, "satellite")
+        rolled = augment(panorama, still, rng, other_angle, other_mirror, "street", panorama=True)
+        return float(np.abs(unrolled.astype(int) - rolled)[4:].mean())
+
+    for angle, mirror in ((0, False), (90, False), (45, False), (0, True), (30, True)):
+        assert unrolled_shape(tile, still) == (48, 192, 3)
+        assert difference(angle, mirror, angle, mirror) < 6
+    assert difference(90, False, -90, False) > 12
+    assert difference(0, True, 0, False) > 12
+
+
+def unrolled_shape(tile: Picture, recipe: Recipe) -> tuple[int, ...]:
+    return augment(tile, recipe, np.random.default_rng(0), 0.0, False, "satellite").shape

@@ -16,7 +16,6 @@ from lpn.checkpoints import load_torch, save
 from lpn.datasets import open_dataset
 from lpn.errors import DataError, InputError, LPNError, ModelFileError, PictureError
 from lpn.evaluate import evaluate
-from lpn.losses import contrastive_loss, instance_loss
 from lpn.recipes import RECIPES, Recipe
 from lpn.train import Trainer
 from tests import worlds
@@ -213,18 +212,6 @@ def test_three_views_and_google_train_and_missing_counterparts_are_named(tmp_pat
     worlds.write(tmp_path / "bare" / "train" / "drone" / "0001" / "a.png", worlds.place(1))
     with pytest.raises(DataError, match="train/satellite"):
         trainer(tmp_path / "bare", tmp_path / "none")
-
-
-def test_losses_are_what_they_say() -> None:
-    rng = torch.Generator().manual_seed(0)
-    scores, places = torch.randn(6, 4, 9, generator=rng), torch.arange(6)
-    by_part = torch.stack([torch.nn.functional.cross_entropy(scores[:, i], places) for i in range(4)])
-    torch.testing.assert_close(instance_loss(scores, places), by_part)
-    parts = torch.randn(6, 4, 16, generator=rng)
-    other = torch.randn(6, 4, 16, generator=rng)
-    assert contrastive_loss(parts, parts * 3, 0.05) < 1e-3
-    torch.testing.assert_close(contrastive_loss(parts, other, 0.1), contrastive_loss(other, parts, 0.1))
-    assert contrastive_loss(parts, parts.roll(1, 0), 0.05) > 5
 
 
 def test_each_view_is_a_batch_of_its_own_unless_joined(places: Path, tmp_path: Path) -> None:

@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from lpn.errors import InputError
+from lpn.losses import (
+    contrastive_loss,
+    descriptors,
+    infonce_loss,
+    instance_loss,
+    soft_margin_loss,
+    total_loss,
+    triplet_loss,
+)
+from lpn.recipes import METHODS, RECIPES, method
+
+B = 6
+
+
+def drawn(seed: int, *shape: int) -> Tensor:
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+@pytest.fixture
+def pair() -> tuple[Tensor, Tensor]:
+    first = drawn(1, B, 4, 16)
+    return descriptors(first), descriptors(first + 1.5 * drawn(2, B, 4, 16))
+
+
+def distances(pair: tuple[Tensor, Tensor]) -> list[list[float]]:
+    return [[float((a - b).norm()) for b in pair[1]] for a in pair[0]]
+
+
+def test_instance_loss_is_the_cross_entropy_of_each_part() -> None:
+    scores, places = drawn(0, B, 4, 9), torch.arange(B)
+    by_part = torch.stack([torch.nn.functional.cross_entropy(scores[:, i], places) for i in range(4)])
+    torch.testing.assert_close(instance_loss(scores, places), by_part)
+
+
+def test_infonce_is_symmetric_and_small_for_the_right_pairs(pair: tuple[Tensor, Tensor]) -> None:
+    one, other = pair
+    assert infonce_loss(one, one, 0.05) < 1e-3
+    torch.testing.assert_close(infonce_loss(one, other, 0.1), infonce_loss(other, one, 0.1))
+    assert infonce_loss(one, one.roll(1, 0), 0.05) > 5
+
+
+def test_descriptors_have_parts_of_equal_norm() -> None:
+    parts = descriptors(drawn(3, B, 4, 16)).unflatten(1, (4, 16))
+    torch.testing.assert_close(parts.norm(dim=2), torch.full((B, 4), 0.5, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("hardest", [False, True])
+@pytest.mark.parametrize("margin", [0.3, 0.5])
+def test_triplet_loss_by_hand(pair: tuple[Tensor, Tensor], margin: float, hardest: bool) -> None:
+    d = distances(pair)
+    ways = []
+    for table in (d, [list(column) for column in zip(*d, strict=True)]):
+        terms = []
+        for i, row in enumerate(table):
+            wrong = [row[j] for j in range(B) if j != i]
+            terms += [margin + row[i] - x for x in ([min(wrong)] if hardest else wrong)]
+        within = [term for term in terms if term > 0]
+        ways.append(sum(within) / max(len(within), 1))
+    assert float(triplet_loss(*pair, margin, hardest)) == pytest.approx(sum(ways) / 2)
+    assert sum(ways) > 0
+
+
+@pytest.mark.parametrize("hardest", [False, True])
+def test_soft_margin_loss_by_hand(pair: tuple[Tensor, Tensor], hardest: bool) -> None:
+    d = distances(pair)
+    total, count = 0.0, 0
+    for table in (d, [list(column) for column in zip(*d, strict=True)]):
+        for i, row in enumerate(table):
+            wrong = [row[j] for j in range(B) if j != i]
+            for x in [min(wrong)] if hardest else wrong:
+                total, count = total + math.log(1 + math.exp(10 * (row[i] ** 2 - x**2))), count + 1
+    assert float(soft_margin_loss(*pair, 10.0, hardest)) == pytest.approx(total / count)
+
+
+@pytest.mark.parametrize("hardest", [False, True])
+def test_contrastive_loss_by_hand(pair: tuple[Tensor, Tensor], hardest: bool) -> None:
+    d = distances(pair)
+    ways = []
+    for table in (d, [list(column) for column in zip(*d, strict=True)]):
+        short = []
+        for i, row in enumerate(table):
+            terms = [max(0.0, 1.6 - row[j]) ** 2 for j in range(B) if j != i]
+            short += [max(terms)] if hardest else terms
+        ways.append(sum(short) / len(short))
+    true = sum(d[i][i] ** 2 for i in range(B)) / B
+    assert float(contrastive_loss(*pair, 1.6, hardest)) == pytest.approx(true + sum(ways) / 2)
+    assert sum(ways) > 0
+
+
+def test_losses_on_distances_have_finite_slopes_where_views_agree() -> None:
+    for loss in (
+        lambda a, b: triplet_loss(a, b, 0.3),
+        lambda a, b: contrastive_loss(a, b, 1.0),
+        lambda a, b: soft_margin_loss(a, b, 10.0),
+    ):
+        parts = drawn(4, B, 2, 8).requires_grad_()
+        loss(descriptors(parts), descriptors(parts)).backward()  # type: ignore[no-untyped-call]
+        assert parts.grad is not None
+        assert torch.isfinite(parts.grad).all()
+
+
+def test_every_method_has_the_loss_it_is_named_after() -> None:
+    places = torch.arange(B)
+    outputs = {name: (drawn(i, B, 1, 16), drawn(9 + i, B, 1, B)) for i, name in enumerate(("satellite", "drone"))}
+    tiles, drones = (descriptors(parts.float()) for parts, _ in outputs.values())
+    expected = {
+        "instance": torch.stack([instance_loss(s.float(), places).sum() for _, s in outputs.values()]).sum(),
+        "contrastive": contrastive_loss(tiles, drones, 1.0),
+        "triplet-0.3": triplet_loss(tiles, drones, 0.3),
+        "triplet-0.5": triplet_loss(tiles, drones, 0.5),
+        "soft-margin": soft_margin_loss(tiles, drones, 10.0),
+        "safa": soft_margin_loss(tiles, drones, 10.0),
+    }
+    for name, value in expected.items():
+        torch.testing.assert_close(total_loss(outputs, places, method(name, RECIPES["university1652"])), value)
+    assert set(METHODS) >= set(expected)
+
+
+def test_a_recipe_that_cannot_be_trained_is_refused() -> None:
+    with pytest.raises(InputError, match="no loss"):
+        replace(RECIPES["university1652"], instance=0.0)
+    with pytest.raises(InputError, match="no class layer"):
+        replace(RECIPES["safa"], instance=1.0)
+    with pytest.raises(InputError, match="no method 'best'"):
+        method("best", RECIPES["small"])
