@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import tyro
 
@@ -235,13 +235,63 @@ class World:
         print(f"{tally.describe()} The world is in {self.out}.")
 
 
-COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe | World]] = {
+@dataclass
+class Reproduce:
+    """Make the paper's tables and figures again; resumable."""
+
+    what: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """table1 to table6, figure5, figure7, figure8, or all."""
+    data: tuple[str, ...]
+    """Data set folders (University-1652, CVUSA, Oxford5k, Paris6k, or a rendered world), or the word world for the demo's."""
+    out: Path = Path("runs/reproduce")
+    """Folder for trainings, measurements, and the tables."""
+    model: tuple[str, ...] = ()
+    """Networks to use instead of training: FILE for the LPN, or ROW=FILE."""
+    init: Path | None = None
+    """ImageNet weights the backbones start from (.safetensors or .pth, torchvision's names)."""
+    scale: Literal["auto", "paper", "reduced"] = "auto"
+    """Size of networks and trainings; auto is reduced for a rendered world and the paper's for everything else."""
+    seeds: tuple[int, ...] = (0,)
+    """A training is made with each, and the mean reported."""
+    epochs: int | None = None
+    """Epochs of every training, where the scale's are not wanted."""
+    backbone: Literal["resnet18", "resnet50", "vgg16_bn"] | None = None
+    """Backbone of every training, where the scale's is not wanted."""
+    train: bool = True
+    """Train what is missing; otherwise such rows are left out."""
+    queries: tuple[str, ...] = ()
+    """Queries shown in figures 7 and 8, by name."""
+
+    def run(self) -> None:
+        import_module("torch")
+        from lpn.reproduce.command import KEYS, Reproduction
+        from lpn.reproduce.tables import SCALES
+        from lpn.reproduce.world import is_world
+
+        keys = KEYS if self.what == ("all",) else self.what
+        for key in keys:
+            if key not in KEYS:
+                raise InputError(f"There is no {key!r} to reproduce; choose one of {', '.join(KEYS)}, or all.")
+        worlds = any(given == "world" or is_world(Path(given)) for given in self.data)
+        scale = SCALES[self.scale if self.scale != "auto" else "reduced" if worlds else "paper"]
+        changes: dict[str, Any] = {"epochs": self.epochs} if self.epochs else {}
+        if self.backbone:
+            changes |= {"backbone": self.backbone, "last_layer": "layer4"}
+        models = {name if rest else "": Path(rest or name) for name, _, rest in (m.partition("=") for m in self.model)}
+        made = Reproduction(
+            self.data, self.out, models, self.init, self.seeds, scale, changes, self.train, self.queries
+        ).run(keys)
+        print(f"Wrote {', '.join(file.name for file in made)} to {self.out}.")
+
+
+COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe | World | Reproduce]] = {
     "explore": Explore,
     "train": Train,
     "evaluate": Evaluate,
     "export": Export,
     "describe": Describe,
     "world": World,
+    "reproduce": Reproduce,
 }
 
 
@@ -312,7 +362,11 @@ def _numbers(text: str | None) -> list[int] | None:
 
 def _missing(error: ModuleNotFoundError) -> MissingPackageError:
     package = (error.name or "").split(".")[0]
-    extra = "train" if package in ("torch", "onnx", "onnxscript", "safetensors", "yaml") else ""
+    extra = (
+        "train"
+        if package in ("torch", "onnx", "onnxscript", "safetensors", "yaml", "matplotlib", "tensorboardX")
+        else ""
+    )
     extra = "world" if package in ("bpy", "mathutils") else extra
     wanted = f"lpn-explorer[{extra}]" if extra else "lpn-explorer"
     return MissingPackageError(f"This needs the package {error.name}, which is not installed; pip install '{wanted}'.")

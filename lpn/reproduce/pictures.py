@@ -1,0 +1,117 @@
+"""Figures 7 and 8 of the paper: what networks respond to, and what they retrieve, as one picture each."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+
+from lpn import explain, features, images, retrieval
+from lpn.datasets import Dataset, Picture
+from lpn.errors import InputError
+from lpn.model import Model
+from lpn.spec import View
+
+TRUE, FALSE = "#f2c200", "#2f6fdb"
+"""Frames of true and false matches, yellow and blue as in the paper; a tick or cross stands beside them."""
+
+
+def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, names: Sequence[str]) -> bytes:
+    """Figure 7 as a PNG: drone picture and satellite tile of some places, and each network's channel sum over them.
+
+    Args:
+        models: name and network.
+        names: queries of the drone-to-satellite task.
+
+    Raises:
+        InputError: when there is no such query.
+    """
+    plt = _pyplot()
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    tiles = {picture.label: picture for picture in gallery}
+    chosen = _named(queries, names)
+    shown, axes = plt.subplots(
+        2 * len(chosen), 1 + len(models), figsize=(2.1 * (1 + len(models)), 4.2 * len(chosen)), layout="constrained",
+        squeeze=False,
+    )  # fmt: skip
+    for row, query in enumerate(chosen):
+        views: tuple[tuple[Picture, View], ...] = ((query, "drone"), (tiles[query.label], "satellite"))
+        for line, (entry, view) in enumerate(views):
+            picture = images.load_picture(entry.path)
+            for column in range(1 + len(models)):
+                cell = axes[2 * row + line][column]
+                cell.imshow(picture)
+                cell.set_axis_off()
+                if column:
+                    seen = retrieval.describe_picture(models[column - 1][1], picture, view).activation
+                    height, width = picture.shape[:2]
+                    cell.imshow(
+                        seen, cmap="inferno", alpha=0.55, extent=(0, width, height, 0), interpolation="bilinear"
+                    )
+                if row == line == 0:
+                    cell.set_title(models[column - 1][0] if column else "picture", fontsize=9)
+    return _png(shown, plt)
+
+
+def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 5) -> bytes:
+    """Figure 8 as a PNG: for each task, queries and their nearest pictures, framed yellow when true and blue when false.
+
+    Args:
+        names: queries of the drone-to-satellite task; satellite-to-drone shows the same places.
+
+    Raises:
+        InputError: when there is no such query.
+    """
+    plt = _pyplot()
+    chosen = _named(dataset.queries("drone"), names)
+    labels = {picture.label for picture in chosen}
+    asked: list[tuple[Picture, View, View]] = [(picture, "drone", "satellite") for picture in chosen]
+    asked += [(p, "satellite", "drone") for p in dataset.queries("satellite") if p.label in labels]
+    shown, axes = plt.subplots(
+        len(asked), 1 + top, figsize=(1.7 * (1 + top), 1.85 * len(asked)), layout="constrained", squeeze=False
+    )
+    for row, (query, view, other) in zip(axes, asked, strict=True):
+        gallery = dataset.gallery(other)
+        described = features.cached_descriptors(model, gallery, other)
+        found = retrieval.describe_picture(model, images.load_picture(query.path), view)
+        cosines = explain.part_cosines(found.descriptor, described)
+        order = np.argsort(-cosines.mean(axis=1), kind="stable")[:top]
+        for cell, entry in zip(row, [query, *(gallery[index] for index in order)], strict=False):
+            cell.imshow(images.shrink(images.load_picture(entry.path), 256))
+            cell.set_xticks([])
+            cell.set_yticks([])
+            right = entry.label == query.label
+            query_cell = cell is row[0]
+            title = f"{view} {query.name}" if query_cell else f"{'✓' if right else '✗'} {entry.name}"
+            cell.set_title(title, fontsize=7)
+            for side in cell.spines.values():
+                side.set(linewidth=0 if query_cell else 3, color=TRUE if right else FALSE)
+    return _png(shown, plt)
+
+
+def _named(pictures: Sequence[Picture], names: Sequence[str]) -> list[Picture]:
+    by_name = {picture.name: picture for picture in pictures}
+    for name in names:
+        if name not in by_name:
+            raise InputError(f"There is no query {name}; its names are such as {pictures[0].name}.")
+    if names:
+        return [by_name[name] for name in names]
+    return [pictures[len(pictures) * step // 4] for step in range(4)]
+
+
+def _pyplot() -> Any:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    return cast(Any, pyplot)
+
+
+def _png(shown: Any, plt: Any) -> bytes:
+    data = io.BytesIO()
+    shown.savefig(data, format="png", dpi=100, metadata={"Software": None})
+    plt.close(shown)
+    return data.getvalue()

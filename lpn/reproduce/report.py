@@ -1,0 +1,159 @@
+"""A table as Markdown, CSV, and a figure: the measured values beside the paper's, and what became of the paper's claims."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from lpn.files import write_whole
+from lpn.reproduce.measure import Measured, by_column
+from lpn.reproduce.paper import CLAIMS, Claim
+from lpn.reproduce.tables import Table
+
+
+def write(table: Table, measured: Measured, columns: Sequence[str], foot: Sequence[str], out: Path) -> list[Path]:
+    """Write `<key>.md`, `<key>.csv`, and `<key>.png` into a folder and return their paths.
+
+    Args:
+        measured: for each row's label, the values of each seed; rows that are not in it are said to be not run.
+        columns: the names of the measured columns.
+        foot: sentences printed under the table: protocol, scale, data.
+    """
+    files = [out / f"{table.key}.{suffix}" for suffix in ("md", "csv", "png")]
+    write_whole(files[0], markdown(table, measured, columns, foot).encode())
+    write_whole(files[1], _csv(table, measured, columns))
+    write_whole(files[2], figure(table, measured, columns))
+    return files
+
+
+def markdown(table: Table, measured: Measured, columns: Sequence[str], foot: Sequence[str]) -> str:
+    """The table, its foot, and the claims."""
+    paper = any(row.paper for row in table.rows)
+    titles = [title for column in columns for title in ((column, "paper") if paper else (column,))]
+    lines = [f"### {table.title}", "", "| | " + " | ".join(titles) + " |", "|---|" + "---:|" * len(titles)]
+    for row in table.rows:
+        values = by_column(measured[row.label]) if row.label in measured else None
+        cells = []
+        for index in range(len(columns)):
+            cells.append("not run" if values is None else _said(*values[index]))
+            if paper:
+                cells.append(f"{row.paper[index]:.2f}" if index < len(row.paper) else "")
+        lines.append(f"| {row.label} | " + " | ".join(cells) + " |")
+    lines += ["", *(f"{sentence}  " for sentence in foot)]
+    claims = verdicts(table, measured, columns)
+    if claims:
+        lines += ["", *(f"- {claim}" for claim in claims)]
+    return "\n".join(lines) + "\n"
+
+
+def verdicts(table: Table, measured: Measured, columns: Sequence[str]) -> list[str]:
+    """Each of the paper's claims with whether it held here, and the figures that say so."""
+    return [_verdict(claim, measured, columns) for claim in CLAIMS.get(table.key, ())]
+
+
+def _verdict(claim: Claim, measured: Measured, columns: Sequence[str]) -> str:
+    missing = [label for label in (claim.better, *claim.worse) if label not in measured]
+    if missing:
+        return f"{claim.text}: not known; {', '.join(missing)} was not run."
+    mean = {
+        label: by_column(measured[label])[min(claim.column, len(columns) - 1)] for label in (claim.better, *claim.worse)
+    }
+    best, own = mean[claim.better]
+    gaps = {label: best - mean[label][0] for label in claim.worse}
+    figures = ", ".join(f"{label} {mean[label][0]:.1f}" for label in claim.worse)
+    said = f"{columns[min(claim.column, len(columns) - 1)]} {best:.1f} against {figures}"
+    if claim.keeps:
+        worst = max(gaps.values())
+        verdict = "held" if worst <= claim.keeps else f"did not hold, {worst:.1f} points are lost"
+        return f"{claim.text} (within {claim.keeps:g} points): **{verdict}** ({said})."
+    if min(gaps.values()) <= 0:
+        return f"{claim.text}: **did not hold** ({said})."
+    close = [label for label in claim.worse if gaps[label] <= own + mean[label][1]]
+    if close:
+        return (
+            f"{claim.text}: **held in the mean, but within the spread of the seeds** for {', '.join(close)} ({said})."
+        )
+    return f"{claim.text}: **held** ({said})."
+
+
+def _said(mean: float, spread: float) -> str:
+    return f"{mean:.2f} ± {spread:.2f}" if spread else f"{mean:.2f}"
+
+
+def _csv(table: Table, measured: Measured, columns: Sequence[str]) -> bytes:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    seeds = max((len(values) for values in measured.values()), default=0)
+    writer.writerow(["row", "column", "paper", "mean", *(f"seed {seed}" for seed in range(seeds))])
+    for row in table.rows:
+        for index, column in enumerate(columns):
+            values = [seed[index] for seed in measured.get(row.label, ())]
+            mean = f"{sum(values) / len(values):.4f}" if values else ""
+            paper = row.paper[index] if index < len(row.paper) else ""
+            writer.writerow([row.label, column, paper, mean, *(f"{value:.4f}" for value in values)])
+    return text.getvalue().encode()
+
+
+def figure(table: Table, measured: Measured, columns: Sequence[str]) -> bytes:
+    """The table as a PNG: bars, or lines where the rows are steps of one quantity."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    labels = [row.label for row in table.rows]
+    steps = table.key in ("table3", "table4", "figure5")
+    shown, axes = plt.subplots(figsize=(8.2, 3.9) if steps else (8.2, 0.5 * len(labels) + 1.6), layout="constrained")
+    colours = ("#1f5fbf", "#7fb2e5", "#c2571a", "#eba968")
+    for index, column in enumerate(columns):
+        run = [(place, by_column(measured[label])[index]) for place, label in enumerate(labels) if label in measured]
+        paper = [(place, row.paper[index]) for place, row in enumerate(table.rows) if index < len(row.paper)]
+        _draw(axes, steps, index, len(columns), column, colours[index], run, paper)
+    if steps:
+        axes.set_xticks(range(len(labels)), labels)
+        axes.set_ylabel("%")
+        axes.grid(axis="y", alpha=0.25)
+    else:
+        axes.set_yticks(range(len(labels)), labels)
+        axes.invert_yaxis()
+        axes.set_xlabel("%")
+        axes.set_xlim(0, 100)
+        axes.grid(axis="x", alpha=0.25)
+    axes.set_title(table.title, loc="left", fontsize=11)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
+    data = io.BytesIO()
+    shown.savefig(data, format="png", dpi=110, metadata={"Software": None})
+    plt.close(shown)
+    return data.getvalue()
+
+
+def _draw(
+    axes: Any,
+    steps: bool,
+    index: int,
+    of: int,
+    column: str,
+    colour: str,
+    run: Sequence[tuple[int, tuple[float, float]]],
+    paper: Sequence[tuple[int, float]],
+) -> None:
+    """One column: what was measured solid, with its spread, the paper's values hollow or dotted."""
+    places = [place for place, _ in run]
+    means, spreads = [value[0] for _, value in run], [value[1] for _, value in run]
+    if steps:
+        axes.errorbar(places, means, spreads, color=colour, marker="o", capsize=3, label=column)
+        if paper:
+            axes.plot(*zip(*paper, strict=True), color=colour, linestyle=":", marker="o", fillstyle="none", alpha=0.6,
+                      label=f"{column}, paper")  # fmt: skip
+        return
+    height = 0.8 / of
+    at = [place + (index - (of - 1) / 2) * height for place in places]
+    axes.barh(at, means, height * 0.9, xerr=spreads if any(spreads) else None, color=colour, label=column)
+    if paper:
+        said = {"label": "the paper"} if index == of - 1 else {}
+        where = [place + (index - (of - 1) / 2) * height for place, _ in paper]
+        axes.plot([value for _, value in paper], where, "D", color="black", fillstyle="none", markersize=4, **said)

@@ -1,0 +1,234 @@
+"""The tables as plain data: for each row the network it needs and what is measured on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+from lpn.errors import InputError
+from lpn.recipes import RECIPES, Recipe, method
+from lpn.reproduce import paper
+from lpn.spec import View
+
+Role = Literal["places", "panoramas"]
+Measure = Literal["both ways", "ground", "landmarks"]
+
+
+@dataclass(frozen=True)
+class Training:
+    """A network that rows need.
+
+    Attributes:
+        name: of its run, such as "lpn" or "instance".
+        method: one of `lpn.recipes.METHODS`.
+        role: what it is trained on: places seen by satellite, drone, and from the street, or pairs of panorama and tile.
+        changes: what the row changes in the recipe further.
+    """
+
+    name: str
+    method: str
+    role: Role = "places"
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row: a network, and how it is measured.
+
+    Attributes:
+        label: as in the table.
+        training: the network; None for ImageNet's features without any training.
+        paper: the paper's values, empty where it has no such row.
+        rotate: degrees counter-clockwise queries are turned.
+        parts: 1-based parts used, None for all.
+        branch: the branch that describes landmarks.
+    """
+
+    label: str
+    training: Training | None
+    paper: paper.Values = ()
+    rotate: float = 0.0
+    parts: tuple[int, ...] | None = None
+    branch: View | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table or figure of the paper.
+
+    Attributes:
+        key: such as "table1".
+        title: what it compares.
+        measure: what its columns are.
+        columns: their names.
+    """
+
+    key: str
+    title: str
+    measure: Measure
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+    @property
+    def trainings(self) -> list[Training]:
+        """The networks it needs, each once."""
+        return list({row.training.name: row.training for row in self.rows if row.training}.values())
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How large everything is.
+
+    Attributes:
+        name: "paper" or "reduced".
+        places, panoramas: the recipe of each role, before a method's changes.
+        safa: the recipe of SAFA where it has one of its own.
+        sizes: input size used for each of Table III's.
+        said: one sentence for the table's foot.
+    """
+
+    name: str
+    places: Recipe
+    panoramas: Recipe
+    safa: Recipe | None
+    sizes: Mapping[int, int]
+    said: str
+
+    def recipe(self, training: Training, seed: int, changes: Mapping[str, Any]) -> Recipe:
+        """Every number of a training; `changes` are the user's and come last."""
+        base = self.places if training.role == "places" else self.panoramas
+        if training.method.startswith("safa") and self.safa is not None:
+            base = self.safa
+        return replace(method(training.method, base), **training.changes, seed=seed, **changes)
+
+
+_REDUCED = replace(RECIPES["world"], epochs=30, infonce=0.0)
+
+SCALES: dict[str, Scale] = {
+    "paper": Scale(
+        "paper",
+        RECIPES["university1652"],
+        RECIPES["cvusa"],
+        RECIPES["safa"],
+        {size: size for size in paper.TABLE3},
+        "The paper's scale: ResNet-50 on places, VGG-16 on panoramas, 256 pixels, 120 epochs (SAFA 100).",
+    ),
+    "reduced": Scale(
+        "reduced",
+        _REDUCED,
+        replace(_REDUCED, batch=16, satellite_rotation=0.0, place_rotation=180.0, rotation=0.0),
+        None,
+        {size: size // 2 for size in paper.TABLE3},
+        "Reduced scale: ResNet-18 cut after layer3, from ImageNet, 256 pixels (half of the paper's in Table III), 30 epochs, "
+        "AdamW at 0.0005 with a cosine; the same for every row.",
+    ),
+}
+
+_LPN = Training("lpn", "lpn", changes={"n_parts": 4})
+_LPN_ONLY = Training("lpn-without-google", "lpn", changes={"n_parts": 4, "google": False})
+_BASELINE = Training("instance", "instance", changes={"google": False})
+
+
+def _of_parts(n: int) -> Training:
+    if n == 1:
+        return _BASELINE
+    return _LPN_ONLY if n == 4 else Training(f"lpn-{n}-parts", "lpn", changes={"n_parts": n, "google": False})
+
+
+def tables(scale: Scale) -> dict[str, Table]:
+    """Every table and figure, by key."""
+    by_loss = {"contrastive": "Contrastive loss", "triplet-0.3": "Triplet loss, margin 0.3"}
+    by_loss |= {"triplet-0.5": "Triplet loss, margin 0.5", "soft-margin": "Weighted soft-margin triplet loss"}
+    of_table1 = [("Instance loss (baseline)", _BASELINE)]
+    of_table1 += [(label, Training(name, name, changes={"google": False})) for name, label in by_loss.items()]
+    of_table1 += [("LPN without google", _LPN_ONLY), ("LPN", _LPN)]
+    of_table2 = [
+        ("Instance loss (baseline)", Training("panorama-instance", "instance", "panoramas", {"shared": False})),
+        ("LPN, rings and rows", Training("panorama-lpn", "lpn-cvusa", "panoramas")),
+        ("LPN, strips", Training("panorama-lpn-strips", "lpn-strips", "panoramas", {"size": 112, "width": 616})),
+        ("SAFA", Training("panorama-safa", "safa", "panoramas")),
+        ("SAFA + LPN", Training("panorama-safa-lpn", "safa-lpn", "panoramas")),
+    ]
+    return {
+        table.key: table
+        for table in (
+            Table(
+                "table1",
+                "Table I: losses and LPN on University-1652",
+                "both ways",
+                paper.BOTH_WAYS,
+                tuple(Row(label, training, paper.TABLE1[label]) for label, training in of_table1),
+            ),
+            Table(
+                "table2",
+                "Table II: ground to satellite on CVUSA",
+                "ground",
+                paper.GROUND,
+                tuple(Row(label, training, paper.TABLE2.get(label, ())) for label, training in of_table2),
+            ),
+            Table(
+                "table3",
+                "Table III: input size",
+                "both ways",
+                paper.BOTH_WAYS,
+                tuple(_of_size(size, scale, values) for size, values in paper.TABLE3.items()),
+            ),
+            Table(
+                "table4",
+                "Table IV: turned queries",
+                "both ways",
+                paper.BOTH_WAYS,
+                tuple(Row(str(angle), _LPN, values, rotate=angle) for angle, values in paper.TABLE4.items()),
+            ),
+            Table(
+                "table5",
+                "Table V: parts used",
+                "both ways",
+                paper.BOTH_WAYS,
+                tuple(
+                    Row(label, _LPN, values, parts=tuple(int(part) for part in label.split("+")))
+                    for label, values in paper.TABLE5.items()
+                ),
+            ),
+            Table("table6", "Table VI: features carried over to landmarks", "landmarks", paper.LANDMARKS, _carried()),
+            Table(
+                "figure5",
+                "Figure 5: number of parts",
+                "both ways",
+                paper.BOTH_WAYS,
+                tuple(Row(f"n = {n}", _of_parts(n)) for n in (1, 2, 4, 6, 8)),
+            ),
+        )
+    }
+
+
+def _of_size(size: int, scale: Scale, values: paper.Values) -> Row:
+    ours = scale.sizes[size]
+    same = ours == scale.places.size
+    label = str(size) if ours == size else f"{size} (here {ours})"
+    return Row(
+        label, _LPN if same else Training(f"lpn-{ours}-pixels", "lpn", changes={"n_parts": 4, "size": ours}), values
+    )
+
+
+def _carried() -> tuple[Row, ...]:
+    labels = list(paper.TABLE6)
+    branches: tuple[View, View] = ("satellite", "street")
+    rows = [Row(labels[0], None, paper.TABLE6[labels[0]])]
+    of_branch = [(training, branch) for training in (_BASELINE, _LPN) for branch in branches]
+    for label, (training, branch) in zip(labels[1:], of_branch, strict=True):
+        rows.append(Row(label, training, paper.TABLE6[label], branch=branch))
+    return tuple(rows)
+
+
+def find(key: str, scale: Scale) -> Table:
+    """The table or figure named.
+
+    Raises:
+        InputError: when there is none.
+    """
+    known = tables(scale)
+    if key not in known:
+        raise InputError(f"There is no {key!r}; choose one of {', '.join(known)}, figure7, figure8, or all.")
+    return known[key]

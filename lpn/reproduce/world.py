@@ -1,0 +1,115 @@
+"""The demo world as the paper's data sets: places with a "google" set, panoramas, and landmarks with their ground truth."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import shutil
+from pathlib import Path
+
+from lpn.datasets import Picture, open_dataset
+from lpn.errors import DataError
+from lpn.files import write_whole
+from lpn.images import load_picture
+
+_REGION = 0.8
+"""Side of a landmark's region in its query, as a share of the picture's."""
+
+
+def is_world(root: Path) -> bool:
+    """Whether a folder is one that `lpn world` rendered."""
+    return (root / "world.json").is_file()
+
+
+def prepare(world: Path, out: Path) -> dict[str, Path]:
+    """Lay a world out as the data sets the tables need, in `out`; what is there already is not made again.
+
+    places: University-1652's layout. Of each training place's street pictures the first half are train/street and the
+    others train/google, as pictures of the ground from elsewhere. landmarks: the street pictures of the test places in
+    Paris6k's layout: the first two of a place are queries by their middle, all of the place are good answers.
+
+    Returns:
+        The folders: "places", "panoramas" (the world's own, in CVUSA's layout), "landmarks".
+
+    Raises:
+        DataError: when the world has fewer than two street pictures of a place, or no panoramas.
+    """
+    dataset = open_dataset(world)
+    streets, tests = (
+        dataset.train("street"),
+        dataset.gallery("street") if (world / "test/gallery_street").is_dir() else [],
+    )
+    if len(streets) < 2 * len({picture.label for picture in streets}) or not tests:
+        raise DataError(
+            f"{world} has {len(streets)} street pictures for training and {len(tests)} for testing; render it with "
+            "--streets 4 --panoramas 1, which adds them."
+        )
+    if not (world / "cvusa" / "splits").is_dir():
+        raise DataError(f"{world} has no panoramas; render it with --panoramas 1, which adds them.")
+    places, landmarks = out / "places", out / "landmarks"
+    if not places.is_dir():
+        _places(world, streets, places)
+    if not landmarks.is_dir():
+        _landmarks(tests, landmarks)
+    return {"places": places, "panoramas": world / "cvusa", "landmarks": landmarks}
+
+
+def _places(world: Path, streets: list[Picture], out: Path) -> None:
+    made = out.with_name(out.name + ".new")
+    shutil.rmtree(made, ignore_errors=True)
+    moved: dict[str, str] = {}
+    count: dict[int, int] = {}
+    for picture in streets:
+        count[picture.label] = count.get(picture.label, 0) + 1
+    seen: dict[int, int] = {}
+    for picture in streets:
+        seen[picture.label] = seen.get(picture.label, 0) + 1
+        if 2 * seen[picture.label] > count[picture.label]:
+            name = picture.path.relative_to(world).as_posix()
+            moved[name] = name.replace("train/street/", "train/google/", 1)
+    for split in ("train", "test"):
+        for file in sorted((world / split).rglob("*")):
+            if file.is_file():
+                name = file.relative_to(world).as_posix()
+                _link(file, made / moved.get(name, name))
+    if (world / "geo.csv").is_file():
+        with (world / "geo.csv").open(newline="") as source:
+            rows = list(csv.DictReader(source))
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(rows[0]))
+        writer.writeheader()
+        writer.writerows({**row, "path": moved.get(row["path"], row["path"])} for row in rows)
+        write_whole(made / "geo.csv", text.getvalue().encode())
+    os.replace(made, out)
+
+
+def _landmarks(pictures: list[Picture], out: Path) -> None:
+    made = out.with_name(out.name + ".new")
+    shutil.rmtree(made, ignore_errors=True)
+    of_place: dict[int, list[str]] = {}
+    for picture in pictures:
+        names = of_place.setdefault(picture.label, [])
+        names.append(f"place{picture.label:04d}_{len(names) + 1:06d}")
+        _link(picture.path, made / "pictures" / f"{names[-1]}{picture.path.suffix}")
+        if len(names) <= 2:
+            height, width = load_picture(picture.path).shape[:2]
+            near, far = (1 - _REGION) / 2, (1 + _REGION) / 2
+            box = f"{near * width:.1f} {near * height:.1f} {far * width:.1f} {far * height:.1f}"
+            query = made / "gt" / f"place{picture.label:04d}_{len(names)}"
+            write_whole(query.with_name(query.name + "_query.txt"), f"{names[-1]} {box}\n".encode())
+    for label, names in of_place.items():
+        for number in range(1, min(2, len(names)) + 1):
+            for kind, listed in (("good", names), ("ok", []), ("junk", [])):
+                text = "".join(f"{name}\n" for name in listed)
+                write_whole(made / "gt" / f"place{label:04d}_{number}_{kind}.txt", text.encode())
+    os.replace(made, out)
+
+
+def _link(source: Path, target: Path) -> None:
+    """The same file under another name, or a copy where the file system has no links between the two."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
