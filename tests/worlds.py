@@ -10,7 +10,7 @@ import torch
 
 from lpn.checkpoints import save
 from lpn.export import export
-from lpn.images import Picture, rotate
+from lpn.images import Picture, polar, rotate
 from lpn.network import LPN
 from lpn.spec import ModelSpec
 from lpn.world.glb import Primitive, glb
@@ -114,3 +114,36 @@ def make_model(folder: Path, n_parts: int = 4, size: int = 64) -> Path:
     save(make_network(n_parts, size), folder / "model.safetensors")
     export(folder / "model.safetensors", folder / "model.onnx")
     return folder / "model.onnx"
+
+
+def make_views(root: Path, places: int) -> Path:
+    """The same places to train on and to test on, from satellite, drone, and street, and a "google" set.
+
+    What the ground shows is drawn, too: the place in other light, its upper half turned away.
+    """
+    for label in range(1, places + 1):
+        satellite, name = place(label), f"{label:04d}"
+        pictures = {"satellite": satellite, "drone": from_drone(satellite, 1000 + label)}
+        pictures["street"] = from_drone(np.ascontiguousarray(satellite[SIZE // 4 :]), 2000 + label)
+        for view, picture in pictures.items():
+            for split in (f"train/{view}", f"test/query_{view}", f"test/gallery_{view}"):
+                write(root / split / name / "a.png", picture)
+        write(root / "train" / "google" / name / "b.png", from_drone(satellite, 3000 + label))
+    return root
+
+
+def make_cvusa(root: Path, pairs: int, height: int = 56, width: int = 224) -> Path:
+    """Pairs of tile and panorama in CVUSA's layout, the same to train on and to test on; a panorama is its unrolled tile in
+    other light."""
+    rows = []
+    for number in range(1, pairs + 1):
+        tile = cv2.resize(place(number), (2 * SIZE, 2 * SIZE))
+        panorama = np.clip(polar(tile, height, width) * 0.8 + 20, 0, 255).astype(np.uint8)
+        names = (f"bingmap/19/{number:07d}.png", f"streetview/panos/{number:07d}.png")
+        for name, picture in zip(names, (tile, panorama), strict=True):
+            write(root / name, picture)
+        rows.append(f"{names[0]},{names[1]},\n")
+    (root / "splits").mkdir()
+    for split in ("train", "val"):
+        (root / "splits" / f"{split}-19zl.csv").write_text("".join(rows))
+    return root

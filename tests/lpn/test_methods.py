@@ -1,0 +1,97 @@
+"""Each method that the paper compares is trained for some steps on picture files, and then retrieves better than untrained."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import lpn
+from lpn.checkpoints import save
+from lpn.datasets import open_dataset
+from lpn.evaluate import evaluate
+from lpn.export import export
+from lpn.recipes import METHODS, RECIPES, method
+from lpn.train import Trainer
+from tests import worlds
+
+PLACES = 12
+STEPS = replace(
+    RECIPES["small"],
+    size=64,
+    epochs=8,
+    batch=6,
+    warmup_epochs=0,
+    lr=1e-3,
+    ema=0.8,
+    infonce=0.0,
+    rotation=2.0,
+    place_rotation=0.0,
+    scale=0.05,
+    colour=0.2,
+    dropout=0.1,
+    precision="float32",
+)
+ON_PLACES: dict[str, dict[str, Any]] = {
+    "lpn": {},
+    "lpn without google": {"google": False},
+    "lpn of two parts": {"n_parts": 2},
+    "lpn on resnet50": {"backbone": "resnet50", "google": False, "epochs": 5},
+    "lpn on vgg16": {"backbone": "vgg16_bn", "last_layer": "layer4", "n_parts": 2, "google": False, "epochs": 5},
+    **{name: {} for name in ("instance", "contrastive", "triplet-0.3", "triplet-0.5", "soft-margin")},
+}
+ON_PANORAMAS: dict[str, dict[str, Any]] = {
+    "instance": {"shared": False},
+    "lpn-cvusa": {"n_parts": 2},
+    "lpn-strips": {"width": 256},
+    "safa": {"size": 64, "width": 256},
+    "safa-lpn": {"size": 64, "width": 256},
+    "safa-lpn on vgg16": {"size": 64, "width": 256, "backbone": "vgg16_bn", "last_layer": "layer4"},
+}
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return worlds.make_views(tmp_path_factory.mktemp("methods") / "places", PLACES)
+
+
+@pytest.fixture(scope="module")
+def panoramas(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return worlds.make_cvusa(tmp_path_factory.mktemp("methods") / "pairs", PLACES)
+
+
+def improves(data: Path, folder: Path, name: str, changes: dict[str, Any], task: str) -> Path:
+    recipe = replace(method(name.split(" ")[0], STEPS), **changes)
+    dataset = open_dataset(data)
+    run = Trainer(dataset, folder / "run", recipe, console=Console(file=io.StringIO()))
+    save(run.network, folder / "before.safetensors")
+    model = run.run()
+    before, after = (evaluate(lpn.load(m), dataset, task).ap for m in (folder / "before.safetensors", model))
+    assert after > before + 5, f"{name}: AP {before:.1f} untrained, {after:.1f} trained"
+    return model
+
+
+@pytest.mark.parametrize("name", ON_PLACES)
+def test_training_on_places_improves_retrieval(places: Path, tmp_path: Path, name: str) -> None:
+    model = improves(places, tmp_path, name, ON_PLACES[name], "drone-to-satellite")
+    assert lpn.load(model).views == ("satellite", "street", "drone")
+
+
+@pytest.mark.parametrize("name", ON_PANORAMAS)
+def test_training_on_panoramas_improves_retrieval(panoramas: Path, tmp_path: Path, name: str) -> None:
+    model = improves(panoramas, tmp_path, name, ON_PANORAMAS[name], "street-to-satellite")
+    export(model, tmp_path / "model.onnx")
+    dataset = open_dataset(panoramas)
+    own, exported = (
+        evaluate(lpn.load(m), dataset, "street-to-satellite") for m in (model, tmp_path / "model.onnx")
+    )
+    np.testing.assert_allclose(own.ap, exported.ap, atol=1.0)
+
+
+def test_every_method_is_trained_here() -> None:
+    assert {name.split(" ")[0] for name in (*ON_PLACES, *ON_PANORAMAS)} == set(METHODS)
