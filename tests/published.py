@@ -116,7 +116,9 @@ def rows(features: Tensor, n: int) -> list[Tensor]:
 def embeddings(state: State, view: str, features: Tensor) -> Tensor:
     """What the heads make of a view's feature map: (B, n, 512), in the order of the classifiers."""
     two_views = not any(key.startswith("model_3.") for key in state)
-    names = sorted({key.split(".")[0] for key in state if key.startswith("classifier")}, key=lambda name: (len(name), name))
+    names = sorted(
+        {key.split(".")[0] for key in state if key.startswith("classifier")}, key=lambda name: (len(name), name)
+    )
     n = len(names)
     if not two_views:
         pooled = rings(features, n, align_corners=True)
