@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import pickle
 import re
 import warnings
@@ -16,10 +17,12 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor
 
 from lpn.errors import ModelFileError
-from lpn.files import fingerprint, write_whole
+from lpn.files import fingerprint, printable, write_whole
 from lpn.model import FloatArray, Heads, Model
 from lpn.network import LPN, map_size
 from lpn.spec import BRANCH, ModelSpec, View
+
+log = logging.getLogger(__name__)
 
 FORMAT = "lpn-explorer/1"
 State = dict[str, Tensor]
@@ -139,6 +142,12 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
 def infer_spec(state: State, options: dict[str, Any], name: str = "the file") -> ModelSpec:
     """Tell the architecture of a published state dict from its keys and, where given, its `opts.yaml`.
 
+    Three branches are University-1652's. Two, model_1 and model_2, are satellite and street, cut as the released models
+    for CVUSA and CVACT are ("cvusa"): the released code trains no other LPN of two views. The keys cannot tell whether
+    somebody showed the second branch other pictures, so the log says how the file was read, unless `data_dir` or `name`
+    in the options speak of these data sets. A file with model_1 and model_3 alone is read as satellite and drone, with
+    University-1652's rings.
+
     Raises:
         ModelFileError: when it is not an LPN or baseline, or contradicts its options.
     """
@@ -159,16 +168,13 @@ def infer_spec(state: State, options: dict[str, Any], name: str = "the file") ->
             f"{name} has the heads {found}; expected classifier0 to classifier{n_parts - 1} without a gap, or one named "
             "classifier, so the file is incomplete."
         )
-    if "LPN" in options and options["LPN"] and "block" in options and int(options["block"]) != n_parts:
-        raise ModelFileError(
-            f"{name} has {n_parts} heads, but the opts.yaml beside it says block: {options['block']}; correct or remove it."
-        )
     if options.get("pool") not in (None, "avg"):
         raise ModelFileError(
             f"{name} was trained with pool: {options['pool']} (opts.yaml); only average pooling (avg) is supported."
         )
     prefix = f"{BRANCH[views[0]]}.model."
     backbone, last_layer = _infer_backbone({k[len(prefix) :] for k in state if k.startswith(prefix)}, name)
+    _check_options(options, name, views, n_parts, backbone)
     head = f"classifier{expected[0]}"
     linear = state.get(f"{head}.add_block.0.weight")
     if linear is None or linear.ndim != 2:
@@ -206,6 +212,28 @@ def _infer_backbone(keys: set[str], name: str) -> tuple[str, str]:
     raise ModelFileError(
         f"The backbone in {name} is not one of resnet18, resnet50, vgg16_bn, or entries of it are missing."
     )
+
+
+def _check_options(options: dict[str, Any], name: str, views: tuple[View, ...], n_parts: int, backbone: str) -> None:
+    """Refuse options that belong to another model, and say how two branches are read when nothing confirms it."""
+    told = [
+        ("block", n_parts, f"{n_parts} heads"),
+        ("views", len(views), f"the branches {', '.join(BRANCH[view] for view in views)}"),
+        ("use_vgg16", backbone == "vgg16_bn", f"the backbone {backbone}"),
+    ]
+    for option, found, said in told:
+        counts = option != "block" or options.get("LPN")
+        if counts and option in options and options[option] != found:
+            raise ModelFileError(
+                f"{name} has {said}, but the opts.yaml beside it says {option}: {options[option]}; correct or remove it."
+            )
+    trained_on = f"{options.get('data_dir')} {options.get('name')}".lower()
+    if views == ("satellite", "street") and not any(data in trained_on for data in ("cvusa", "cvact")):
+        log.warning(
+            "%s has the branches model_1 and model_2; they are read as satellite and street, as in the models released for "
+            "CVUSA and CVACT. If model_2 saw drone pictures, rename its entries to model_3.",
+            printable(name),
+        )
 
 
 def _branches_equal(state: State, views: tuple[View, ...]) -> bool:
@@ -246,7 +274,8 @@ def _fill(network: LPN, state: State, name: str) -> None:
     for key, tensor in target.items():
         if key in state:
             tensor.copy_(state[key])
-            if not bool(torch.isfinite(tensor).all()):
+            # A sum is cheap, and finite unless an entry is not.
+            if not bool(tensor.sum().isfinite()) and not bool(tensor.isfinite().all()):
                 raise ModelFileError(f"In {name}, {key} holds values that are not finite; take an earlier checkpoint.")
 
 
@@ -303,7 +332,7 @@ def _read_options(path: Path) -> dict[str, Any]:
         return {}
     if not isinstance(options, dict):
         raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
-    for key in ("h", "w", "stride", "block"):
+    for key in ("h", "w", "stride", "block", "views"):
         value = options.get(key, 1)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             raise ModelFileError(

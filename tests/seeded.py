@@ -17,7 +17,11 @@ DATA = Path(__file__).parent / "data"
 
 def state_dict(case: str) -> dict[str, Tensor]:
     """A published checkpoint's entries with the values the parity data were made with."""
-    shapes: dict[str, list[int]] = json.loads((DATA / f"keys_{case}.json").read_text())
+    return entries(json.loads((DATA / f"keys_{case}.json").read_text()))
+
+
+def entries(shapes: dict[str, list[int]]) -> dict[str, Tensor]:
+    """Entries of these names and shapes; a name's values do not depend on the branch it belongs to."""
     return {name: torch.from_numpy(np.asarray(_values(name, shape))) for name, shape in shapes.items()}
 
 

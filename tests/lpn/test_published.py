@@ -1,0 +1,301 @@
+"""Published checkpoints of every kind give what `tests.published` works out from their entries alone."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from torch import Tensor
+
+import lpn
+from lpn.checkpoints import infer_spec
+from lpn.errors import ModelFileError
+from lpn.export import export
+from lpn.network import LPN
+from lpn.spec import ModelSpec
+from tests import published, seeded, worlds
+from tests.published import State
+
+UNIVERSITY_OPTIONS = """\
+DA: false
+LPN: true
+batchsize: 8
+block: {n}
+color_jitter: false
+data_dir: /data/University-Release/train
+droprate: 0.75
+erasing_p: 0
+extra_Google: true
+fp16: true
+gpu_ids: '0'
+h: {size}
+lr: 0.001
+moving_avg: 1.0
+name: three_view_long_share_d0.75_256_s1_google_lr0.001
+nclasses: 7
+pad: 10
+pool: avg
+resume: false
+share: true
+stride: {stride}
+train_all: false
+use_NAS: false
+use_dense: false
+views: 3
+w: {size}
+warm_epoch: 0
+"""
+CVUSA_OPTIONS = """\
+LPN: true
+batchsize: 16
+block: {n}
+data_dir: /data/CVUSA/train
+droprate: 0.5
+fp16: true
+gpu_ids: '3'
+h: 256
+name: usa_noshare_warm5_8LPN-s-r
+nclasses: 7
+pool: avg
+share: false
+stride: {stride}
+use_vgg16: {vgg}
+views: 2
+w: 256
+warm_epoch: 5
+"""
+
+
+@cache
+def backbone(name: str) -> State:
+    values = seeded.entries({f"model.{k}": shape for k, shape in published.backbone_shapes(name).items()})
+    return {k.removeprefix("model."): value for k, value in values.items()}
+
+
+@cache
+def street_backbone(name: str) -> State:
+    """Another network of the same kind: the same numbers, each moved on by one place."""
+    return {entry: tensor.roll(1) if tensor.ndim else tensor for entry, tensor in backbone(name).items()}
+
+
+def state_dict(name: str, views: int, n: int, baseline: bool = False) -> State:
+    """A checkpoint; satellite and drone share their weights, as one tensor each, and the street has its own."""
+    state = {f"model_1.model.{k}": v for k, v in backbone(name).items()}
+    state |= {f"model_2.model.{k}": v for k, v in street_backbone(name).items()}
+    if views == 3:
+        state |= {f"model_3.model.{k}": v for k, v in backbone(name).items()}
+    channels = 2048 if name == "resnet50" else 512
+    heads = ["classifier"] if baseline else [f"classifier{i}" for i in range(n)]
+    return state | seeded.entries({k: v for head in heads for k, v in published.head_shapes(head, channels).items()})
+
+
+@cache
+def picture(size: int) -> Tensor:
+    return torch.from_numpy(seeded.pictures(7, 1, size, size))
+
+
+@cache
+def feature_map(name: str, street: bool, size: int = 256, stride: int = 1, mirrored: bool = False) -> Tensor:
+    """What the published backbone makes of the picture or its mirror; the heads of every n stand on it."""
+    state = {f"model_1.model.{k}": v for k, v in (street_backbone if street else backbone)(name).items()}
+    return published.feature_map(state, "model_1", picture(size).flip(3) if mirrored else picture(size), stride)
+
+
+@cache
+def golden_maps() -> tuple[Tensor, Tensor]:
+    """The pictures of the golden cases, and their mirrors; both cases have the same backbone."""
+    images = torch.from_numpy(seeded.pictures(7, 2, 256, 256))
+    state = {f"model_3.model.{k}": v for k, v in backbone("resnet50").items()}
+    return published.feature_map(state, "model_3", images), published.feature_map(state, "model_3", images.flip(3))
+
+
+def raw(state: State, view: str, name: str, size: int = 256, stride: int = 1, mirrored: bool = False) -> Tensor:
+    return published.embeddings(state, view, feature_map(name, view == "street", size, stride, mirrored))
+
+
+def descriptor(state: State, view: str, name: str) -> Tensor:
+    return published.descriptor(*(raw(state, view, name, mirrored=mirrored) for mirrored in (False, True)))
+
+
+def agree(found: np.ndarray, expected: Tensor) -> None:
+    assert found.shape == tuple(expected.shape)
+    assert np.abs(found - expected.numpy()).max() <= 1e-4 * float(expected.abs().max())
+
+
+@pytest.mark.parametrize("case", ["n4", "n1_baseline"])
+def test_the_reference_answers_as_the_published_implementation(case: str) -> None:
+    golden, state = np.load(seeded.DATA / f"parity_{case}.npz"), seeded.state_dict(case)
+    of_image, of_mirror = (published.embeddings(state, "drone", features) for features in golden_maps())
+    # The published arrays are (B, D, n), parts last.
+    agree(golden["raw"].reshape(2, 512, -1).transpose(0, 2, 1), of_image)
+    agree(golden["descriptor"].reshape(2, 512, -1).transpose(0, 2, 1), published.descriptor(of_image, of_mirror))
+
+
+@pytest.mark.parametrize(
+    ("n", "size", "stride", "view"),
+    [
+        (1, 256, 1, "drone"),
+        (4, 256, 1, "street"),
+        (6, 256, 1, "drone"),
+        (10, 256, 1, "satellite"),
+        (4, 320, 1, "drone"),
+        (8, 384, 1, "satellite"),
+        (6, 256, 2, "drone"),
+    ],
+)
+def test_three_view_checkpoints(n: int, size: int, stride: int, view: str, tmp_path: Path) -> None:
+    state = state_dict("resnet50", 3, n)
+    torch.save(state, tmp_path / "net_119.pth")
+    if (size, stride) != (256, 1):
+        (tmp_path / "opts.yaml").write_text(UNIVERSITY_OPTIONS.format(n=n, size=size, stride=stride))
+    model = lpn.load(tmp_path / "net_119.pth")
+    assert (model.views, model.n_parts, model.input_size) == (("satellite", "street", "drone"), n, (size, size))
+    agree(model.part_embeddings(picture(size), view), raw(state, view, "resnet50", size, stride))  # type: ignore[arg-type]
+
+
+def test_three_view_baseline_and_descriptors(tmp_path: Path) -> None:
+    state = state_dict("resnet50", 3, 1, baseline=True)
+    torch.save({f"module.{k}": v for k, v in state.items()}, tmp_path / "net_last.pth")
+    options = UNIVERSITY_OPTIONS.format(n=6, size=256, stride=1).replace("LPN: true", "LPN: false")
+    (tmp_path / "opts.yaml").write_text(options)
+    found = lpn.load(tmp_path / "net_last.pth").descriptors(picture(256), "drone")
+    agree(found, descriptor(state, "drone", "resnet50"))
+
+
+def test_three_view_vgg_resizes_its_map_corner_to_corner(tmp_path: Path) -> None:
+    state = state_dict("vgg16_bn", 3, 8)
+    torch.save(state, tmp_path / "net_119.pth")
+    found = lpn.load(tmp_path / "net_119.pth").part_embeddings(picture(256), "satellite")
+    agree(found, raw(state, "satellite", "vgg16_bn"))
+
+
+@pytest.mark.parametrize(
+    ("name", "n", "stride"),
+    [("vgg16_bn", 1, None), ("vgg16_bn", 6, None), ("resnet50", 8, 1), ("resnet50", 8, 2)],
+)
+def test_two_view_checkpoints(name: str, n: int, stride: int | None, tmp_path: Path) -> None:
+    state = state_dict(name, 2, n, baseline=n == 1)
+    torch.save(state, tmp_path / "net_119.pth")
+    if stride is not None:
+        (tmp_path / "opts.yaml").write_text(CVUSA_OPTIONS.format(n=n, stride=stride, vgg="false"))
+    model = lpn.load(tmp_path / "net_119.pth")
+    assert (model.views, model.n_parts) == (("satellite", "street"), n)
+    for view in model.views:
+        agree(model.part_embeddings(picture(256), view), raw(state, view, name, 256, stride or 1))
+
+
+def test_two_view_descriptors_also_when_exported(tmp_path: Path) -> None:
+    """Released VGG-16 runs are given stride 2, and make no use of it."""
+    state = state_dict("vgg16_bn", 2, 8)
+    # torchvision's class layers are large and unused.
+    unused = {"weight": torch.zeros(1).expand(4096, 25088), "bias": torch.zeros(4096)}
+    surplus = {f"model_{i}.model.classifier.0.{k}": v for i in (1, 2) for k, v in unused.items()}
+    torch.save(state | surplus, tmp_path / "net_119.pth")
+    (tmp_path / "opts.yaml").write_text(CVUSA_OPTIONS.format(n=8, stride=2, vgg="true"))
+    export(tmp_path / "net_119.pth", tmp_path / "lpn.onnx")
+    for file in ("net_119.pth", "lpn.onnx"):
+        model = lpn.load(tmp_path / file)
+        for view in model.views:
+            agree(model.descriptors(picture(256), view), descriptor(state, view, "vgg16_bn"))
+
+
+@pytest.mark.parametrize("side", [8, 10, 12, 16, 20, 24, 32])
+def test_parts_at_every_size(side: int) -> None:
+    """Maps of VGG-16 and ResNet-50 for 256, 320, 384, 512 pixels; of random numbers, as the backbones know nothing of n."""
+    features = torch.randn(1, 6, side, side, generator=torch.Generator().manual_seed(side))
+    for n in (1, 2, 4, 6, 8, 10):
+        centre_out = published.rings(features, n, align_corners=True)
+        outside_in = published.rings(features, n, align_corners=False)[::-1]
+        two_view = ModelSpec(views=("satellite", "street"), n_parts=n, layout="cvusa", shared=False)
+        for partition, expected in (
+            (ModelSpec(n_parts=n).partition("drone"), centre_out),
+            (two_view.partition("satellite"), outside_in),
+            (two_view.partition("street"), published.rows(features, n)),
+        ):
+            cells = torch.from_numpy(partition.weights(side, side))
+            agree(torch.einsum("nhw,bchw->bnc", cells, features).numpy(), torch.stack(expected, 1))
+
+
+def two_branches() -> State:
+    """The keys of a two-view checkpoint of a small network."""
+    spec = ModelSpec("resnet18", views=("satellite", "street"), n_parts=4, layout="cvusa", shared=False, classes=3)
+    return LPN(spec).state_dict()
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("views: 3", "the branches model_1, model_3"),
+        ("views: 4", "views: 4"),
+        ("use_vgg16: true", "the backbone resnet18"),
+        ("{LPN: true, block: 6}", "4 heads"),
+        ("pool: avg+max", "only average pooling"),
+        ("views: two", "a whole number"),
+    ],
+)
+def test_options_of_another_model_are_refused(option: str, said: str, tmp_path: Path) -> None:
+    torch.save(worlds.make_network().state_dict(), tmp_path / "net_last.pth")
+    (tmp_path / "opts.yaml").write_text(option)
+    with pytest.raises(ModelFileError, match=r"opts\.yaml") as caught:
+        lpn.load(tmp_path / "net_last.pth")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_options_that_say_nothing_of_the_network_are_left_alone() -> None:
+    options = yaml.safe_load(UNIVERSITY_OPTIONS.format(n=4, size=384, stride=2))
+    state = worlds.make_network().state_dict()
+    told = infer_spec(state, options | {"views": 2, "use_dense": False, "ms": "1", "colour": None, 7: "seven"})
+    assert (told.input_size, told.last_stride, told.dropout, told.n_parts) == ((384, 384), 2, 0.75, 4)
+    # The baseline's options have the default of a number that it does not use.
+    assert infer_spec(state, {"LPN": False, "block": 6}).n_parts == 4
+
+
+def test_the_log_says_how_two_branches_are_read_unless_the_options_do(caplog: pytest.LogCaptureFixture) -> None:
+    state = two_branches()
+    for options in ({"data_dir": "/data/CVUSA/train"}, {"data_dir": "./data/cvact", "name": "x"}, {"name": "CVUSA_n8"}):
+        assert infer_spec(state, options).layout == "cvusa"
+    infer_spec(worlds.make_network().state_dict(), {})
+    assert not caplog.records
+    for options in ({}, {"data_dir": "/data/University-Release/train", "views": 2}):
+        caplog.clear()
+        told = infer_spec(state, options, "net_last.pth")
+        assert (told.views, told.layout) == (("satellite", "street"), "cvusa")
+        (record,) = caplog.records
+        assert "net_last.pth has the branches model_1 and model_2" in record.getMessage()
+        assert "rename its entries to model_3" in record.getMessage()
+
+
+def test_a_second_branch_renamed_to_the_third_is_the_drones() -> None:
+    state = {k.replace("model_2.", "model_3."): v for k, v in two_branches().items()}
+    told = infer_spec(state, {"views": 2})
+    assert (told.views, told.layout, told.shared) == (("satellite", "drone"), "university", False)
+
+
+def test_checkpoints_in_half_precision_are_widened(tmp_path: Path) -> None:
+    state = worlds.make_network().state_dict()
+    half = {k: v.half() if v.is_floating_point() else v for k, v in state.items()}
+    torch.save(half, tmp_path / "half.pth")
+    torch.save({k: v.float() if v.is_floating_point() else v for k, v in half.items()}, tmp_path / "whole.pth")
+    found, expected = (
+        lpn.load(tmp_path / f"{name}.pth").part_embeddings(seeded.pictures(1, 1, 64, 64), "drone")
+        for name in ("half", "whole")
+    )
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_weights_that_are_not_numbers_are_found(tmp_path: Path) -> None:
+    state = worlds.make_network().state_dict()
+    for value in (float("nan"), float("inf")):
+        state["classifier1.add_block.0.weight"][3, 4] = value
+        torch.save(state, tmp_path / "net_last.pth")
+        with pytest.raises(ModelFileError, match=r"classifier1\.add_block\.0\.weight holds values that are not finite"):
+            lpn.load(tmp_path / "net_last.pth")
+    state["classifier1.add_block.0.weight"][:] = 3e38
+    torch.save(state, tmp_path / "net_last.pth")
+    assert lpn.load(tmp_path / "net_last.pth").n_parts == 4

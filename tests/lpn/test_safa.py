@@ -1,0 +1,248 @@
+"""SAFA and SAFA + LPN: spatial-aware layers, overlapping strips, polar tiles, and everything that runs such a model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import lpn
+from lpn.checkpoints import TorchModel, save
+from lpn.datasets import open_dataset
+from lpn.errors import InputError
+from lpn.evaluate import evaluate
+from lpn.export import export
+from lpn.features import describe
+from lpn.images import Picture, load_picture, polar
+from lpn.model import normalise
+from lpn.network import LPN, SpatialAware
+from lpn.partition import Partition
+from lpn.retrieval import describe_picture
+from lpn.spec import ModelSpec
+from tests import seeded, worlds
+
+SPEC = ModelSpec(
+    "resnet18",
+    "layer3",
+    views=("satellite", "drone"),
+    shared=False,
+    n_parts=4,
+    pooling="safa",
+    maps=3,
+    embedding=3 * 256,
+    input_size=(32, 160),
+    polar=True,
+)
+"""A map of 2 x 10 cells: four strips of four columns, each two further on."""
+SHARED = replace(SPEC, shared=True)
+
+
+def network(spec: ModelSpec = SPEC) -> LPN:
+    torch.manual_seed(0)
+    return LPN(spec).eval()
+
+
+@pytest.fixture(scope="module")
+def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A saved SAFA + LPN whose views share their weights; `model.onnx` lies beside it."""
+    folder = tmp_path_factory.mktemp("safa")
+    save(network(SHARED), folder / "model.safetensors")
+    export(folder / "model.safetensors", folder / "model.onnx")
+    return folder / "model.safetensors"
+
+
+def test_layers_have_the_published_shapes_and_start() -> None:
+    torch.manual_seed(0)
+    layers = SpatialAware(57, 8)
+    assert [tuple(parameter.shape) for parameter in layers.parameters()] == [
+        (8, 57, 28),
+        (8, 1, 28),
+        (8, 28, 57),
+        (8, 1, 57),
+    ]
+    for weight in (layers.weight1.detach(), layers.weight2.detach()):
+        # A normal of 0.005 cut at two standard deviations has 0.88 of its deviation left.
+        assert float(weight.abs().max()) <= 0.01
+        assert float(weight.mean()) == pytest.approx(0, abs=2e-4)
+        assert float(weight.std()) == pytest.approx(0.88 * 0.005, rel=0.03)
+    for bias in (layers.bias1, layers.bias2):
+        assert bool((bias == 0.1).all())
+
+
+def test_each_view_and_strip_has_layers_of_its_own() -> None:
+    built = network()
+    layers = [(view, part) for view in SPEC.views for part in range(4)]
+    weights = [built.branch(view).aware[part].weight1 for view, part in layers]  # type: ignore[union-attr]
+    assert {tuple(weight.shape) for weight in weights} == {(3, 8, 4)}
+    assert len({weight.data_ptr() for weight in weights}) == len(layers)
+    assert not any(key.startswith("classifier") for key in built.state_dict())
+    whole = network(replace(SPEC, n_parts=1))
+    assert [tuple(layers.weight1.shape) for layers in whole.branch("drone").aware] == [(3, 20, 10)]  # type: ignore[union-attr]
+
+
+def test_a_descriptor_is_what_plain_loops_make_of_the_map() -> None:
+    built = network()
+    model = TorchModel(built)
+    images = seeded.pictures(3, 2, 32, 160)
+    parts, features = model.run(images, "drone")
+    assert features.shape == (2, 256, 2, 10)
+    expected = np.zeros((2, 4, 3, 256))
+    for picture in range(2):
+        for part in range(4):
+            columns = range(2 * part, 2 * part + 4)
+            cells = [(row, column) for row in range(2) for column in columns]
+            layers = built.branch("drone").aware[part]
+            first, first_bias, second, second_bias = (p.detach().double().numpy() for p in layers.parameters())  # type: ignore[union-attr]
+            strongest = [max(features[picture, :, row, column]) for row, column in cells]
+            for j in range(3):
+                hidden = [first_bias[j, 0, k] + sum(strongest[i] * first[j, i, k] for i in range(8)) for k in range(4)]
+                for i, (row, column) in enumerate(cells):
+                    weight = second_bias[j, 0, i] + sum(hidden[k] * second[j, k, i] for k in range(4))
+                    expected[picture, part, j] += weight * features[picture, :, row, column]
+    np.testing.assert_allclose(parts, expected.reshape(2, 4, 768), rtol=1e-4, atol=1e-4)
+    descriptors = model.descriptors(images, "drone")
+    flat = expected.reshape(2, 4, 768)
+    by_hand = flat / np.linalg.norm(flat, axis=2, keepdims=True) / 2
+    np.testing.assert_allclose(descriptors, by_hand, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(descriptors.reshape(2, -1), axis=1), 1, rtol=1e-5)
+
+
+def test_attention_lies_inside_its_strip_and_makes_the_embedding() -> None:
+    built = network()
+    images = torch.from_numpy(seeded.pictures(4, 2, 32, 160))
+    with torch.inference_mode():
+        parts, features = built.embed(images, "satellite")
+        attention = built.attention(features, "satellite")
+        assert attention.shape == (2, 4, 3, 2, 10)
+        for part in range(4):
+            outside = [column for column in range(10) if not 2 * part <= column < 2 * part + 4]
+            assert not attention[:, part, :, :, outside].any()
+            assert attention[:, part, :, :, 2 * part : 2 * part + 4].all()
+        sums = torch.einsum("bnmhw,bchw->bnmc", attention, features).flatten(2)
+    torch.testing.assert_close(parts, sums, rtol=1e-4, atol=1e-4)
+    with pytest.raises(InputError, match="only SAFA"):
+        worlds.make_network().attention(torch.zeros(1, 256, 4, 4), "drone")
+
+
+@pytest.mark.parametrize("n", [1, 4, 8])
+@pytest.mark.parametrize("width", [8, 10, 19, 20, 38])
+def test_windows_are_as_wide_as_the_stride_leaves(n: int, width: int) -> None:
+    stride = width // n
+    kernel = width - (n - 1) * stride
+    partition = Partition("windows", n)
+    weights = partition.weights(3, width)
+    for part in range(n):
+        expected = np.zeros((3, width))
+        expected[:, part * stride : part * stride + kernel] = 1 / (3 * kernel)
+        np.testing.assert_allclose(weights[part], expected, rtol=1e-6)
+        assert partition.boxes(3, width)[part] == (part * stride / width, 0, (part * stride + kernel) / width, 1)
+    assert bool((weights.sum((0, 1)) > 0).all())
+    labels = partition.labels(3, width)
+    assert set(np.unique(labels)) == set(range(n))
+    assert all(weights[labels[row, column], row, column] > 0 for row in range(3) for column in range(width))
+
+
+def test_too_narrow_a_map_is_refused_in_words() -> None:
+    with pytest.raises(InputError, match="2 x 10 cells, too few for 11 strips"):
+        LPN(replace(SPEC, n_parts=11))
+    with pytest.raises(InputError, match="3 maps of 256 channels has 768"):
+        LPN(replace(SPEC, embedding=512))
+
+
+def compass() -> Picture:
+    """A tile with a white centre, red in the north, green in the east, blue in the south, and yellow in the west."""
+    tile = np.zeros((101, 101, 3), np.uint8)
+    middle = (50, 50)
+    for start, colour in ((225, (255, 0, 0)), (315, (0, 255, 0)), (45, (0, 0, 255)), (135, (255, 255, 0))):
+        cv2.ellipse(tile, middle, (90, 90), 0, start, start + 90, colour, -1)
+    cv2.circle(tile, middle, 10, (255, 255, 255), -1)
+    return tile
+
+
+def test_polar_tiles_have_north_in_the_middle_and_east_to_its_right() -> None:
+    unrolled = polar(compass(), 40, 160)
+    assert unrolled.shape == (40, 160, 3)
+    assert unrolled.dtype == np.uint8
+    for column, colour in ((0, (0, 0, 255)), (40, (255, 255, 0)), (80, (255, 0, 0)), (120, (0, 255, 0))):
+        assert tuple(unrolled[5, column]) == colour
+        assert tuple(unrolled[25, column]) == colour
+    assert bool((unrolled[-5:] == 255).all())
+
+
+def test_polar_rows_are_distances_from_the_centre() -> None:
+    east = np.broadcast_to(np.arange(200, dtype=np.uint8)[None, :, None], (200, 200, 3)).copy()
+    unrolled = polar(east, 50, 80)[..., 0].astype(float)
+    for row in range(50):
+        distance = 200 / 2 * (50 - 1 - row) / 50
+        assert unrolled[row, 60] == pytest.approx(99.5 + distance, abs=1)
+        assert unrolled[row, 20] == pytest.approx(99.5 - distance, abs=1)
+        assert unrolled[row, 40] == pytest.approx(99.5, abs=1)
+    wide = np.zeros((60, 100, 3), np.uint8)
+    wide[:, 20:80] = 255
+    assert bool((polar(wide, 20, 40)[:, 1:] == 255).all())
+
+
+def test_turning_a_tile_moves_its_polar_picture_sideways() -> None:
+    smooth = cv2.GaussianBlur(np.kron(worlds.place(2), np.ones((2, 2, 1), np.uint8)), (0, 0), 3)
+    turned = polar(np.rot90(smooth), 32, 128).astype(int)
+    # A quarter turn counter-clockwise brings what was in the north to the west, a quarter of the width to the left.
+    assert np.abs(turned - np.roll(polar(smooth, 32, 128).astype(int), -32, axis=1)).max() <= 2
+
+
+def test_only_satellites_are_unrolled() -> None:
+    model = TorchModel(network())
+    tile = worlds.place(1)
+    np.testing.assert_array_equal(model.shape(tile, "satellite"), polar(tile, 32, 160))
+    assert not np.array_equal(model.shape(tile, "drone"), polar(tile, 32, 160))
+    plain = TorchModel(network(replace(SPEC, polar=False)))
+    np.testing.assert_array_equal(plain.shape(tile, "satellite"), plain.shape(tile, "drone"))
+
+
+def test_a_saved_and_an_exported_model_answer_as_the_network(model_file: Path) -> None:
+    images = seeded.pictures(5, 2, 32, 160)
+    original, saved, exported = (
+        TorchModel(network(SHARED)),
+        lpn.load(model_file),
+        lpn.load(model_file.with_suffix(".onnx")),
+    )
+    assert original.spec == saved.spec == exported.spec
+    for view in SPEC.views:
+        parts, features = original.run(images, view)
+        np.testing.assert_array_equal(saved.part_embeddings(images, view), parts)
+        found, found_features = exported.run(images, view)
+        assert np.abs(found - parts).max() <= 1e-4 * np.abs(parts).max()
+        assert np.abs(found_features - features).max() <= 1e-4 * np.abs(features).max()
+        np.testing.assert_allclose(exported.descriptors(images, view), original.descriptors(images, view), atol=1e-5)
+        assert original.map_size(view) == saved.map_size(view) == exported.map_size(view) == (2, 10)
+    for model in (saved, exported):
+        with pytest.raises(InputError, match="SAFA"):
+            model.heads("drone")
+
+
+def test_a_mirrored_picture_is_not_added(model_file: Path) -> None:
+    images = seeded.pictures(6, 1, 32, 160)
+    for model in (lpn.load(model_file), lpn.load(model_file.with_suffix(".onnx"))):
+        alone = normalise(model.part_embeddings(images, "drone"))
+        np.testing.assert_array_equal(model.descriptors(images, "drone"), alone)
+        mirrored = model.descriptors(np.ascontiguousarray(images[..., ::-1]), "drone")
+        assert np.abs(mirrored - alone).max() > 1e-3
+
+
+def test_describe_and_evaluate_run_it(model_file: Path, data: Path, tmp_path: Path) -> None:
+    model, dataset = lpn.load(model_file.with_suffix(".onnx")), open_dataset(data)
+    tile = dataset.gallery("satellite")[0].path
+    store = describe(model, [tile], "satellite", tmp_path / "store")
+    assert store.descriptors.shape == (1, 4, 768)
+    picture = load_picture(tile)
+    np.testing.assert_allclose(
+        store.descriptors, model.descriptors(model.prepare(picture, "satellite")[None], "satellite"), atol=1e-6
+    )
+    one = describe_picture(model, picture, "satellite")
+    np.testing.assert_allclose(one.descriptor, store.descriptors[0], atol=1e-6)
+    result = evaluate(model, dataset, "drone-to-satellite", parts=(1, 4))
+    assert result.queries == result.gallery == 14
+    assert 0 < result.ap <= 100
