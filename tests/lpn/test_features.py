@@ -9,6 +9,7 @@ import pytest
 
 import lpn
 from lpn import features, images
+from lpn.changes import Change
 from lpn.errors import DataError, LPNError, PictureError, StoreError
 from lpn.model import FloatArray, Model
 from lpn.spec import View
@@ -245,7 +246,7 @@ def test_cache_is_keyed_by_files_view_and_angle(
     pictures = [Picture(file, 1, file.stem) for file in features.pictures_below(folder)]
     count = Counting(model, monkeypatch)
     first = features.cached_descriptors(model, pictures, "drone")
-    turned = features.cached_descriptors(model, pictures, "drone", rotate=90)
+    turned = features.cached_descriptors(model, pictures, "drone", Change(rotate=90))
     assert count.described == 40
     assert np.abs(first - turned).max() > 1e-3
     np.testing.assert_array_equal(features.cached_descriptors(model, pictures, "drone"), first)

@@ -107,7 +107,7 @@ def test_parts_and_flat_descriptors_agree_and_ranks_tell_failures() -> None:
     query, query_labels, gallery, labels = case(9, 40, 30, 2, 16, 1.0, 5)
     flat = metrics.evaluate(query, query_labels, gallery, labels)
     assert metrics.evaluate(query.reshape(-1, 4, 4), query_labels, gallery.reshape(-1, 4, 4), labels) == flat
-    ranks = metrics.ranks(query, query_labels, gallery, labels)
+    ranks = metrics.retrieve(query, query_labels, gallery, labels).first
     assert 100 * float(np.mean(ranks == 0)) == pytest.approx(flat["recall@1"])
     assert set(ranks[query_labels >= 30]) == {-1}
 
