@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from playwright.sync_api import BrowserContext, expect
 
+import lpn
 from lpn import datasets, explain, retrieval
 from lpn.features import cached_descriptors
 from tests.e2e.conftest import Explorer, Running
@@ -15,16 +16,22 @@ from tests.e2e.conftest import Explorer, Running
 def test_a_saved_result_is_explored_without_its_network(
     saved_app: Running, app: Running, contexts: Callable[[], BrowserContext]
 ) -> None:
-    import lpn
-
     explorer = Explorer(contexts().new_page())
     explorer.open(saved_app.url)
     header = explorer.page.locator("#lpn-header")
-    for text in ("pytorch_result.mat", "saved descriptors, n = 4, no network", "drone → satellite", "14 queries", "R@1"):
+    for text in (
+        "pytorch_result.mat",
+        "saved descriptors, n = 4, no network",
+        "drone → satellite",
+        "14 queries",
+        "R@1",
+    ):
         expect(header).to_contain_text(text)
     expect(explorer.page.locator("#lpn-saved")).to_contain_text("no heatmaps")
-    for label in ("Rotate", "Heatmap", "Opacity"):
-        expect(explorer.field(label)).to_be_disabled()
+    expect(explorer.field("Rings")).to_be_visible()
+    for label in ("Rotate", "Heatmap", "Opacity", "Heat of"):
+        expect(explorer.page.locator(f'label:text-is("{label}")')).to_have_count(0)
+    expect(explorer.page.get_by_text("Use my own picture")).to_have_count(0)
 
     model, dataset = lpn.load(app.model), datasets.open_dataset(app.data)
     query = next(entry for entry in dataset.queries("drone") if entry.name == "0011")
@@ -51,8 +58,6 @@ def test_a_saved_result_is_explored_without_its_network(
     explorer.page.wait_for_timeout(700)
     assert explorer.sequence() == answers
     explorer.tab("Parts")
-    names = ["centre", "2"]
-    explorer.page.locator("label", has_text=names[0]).first.wait_for()
-    explorer.page.get_by_role("checkbox").first.uncheck()
+    explorer.tick("Part 1 centre", False)
     expect(explorer.status).to_have_attribute("data-seq", str(answers + 1), timeout=20_000)
     shows((0, 1, 1, 1))
