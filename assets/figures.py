@@ -14,9 +14,11 @@ import numpy.typing as npt
 
 import lpn
 from lpn import features, metrics
+from lpn.changes import Change
 from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.evaluate import evaluate
 from lpn.model import FloatArray, Model
+from lpn.protocol import Protocol
 
 ANGLES = (15, 45, 90, 180)
 Labels = npt.NDArray[np.int64]
@@ -37,8 +39,8 @@ def main() -> None:
         print("|---|---|---|---|---|---|---|---|---|---|")
         for task in ("drone-to-satellite", "satellite-to-drone"):
             _directions(model, dataset, task, twins)
-        turned = [evaluate(model, dataset, "drone-to-satellite", angle) for angle in ANGLES]
-        print("\nturned: " + ", ".join(f"{r.recall['1']:.1f} at {r.rotate:g} deg" for r in turned))
+        turned = [evaluate(model, dataset, "drone-to-satellite", Protocol(Change(angle))) for angle in ANGLES]
+        print("\nturned: " + ", ".join(f"{r.recall['1']:.1f} at {r.protocol.change.rotate:g} deg" for r in turned))
         near = evaluate(model, dataset, "drone-to-satellite").distances()
         print("error: " + ", ".join(f"{key} {value:.1f}" for key, value in near.items()))
         print("by picture: " + ", ".join(f"{name} {value:.1f}" for name, value in _by_picture(model, dataset).items()))
@@ -50,8 +52,8 @@ def _directions(model: Model, dataset: Dataset, task: str, twins: dict[int, int 
     (query, own), (tiles, theirs) = (
         _described(model, p, v) for p, v in zip(pictures, (query_view, gallery_view), strict=True)
     )
-    whole = metrics.evaluate(query, own, tiles, theirs)
-    top = theirs[metrics.best(query, tiles, theirs)]
+    found = metrics.retrieve(query, own, tiles, theirs)
+    whole, top = found.figures(), theirs[found.best]
     right = top == own
     group = np.array([twins[int(label)] or -1 for label in own])
     confused = (group >= 0) & (group == np.array([twins[int(label)] or -1 for label in top])) & ~right
@@ -72,7 +74,7 @@ def _by_picture(model: Model, dataset: Dataset) -> dict[str, float]:
     pictures = dataset.queries("drone")
     query, own = _described(model, pictures, "drone")
     tiles, theirs = _described(model, dataset.gallery("satellite"), "satellite")
-    right = theirs[metrics.best(query, tiles, theirs)] == own
+    right = theirs[metrics.retrieve(query, own, tiles, theirs).best] == own
     names = np.array([picture.path.stem.rpartition("-")[2] for picture in pictures])
     return {name: 100 * float(right[names == name].mean()) for name in sorted(set(names))}
 

@@ -8,6 +8,7 @@ import logging
 import socket
 import threading
 import time
+from collections.abc import Callable
 from contextlib import redirect_stdout
 from pathlib import Path
 from random import Random
@@ -17,11 +18,13 @@ import viser
 
 from explorer import session
 from explorer.exhibit import Analyst, Exhibit
+from explorer.opening import open_model, open_saved
 from explorer.panels import THUMBS, Change, Panels
 from explorer.session import State
 from explorer.stage import SHOWN, Stage
 from explorer.worker import Worker
 from lpn.errors import InputError, LPNError
+from lpn.saved import load_saved
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +37,8 @@ class Visitor:
         self._lock = threading.RLock()
         self._sequence = 0
         task = next(iter(exhibit.tasks))
-        self._state = State(task, exhibit.model.n_parts, query=exhibit.first, page=exhibit.first // THUMBS)
+        state = State(task, exhibit.spec.n_parts, query=exhibit.first, page=exhibit.first // THUMBS)
+        self._state = exhibit.possible(state)
         self._analyst = Analyst(exhibit)
         with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
             client.gui.configure_theme(
@@ -49,7 +53,10 @@ class Visitor:
         """Replace the state by a pure function's result, and ask for an answer when it differs."""
         with self._lock:
             changed = change(self._state)
-            if changed is None or changed == self._state:
+            if changed is None:
+                return
+            changed = self._exhibit.possible(changed)
+            if changed == self._state:
                 return
             self._state = changed
             self._panels.write(changed)
@@ -119,9 +126,20 @@ def run(data: Path, model: Path, query: str | None = None, host: str = "127.0.0.
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
+    _serve(lambda: open_model(data, model, query), host, port)
+
+
+def run_saved(
+    data: Path, saved: Path, n_parts: int = 1, query: str | None = None, host: str = "127.0.0.1", port: int = 8080
+) -> None:
+    """The same for a saved `pytorch_result.mat` of descriptors of `n_parts` parts, and the pictures it is of."""
+    _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port)
+
+
+def _serve(opened: Callable[[], Exhibit], host: str, port: int) -> None:
     host = host or "0.0.0.0"
     _check_free(host, port)
-    app = App(Exhibit(data, model, query), host, port)
+    app = App(opened(), host, port)
     port = app.server.get_port()
     shown = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     if host not in ("127.0.0.1", "localhost", "::1"):

@@ -59,7 +59,7 @@ def header(exhibit: Exhibit, task: Task) -> str:
     return (
         f"<div class='lpn' id='lpn-header'><h2>{escape(exhibit.model_name)} "
         f"<span class='dim'>on</span> {escape(exhibit.data_name)}</h2>"
-        f"<div class='facts dim'><span>{escape(exhibit.model.spec.describe())}</span></div>"
+        f"<div class='facts dim'><span>{escape(exhibit.description)}</span></div>"
         f"<div class='facts'><span>{escape(task.query_view)} → {escape(task.gallery_view)}</span>"
         f"<span class='num'>{len(task.queries):,} queries</span><span class='num'>{len(task.gallery):,} tiles</span></div>"
         f"<div class='facts num'><span><span class='big'>{results['recall@1']:.1f} %</span> R@1</span>"
@@ -188,6 +188,10 @@ KEYS = (
 HEAT_NOTE = (
     "<div class='lpn dim'>Heatmap: channel sum of the last feature map. It belongs to one picture, not to the pair; "
     "a single part is scaled to itself.</div>"
+)
+SAVED_NOTE = (
+    "<div class='lpn dim' id='lpn-saved'>A saved result without its network: queries cannot be turned or replaced by your own, "
+    "and there are no heatmaps. Rings are drawn as published.</div>"
 )
 PARTS_NOTE = (
     "<div class='lpn dim'>Switch parts off or weight them: the ranking follows at once. "

@@ -82,21 +82,24 @@ class Panels:
             "Failure": self.failure,
         }
         walk.on_click(lambda _: self._change(moves.get(walk.value, lambda s: s)))
-        self._angle = gui.add_slider("Rotate", -180, 180, 1, state.angle)
-        self._upload = gui.add_upload_button(
-            "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
-        )
-        self._upload.on_upload(self._uploaded)
+        live = exhibit.model is not None
+        self._angle = gui.add_slider("Rotate", -180, 180, 1, state.angle, visible=live)
+        if live:  # a hidden upload button would still be shown
+            self._upload = gui.add_upload_button(
+                "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
+            )
+            self._upload.on_upload(self._uploaded)
         with gui.add_folder("Look"):
             self._rings = gui.add_checkbox("Rings", state.rings)
             self._exploded = gui.add_checkbox("Take apart", state.exploded)
             mapped = any(task.places is not None for task in exhibit.tasks.values())
             self._map = gui.add_checkbox("Map", state.map, visible=mapped)
             self._city = gui.add_checkbox("City", state.city, visible=False)
-            self._heat = gui.add_checkbox("Heatmap", state.heat)
-            self._heat_part = gui.add_dropdown("Heat of", (ALL_PARTS, *exhibit.part_names), initial_value=ALL_PARTS)
-            self._opacity = gui.add_slider("Opacity", 0.0, 1.0, 0.05, state.opacity)
-            gui.add_html(pages.HEAT_NOTE)
+            self._heat = gui.add_checkbox("Heatmap", state.heat, visible=live)
+            choices = (ALL_PARTS, *exhibit.part_names)
+            self._heat_part = gui.add_dropdown("Heat of", choices, visible=live, initial_value=ALL_PARTS)
+            self._opacity = gui.add_slider("Opacity", 0.0, 1.0, 0.05, state.opacity, visible=live)
+            gui.add_html(pages.HEAT_NOTE if live else pages.SAVED_NOTE)
         with gui.add_folder("Pictures"):
             self._find = gui.add_text("Find name", state.find)
             self._picker = Html(gui)

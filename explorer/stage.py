@@ -85,12 +85,12 @@ class Exhibited:
         """How far a part stands off the picture's plane, towards the camera: the centre furthest."""
         if not exploded:
             return 0.0
-        order = part if self._exhibit.model.spec.partition(view).outside_in else self._n - 1 - part
+        order = part if self._exhibit.spec.partition(view).outside_in else self._n - 1 - part
         return (order - (self._n - 1) / 2) * _LIFT
 
     def anchor(self, part: int, height: float, side: float, exploded: bool, view: View) -> tuple[float, float, float]:
         """Where a link leaves a part: on its left (-1) or right (1) border, in stage coordinates."""
-        left, top, right, bottom = self._exhibit.model.spec.partition(view).boxes(*self._exhibit.map_sizes[view])[part]
+        left, top, right, bottom = self._exhibit.spec.partition(view).boxes(*self._exhibit.map_sizes[view])[part]
         x = ((right if side > 0 else left) - 0.5) * _SIDE
         y = min(max(height, (0.5 - bottom) * _SIDE + 0.05), (0.5 - top) * _SIDE - 0.05)
         z = self.depth(part, exploded, view) + 0.01
@@ -106,7 +106,7 @@ class Stage:
 
     def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, on_select: Callable[[State, int], None]) -> None:
         self._client, self._exhibit = client, exhibit
-        self._n = exhibit.model.n_parts
+        self._n = exhibit.spec.n_parts
         scene = client.scene
         scene.configure_default_lights(cast_shadow=False)
         self._query = Exhibited(client, exhibit, "query", -_APART, self._n)
@@ -195,14 +195,12 @@ class Stage:
     def _decorated(self, answer: Answer, described: Described, view: View) -> Picture:
         state = answer.state
         picture = overlays.square(described.picture, DISPLAY)
-        if state.heat:
+        if state.heat and described.activation is not None:
             picture = overlays.with_heat(
                 picture, described.activation, self._exhibit.masks(view), state.heat_part, state.opacity
             )
         if state.rings:
-            picture = overlays.with_rings(
-                picture, self._exhibit.model.spec.partition(view), self._exhibit.map_sizes[view], 3
-            )
+            picture = overlays.with_rings(picture, self._exhibit.spec.partition(view), self._exhibit.map_sizes[view], 3)
         return picture
 
     def _query_caption(self, answer: Answer) -> Picture:
@@ -254,7 +252,7 @@ class Stage:
         task, state = answer.task, answer.state
         self._shown = answer
         full = max(match.distance2 for match in answer.matches)
-        partition = self._exhibit.model.spec.partition(task.gallery_view)
+        partition = self._exhibit.spec.partition(task.gallery_view)
         self._marker.visible = answer.chosen.rank <= len(answer.matches)
         for slot, (photo, label) in enumerate(self._cards):
             visible = slot < len(answer.matches)

@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
 from lpn.errors import DataError
 from lpn.files import printable
 from lpn.images import SUFFIXES
@@ -36,6 +39,19 @@ class Picture:
     box: tuple[float, float, float, float] | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What counts for one query where that is not decided by labels, as in Oxford5k and Paris6k.
+
+    Attributes:
+        good: gallery positions of its true matches, (P,).
+        junk: gallery positions that are taken out of its ranking, (J,).
+    """
+
+    good: npt.NDArray[np.int64]
+    junk: npt.NDArray[np.int64]
+
+
 class Dataset:
     """A folder in University-1652's layout. Pictures are listed when asked for, in order of place and file name.
 
@@ -44,6 +60,9 @@ class Dataset:
     """
 
     panoramas = False
+
+    panoramas: bool = False
+    """Whether its street pictures go all the way around."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -76,6 +95,10 @@ class Dataset:
             for query, gallery in pairs
             if (self.root / "test" / f"query_{query}").is_dir() and (self.root / "test" / f"gallery_{gallery}").is_dir()
         ]
+
+    def truth(self, task: str) -> list[Truth] | None:  # noqa: ARG002
+        """What counts for each query of a task, in their order; None where it is equality of labels."""
+        return None
 
     def _test(self, role: str, view: str) -> list[Picture]:
         folder = self.root / "test" / f"{role}_{view}"

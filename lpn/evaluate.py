@@ -1,25 +1,24 @@
-"""Retrieval on a data set's test split by the published protocol, for any model that `lpn.load` opens."""
+"""Retrieval on a data set's test split by the published protocols, for any model that `lpn.load` opens."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 
 from lpn import features, geo, metrics
-from lpn.datasets import Dataset
+from lpn.datasets import Dataset, Truth
 from lpn.errors import InputError
 from lpn.geo import FloatArray
+from lpn.metrics import IntArray
+from lpn.model import FloatArray as Descriptors
 from lpn.model import Model
+from lpn.protocol import Protocol, averaged, sentence
+from lpn.saved import Saved
 from lpn.spec import View
-
-PROTOCOL = (
-    "Published protocol: descriptors of picture and mirror added, each part normalised; ranked by inner product; "
-    "a query without a true match counts as missed; AP by the trapezoid rule."
-)
 
 WITHIN = (25, 50, 100)
 """Distances in metres within which an answer counts as near."""
@@ -32,12 +31,16 @@ class Result:
     Attributes:
         recall: Recall@K for "1", "5", "10", and "1%".
         ap: mean average precision.
-        queries, gallery: numbers of pictures.
+        queries, gallery: numbers of queries (places, where their pictures are averaged) and of gallery pictures.
         task: such as "drone-to-satellite".
-        rotate: degrees counter-clockwise the queries were turned.
+        protocol: how they were measured.
         parts: the parts used, 1-based.
+        cropped: whether queries were cropped to what the data set marks in them.
+        listed: whether true matches and junk come from the data set's lists rather than from labels.
+        said: the protocol in one sentence.
         seconds: wall-clock time, descriptors included (none for those taken from the cache).
-        errors: metres from what each query shows to the centre of its top match, (Q,); None without positions.
+        errors: metres from what each query shows to the centre of its top match, (Q,); None without positions, and where
+            queries are averaged, which have none.
     """
 
     recall: dict[str, float]
@@ -45,8 +48,11 @@ class Result:
     queries: int
     gallery: int
     task: str
-    rotate: float
+    protocol: Protocol
     parts: tuple[int, ...]
+    cropped: bool
+    listed: bool
+    said: str
     seconds: float
     errors: FloatArray | None = None
 
@@ -56,6 +62,7 @@ class Result:
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of the JSON file."""
+        change = self.protocol.change
         return {
             **{f"recall@{k}": value for k, value in self.recall.items()},
             "ap": self.ap,
@@ -63,8 +70,15 @@ class Result:
             "queries": self.queries,
             "gallery": self.gallery,
             "task": self.task,
-            "rotate": self.rotate,
+            "rotate": change.rotate,
+            "shift": change.shift,
+            "scale": change.scale,
             "parts": list(self.parts),
+            "branch": self.protocol.branch,
+            "averaged": self.protocol.average,
+            "cropped": self.cropped,
+            "junk": "lists" if self.listed else "label -1",
+            "protocol": self.said,
             "seconds": self.seconds,
         }
 
@@ -76,18 +90,12 @@ def error_shares(errors: FloatArray) -> dict[str, float]:
 
 
 def evaluate(
-    model: Model,
-    dataset: Dataset,
-    task: str,
-    rotate: float = 0.0,
-    parts: Sequence[int] | None = None,
-    cached: bool = True,
+    model: Model, dataset: Dataset, task: str, protocol: Protocol | None = None, cached: bool = True
 ) -> Result:
     """Evaluate one task, such as "drone-to-satellite".
 
     Args:
-        rotate: degrees counter-clockwise each query is turned on its own canvas, corners black (Table IV).
-        parts: 1-based parts to use, all by default (Table V).
+        protocol: how it is measured, the published protocol by default.
         cached: take descriptors from the user's cache and leave new ones there.
 
     Raises:
@@ -95,43 +103,109 @@ def evaluate(
         DataError: when the test split is incomplete, or its `geo.csv` does not cover it.
     """
     started = time.perf_counter()
+    protocol = protocol or Protocol()
     if task not in dataset.tasks():
         raise InputError(
             f"The task is {task!r}; {dataset.root.name} offers {', '.join(dataset.tasks()) or 'none'} in its test split."
         )
-    chosen = tuple(range(1, model.n_parts + 1)) if parts is None else tuple(dict.fromkeys(parts))
-    if not chosen or any(not 1 <= part <= model.n_parts for part in chosen):
-        raise InputError(
-            f"The parts are {', '.join(map(str, chosen)) or 'none'}; this model has parts 1 to {model.n_parts}."
-        )
-    if not np.isfinite(rotate):
-        raise InputError(f"The rotation is {rotate}; expected degrees.")
+    protocol.chosen(model.n_parts)
     query_view, gallery_view = cast("tuple[View, View]", tuple(task.split("-to-")))
-    for view in (query_view, gallery_view):
-        model.check_view(view)
+    query_branch, gallery_branch = (protocol.branch or view for view in (query_view, gallery_view))
+    for branch in (query_branch, gallery_branch):
+        _check_branch(model, branch, protocol)
     queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
-    index = np.array(chosen) - 1
+    if protocol.whole:
+        queries = [replace(picture, box=None) for picture in queries]
+    truth = dataset.truth(task)
+    if protocol.average and truth is not None:
+        raise InputError(
+            f"Each query of {dataset.root.name} has its own list of true matches; only queries of places with labels can be "
+            "averaged, so leave --average-queries out."
+        )
     # Before the long part, so that a gap in it costs nothing.
-    where = geo.positions(dataset.root)
+    where = None if protocol.average else geo.positions(dataset.root)
     places = None if where is None else (where.of(queries), where.of(gallery))
     read = features.cached_descriptors if cached else features.passing_descriptors
-    query = read(model, queries, query_view, rotate)[:, index]
-    tiles = read(model, gallery, gallery_view)[:, index]
-    labels = [np.array([picture.label for picture in pictures]) for pictures in (queries, gallery)]
-    scores = metrics.evaluate(query, labels[0], tiles, labels[1])
+    query = read(model, queries, query_branch, protocol.change)
+    tiles = read(model, gallery, gallery_branch)
+    cropped = any(picture.box for picture in queries)
+    said = _described(model, protocol, cropped)
+    labels = [np.array([picture.label for picture in pictures], np.int64) for pictures in (queries, gallery)]
+    result, found = _measure(query, labels[0], tiles, labels[1], truth, task, protocol, said)
     errors = None
     if places is not None:
-        top = metrics.best(query, tiles, labels[1])
-        errors = geo.metres(places[0], [places[1][index] for index in top])
-    recall = {key.removeprefix("recall@"): value for key, value in scores.items() if key.startswith("recall@")}
-    return Result(
-        recall,
-        scores["ap"],
-        len(queries),
-        len(gallery),
-        task,
-        float(rotate),
-        chosen,
-        time.perf_counter() - started,
-        errors,
+        metres = geo.metres(places[0], [places[1][index] for index in found.best])
+        errors = np.where(found.best < 0, np.inf, metres)
+    return replace(result, cropped=cropped, seconds=time.perf_counter() - started, errors=errors)
+
+
+def evaluate_saved(saved: Saved, protocol: Protocol | None = None) -> Result:
+    """Evaluate descriptors that another program saved, see `lpn.saved`.
+
+    Raises:
+        InputError: when a part does not exist, or the protocol changes pictures: there are none to describe again.
+    """
+    started = time.perf_counter()
+    protocol = protocol or Protocol()
+    if protocol.change or protocol.branch or protocol.whole:
+        raise InputError(
+            f"{saved.name} holds descriptors, not pictures: rotation, shift, scale, branch, and whole queries need --model and "
+            "--data; leave them out."
+        )
+    said = ["descriptors as saved"]
+    result, _ = _measure(
+        saved.query, saved.query_labels, saved.gallery, saved.gallery_labels, None, saved.task, protocol, said
     )
+    return replace(result, seconds=time.perf_counter() - started)
+
+
+def _measure(
+    query: Descriptors,
+    query_labels: IntArray,
+    gallery: Descriptors,
+    gallery_labels: IntArray,
+    truth: Sequence[Truth] | None,
+    task: str,
+    protocol: Protocol,
+    said: list[str],
+) -> tuple[Result, metrics.Retrieval]:
+    """Average and select as the protocol says, and rank."""
+    n, pictures = query.shape[1], len(query)
+    chosen = protocol.chosen(n)
+    if protocol.average:
+        query, query_labels = averaged(query, query_labels)
+    found = metrics.retrieve(protocol.select(query), query_labels, protocol.select(gallery), gallery_labels, truth)
+    figures = found.figures()
+    result = Result(
+        recall={key.removeprefix("recall@"): value for key, value in figures.items() if key.startswith("recall@")},
+        ap=figures["ap"],
+        queries=len(query),
+        gallery=len(gallery),
+        task=task,
+        protocol=protocol,
+        parts=chosen,
+        cropped=False,
+        listed=truth is not None,
+        said=sentence(said, chosen, n, pictures if protocol.average else None, truth is not None),
+        seconds=0.0,
+    )
+    return result, found
+
+
+def _check_branch(model: Model, branch: View, protocol: Protocol) -> None:
+    if branch not in model.views and protocol.branch is None:
+        raise InputError(
+            f"This model has no {branch!r} view; it has {', '.join(model.views)}, one of which can describe both sides with "
+            "--branch."
+        )
+    model.check_view(branch)
+
+
+def _described(model: Model, protocol: Protocol, cropped: bool) -> list[str]:
+    """How descriptors were made, in clauses."""
+    mirrored = "descriptors of picture and mirror added, " if model.spec.mirrored else ""
+    said = [f"{mirrored}each part normalised"]
+    said += ["queries cropped to the part that is meant"] if cropped else []
+    said += [f"queries {protocol.change.describe()}"] if protocol.change else []
+    said += [f"both sides described by the {protocol.branch} branch"] if protocol.branch else []
+    return said

@@ -2,7 +2,8 @@
 
     descriptors.npy   (N, n, D) float32, float16, or int8, memory-mapped when read; each part has norm 1/sqrt(n), and in int8
                       the direction alone, its largest number brought to 127
-    manifest.json     format, model fingerprint, view, angle, and for each row its file with size and time
+    manifest.json     format, model fingerprint, view, what was done to the pictures, and for each row its file with size and
+                      time, and the box it was cropped to where it was
 
 The manifest is written last, so a folder with a manifest is complete. While pictures are being described, the rows
 lie in `descriptors.part`, `planned.json` is the manifest to be, and `progress.json` says how many rows are good.
@@ -28,8 +29,9 @@ import numpy.typing as npt
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn import images
+from lpn.changes import UNCHANGED, Change
 from lpn.datasets import Picture
-from lpn.errors import DataError, LPNError, OutputError, PictureError, StoreError
+from lpn.errors import DataError, InputError, LPNError, OutputError, PictureError, StoreError
 from lpn.files import printable, write_whole
 from lpn.model import FloatArray, Model
 from lpn.spec import View
@@ -41,19 +43,24 @@ except ImportError:  # not a POSIX system: there, two processes must not describ
 
 log = logging.getLogger(__name__)
 
-FORMAT = "lpn-descriptors/1"
+FORMAT = "lpn-descriptors/2"
+BEFORE = "lpn-descriptors/1"
+"""Knew of no shift, scale, or boxes; what it says is true of such stores still."""
 Precision = Literal["float32", "float16", "int8"]
+Box = tuple[float, float, float, float]
 
 _BATCH = 8
 
 
 @dataclass(frozen=True)
 class Row:
-    """The file behind one row: its path (relative to the described folder), size in bytes, and time of change."""
+    """The file behind one row: its path (relative to the described folder), size in bytes, time of change, and the box
+    (left, top, right, bottom) in pixels that it was cropped to, None for the whole picture."""
 
     file: str
     size: int
     time_ns: int
+    box: Box | None = None
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,8 @@ class Manifest:
         n_parts, embedding: n and D.
         rows: the file of each row.
         precision: of the numbers on disk.
+        shift: pixels of the network's input they were moved to the right.
+        scale: factor they were zoomed by.
     """
 
     fingerprint: str
@@ -76,24 +85,44 @@ class Manifest:
     embedding: int
     rows: tuple[Row, ...]
     precision: Precision = "float32"
+    shift: int = 0
+    scale: float = 1.0
     format: str = FORMAT
+
+    @property
+    def change(self) -> Change:
+        """What was done to the pictures."""
+        return Change(self.rotate, self.shift, self.scale)
+
+    @property
+    def cropped(self) -> bool:
+        """Whether any picture was cropped to a box."""
+        return any(row.box is not None for row in self.rows)
 
     def to_json(self) -> bytes:
         """The manifest as a JSON file."""
-        return json.dumps(asdict(self), indent=1).encode()
+        values = asdict(self)
+        for row in values["rows"]:
+            if row["box"] is None:
+                del row["box"]
+        return json.dumps(values, indent=1).encode()
 
     @classmethod
     def from_json(cls, data: bytes, name: str) -> Manifest:
         """Read what `to_json` wrote; StoreError when it is something else."""
         try:
             values: Any = json.loads(data)
-            if values.pop("format") != FORMAT:
+            if values.pop("format") not in (FORMAT, BEFORE):
                 raise ValueError("another format")
-            rows = tuple(Row(str(r["file"]), int(r["size"]), int(r["time_ns"])) for r in values.pop("rows"))
+            rows = tuple(
+                Row(str(r["file"]), int(r["size"]), int(r["time_ns"]), _box(r.get("box"))) for r in values.pop("rows")
+            )
             if values.get("precision", "float32") not in get_args(Precision):
                 raise ValueError("another precision")
-            return cls(rows=rows, **values)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            read = cls(rows=rows, **values)
+            _ = read.change  # checks its numbers
+            return read
+        except (ValueError, KeyError, TypeError, AttributeError, InputError) as error:
             raise StoreError(
                 f"{name} is not a manifest of descriptors ({FORMAT}); describe the pictures again."
             ) from error
@@ -103,8 +132,8 @@ class Manifest:
         return self._kind == other._kind
 
     @property
-    def _kind(self) -> tuple[str, str, float, str]:
-        return self.fingerprint, self.view, self.rotate, self.precision
+    def _kind(self) -> tuple[str, str, Change, str]:
+        return self.fingerprint, self.view, self.change, self.precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,31 +185,45 @@ def describe(
     view: View,
     out: str | Path,
     root: Path | None = None,
-    rotate: float = 0.0,
+    change: Change = UNCHANGED,
+    boxes: Sequence[Box | None] | None = None,
     title: str = "Describing",
     precision: Precision = "float32",
 ) -> Store:
     """Describe picture files into a store, mirror included; what is there already is not computed again.
 
     Killed at any moment, the next call goes on where it stood. A complete store in `out` of the same model, view,
-    angle, and precision hands over the rows of files that did not change.
+    change, and precision hands over the rows of files that did not change.
 
     Args:
         files: the pictures, in the order of the rows.
         out: the store's folder.
         root: folder that the file names in the manifest are relative to.
-        rotate: degrees counter-clockwise each picture is turned first, corners black.
+        change: what is done to each picture first.
+        boxes: what each picture is cropped to before anything else, None for the whole of it; one for each file.
         title: shown beside the progress bar.
         precision: of the numbers on disk; they are computed in float32.
 
     Raises:
         PictureError: naming the first file that is not a picture, before anything is computed where its header tells.
-        StoreError: when `out` cannot be written, or holds descriptors of another model, view, angle, or precision.
+        InputError: when the model has no such view, or the change would leave nothing of a picture.
+        StoreError: when `out` cannot be written, or holds descriptors of another model, view, change, or precision.
     """
     model.check_view(view)
+    change.check(model.input_size[1])
     out = Path(out)
-    rows = tuple(_row(file, root) for file in files)
-    manifest = Manifest(model.fingerprint, view, float(rotate), model.n_parts, model.spec.embedding, rows, precision)
+    rows = tuple(_row(file, root, box) for file, box in zip(files, boxes or [None] * len(files), strict=True))
+    manifest = Manifest(
+        model.fingerprint,
+        view,
+        change.rotate,
+        model.n_parts,
+        model.spec.embedding,
+        rows,
+        precision,
+        change.shift,
+        change.scale,
+    )
     before = _usable(out, manifest)
     if before is not None and before.manifest == manifest:
         return before
@@ -232,19 +275,24 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, rotate: float = 0.0) -> FloatArray:
-    """Descriptors (N, n, D) of pictures, from the user's cache where they were described before.
+def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> FloatArray:
+    """Descriptors (N, n, D) of pictures within their boxes, from the user's cache where they were described before.
 
     The cache is `$LPN_CACHE`, else `lpn-explorer` in `$XDG_CACHE_HOME` or `~/.cache`; it may be deleted at any time.
     """
     files = [picture.path.resolve() for picture in pictures]
     # By their folder, not by their list: when a picture is added or mended, the others' rows are taken over.
     common = os.path.commonpath([file.parent for file in files])
-    identity = json.dumps([model.fingerprint, view, rotate, common])
-    folder = cache_folder() / "descriptors" / hashlib.sha256(identity.encode()).hexdigest()[:24]
-    turned = f", turned {rotate:g}°" if rotate else ""
+    boxes = [picture.box for picture in pictures]
+    identity: list[Any] = [model.fingerprint, view, change.rotate, common]
+    # Only what differs from a picture as it is, so that caches from before there were such changes are still found.
+    identity += [f"shift {change.shift}"] if change.shift else []
+    identity += [f"scale {change.scale}"] if change.scale != 1 else []
+    identity += ["cropped"] if any(boxes) else []
+    folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
+    title = ", ".join(filter(None, (f"Describing {view}", change.describe())))
     try:
-        return describe(model, files, view, folder, rotate=rotate, title=f"Describing {view}{turned}").float32
+        return describe(model, files, view, folder, change=change, boxes=boxes, title=title).float32
     except (StoreError, OutputError) as error:
         raise StoreError(
             f"The cache of descriptors in {cache_folder()} cannot be used ({error}) Set LPN_CACHE to a folder that can be "
@@ -261,18 +309,20 @@ def shipped_descriptors(model: Model, pictures: Sequence[Picture], view: View, s
         held = open_store(store)
     except StoreError:
         return None
-    rows = [(printable(str(row.file)), row.size) for row in held.manifest.rows]
-    these = [("/".join(picture.path.parts[-2:]), picture.path.stat().st_size) for picture in pictures]
-    wanted = (model.fingerprint, view, 0.0, model.n_parts)
-    found = (held.manifest.fingerprint, held.manifest.view, held.manifest.rotate, held.manifest.n_parts)
+    rows = [(printable(str(row.file)), row.size, row.box) for row in held.manifest.rows]
+    these = [("/".join(picture.path.parts[-2:]), picture.path.stat().st_size, picture.box) for picture in pictures]
+    wanted = (model.fingerprint, view, UNCHANGED, model.n_parts)
+    found = (held.manifest.fingerprint, held.manifest.view, held.manifest.change, held.manifest.n_parts)
     return held.float32 if found == wanted and rows == these else None
 
 
-def passing_descriptors(model: Model, pictures: Sequence[Picture], view: View, rotate: float = 0.0) -> FloatArray:
+def passing_descriptors(
+    model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED
+) -> FloatArray:
     """The same for a model that will soon be another, such as one in training: nothing is kept on disk."""
-    files = [picture.path for picture in pictures]
+    files, boxes = [picture.path for picture in pictures], [picture.box for picture in pictures]
     with TemporaryDirectory(prefix="lpn-") as folder:
-        store = describe(model, files, view, folder, rotate=rotate, title=f"Describing {view}")
+        store = describe(model, files, view, folder, change=change, boxes=boxes, title=f"Describing {view}")
         return np.array(store.descriptors)
 
 
@@ -304,12 +354,20 @@ def pictures_below(folder: str | Path) -> list[Path]:
     return files
 
 
-def _row(file: Path, root: Path | None) -> Row:
+def _row(file: Path, root: Path | None, box: Box | None) -> Row:
     try:
         stat = file.stat()
     except OSError as error:
         raise PictureError(f"The picture {file} cannot be read ({error.strerror}); check the path.") from error
-    return Row(str(file.relative_to(root) if root else file), stat.st_size, stat.st_mtime_ns)
+    return Row(str(file.relative_to(root) if root else file), stat.st_size, stat.st_mtime_ns, _box(box))
+
+
+def _box(values: Any) -> Box | None:
+    """A box as it is compared: four floats, as JSON gives them back."""
+    if values is None:
+        return None
+    left, top, right, bottom = (float(value) for value in values)
+    return left, top, right, bottom
 
 
 def _renamed_only(folder: Path) -> bool:
@@ -326,9 +384,9 @@ def _usable(out: Path, manifest: Manifest) -> Store | None:
     if store is not None and not manifest.comparable(store.manifest):
         held = store.manifest
         raise StoreError(
-            f"{out} holds {held.view} descriptors of model {held.fingerprint}, turned {held.rotate:g}°, in {held.precision}, "
-            f"and these would be {manifest.view} of {manifest.fingerprint}, turned {manifest.rotate:g}°, in "
-            f"{manifest.precision}; choose another folder, or delete that one."
+            f"{out} holds {held.view} descriptors of model {held.fingerprint}, {held.change.describe() or 'unchanged'}, in "
+            f"{held.precision}, and these would be {manifest.view} of {manifest.fingerprint}, "
+            f"{manifest.change.describe() or 'unchanged'}, in {manifest.precision}; choose another folder, or delete that one."
         )
     return store
 
@@ -412,9 +470,8 @@ def _prepared(
     view = cast(View, manifest.view)
 
     def prepare(batch: range) -> FloatArray:
-        pictures = [images.load_picture(files[i]) for i in batch if i not in known]
-        turned = [model.prepare(images.rotate(picture, manifest.rotate), view) for picture in pictures]
-        return np.stack(turned) if turned else np.zeros((0, 3, *model.input_size), np.float32)
+        ready = [_ready(model, files[i], manifest.rows[i].box, manifest.change, view) for i in batch if i not in known]
+        return np.stack(ready) if ready else np.zeros((0, 3, *model.input_size), np.float32)
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with ThreadPoolExecutor(1) as pool, Progress(*columns) as bar:
@@ -428,8 +485,15 @@ def _prepared(
             bar.update(task, completed=batch.stop)
 
 
+def _ready(model: Model, file: Path, box: Box | None, change: Change, view: View) -> FloatArray:
+    """A picture file as the model takes it: cropped, turned and zoomed, brought to size, shifted, normalised."""
+    picture = images.load_picture(file)
+    picture = picture if box is None else images.crop(picture, box, printable(str(file)))
+    return images.normalise(change.move(model.shape(change.apply(picture), view)))
+
+
 def _interrupted(manifest: Manifest, part: Path, planned: Path, progress_file: Path) -> Store | None:
-    """The rows that an interrupted run with this model, view, and angle left on disk, under the manifest it planned."""
+    """The rows that an interrupted run with this model, view, and change left on disk, under the manifest it planned."""
     try:
         saved: Any = json.loads(progress_file.read_bytes())
         plan = Manifest.from_json(planned.read_bytes(), planned.name)

@@ -100,6 +100,55 @@ def rotate(picture: Picture, degrees: float) -> Picture:
     return cast(Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC))
 
 
+def zoom(picture: Picture, scale: float) -> Picture:
+    """Zoom about a picture's centre on its own canvas, bicubic with anti-aliasing: (H, W, 3) to the same shape.
+
+    Above 1 its middle fills the canvas; below 1 it is smaller by a whole number of pixels on either side, black around it.
+    """
+    height, width = picture.shape[:2]
+    if scale == 1:
+        return picture
+    if scale > 1:
+        left, top = width * (1 - 1 / scale) / 2, height * (1 - 1 / scale) / 2
+        middle = (left, top, width - left, height - top)
+        return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BICUBIC, middle))
+    x, y = (min(round(side * (1 - scale) / 2), (side - 1) // 2) for side in (width, height))
+    canvas = np.zeros_like(picture)
+    canvas[y : height - y, x : width - x] = resize(picture, height - 2 * y, width - 2 * x)
+    return canvas
+
+
+def shift(picture: Picture, pixels: int) -> Picture:
+    """Move a picture to the right (to the left when negative) on its own canvas, black where it was: same shape."""
+    if pixels == 0:
+        return picture
+    moved = np.zeros_like(picture)
+    if pixels > 0:
+        moved[:, pixels:] = picture[:, :-pixels]
+    else:
+        moved[:, :pixels] = picture[:, -pixels:]
+    return moved
+
+
+def crop(picture: Picture, box: tuple[float, float, float, float], name: str = "the picture") -> Picture:
+    """The part of a picture within (left, top, right, bottom), rounded to whole pixels and cut at its borders.
+
+    `name` is used in the message only.
+
+    Raises:
+        PictureError: when nothing is within the box.
+    """
+    height, width = picture.shape[:2]
+    left, top, right, bottom = (round(side) for side in box)
+    cut = picture[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
+    if cut.size == 0:
+        raise PictureError(
+            f"The box {left}, {top}, {right}, {bottom} marks nothing of {name}, which is {width} x {height} pixels; expected "
+            "left, top, right, bottom in pixels within it."
+        )
+    return np.ascontiguousarray(cut)
+
+
 def resize(picture: Picture, height: int, width: int) -> Picture:
     """Bicubic resize with anti-aliasing to (height, width, 3), without crop, as the published code does."""
     if picture.shape[:2] == (height, width):

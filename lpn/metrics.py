@@ -1,117 +1,165 @@
-"""Recall@K, Recall@Top1% and AP by the published University-1652 protocol, from ranks of the true matches alone."""
+"""Recall@K, Recall@Top1% and AP by the published protocols, from ranks of the true matches alone.
+
+What is a true match of a query is decided by labels (University-1652, CVUSA) or by a list (Oxford5k, Paris6k); both go the
+same way, in one pass over the queries.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from lpn.datasets import Truth
 from lpn.errors import InputError
 from lpn.model import as_array
 
 JUNK = -1
 """Label of gallery pictures that are ignored."""
 
-_BLOCK_BYTES = 128_000_000
+IntArray = npt.NDArray[np.int64]
+
+_BLOCK_BYTES = 64_000_000
+_NONE = np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Retrieval:
+    """What one pass of the queries over the gallery found.
+
+    Attributes:
+        first: 0-based rank of each query's first true match, junk left out; -1 where it has none, (Q,).
+        best: gallery position of each query's nearest picture that is not junk, the first of equals; -1 where all is junk, (Q,).
+        precision: average precision of each query, 0 .. 1, (Q,).
+        gallery: number of gallery pictures, junk included.
+    """
+
+    first: IntArray
+    best: IntArray
+    precision: npt.NDArray[np.float64]
+    gallery: int
+
+    def figures(self) -> dict[str, float]:
+        """See `evaluate`."""
+        return {
+            "recall@1": self.recall(1),
+            "recall@5": self.recall(5),
+            "recall@10": self.recall(10),
+            "recall@1%": self.recall(round(0.01 * self.gallery) + 1),
+            "ap": 100.0 * float(np.mean(self.precision)),
+            "queries": len(self.first),
+            "gallery": self.gallery,
+        }
+
+    def recall(self, within: int) -> float:
+        """Percentage of queries whose first true match is among the nearest `within`."""
+        return 100.0 * int(np.count_nonzero((self.first >= 0) & (self.first < within))) / len(self.first)
 
 
 def evaluate(
-    query: npt.ArrayLike, query_labels: npt.ArrayLike, gallery: npt.ArrayLike, gallery_labels: npt.ArrayLike
+    query: npt.ArrayLike,
+    query_labels: npt.ArrayLike | None,
+    gallery: npt.ArrayLike,
+    gallery_labels: npt.ArrayLike | None,
+    truth: Sequence[Truth] | None = None,
 ) -> dict[str, float]:
     """Score a retrieval.
 
-    A query without a true match counts as missed. AP is the trapezoid rule over the precision-recall points.
-    Recall@Top1% reads the recall curve at index round(0.01 G), G with junk, so within that number plus one.
+    A query without a true match counts as missed. AP is the trapezoid rule over the precision-recall points, which is the
+    Oxford protocol's too. Recall@Top1% reads the recall curve at index round(0.01 G), G with junk, so within that number
+    plus one.
 
     Args:
         query, gallery: descriptors, (Q, n, D) or (Q, F) and (G, n, D) or (G, F), compared by inner product.
         query_labels, gallery_labels: integers, (Q,) and (G,); gallery pictures labelled -1 are dropped.
+        truth: for each query its true matches and its junk, in place of labels, which are then not read.
 
     Returns:
         `recall@1, recall@5, recall@10, recall@1%, ap` in percent, and the numbers `queries` and `gallery`.
 
     Raises:
-        InputError: when shapes do not fit, a value is not finite, or a side is empty.
+        InputError: when shapes do not fit, a value is not finite, a side is empty, or a list names what is not there.
     """
-    first: list[int] = []
-    precision: list[float] = []
-    for ranks_of_true in _true_ranks(query, query_labels, gallery, gallery_labels):
-        first.append(int(ranks_of_true[0]) if len(ranks_of_true) else -1)
-        precision.append(_average_precision(ranks_of_true))
-    found = np.array(first)
-    size = len(as_array(gallery_labels))
-
-    def recall(within: int) -> float:
-        return 100.0 * int(np.count_nonzero((found >= 0) & (found < within))) / len(found)
-
-    return {
-        "recall@1": recall(1),
-        "recall@5": recall(5),
-        "recall@10": recall(10),
-        "recall@1%": recall(round(0.01 * size) + 1),
-        "ap": 100.0 * float(np.mean(precision)),
-        "queries": len(found),
-        "gallery": size,
-    }
+    return retrieve(query, query_labels, gallery, gallery_labels, truth).figures()
 
 
-def ranks(
-    query: npt.ArrayLike, query_labels: npt.ArrayLike, gallery: npt.ArrayLike, gallery_labels: npt.ArrayLike
-) -> npt.NDArray[np.int64]:
-    """The 0-based rank of each query's first true match, -1 where it has none: (Q,). Arguments as for `evaluate`."""
-    lists = _true_ranks(query, query_labels, gallery, gallery_labels)
-    return np.array([r[0] if len(r) else -1 for r in lists], dtype=np.int64)
+def retrieve(
+    query: npt.ArrayLike,
+    query_labels: npt.ArrayLike | None,
+    gallery: npt.ArrayLike,
+    gallery_labels: npt.ArrayLike | None,
+    truth: Sequence[Truth] | None = None,
+) -> Retrieval:
+    """Rank the gallery for every query; arguments and errors as for `evaluate`.
 
-
-def best(query: npt.ArrayLike, gallery: npt.ArrayLike, gallery_labels: npt.ArrayLike) -> npt.NDArray[np.int64]:
-    """The gallery position of each query's nearest picture that is not junk, the first of equals: (Q,).
-
-    Arguments and errors as for `evaluate`; InputError too when all of the gallery is junk.
+    Memory: two blocks of scores, 64 MB each, beside the gallery in double precision.
     """
     queries, tiles = _flat(query, "query"), _flat(gallery, "gallery")
-    kept = np.flatnonzero(_labels(gallery_labels, tiles, "gallery") != JUNK)
-    if queries.shape[1] != tiles.shape[1] or len(kept) == 0:
-        raise InputError(
-            f"There are {len(kept)} gallery pictures that are not junk, of {tiles.shape[1]} numbers, and queries of "
-            f"{queries.shape[1]}; expected at least one, and equal numbers."
-        )
-    tiles = tiles[kept].astype(np.float64)
-    block = max(1, _BLOCK_BYTES // (8 * len(tiles)))
-    found = [
-        np.argmax(queries[start : start + block].astype(np.float64) @ tiles.T, axis=1)
-        for start in range(0, len(queries), block)
-    ]
-    return cast("npt.NDArray[np.int64]", kept[np.concatenate(found)])
-
-
-def _true_ranks(query: Any, query_labels: Any, gallery: Any, gallery_labels: Any) -> Iterator[npt.NDArray[np.int64]]:
-    """For each query, the ascending 0-based ranks of its true matches among the gallery without junk."""
-    queries, tiles = _flat(query, "query"), _flat(gallery, "gallery")
-    of_query, of_tile = _labels(query_labels, queries, "query"), _labels(gallery_labels, tiles, "gallery")
     if queries.shape[1] != tiles.shape[1]:
         raise InputError(
             f"Query descriptors have {queries.shape[1]} numbers and gallery descriptors {tiles.shape[1]}; "
             "describe both with the same model and parts."
         )
-    kept = np.flatnonzero(of_tile != JUNK)
-    if len(kept) < len(of_tile):
-        tiles, of_tile = tiles[kept], of_tile[kept]
-    by_label = np.argsort(of_tile, kind="stable")
-    in_order = of_tile[by_label]
+    kept = np.arange(len(tiles))
+    truths: Iterator[Truth]
+    if truth is None:
+        of_query, of_tile = _labels(query_labels, queries, "query"), _labels(gallery_labels, tiles, "gallery")
+        kept = np.flatnonzero(of_tile != JUNK)
+        truths = _same_label(of_query, of_tile[kept])
+    else:
+        _check_truth(truth, len(queries), len(tiles))
+        truths = iter(truth)
+    first, best = (np.full(len(queries), -1, np.int64) for _ in range(2))
+    precision = np.zeros(len(queries))
+    for i, (scores, of) in enumerate(
+        zip(_scores(queries, tiles if len(kept) == len(tiles) else tiles[kept]), truths, strict=True)
+    ):
+        scores[of.junk] = -np.inf
+        true_ranks = _ranks_in_row(scores, of.good)
+        if len(true_ranks):
+            first[i], precision[i] = true_ranks[0], _average_precision(true_ranks)
+        top = int(np.argmax(scores)) if len(kept) else -1
+        if top >= 0 and scores[top] > -np.inf:
+            best[i] = kept[top]
+    return Retrieval(first, best, precision, len(tiles))
+
+
+def _scores(queries: npt.NDArray[Any], tiles: npt.NDArray[Any]) -> Iterator[npt.NDArray[np.float64]]:
+    """Each query's inner products with the gallery, (G,), computed by blocks of queries."""
     # In single precision, tiles closer than its rounding change places with the order of summation.
     tiles = tiles.astype(np.float64)
     block = max(1, _BLOCK_BYTES // (8 * max(len(tiles), 1)))
     for start in range(0, len(queries), block):
-        scores = queries[start : start + block].astype(np.float64) @ tiles.T
-        begins = np.searchsorted(in_order, of_query[start : start + block], "left")
-        ends = np.searchsorted(in_order, of_query[start : start + block], "right")
-        for row, begin, end in zip(scores, begins, ends, strict=True):
-            yield _ranks_in_row(row, by_label[begin:end])
+        yield from queries[start : start + block].astype(np.float64) @ tiles.T
 
 
-def _ranks_in_row(scores: npt.NDArray[Any], true: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _same_label(of_query: IntArray, of_tile: IntArray) -> Iterator[Truth]:
+    """For each query, the tiles of its label."""
+    by_label = np.argsort(of_tile, kind="stable")
+    in_order = of_tile[by_label]
+    begins, ends = (np.searchsorted(in_order, of_query, side) for side in ("left", "right"))
+    return (Truth(by_label[begin:end], _NONE) for begin, end in zip(begins, ends, strict=True))
+
+
+def _check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
+    if len(truth) != queries:
+        raise InputError(f"There are {len(truth)} lists of true matches for {queries} queries; expected one for each.")
+    for i, of in enumerate(truth):
+        named = np.concatenate([of.good, of.junk])
+        if len(named) and not (named.min() >= 0 and named.max() < gallery):
+            raise InputError(
+                f"The lists of query {i} name gallery positions {named.min()} to {named.max()}; expected 0 to {gallery - 1}."
+            )
+        if len(np.unique(named)) < len(named):
+            raise InputError(
+                f"A gallery picture is twice in the lists of query {i}; expected it once, as good or as junk."
+            )
+
+
+def _ranks_in_row(scores: npt.NDArray[Any], true: IntArray) -> IntArray:
     """Ranks of some entries of a row of scores, highest first, equal scores in gallery order.
 
     Only the few true scores are sorted; every other score is counted against them.
@@ -134,14 +182,14 @@ def _ranks_in_row(scores: npt.NDArray[Any], true: npt.NDArray[np.int64]) -> npt.
     return result.astype(np.int64)
 
 
-def _ranks_by_sorting(scores: npt.NDArray[Any], true: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _ranks_by_sorting(scores: npt.NDArray[Any], true: IntArray) -> IntArray:
     """The same where a true score equals another, which only the gallery's order tells apart."""
     position = np.empty(len(scores), np.int64)
     position[np.argsort(-scores, kind="stable")] = np.arange(len(scores))
     return np.sort(position[true])
 
 
-def _average_precision(true_ranks: npt.NDArray[np.int64]) -> float:
+def _average_precision(true_ranks: IntArray) -> float:
     if len(true_ranks) == 0:
         return 0.0
     hits = np.arange(len(true_ranks))
@@ -163,7 +211,7 @@ def _flat(values: Any, side: str) -> npt.NDArray[Any]:
     return cast("npt.NDArray[Any]", flat)
 
 
-def _labels(values: Any, rows: npt.NDArray[Any], side: str) -> npt.NDArray[np.int64]:
+def _labels(values: Any, rows: npt.NDArray[Any], side: str) -> IntArray:
     labels = as_array(values)
     if labels.shape != (len(rows),) or not np.issubdtype(labels.dtype, np.integer):
         raise InputError(

@@ -9,7 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import explain, images
+from lpn.datasets import Truth
 from lpn.images import Picture
+from lpn.metrics import JUNK
 from lpn.model import FloatArray, Model, normalise
 from lpn.spec import View
 
@@ -21,12 +23,12 @@ class Described:
     Attributes:
         picture: the turned picture, (H, W, 3) uint8.
         descriptor: parts of norm 1/sqrt(n), (n, D).
-        activation: channel sum of the last feature map, (h, w), 0 .. 1.
+        activation: channel sum of the last feature map, (h, w), 0 .. 1; None where no network was at hand.
     """
 
     picture: Picture
     descriptor: FloatArray
-    activation: FloatArray
+    activation: FloatArray | None
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class Ranking:
         cosines: each part's cosine with the query, (G, n).
         weights: the part weights, summing to one, (n,).
         scores: weighted mean cosines, (G,).
-        order: gallery positions from nearest to farthest, (G,).
+        order: gallery positions from nearest to farthest, without junk, at most (G,).
         relevant: which gallery pictures show the query's place, (G,) bool; None when that is not known.
     """
 
@@ -91,6 +93,10 @@ class Ranking:
         """The k nearest, or all when there are fewer."""
         return [self.match(position) for position in range(min(k, len(self.order)))]
 
+    def holds(self, index: int) -> bool:
+        """Whether gallery picture `index` is ranked, that is, not junk."""
+        return bool((self.order == index).any())
+
     def find(self, index: int) -> Match:
         """The match that is gallery picture `index`."""
         return self.match(int(np.flatnonzero(self.order == index)[0]))
@@ -113,16 +119,25 @@ def describe_picture(model: Model, picture: Picture, view: View, angle: float = 
 
 
 def rank(
-    cosines: FloatArray, weights: FloatArray, labels: npt.NDArray[np.int64] | None = None, label: int | None = None
+    cosines: FloatArray,
+    weights: FloatArray,
+    labels: npt.NDArray[np.int64] | None = None,
+    label: int | None = None,
+    truth: Truth | None = None,
 ) -> Ranking:
-    """Rank a gallery by weighted part cosines; ties keep gallery order.
+    """Rank a gallery by weighted part cosines; ties keep gallery order, and junk is left out.
 
     Args:
         cosines: of every gallery picture's parts with the query's, (G, n), see `explain.part_cosines`.
         weights: part weights that sum to one, (n,).
-        labels: the place each gallery picture shows, (G,); needed with `label`.
+        labels: the place each gallery picture shows, (G,), -1 for junk; needed with `label`.
         label: the place the query shows, or None when unknown.
+        truth: the query's true matches and junk where labels do not say them.
     """
     scores = cosines @ weights
-    relevant = None if labels is None or label is None else labels == label
-    return Ranking(cosines, weights, scores, np.argsort(-scores, kind="stable"), relevant)
+    order = np.argsort(-scores, kind="stable")
+    junk = np.zeros(len(scores), bool) if labels is None else labels == JUNK
+    relevant = None if labels is None or label is None else (labels == label) & ~junk
+    if truth is not None:
+        relevant, junk = (np.isin(np.arange(len(scores)), positions) for positions in (truth.good, truth.junk))
+    return Ranking(cosines, weights, scores, order[~junk[order]], relevant)

@@ -27,7 +27,7 @@ from lpn.augment import augment, place_draw
 from lpn.backbones import CHANNELS
 from lpn.datasets import Dataset
 from lpn.errors import InputError, ModelFileError
-from lpn.evaluate import PROTOCOL, evaluate
+from lpn.evaluate import evaluate
 from lpn.files import check_writable, write_whole
 from lpn.losses import total_loss
 from lpn.network import LPN
@@ -251,7 +251,7 @@ class Trainer:
                 )
                 row |= {f"recall@1 {task}": recall["1"], f"ap {task}": result.ap}
         if row:
-            console.print(PROTOCOL)
+            console.print(result.said)
             self.history[-1] |= row
             self._save()
 

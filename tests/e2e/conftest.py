@@ -20,6 +20,7 @@ from lpn.cli import DEMO
 from lpn.export import export
 from tests import worlds
 from tests.conftest import RealRun
+from tests.saved import save_result
 
 QUIET = [
     "--no-sandbox",
@@ -40,12 +41,15 @@ class Running:
 
 
 @contextmanager
-def started(data: Path, model: Path, cache: Path, default: bool = False) -> Iterator[Running]:
-    """`lpn explore` as a process of its own; by default it is told neither data nor model."""
+def started(
+    data: Path, model: Path, cache: Path, default: bool = False, saved: Path | None = None
+) -> Iterator[Running]:
+    """`lpn explore` as a process of its own; by default it is told neither data nor model, or a saved result for a model."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    chosen = [] if default else ["--data", data, "--model", model]
+    source = ["--model", model] if saved is None else ["--saved", saved, "--n-parts", "4"]
+    chosen = [] if default else ["--data", data, *source]
     command = [sys.executable, "-m", "lpn.cli", "explore", *chosen, "--port", str(port)]
     environment = {**os.environ, "LPN_CACHE": str(cache)}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
@@ -95,6 +99,14 @@ def city_app(model_file: Path, tmp_path: Path) -> Iterator[Running]:
     data = worlds.map_dataset(worlds.make_dataset(tmp_path / "places"))
     (data / "city.glb").write_bytes(worlds.city())
     with started(data, model_file, tmp_path / "cache") as running:
+        yield running
+
+
+@pytest.fixture
+def saved_app(app: Running, tmp_path: Path) -> Iterator[Running]:
+    """The same places and descriptors as of `app`, from a saved result."""
+    save_result(tmp_path / "pytorch_result.mat", app.data, app.model)
+    with started(app.data, app.model, tmp_path / "cache", saved=tmp_path / "pytorch_result.mat") as running:
         yield running
 
 

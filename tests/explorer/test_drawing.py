@@ -8,6 +8,7 @@ import pytest
 
 from explorer import overlays, pages, words
 from explorer.exhibit import Analyst, Exhibit
+from explorer.opening import open_model
 from explorer.session import State, Upload
 from lpn.errors import DataError, InputError
 from lpn.partition import Partition
@@ -17,7 +18,7 @@ from tests import worlds
 @pytest.fixture(scope="module")
 def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Exhibit:
     folder = tmp_path_factory.mktemp("exhibit")
-    return Exhibit(worlds.make_dataset(folder / "<i>places", train=1, test=13), model_file)
+    return open_model(worlds.make_dataset(folder / "<i>places", train=1, test=13), model_file)
 
 
 def test_masks_are_the_model_s_own_cells() -> None:
@@ -103,30 +104,30 @@ def test_a_model_without_the_views_of_the_data_is_refused(tmp_path: Path, model_
     worlds.write(tmp_path / "street" / "test" / "query_street" / "0001" / "a.png", worlds.place(1))
     worlds.write(tmp_path / "street" / "test" / "gallery_satellite" / "0001" / "a.png", worlds.place(1))
     with pytest.raises(DataError, match="street-to-satellite"):
-        Exhibit(tmp_path / "street", model_file)
+        open_model(tmp_path / "street", model_file)
 
 
 def test_the_query_to_open_with_goes_by_its_name(tmp_path: Path, model_file: Path) -> None:
     data = worlds.make_dataset(tmp_path / "places", train=1, test=4)
-    assert Exhibit(data, model_file).first == 0
-    names = [entry.name for entry in next(iter(Exhibit(data, model_file).tasks.values())).queries]
-    assert Exhibit(data, model_file, names[2]).first == 2
+    assert open_model(data, model_file).first == 0
+    names = [entry.name for entry in next(iter(open_model(data, model_file).tasks.values())).queries]
+    assert open_model(data, model_file, names[2]).first == 2
     with pytest.raises(InputError, match=f"places has no query <b>x; its names are such as {names[0]}"):
-        Exhibit(data, model_file, "<b>x")
+        open_model(data, model_file, "<b>x")
 
 
 def test_a_city_that_cannot_be_used_is_said_and_left_out(
     tmp_path: Path, model_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     data = worlds.map_dataset(worlds.make_dataset(tmp_path / "places", train=1, test=2))
-    assert Exhibit(data, model_file).city is None
+    assert open_model(data, model_file).city is None
     assert not caplog.messages
     (data / "city.glb").write_bytes(worlds.city())
-    city = Exhibit(data, model_file).city
+    city = open_model(data, model_file).city
     assert city is not None
     assert city.data == worlds.city()
     (data / "city.glb").write_bytes(worlds.city()[:-9])
-    assert Exhibit(data, model_file).city is None
+    assert open_model(data, model_file).city is None
     assert len(caplog.messages) == 1
     assert "city.glb has" in caplog.messages[0]
 

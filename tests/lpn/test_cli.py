@@ -42,11 +42,15 @@ def test_evaluate_writes_the_promised_keys(data: Path, model_file: Path, tmp_pat
     whole = json.loads(out.read_text())
     assert list(whole) == [
         *("recall@1", "recall@5", "recall@10", "recall@1%", "ap"),
-        *("queries", "gallery", "task", "rotate", "parts", "seconds"),
+        *("queries", "gallery", "task", "rotate", "shift", "scale", "parts"),
+        *("branch", "averaged", "cropped", "junk", "protocol", "seconds"),
     ]
     assert (whole["task"], whole["parts"], whole["queries"]) == ("drone-to-satellite", [1, 2, 3, 4], 14)
-    assert cli.main([*common, "--task", "satellite-to-drone", "--rotate", "90", "--parts", "2,4"]) == 0
+    changes = ["--rotate", "90", "--shift", "-3", "--scale", "1.5", "--branch", "drone", "--average-queries"]
+    assert cli.main([*common, "--task", "satellite-to-drone", *changes, "--parts", "2,4"]) == 0
     turned = json.loads(out.read_text())
+    for said in ("turned 90°", "3 px to the left", "scaled by 1.5", "the drone branch", "parts 2, 4 of 4", "averaged"):
+        assert said in turned["protocol"]
     assert (turned["task"], turned["rotate"], turned["parts"]) == ("satellite-to-drone", 90, [2, 4])
     assert turned["ap"] != whole["ap"]
 
@@ -88,6 +92,16 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
         (["evaluate", "--data", "DATA", "--model", "absent.onnx"], "no model file at absent.onnx"),
         (["evaluate", "--data", "DATA", "--model", "MODEL", "--parts", "1,9"], "parts 1 to 4"),
         (["evaluate", "--data", "DATA", "--model", "MODEL", "--parts", "a"], "numbers from 1"),
+        (["evaluate", "--data", "DATA", "--model", "MODEL", "--rotate", "nan"], "rotation is nan"),
+        (["evaluate", "--data", "DATA", "--model", "MODEL", "--scale", "0"], "scale is 0"),
+        (["evaluate", "--data", "DATA", "--model", "MODEL", "--shift", "-64"], "64 wide"),
+        (["evaluate", "--data", "DATA", "--model", "MODEL", "--branch", "street"], "no 'street' view"),
+        (["evaluate", "--data", "DATA", "--model", "MODEL", "--n-parts", "4"], "with --saved only"),
+        (["evaluate", "--data", "DATA"], "nothing to evaluate"),
+        (["evaluate", "--saved", "x.mat", "--data", "DATA"], "leave --data"),
+        (["evaluate", "--saved", "x.mat"], "no saved result at x.mat"),
+        (["evaluate", "--saved", "x.mat", "--n-parts", "0"], "number of parts is 0"),
+        (["explore", "--saved", "x.mat"], "give --saved and --data"),
         (
             ["evaluate", "--data", "DATA", "--model", "MODEL", "--task", "street-to-satellite"],
             "offers drone-to-satellite",

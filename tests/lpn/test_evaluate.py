@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,17 @@ import pytest
 
 import lpn
 from lpn import images, metrics
-from lpn.datasets import Picture, open_dataset
+from lpn.changes import Change
+from lpn.checkpoints import save
+from lpn.datasets import Dataset, Picture, Truth, open_dataset
 from lpn.errors import InputError
 from lpn.evaluate import evaluate
 from lpn.model import FloatArray, Model
+from lpn.network import LPN
+from lpn.protocol import Protocol
+from tests import worlds
+
+KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
 
 
 def described(model: Model, pictures: list[Picture], view: str, angle: float = 0.0) -> FloatArray:
@@ -27,7 +35,7 @@ def test_figures_are_those_of_the_turned_queries_and_the_chosen_parts(
     data: Path, model_file: Path, task: str, rotate: float, parts: list[int] | None
 ) -> None:
     model, dataset = lpn.load(model_file), open_dataset(data)
-    found = evaluate(model, dataset, task, rotate, parts)
+    found = evaluate(model, dataset, task, Protocol(Change(rotate), None if parts is None else tuple(parts)))
     query_view, gallery_view = task.split("-to-")
     queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
     index = [part - 1 for part in dict.fromkeys(parts)] if parts else list(range(4))
@@ -37,7 +45,7 @@ def test_figures_are_those_of_the_turned_queries_and_the_chosen_parts(
         described(model, gallery, gallery_view)[:, index],
         [picture.label for picture in gallery],
     )
-    for key in ("recall@1", "recall@5", "recall@10", "recall@1%", "ap"):
+    for key in KEYS:
         assert found.to_dict()[key] == pytest.approx(expected[key])
     assert found.parts == tuple(i + 1 for i in index)
 
@@ -49,9 +57,107 @@ def test_figures_in_training_leave_nothing_in_the_cache(data: Path, model_file: 
     assert passing.recall == evaluate(model, dataset, "drone-to-satellite").recall
 
 
-@pytest.mark.parametrize(("rotate", "parts"), [(float("nan"), None), (0.0, []), (0.0, [0]), (0.0, [5])])
-def test_parts_and_angles_that_do_not_exist_are_refused(
-    data: Path, model_file: Path, rotate: float, parts: list[int] | None
-) -> None:
-    with pytest.raises(InputError, match=r"rotation|parts"):
-        evaluate(lpn.load(model_file), open_dataset(data), "drone-to-satellite", rotate, parts)
+@pytest.mark.parametrize("parts", [(), (0,), (5,)])
+def test_parts_that_do_not_exist_are_refused(data: Path, model_file: Path, parts: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="parts 1 to 4"):
+        evaluate(lpn.load(model_file), open_dataset(data), "drone-to-satellite", Protocol(parts=parts))
+
+
+def labels(pictures: list[Picture]) -> list[int]:
+    return [picture.label for picture in pictures]
+
+
+def test_queries_are_scaled_before_the_resize_and_shifted_after_it(data: Path, model_file: Path) -> None:
+    model, dataset = lpn.load(model_file), open_dataset(data)
+    found = evaluate(model, dataset, "drone-to-satellite", Protocol(Change(20, -7, 0.8)))
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    made = []
+    for picture in queries:
+        zoomed = images.zoom(images.rotate(images.load_picture(picture.path), 20), 0.8)
+        resized = images.resize(zoomed, *model.input_size)
+        moved = np.zeros_like(resized)
+        moved[:, :-7] = resized[:, 7:]
+        made.append(images.normalise(moved))
+    query = model.descriptors(np.stack(made), "drone")
+    expected = metrics.evaluate(query, labels(queries), described(model, gallery, "satellite"), labels(gallery))
+    assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+    assert "queries turned 20°, scaled by 0.8, shifted 7 px to the left" in found.said
+    unchanged = evaluate(model, dataset, "drone-to-satellite")
+    assert unchanged.ap != found.ap
+    assert "turned" not in unchanged.said
+
+
+def test_averaged_queries_are_one_per_place(tmp_path: Path, model_file: Path) -> None:
+    root = worlds.make_dataset(tmp_path / "places", train=1, test=6)
+    for label in range(2, 8):
+        for i in (2, 3):
+            picture = worlds.from_drone(worlds.place(label), 50 * i + label)
+            worlds.write(root / "test" / "query_drone" / f"{label:04d}" / f"image-0{i}.png", picture)
+    model, dataset = lpn.load(model_file), open_dataset(root)
+    found = evaluate(model, dataset, "drone-to-satellite", Protocol(average=True))
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    parts = described(model, queries, "drone")
+    mean = np.stack([parts[i : i + 3].mean(axis=0) for i in range(0, 18, 3)])
+    mean /= 2 * np.linalg.norm(mean, axis=2, keepdims=True)
+    expected = metrics.evaluate(mean, labels(queries)[::3], described(model, gallery, "satellite"), labels(gallery))
+    assert (len(queries), found.queries) == (18, 6)
+    assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+    assert "the 18 query pictures averaged to one query per place" in found.said
+
+
+def test_one_branch_can_describe_both_sides(data: Path, tmp_path: Path) -> None:
+    save(LPN(replace(worlds.make_network().spec, shared=False)), tmp_path / "two.safetensors")
+    model, dataset = lpn.load(tmp_path / "two.safetensors"), open_dataset(data)
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    found = {}
+    for branch in ("satellite", "drone"):
+        found[branch] = evaluate(model, dataset, "drone-to-satellite", Protocol(branch=branch))  # type: ignore[arg-type]
+        sides = described(model, queries, branch), labels(queries), described(model, gallery, branch), labels(gallery)
+        assert found[branch].ap == pytest.approx(metrics.evaluate(*sides)["ap"])
+        assert f"both sides described by the {branch} branch" in found[branch].said
+    assert found["satellite"].ap != found["drone"].ap
+    with pytest.raises(InputError, match="no 'street' view"):
+        evaluate(model, dataset, "drone-to-satellite", Protocol(branch="street"))
+
+
+class Landmarks(Dataset):
+    """The drawn places as landmarks: a query is a part of a picture, and lists say what is true and what is junk."""
+
+    def tasks(self) -> list[str]:
+        return ["street-to-street"]
+
+    def queries(self, view: str) -> list[Picture]:
+        assert view == "street"
+        return [replace(p, box=(10.2, 20.0, 60.0, 90.7 - i)) for i, p in enumerate(super().queries("drone"))]
+
+    def gallery(self, view: str) -> list[Picture]:
+        assert view == "street"
+        return super().gallery("satellite")
+
+    def truth(self, task: str) -> list[Truth] | None:
+        assert task == "street-to-street"
+        count = len(self.queries("street"))
+        return [Truth(np.array([i, (i + 3) % count]), np.array([(i + 1) % count])) for i in range(count)]
+
+
+def test_landmarks_are_cropped_and_ranked_by_lists(data: Path, model_file: Path) -> None:
+    model, dataset = lpn.load(model_file), Landmarks(data)
+    tiles = described(model, dataset.gallery("street"), "drone")
+    figures = {}
+    for whole in (False, True):
+        cut = [images.load_picture(picture.path) for picture in dataset.queries("street")]
+        if not whole:
+            cut = [picture[20 : round(90.7 - i), 10:60] for i, picture in enumerate(cut)]
+        query = model.descriptors(np.stack([images.prepare(picture, model.input_size) for picture in cut]), "drone")
+        expected = metrics.evaluate(query, None, tiles, None, dataset.truth("street-to-street"))
+        found = evaluate(model, dataset, "street-to-street", Protocol(branch="drone", whole=whole))
+        assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+        assert (found.to_dict()["cropped"], found.to_dict()["junk"]) == (not whole, "lists")
+        assert "junk taken out of the ranking" in found.said
+        assert ("cropped" in found.said) is not whole
+        figures[whole] = found.ap
+    assert figures[True] != figures[False]
+    with pytest.raises(InputError, match="--branch"):
+        evaluate(model, dataset, "street-to-street")
+    with pytest.raises(InputError, match="averaged"):
+        evaluate(model, dataset, "street-to-street", Protocol(branch="drone", average=True))

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import lpn
 from lpn import features, images
+from lpn.changes import Change
 from lpn.errors import DataError, LPNError, PictureError, StoreError
 from lpn.model import FloatArray, Model
 from lpn.spec import View
@@ -245,7 +247,7 @@ def test_cache_is_keyed_by_files_view_and_angle(
     pictures = [Picture(file, 1, file.stem) for file in features.pictures_below(folder)]
     count = Counting(model, monkeypatch)
     first = features.cached_descriptors(model, pictures, "drone")
-    turned = features.cached_descriptors(model, pictures, "drone", rotate=90)
+    turned = features.cached_descriptors(model, pictures, "drone", Change(rotate=90))
     assert count.described == 40
     assert np.abs(first - turned).max() > 1e-3
     np.testing.assert_array_equal(features.cached_descriptors(model, pictures, "drone"), first)
@@ -278,3 +280,48 @@ def test_a_kill_before_the_new_manifest_leaves_no_old_one_and_loses_nothing(
     assert counting.described == 0
     expected = features.describe(model, files, "drone", tmp_path / "other").descriptors[::-1]
     np.testing.assert_allclose(again.descriptors, expected, atol=1e-6)
+
+
+def test_a_store_from_before_there_were_shifts_is_still_used(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files, store = features.pictures_below(folder), tmp_path / "store"
+    made = features.describe(model, files, "drone", store)
+    manifest = json.loads((store / "manifest.json").read_text())
+    assert manifest["format"] == "lpn-descriptors/2"
+    assert (manifest.pop("shift"), manifest.pop("scale")) == (0, 1)
+    (store / "manifest.json").write_text(json.dumps(manifest | {"format": "lpn-descriptors/1"}))
+    count = Counting(model, monkeypatch)
+    np.testing.assert_array_equal(features.describe(model, files, "drone", store).descriptors, made.descriptors)
+    assert count.described == 0
+    with pytest.raises(StoreError, match=r"unchanged, in float32, and these would be .* shifted 3 px to the right"):
+        features.describe(model, files, "drone", store, change=Change(shift=3))
+
+
+def test_cache_is_keyed_by_every_change_and_box(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lpn.datasets import Picture
+
+    pictures = [Picture(file, 1, file.stem) for file in features.pictures_below(folder)[:5]]
+    boxed = [replace(picture, box=(0.0, 10.0, 50.5, 60.0)) for picture in pictures]
+    count = Counting(model, monkeypatch)
+    asked = [(pictures, Change()), (pictures, Change(shift=4)), (pictures, Change(scale=2)), (boxed, Change())]
+    made = [features.cached_descriptors(model, given, "drone", change) for given, change in asked]
+    assert count.described == 20
+    again = [features.cached_descriptors(model, given, "drone", change) for given, change in asked]
+    assert count.described == 20
+    np.testing.assert_array_equal(made, again)
+    assert len({array.tobytes() for array in made}) == 4
+    manifests = [
+        features.Manifest.from_json(p.read_bytes(), p.name) for p in (tmp_path / "cache").rglob("manifest.json")
+    ]
+    assert sorted((m.shift, m.scale, m.cropped) for m in manifests) == [
+        (0, 1, False),
+        (0, 1, True),
+        (0, 2, False),
+        (4, 1, False),
+    ]
+    moved = [*boxed[:4], replace(boxed[4], box=(1.0, 10.0, 50.5, 60.0))]
+    features.cached_descriptors(model, moved, "drone")
+    assert count.described == 21

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpn import cli, geo, metrics
+from lpn import cli, geo
 from lpn.datasets import Picture, open_dataset
-from lpn.errors import DataError, InputError
+from lpn.errors import DataError
 from lpn.geo import Position, Positions
 from tests import worlds
 
@@ -77,14 +77,6 @@ def test_mistakes_in_a_file_of_positions_are_named(tmp_path: Path, text: str, sa
     (tmp_path / "geo.csv").write_bytes(b"path,latitude,longitude\n\xff\xfe,1,2\n")
     with pytest.raises(DataError, match="UTF-8"):
         Positions(tmp_path)
-
-
-def test_the_best_match_is_the_first_of_equals_and_never_junk() -> None:
-    gallery = np.array([[0, 1], [1, 0], [1, 0], [9, 9]], np.float32)
-    found = metrics.best(np.eye(2, dtype=np.float32), gallery, np.array([0, 1, 2, -1]))
-    assert found.tolist() == [1, 0]
-    with pytest.raises(InputError, match="0 gallery pictures"):
-        metrics.best(gallery, gallery, np.full(4, -1))
 
 
 def test_evaluation_says_how_many_metres_the_answers_are_off(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lpn import metrics
+from lpn.datasets import Truth
 from lpn.errors import InputError
 from tests import seeded
 
@@ -107,7 +108,7 @@ def test_parts_and_flat_descriptors_agree_and_ranks_tell_failures() -> None:
     query, query_labels, gallery, labels = case(9, 40, 30, 2, 16, 1.0, 5)
     flat = metrics.evaluate(query, query_labels, gallery, labels)
     assert metrics.evaluate(query.reshape(-1, 4, 4), query_labels, gallery.reshape(-1, 4, 4), labels) == flat
-    ranks = metrics.ranks(query, query_labels, gallery, labels)
+    ranks = metrics.retrieve(query, query_labels, gallery, labels).first
     assert 100 * float(np.mean(ranks == 0)) == pytest.approx(flat["recall@1"])
     assert set(ranks[query_labels >= 30]) == {-1}
 
@@ -126,3 +127,97 @@ def test_wrong_arrays_are_refused_in_words() -> None:
     ):
         with pytest.raises(InputError, match=word):
             metrics.evaluate(*arguments)
+
+
+def lists(seed: int, queries: int, gallery: int) -> list[Truth]:
+    """True matches and junk of each query, some with neither."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for _ in range(queries):
+        shuffled = rng.permutation(gallery)
+        good, junk = rng.integers(0, 6), rng.integers(0, 5)
+        made.append(Truth(np.sort(shuffled[:good]), np.sort(shuffled[good : good + junk])))
+    return made
+
+
+def as_oxford_does(query: np.ndarray, gallery: np.ndarray, truth: list[Truth]) -> tuple[float, list[int]]:
+    """Mean AP walking down each ranking and adding trapezoids between recalls; and the ranks of the first hits."""
+    total, first = 0.0, []
+    for descriptor, of in zip(query.astype(float), truth, strict=True):
+        hits, seen, recall, precision, area, rank = 0, 0, 0.0, 1.0, 0.0, -1
+        for tile in np.argsort(-(gallery.astype(float) @ descriptor), kind="stable"):
+            if tile in of.junk:
+                continue
+            if tile in of.good:
+                rank = seen if hits == 0 else rank
+                hits += 1
+            seen += 1
+            now = hits / len(of.good) if len(of.good) else 0.0
+            area += (now - recall) * (precision + hits / seen) / 2
+            recall, precision = now, hits / seen
+        total += area
+        first.append(rank)
+    return 100 * total / len(query), first
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_lists_of_true_matches_and_junk_are_treated_as_oxford_does(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    query, gallery = (rng.standard_normal((count, 8)).astype(np.float32) for count in (15, 70))
+    truth = lists(seed, 15, 70)
+    found = metrics.evaluate(query, None, gallery, None, truth)
+    ap, first = as_oxford_does(query, gallery, truth)
+    assert found["ap"] == pytest.approx(ap, abs=1e-9)
+    for k in (1, 5, 10):
+        assert found[f"recall@{k}"] == pytest.approx(100 * sum(0 <= rank < k for rank in first) / 15)
+    retrieval = metrics.retrieve(query, None, gallery, None, truth)
+    assert retrieval.first.tolist() == first
+    scores = query.astype(float) @ gallery.T.astype(float)
+    for row, of, best in zip(scores, truth, retrieval.best, strict=True):
+        row[of.junk] = -np.inf
+        assert best == np.argmax(row)
+
+
+def test_lists_that_say_what_labels_say_give_the_same_figures() -> None:
+    query, query_labels, gallery, labels = case(11, 40, 20, 4, 8, 1.2, absent=3, junk=9)
+    junk = np.flatnonzero(labels == -1)
+    truth = [Truth(np.flatnonzero(labels == label), junk) for label in query_labels]
+    by_label = metrics.retrieve(query, query_labels, gallery, labels)
+    by_list = metrics.retrieve(query, None, gallery, None, truth)
+    assert by_label.figures() == by_list.figures()
+    np.testing.assert_array_equal(by_label.first, by_list.first)
+    np.testing.assert_array_equal(by_label.best, by_list.best)
+    np.testing.assert_allclose(by_label.precision, by_list.precision)
+
+
+def test_blocks_of_queries_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = case(12, 50, 20, 4, 8, 1.2, absent=3, junk=9)
+    whole = metrics.retrieve(*made)
+    monkeypatch.setattr(metrics, "_BLOCK_BYTES", 8 * 80 * 7)
+    blocks = metrics.retrieve(*made)
+    assert whole.figures() == blocks.figures()
+    np.testing.assert_array_equal(whole.best, blocks.best)
+
+
+def test_the_best_match_is_the_first_of_equals_and_never_junk() -> None:
+    gallery = np.array([[0, 1], [1, 0], [1, 0], [9, 9]], np.float32)
+    found = metrics.retrieve(np.eye(2, dtype=np.float32), np.array([1, 0]), gallery, np.array([0, 1, 2, -1]))
+    assert found.best.tolist() == [1, 0]
+    nothing = metrics.retrieve(gallery, np.zeros(4, int), gallery, np.full(4, -1))
+    assert nothing.best.tolist() == [-1] * 4
+    assert nothing.figures()["recall@10"] == 0
+
+
+@pytest.mark.parametrize(
+    ("truth", "said"),
+    [
+        ([], "0 lists"),
+        ([Truth(np.array([2]), np.array([5]))], "expected 0 to 4"),
+        ([Truth(np.array([-1]), np.array([0]))], "expected 0 to 4"),
+        ([Truth(np.array([2, 3]), np.array([3]))], "twice"),
+    ],
+)
+def test_lists_that_do_not_fit_are_refused(truth: list[Truth], said: str) -> None:
+    query, _, gallery, _ = case(1, 1, 5, 1, 8, 1.0)
+    with pytest.raises(InputError, match=said):
+        metrics.evaluate(query, None, gallery, None, truth)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lpn import explain, retrieval
+from lpn.datasets import Truth
 from lpn.errors import InputError
 from lpn.model import FloatArray, normalise
 
@@ -69,3 +70,21 @@ def test_activation_is_scaled_and_follows_the_channel_sum() -> None:
     assert (heat.min(), heat.max()) == (0, 1)
     assert heat.argmax() == features.sum(0).argmax()
     assert (explain.activation(np.ones((8, 5, 6), np.float32)) == 0).all()
+
+
+def test_junk_is_not_ranked() -> None:
+    query, gallery = descriptors(1, 1, 4)[0], descriptors(2, 30, 4)
+    cosines, weights = explain.part_cosines(query, gallery), explain.part_weights(4)
+    labels = np.arange(30) // 3
+    labels[:4] = -1
+    by_label = retrieval.rank(cosines, weights, labels, 7)
+    truth = Truth(np.array([21, 22, 23]), np.arange(4))
+    by_list = retrieval.rank(cosines, weights, labels, None, truth)
+    whole = retrieval.rank(cosines, weights)
+    for ranking in (by_label, by_list):
+        assert ranking.order.tolist() == [index for index in whole.order if index >= 4]
+        assert not ranking.holds(2)
+        assert ranking.holds(5)
+        found = ranking.truth()
+        assert found is not None
+        assert found.index in truth.good

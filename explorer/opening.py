@@ -1,0 +1,137 @@
+"""Opens what the explorer shows: a model on a data set, or a result that another program saved, on its pictures."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+import lpn
+from explorer import chart
+from explorer.exhibit import Exhibit, Task
+from lpn import features, geo, metrics
+from lpn.city import CityModel, city_model
+from lpn.datasets import Dataset, open_dataset
+from lpn.datasets import Picture as Entry
+from lpn.errors import DataError
+from lpn.evaluate import error_shares
+from lpn.files import printable
+from lpn.model import FloatArray, Model
+from lpn.saved import Saved
+from lpn.spec import Layout, ModelSpec, View
+
+log = logging.getLogger(__name__)
+
+STORES = "descriptors"
+"""Folder of a data set in which stores of its test split may come along: `query_drone`, `gallery_satellite`, ..."""
+SAVED_MAP = (16, 16)
+"""Cells by which rings are drawn where no network says them: those of a ResNet-50 at 256 pixels."""
+
+
+def open_model(data: Path, model: Path, query: str | None = None) -> Exhibit:
+    """A model and all tasks of a data set that it knows the views of.
+
+    Args:
+        query: name of the query of the first task that a browser shows first; without it, that task's first.
+
+    Raises:
+        LPNError: when model or data set cannot be used, or there is no such query.
+    """
+    opened = lpn.load(model)
+    data_name = printable(data.resolve().name)
+    dataset = open_dataset(data)
+    pairs = [cast("tuple[View, View]", tuple(name.split("-to-"))) for name in dataset.tasks()]
+    known = [pair for pair in pairs if set(pair) <= set(opened.views)]
+    if not known:
+        raise DataError(
+            f"The test split of {data_name} offers {', '.join(dataset.tasks()) or 'no task'}, but the model knows "
+            f"only the views {', '.join(opened.views)}; give a data set or a model that fit each other."
+        )
+    where = geo.positions(data)
+    tasks = []
+    for views in known:
+        queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
+        described = _described(opened, data / STORES / f"query_{views[0]}", queries, views[0])
+        tiles = _described(opened, data / STORES / f"gallery_{views[1]}", gallery, views[1])
+        tasks.append(_task(dataset, where, views, queries, gallery, described, tiles))
+    map_sizes = {view: opened.map_size(view) for view in opened.views}
+    city = None if where is None else _city(data)
+    exhibited = Exhibit(printable(model.name), data_name, tasks, opened.spec, map_sizes, opened, city)
+    exhibited.open_with(query)
+    return exhibited
+
+
+def open_saved(data: Path, saved: Saved, query: str | None = None) -> Exhibit:
+    """A saved result and the pictures it is of; there is no network, so nothing can be described again.
+
+    Rings are drawn as University-1652's LPN cuts them, and for panoramas as the published CVUSA models do.
+
+    Raises:
+        LPNError: when the data set lacks the result's pictures, or its descriptors do not consist of parts of equal norm.
+    """
+    saved.check_norms()
+    dataset = open_dataset(data)
+    views, queries, gallery = saved.pictures(dataset)
+    where = geo.positions(data)
+    labels = saved.query_labels, saved.gallery_labels
+    task = _task(dataset, where, views, queries, gallery, saved.query, saved.gallery, labels)
+    layout: Layout = "cvusa" if dataset.panoramas else "university"
+    spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)
+    map_sizes = dict.fromkeys(spec.views, SAVED_MAP)
+    city = None if where is None else _city(data)
+    exhibited = Exhibit(saved.name, printable(data.resolve().name), [task], spec, map_sizes, None, city)
+    exhibited.open_with(query)
+    return exhibited
+
+
+def _task(
+    dataset: Dataset,
+    where: geo.Positions | None,
+    views: tuple[View, View],
+    queries: list[Entry],
+    gallery: list[Entry],
+    query: FloatArray,
+    tiles: FloatArray,
+    given: tuple[metrics.IntArray, metrics.IntArray] | None = None,
+) -> Task:
+    """Everything about one direction; labels are the pictures' own unless others are given."""
+    name = "-to-".join(views)
+    laid = None if where is None else chart.places(where.of(queries), where.of(gallery))
+    own = tuple(np.array([entry.label for entry in entries], np.int64) for entries in (queries, gallery))
+    query_labels, labels = given or own
+    truth = None if given else dataset.truth(name)
+    found = metrics.retrieve(query, query_labels, tiles, labels, truth)
+    near: dict[str, float] = {}
+    if laid is not None:
+        near = error_shares(geo.metres(laid.queries, [laid.tiles[index] for index in found.best]))
+    return Task(
+        name,
+        *views,
+        queries,
+        gallery,
+        query_labels,
+        labels,
+        truth,
+        query,
+        tiles,
+        found.first,
+        found.figures() | near,
+        laid,
+    )
+
+
+def _described(model: Model, shipped: Path, pictures: list[Entry], view: View) -> FloatArray:
+    """From the store that came with the data set, else from the user's cache."""
+    found = features.shipped_descriptors(model, pictures, view, shipped)
+    return features.cached_descriptors(model, pictures, view) if found is None else found
+
+
+def _city(data: Path) -> CityModel | None:
+    """The data set's 3-D model; one that cannot be used is no reason not to start."""
+    try:
+        return city_model(data)
+    except DataError as error:
+        log.warning("The map has no city: %s", error)
+        return None

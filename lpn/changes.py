@@ -1,0 +1,73 @@
+"""What is done to a query before it is described, to see what its retrieval withstands: turned, zoomed, shifted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpn import images
+from lpn.errors import InputError
+from lpn.images import Picture
+
+MAX_SCALE = 16.0
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of query pictures. The default is none.
+
+    Attributes:
+        rotate: degrees counter-clockwise it is turned about its centre on its own canvas, corners black (Table IV).
+        shift: pixels of the network's input it is moved to the right, black at its left, as the released test does by padding
+            and cropping; a negative number moves it to the left.
+        scale: zoom about its centre on its own canvas; above 1 it is magnified and cropped, below 1 it has black around it.
+
+    Raises:
+        InputError: when a number is not finite, the shift not whole, or the scale outside 1/16 .. 16.
+    """
+
+    rotate: float = 0.0
+    shift: int = 0
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.rotate):
+            raise InputError(f"The rotation is {self.rotate}; expected degrees.")
+        if self.shift != int(self.shift):
+            raise InputError(f"The shift is {self.shift}; expected a whole number of pixels.")
+        if not 1 / MAX_SCALE <= self.scale <= MAX_SCALE:
+            raise InputError(f"The scale is {self.scale:g}; expected a factor from 1/{MAX_SCALE:g} to {MAX_SCALE:g}.")
+        object.__setattr__(self, "rotate", float(self.rotate))
+        object.__setattr__(self, "shift", int(self.shift))
+        object.__setattr__(self, "scale", float(self.scale))
+
+    def __bool__(self) -> bool:
+        """Whether anything is changed."""
+        return bool(self.rotate or self.shift or self.scale != 1)
+
+    def apply(self, picture: Picture) -> Picture:
+        """Turn and zoom a picture at its own resolution: (H, W, 3) uint8 to the same shape."""
+        return images.zoom(images.rotate(picture, self.rotate), self.scale)
+
+    def move(self, shaped: Picture) -> Picture:
+        """Shift a picture that has the network's input size: (height, width, 3) uint8 to the same shape; see `check`."""
+        self.check(shaped.shape[1])
+        return images.shift(shaped, self.shift)
+
+    def check(self, width: int) -> None:
+        """Raise InputError when nothing of a network's input of that width would be left."""
+        if abs(self.shift) >= width:
+            raise InputError(
+                f"The shift is {self.shift} pixels; the network's input is {width} wide, so shift by fewer than that."
+            )
+
+    def describe(self) -> str:
+        """The changes in words, such as "turned 30°, scaled by 1.2"; empty without any."""
+        said = [f"turned {self.rotate:g}°"] if self.rotate else []
+        said += [f"scaled by {self.scale:g}"] if self.scale != 1 else []
+        said += [f"shifted {abs(self.shift)} px to the {'right' if self.shift > 0 else 'left'}"] if self.shift else []
+        return ", ".join(said)
+
+
+UNCHANGED = Change()

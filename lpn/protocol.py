@@ -1,0 +1,98 @@
+"""How a retrieval is measured: what is done to the queries, what is compared, and the sentence that says so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpn.changes import UNCHANGED, Change
+from lpn.errors import InputError
+from lpn.metrics import IntArray
+from lpn.model import FloatArray, normalise
+from lpn.spec import View
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How a retrieval is measured; the default is the published protocol of University-1652.
+
+    Attributes:
+        change: what is done to each query first.
+        parts: 1-based parts to use, None for all (Table V).
+        branch: the branch that describes both sides, None for each view's own (Table VI).
+        average: whether the queries of one place are averaged into one.
+        whole: whether queries are described whole where the data set marks a part of them (Oxford5k, Paris6k).
+    """
+
+    change: Change = UNCHANGED
+    parts: tuple[int, ...] | None = None
+    branch: View | None = None
+    average: bool = False
+    whole: bool = False
+
+    def chosen(self, n_parts: int) -> tuple[int, ...]:
+        """The parts used of n, 1-based, each once, in the order given.
+
+        Raises:
+            InputError: when one does not exist, or there is none.
+        """
+        chosen = tuple(range(1, n_parts + 1)) if self.parts is None else tuple(dict.fromkeys(self.parts))
+        if not chosen or any(not 1 <= part <= n_parts for part in chosen):
+            raise InputError(f"The parts are {', '.join(map(str, chosen)) or 'none'}; there are parts 1 to {n_parts}.")
+        return chosen
+
+    def select(self, descriptors: FloatArray) -> FloatArray:
+        """The parts used of descriptors (N, n, D): (N, m, D); as given when all are used."""
+        chosen = self.chosen(descriptors.shape[1])
+        if chosen == tuple(range(1, descriptors.shape[1] + 1)):
+            return descriptors
+        return descriptors[:, np.array(chosen) - 1]
+
+
+def averaged(descriptors: FloatArray, labels: IntArray) -> tuple[FloatArray, IntArray]:
+    """One query per place: the descriptors of its pictures summed and each part normalised.
+
+    Args:
+        descriptors: (Q, n, D).
+        labels: the place of each, (Q,).
+
+    Returns:
+        (P, n, D) and (P,), in ascending order of the places.
+    """
+    order = np.argsort(labels, kind="stable")
+    places, starts = np.unique(labels[order], return_index=True)
+    sums = [descriptors[rows].sum(axis=0) for rows in np.split(order, starts[1:])]
+    return normalise(np.stack(sums)), places
+
+
+def sentence(
+    said: Sequence[str],
+    parts: tuple[int, ...],
+    n_parts: int,
+    averaged_from: int | None = None,
+    listed: bool = False,
+) -> str:
+    """The protocol in words.
+
+    Args:
+        said: how descriptors were made and what was done to the queries, each a clause.
+        parts: the parts used, 1-based.
+        averaged_from: number of pictures behind the averaged queries, None where they are not averaged.
+        listed: whether true matches and junk come from lists rather than labels.
+    """
+    clauses = [*said]
+    if parts != tuple(range(1, n_parts + 1)):
+        clauses.append(f"part{'s' if len(parts) > 1 else ''} {', '.join(map(str, parts))} of {n_parts} only")
+    if averaged_from is not None:
+        clauses.append(f"the {averaged_from} query pictures averaged to one query per place")
+    clauses.append("ranked by inner product")
+    clauses.append(
+        "true matches and junk by the data set's lists, junk taken out of the ranking"
+        if listed
+        else "true matches by label, gallery pictures labelled -1 taken out of the ranking"
+    )
+    clauses.append("a query without a true match counts as missed")
+    clauses.append("AP by the trapezoid rule")
+    return f"Protocol: {'; '.join(clauses)}."

@@ -1,0 +1,214 @@
+"""Descriptors saved by the published test code, `pytorch_result.mat`: evaluated and explored without a network.
+
+gallery_f, query_f            (G, F) and (Q, F): part embeddings (512, n), each part of norm 1/sqrt(n), flattened, so that the
+                              part is the index that runs fastest
+gallery_label, query_label    (1, G) and (1, Q) integers
+gallery_path, query_path      (G,) and (Q,) texts, padded with spaces; may be absent
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.datasets import Dataset, Picture
+from lpn.errors import DataError, InputError
+from lpn.files import printable
+from lpn.metrics import IntArray
+from lpn.model import FloatArray
+from lpn.spec import VIEWS, View
+
+_NORM_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Saved:
+    """A retrieval that another program computed.
+
+    Attributes:
+        name: of the file, for people.
+        query, gallery: descriptors, (Q, n, D) and (G, n, D).
+        query_labels, gallery_labels: the place of each, (Q,) and (G,).
+        query_paths, gallery_paths: the picture of each, as the other program named it; None where the file has no paths.
+    """
+
+    name: str
+    query: FloatArray
+    query_labels: IntArray
+    gallery: FloatArray
+    gallery_labels: IntArray
+    query_paths: tuple[str, ...] | None
+    gallery_paths: tuple[str, ...] | None
+
+    @property
+    def n_parts(self) -> int:
+        """Number of parts n."""
+        return int(self.query.shape[1])
+
+    @property
+    def views(self) -> tuple[View, View] | None:
+        """The views of queries and gallery, read from their folders (query_drone, gallery_satellite); None when unknown."""
+        found = _view(self.query_paths, "query"), _view(self.gallery_paths, "gallery")
+        return None if None in found else cast("tuple[View, View]", found)
+
+    @property
+    def task(self) -> str:
+        """The task, such as "drone-to-satellite", or "saved" when the paths do not tell."""
+        return "saved" if self.views is None else "-to-".join(self.views)
+
+    def check_norms(self) -> None:
+        """Raise InputError unless every part has norm 1/sqrt(n), without which shares of parts have no meaning."""
+        for side, descriptors in (("query", self.query), ("gallery", self.gallery)):
+            norms = np.linalg.norm(descriptors, axis=2) * np.sqrt(self.n_parts)
+            if not (np.abs(norms - 1) <= _NORM_TOLERANCE).all():
+                raise InputError(
+                    f"The {side} descriptors in {self.name} do not consist of {self.n_parts} parts of norm "
+                    f"1/sqrt({self.n_parts}); give the number of parts they were made with as --n-parts."
+                )
+
+    def pictures(self, dataset: Dataset) -> tuple[tuple[View, View], list[Picture], list[Picture]]:
+        """The pictures of a data set's test split behind the rows, and their views.
+
+        They are found by the last two parts of their paths (place and file), or, where the file has no paths, by the order of
+        the rows, when the labels agree.
+
+        Raises:
+            DataError: when no task of the test split has them all.
+        """
+        tasks = dataset.tasks()
+        for task in sorted(tasks, key=lambda task: task != self.task):
+            query_view, gallery_view = cast("tuple[View, View]", tuple(task.split("-to-")))
+            queries = _behind(self.query_paths, self.query_labels, dataset.queries(query_view))
+            if queries is not None:
+                gallery = _behind(self.gallery_paths, self.gallery_labels, dataset.gallery(gallery_view))
+                if gallery is not None:
+                    return (query_view, gallery_view), queries, gallery
+        by_path = self.query_paths is not None and self.gallery_paths is not None
+        how = "by the last two parts of their paths" if by_path else "in the order of their labels"
+        example = f", such as {printable(self.query_paths[0])}" if self.query_paths else ""
+        raise DataError(
+            f"No task of {printable(dataset.root.name)} ({', '.join(tasks) or 'it has none'}) has all pictures of {self.name} "
+            f"{how}{example}; give the data set that the result was computed on."
+        )
+
+
+def load_saved(path: str | Path, n_parts: int = 1) -> Saved:
+    """Read a `pytorch_result.mat`; needs the extra `data`.
+
+    Args:
+        n_parts: the parts the descriptors consist of; 1 leaves them whole, which changes no figure of all parts.
+
+    Raises:
+        DataError: when the file is missing, is no MATLAB file, or lacks entries.
+        InputError: when its descriptors do not consist of that many parts.
+    """
+    path = Path(path)
+    name = printable(path.name)
+    values = _read(path, name)
+    missing = [key for key in ("gallery_f", "gallery_label", "query_f", "query_label") if key not in values]
+    if missing:
+        held = ", ".join(printable(key) for key in values if not key.startswith("__")) or "nothing"
+        raise DataError(
+            f"{name} has no {', '.join(missing)}; it holds {held}, and the published test code writes gallery_f, gallery_label, "
+            "query_f, and query_label."
+        )
+    query, gallery = (_descriptors(values[f"{side}_f"], side, name, n_parts) for side in ("query", "gallery"))
+    if query.shape[2] != gallery.shape[2]:
+        raise DataError(
+            f"{name} has query descriptors of {query[0].size} numbers and gallery descriptors of {gallery[0].size}; expected "
+            "equal numbers, so save both with the same model."
+        )
+    saved = Saved(
+        name,
+        query,
+        _labels(values["query_label"], len(query), "query", name),
+        gallery,
+        _labels(values["gallery_label"], len(gallery), "gallery", name),
+        _paths(values.get("query_path"), len(query), "query", name),
+        _paths(values.get("gallery_path"), len(gallery), "gallery", name),
+    )
+    if n_parts > 1:
+        saved.check_norms()
+    return saved
+
+
+def _read(path: Path, name: str) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    if not path.is_file():
+        raise DataError(f"There is no saved result at {path}; check the path.")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return cast("dict[str, Any]", loadmat(str(path), appendmat=False))
+    except NotImplementedError as error:
+        raise DataError(
+            f"{name} is a MATLAB 7.3 file, which is not read; save it with scipy.io.savemat, as the published test code does."
+        ) from error
+    except Exception as error:  # scipy's reader fails on damaged files with errors of many classes
+        raise DataError(
+            f"{name} is not a MATLAB file or is damaged; expected pytorch_result.mat of the published test code."
+        ) from error
+
+
+def _descriptors(values: Any, side: str, name: str, n_parts: int) -> FloatArray:
+    array: npt.NDArray[Any] = np.asarray(values)
+    if array.ndim != 2 or not array.size or not np.issubdtype(array.dtype, np.floating):
+        raise DataError(
+            f"{side}_f in {name} is {array.dtype} of shape {array.shape}; expected floats, one row for each picture."
+        )
+    count, length = array.shape
+    if n_parts < 1 or length % n_parts:
+        raise InputError(
+            f"The descriptors in {name} have {length} numbers, which are not {n_parts} equal parts; see --n-parts."
+        )
+    if not np.isfinite(array).all():
+        raise DataError(f"{side}_f in {name} holds values that are not finite; save the result again.")
+    parts = array.astype(np.float32, copy=False).reshape(count, length // n_parts, n_parts).transpose(0, 2, 1)
+    return cast(FloatArray, np.ascontiguousarray(parts))
+
+
+def _labels(values: Any, count: int, side: str, name: str) -> IntArray:
+    array: npt.NDArray[Any] = np.asarray(values).ravel()
+    # MATLAB itself would have made doubles of them.
+    whole = np.issubdtype(array.dtype, np.number) and bool((array == np.round(array)).all())
+    if not whole or len(array) != count:
+        raise DataError(
+            f"{side}_label in {name} has {len(array)} entries of type {array.dtype}; expected one whole number for each of "
+            f"{count} descriptors."
+        )
+    return array.astype(np.int64)
+
+
+def _paths(values: Any, count: int, side: str, name: str) -> tuple[str, ...] | None:
+    if values is None:
+        return None
+    array: npt.NDArray[Any] = np.asarray(values).ravel()
+    if len(array) != count:
+        raise DataError(
+            f"{side}_path in {name} has {len(array)} entries; expected one for each of {count} descriptors."
+        )
+    # A cell array holds each text in an array of its own.
+    texts = [str(np.ravel(value)[0]) if isinstance(value, np.ndarray) and value.size else str(value) for value in array]
+    return tuple(text.rstrip().replace("\\", "/") for text in texts)
+
+
+def _behind(paths: tuple[str, ...] | None, labels: IntArray, pictures: list[Picture]) -> list[Picture] | None:
+    """The picture of each row, or None when these are not the pictures of the rows."""
+    if paths is None:
+        same = len(pictures) == len(labels) and all(p.label == label for p, label in zip(pictures, labels, strict=True))
+        return pictures if same else None
+    named = {"/".join(picture.path.parts[-2:]): picture for picture in pictures}
+    found = [named.get("/".join(path.split("/")[-2:])) for path in paths]
+    return None if None in found else cast("list[Picture]", found)
+
+
+def _view(paths: tuple[str, ...] | None, role: str) -> View | None:
+    """The view in the folder above the places' folders: .../query_drone/0001/image-01.jpeg."""
+    folders = {"".join(path.split("/")[-3:-2]) for path in paths or ()}
+    return next((view for view in VIEWS if folders == {f"{role}_{view}"}), None)

@@ -1,0 +1,63 @@
+"""Exploring a saved result: everything that descriptors tell, nothing that needs the network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from playwright.sync_api import BrowserContext, expect
+
+import lpn
+from lpn import datasets, explain, retrieval
+from lpn.features import cached_descriptors
+from tests.e2e.conftest import Explorer, Running
+
+
+def test_a_saved_result_is_explored_without_its_network(
+    saved_app: Running, app: Running, contexts: Callable[[], BrowserContext]
+) -> None:
+    explorer = Explorer(contexts().new_page())
+    explorer.open(saved_app.url)
+    header = explorer.page.locator("#lpn-header")
+    for text in (
+        "pytorch_result.mat",
+        "saved descriptors, n = 4, no network",
+        "drone → satellite",
+        "14 queries",
+        "R@1",
+    ):
+        expect(header).to_contain_text(text)
+    expect(explorer.page.locator("#lpn-saved")).to_contain_text("no heatmaps")
+    expect(explorer.field("Rings")).to_be_visible()
+    for label in ("Rotate", "Heatmap", "Opacity", "Heat of"):
+        expect(explorer.page.locator(f'label:text-is("{label}")')).to_have_count(0)
+    expect(explorer.page.get_by_text("Use my own picture")).to_have_count(0)
+
+    model, dataset = lpn.load(app.model), datasets.open_dataset(app.data)
+    query = next(entry for entry in dataset.queries("drone") if entry.name == "0011")
+    gallery = dataset.gallery("satellite")[::-1]  # the order of the file
+    cosines = explain.part_cosines(
+        cached_descriptors(model, [query], "drone")[0], cached_descriptors(model, gallery, "satellite")
+    )
+
+    def shows(weights: tuple[float, ...]) -> None:
+        labels = np.array([entry.label for entry in gallery])
+        ranking = retrieval.rank(cosines, explain.part_weights(4, weights), labels, query.label)
+        for row, match in zip(explorer.rows.all(), ranking.top(10), strict=False):
+            assert row.get_attribute("data-index") == str(match.index)
+            assert gallery[match.index].name in row.inner_text()
+            assert ("✓" if match.true else "✗") in row.inner_text()
+            assert f"{match.distance2:.3f}" in row.inner_text()
+
+    explorer.fill("Find name", "0011")
+    explorer.expect_status("name", "0011")
+    shows((1, 1, 1, 1))
+    answers = explorer.sequence()
+    for key in ("j", "h"):
+        explorer.key(key)
+    explorer.page.wait_for_timeout(700)
+    assert explorer.sequence() == answers
+    explorer.tab("Parts")
+    explorer.tick("Part 1 centre", False)
+    expect(explorer.status).to_have_attribute("data-seq", str(answers + 1), timeout=20_000)
+    shows((0, 1, 1, 1))

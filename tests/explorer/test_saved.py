@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from explorer import pages, words
+from explorer.exhibit import Analyst, Exhibit
+from explorer.opening import open_model, open_saved
+from explorer.session import State, Upload
+from lpn.errors import DataError, InputError
+from lpn.saved import load_saved
+from tests import worlds
+from tests.saved import save_result
+
+
+@pytest.fixture(scope="module")
+def exhibit(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Exhibit:
+    """What the model of the other tests finds, without the model."""
+    file = tmp_path_factory.mktemp("saved") / "pytorch_result.mat"
+    save_result(file, data, model_file)
+    return open_saved(data, load_saved(file, 4))
+
+
+def test_a_saved_result_is_ranked_as_its_model_ranks(exhibit: Exhibit, data: Path, model_file: Path) -> None:
+    live = open_model(data, model_file)
+    assert list(exhibit.tasks) == ["drone-to-satellite"]
+    saved, task = exhibit.tasks["drone-to-satellite"], live.tasks["drone-to-satellite"]
+    assert saved.results == pytest.approx(task.results)
+    np.testing.assert_array_equal(saved.ranks, task.ranks)
+    for query in (0, 5):
+        state = State("drone-to-satellite", 4, query=query, enabled=(True, False, True, True))
+        one, other = (Analyst(shown).answer(shown.possible(state), 10) for shown in (exhibit, live))
+        assert [saved.gallery[m.index] for m in one.matches] == [task.gallery[m.index] for m in other.matches]
+        for match, expected in zip(one.matches, other.matches, strict=True):
+            np.testing.assert_allclose(match.shares, expected.shares, atol=1e-5)
+            assert match.true == expected.true
+        assert one.tile.activation is None
+        np.testing.assert_array_equal(one.tile.picture, other.tile.picture)
+        assert words.verdict(one, exhibit.part_names)[:2] == words.verdict(other, live.part_names)[:2]
+
+
+def test_what_needs_a_network_cannot_be_asked_for(exhibit: Exhibit, data: Path, model_file: Path) -> None:
+    upload = Upload("mine", np.zeros((2, 2, 3), np.uint8))
+    wanted = State("drone-to-satellite", 4, query=3, angle=20, heat=True, upload=upload)
+    got = exhibit.possible(wanted)
+    assert (got.angle, got.heat, got.upload, got.query) == (0, False, None, 3)
+    assert open_model(data, model_file).possible(wanted) is wanted
+    assert "no network" in pages.header(exhibit, exhibit.tasks["drone-to-satellite"])
+
+
+def test_pictures_of_equal_files_are_told_apart_by_their_query(exhibit: Exhibit) -> None:
+    analyst, state = Analyst(exhibit), State("drone-to-satellite", 4)
+    first = analyst.answer(state, 3)
+    assert analyst.answer(replace(state, query=1), 3).query is not first.query
+
+
+def test_results_that_cannot_be_explored_are_refused(data: Path, model_file: Path, tmp_path: Path) -> None:
+    save_result(tmp_path / "r.mat", data, model_file, length=2.0)
+    with pytest.raises(InputError, match="parts of norm"):
+        open_saved(data, load_saved(tmp_path / "r.mat"))
+    save_result(tmp_path / "r.mat", data, model_file)
+    other = worlds.make_dataset(tmp_path / "other", train=1, test=2)
+    with pytest.raises(DataError, match="give the data set"):
+        open_saved(other, load_saved(tmp_path / "r.mat"))
+    with pytest.raises(InputError, match="no query x"):
+        open_saved(data, load_saved(tmp_path / "r.mat"), "x")

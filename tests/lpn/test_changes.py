@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lpn import images
+from lpn.changes import UNCHANGED, Change
+from lpn.errors import InputError, PictureError
+from tests import worlds
+
+
+def test_a_shift_pads_one_side_with_black_and_crops_the_other() -> None:
+    picture = worlds.place(1)
+    right, left = Change(shift=10).move(picture), Change(shift=-10).move(picture)
+    np.testing.assert_array_equal(right[:, 10:], picture[:, :-10])
+    np.testing.assert_array_equal(left[:, :-10], picture[:, 10:])
+    assert not right[:, :10].any()
+    assert not left[:, -10:].any()
+
+
+def test_a_shift_of_everything_is_refused() -> None:
+    with pytest.raises(InputError, match="96 wide"):
+        Change(shift=worlds.SIZE).move(worlds.place(1))
+
+
+@pytest.mark.parametrize("shape", [(96, 96), (61, 40)])
+def test_zooming_keeps_the_centre_and_the_canvas(shape: tuple[int, int]) -> None:
+    height, width = shape
+    picture = images.resize(worlds.place(2), height, width)
+    magnified = Change(scale=2).apply(picture)
+    assert magnified.shape == picture.shape
+    if height % 4 == 0:
+        middle = picture[height // 4 : -height // 4, width // 4 : -width // 4]
+        difference = np.abs(magnified.astype(int) - images.resize(middle, height, width).astype(int))
+        assert difference[4:-4, 4:-4].max() <= 1
+    small = Change(scale=0.5).apply(picture)
+    assert small.shape == picture.shape
+    inside = small.any(axis=2)
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    assert rows[0] == height - 1 - rows[-1]
+    assert columns[0] == width - 1 - columns[-1]
+    assert abs(len(rows) - height / 2) <= 1
+    assert abs(len(columns) - width / 2) <= 1
+
+
+def test_turning_comes_before_zooming_and_nothing_changes_nothing() -> None:
+    picture = worlds.place(3)
+    assert not UNCHANGED
+    assert UNCHANGED.apply(picture) is picture
+    assert UNCHANGED.move(picture) is picture
+    assert UNCHANGED.describe() == ""
+    change = Change(30, 5, 0.8)
+    assert change.describe() == "turned 30°, scaled by 0.8, shifted 5 px to the right"
+    np.testing.assert_array_equal(change.apply(picture), images.zoom(images.rotate(picture, 30), 0.8))
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"rotate": float("nan")}, "rotation is nan"),
+        ({"shift": 1.5}, "shift is 1.5"),
+        ({"scale": 0}, "scale is 0"),
+        ({"scale": float("inf")}, "scale is inf"),
+        ({"scale": float("nan")}, "scale is nan"),
+    ],
+)
+def test_changes_that_mean_nothing_are_refused(values: dict[str, float], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        Change(**values)  # type: ignore[arg-type]
+
+
+def test_a_box_is_rounded_cut_at_the_borders_and_must_hold_something() -> None:
+    picture = worlds.place(4)
+    np.testing.assert_array_equal(images.crop(picture, (10.4, 20.6, 300, 50)), picture[21:50, 10:])
+    np.testing.assert_array_equal(images.crop(picture, (-5, -5, 3, 4)), picture[:4, :3])
+    for box in ((5.0, 5.0, 5.0, 9.0), (-9.0, 0.0, -2.0, 5.0), (200.0, 0.0, 300.0, 5.0)):
+        with pytest.raises(PictureError, match="nothing of query 7"):
+            images.crop(picture, box, "query 7")
