@@ -49,7 +49,7 @@ def test_what_is_wrong_with_a_folder_is_said_in_one_sentence(tmp_path: Path) -> 
     with pytest.raises(DataError, match="no data set folder"):
         open_dataset(tmp_path / "absent")
     (tmp_path / "other").mkdir()
-    with pytest.raises(DataError, match="holds other; expected the folders train and test"):
+    with pytest.raises(DataError, match="holds other; expected train and test as in University-1652"):
         open_dataset(tmp_path)
     (tmp_path / "test" / "query_drone" / "0001").mkdir(parents=True)
     with pytest.raises(DataError, match="no pictures in it at test/query_drone"):
