@@ -26,13 +26,16 @@ _RECIPES = {
     "CVACT": ("cvusa", "safa"),
     "pairs": ("small", "university1652"),
 }
-_AERIAL = "Tables I, III, IV, V and Figure 5"
+_AERIAL = (("drone-to-satellite", "satellite-to-drone"), "Tables I, III, IV, V and Figure 5", "Tables IV and V")
+_GROUND = (("street-to-satellite",), "Table II", "Table II")
+_LANDMARKS = (("street-to-street",), "Table VI", "Table VI")
+# Per kind: the tasks that the paper reports, its tables with training, and those that need a test split alone.
 _TABLES = {
     "University-1652": _AERIAL,
     "world": _AERIAL,
-    "CVUSA": "Table II",
-    "Oxford5k": "Table VI",
-    "Paris6k": "Table VI",
+    "CVUSA": _GROUND,
+    "Oxford5k": _LANDMARKS,
+    "Paris6k": _LANDMARKS,
 }
 
 
@@ -83,7 +86,7 @@ class Report:
         broken: pictures that cannot be read.
         left_out: files that the data set leaves out by itself: named and not there, or known to be broken.
         lacking: places and queries without their counterpart.
-        duplicates: groups of files of one list with the same content, shown as different places.
+        duplicates: groups of files of one list with the same content and different labels.
         shared: places that are in train and test alike.
         positions: what geo.csv says, or None without one; gap: what is wrong with it, or None.
         runs: what can be run, a sentence each.
@@ -209,47 +212,54 @@ def _duplicates(root: Path, lists: dict[str, list[Picture]]) -> Iterable[tuple[s
 
 
 def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
+    """What `geo.csv` covers, and what is wrong with it."""
     try:
         known = geo.positions(dataset.root)
         if known is None:
             return None, None
-        views = {view: task for task in dataset.tasks() for view in task.split("-to-")}
-        pictures = [p for view in views for p in (*_or_none(dataset.queries, view), *_or_none(dataset.gallery, view))]
+        tasks = [task.split("-to-") for task in dataset.tasks()]
+        asked = [picture for view in {query for query, _ in tasks} for picture in dataset.queries(view)]
+        shown = [picture for view in {gallery for _, gallery in tasks} for picture in dataset.gallery(view)]
+        pictures = list({picture.path: picture for picture in asked + shown}.values())
         known.of(pictures)
     except DataError as error:
         return geo.NAME, str(error)
     return f"{geo.NAME} has a position for each of the {len(pictures)} test pictures.", None
 
 
-def _or_none(pictures: Callable[[str], list[Picture]], view: str) -> list[Picture]:
-    try:
-        return pictures(view)
-    except DataError:
-        return []
-
-
 def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
     train = {
         name.removeprefix("train/"): {p.label for p in of} for name, of in lists.items() if name.startswith("train/")
     }
-    if "satellite" in train and {"drone", "street"} & set(train):
-        if "street" not in train:
-            train.pop("google", None)
-        places = len(set.intersection(*train.values()))
-        recipes = [name for name in _RECIPES.get(dataset.kind, ()) if name in RECIPES]
-        if places and recipes:
-            yield f"lpn train, on {places} places with {', '.join(train)}: --recipe {' or '.join(recipes)}"
+    if "street" not in train:
+        train.pop("google", None)
+    places = len(set.intersection(*train.values())) if "satellite" in train and len(train) > 1 else 0
+    recipes = [name for name in _RECIPES.get(dataset.kind, ()) if name in RECIPES]
+    if places and recipes:
+        yield f"lpn train, on {places} places with {', '.join(train)}: --recipe {' or '.join(recipes)}"
     for task in dataset.tasks():
         query_view, gallery_view = task.split("-to-")
         queries, gallery = len(dataset.queries(query_view)), len(dataset.gallery(gallery_view))
         yield f"lpn evaluate --task {task}: {queries} queries, {gallery} pictures in the gallery"
-    if dataset.tasks() and dataset.kind in _TABLES:
-        smaller = [c for c in (_count(dataset, *item) for item in lists.items()) if c.pictures < (c.full_pictures or 0)]
-        scale = ", at the scale of what is here" if smaller or dataset.kind == "world" else ""
-        yield f"{_TABLES[dataset.kind]} of the paper{scale}"
+    if tables := _tables(dataset, places > 0):
+        counts = [_count(dataset, name, pictures) for name, pictures in lists.items()]
+        smaller = any(count.pictures < (count.full_pictures or 0) for count in counts) or not dataset.full
+        yield f"{tables}{', at the scale of what is here' if smaller else ''}"
     if (dataset.root / "cvusa" / "splits").is_dir():
-        yield f"Table II, on the panoramas that are a data set of their own in {printable(dataset.root.name)}/cvusa"
+        yield f"Table II of the paper, on the panoramas in {printable(dataset.root.resolve().name)}/cvusa, a data set of its own"
     yield "lpn describe --images, on any folder of these pictures"
+
+
+def _tables(dataset: Dataset, trainable: bool) -> str | None:
+    """The tables of the paper that need no more than this data set, and models of it where it has nothing to train on."""
+    if dataset.kind not in _TABLES:
+        return None
+    directions, training, testing = _TABLES[dataset.kind]
+    offered = [task for task in directions if task in dataset.tasks()]
+    if not offered:
+        return None
+    found = f"{training} of the paper" if trainable else f"{testing} of the paper, with trained models"
+    return found if len(offered) == len(directions) else f"{found}, {offered[0]} only"
 
 
 def _below(root: Path, file: Path) -> str:
@@ -258,7 +268,8 @@ def _below(root: Path, file: Path) -> str:
 
 def show(report: Report, console: Console) -> None:
     """Print a report for a person: at most five names of each kind, of which `to_dict` has all."""
-    table = Table(title=f"{report.root} is {_KINDS.get(report.kind, report.kind)}", title_justify="left")
+    console.print(f"{report.root} is {_KINDS.get(report.kind, report.kind)}.", markup=False, highlight=False)
+    table = Table()
     for name in ("pictures of", "pictures", "places"):
         table.add_column(name, justify="left" if name == "pictures of" else "right")
     for count in report.counts:
@@ -276,7 +287,7 @@ def show(report: Report, console: Console) -> None:
     for item in report.lacking:
         lines += _some(f"of {item.of} {item.what}", item.names)
     lines += _some("places are in train and in test", [f"{label:04d}" for label in report.shared])
-    lines += _some("groups of equal files stand for different places", [" = ".join(g) for g in report.duplicates])
+    lines += _some("groups of files in one list are equal", [" = ".join(g) for g in report.duplicates])
     lines += [text for text in (report.gap or report.positions,) if text]
     lines += ["What can be run:", *(f"  {text}" for text in report.runs)]
     lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
@@ -289,6 +300,8 @@ _KINDS = {
     "world": "a rendered world",
     "CVUSA": "in CVUSA's layout",
     "CVACT": "in CVACT's layout",
+    "Oxford5k": "in Oxford5k's layout",
+    "Paris6k": "in Paris6k's layout",
     "landmarks": "a set of landmarks with ground-truth files as in Oxford5k",
     "pairs": "pairs listed in pairs.csv",
     "folder": "a plain folder of pictures",

@@ -8,7 +8,6 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import permutations
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -20,6 +19,15 @@ from lpn.images import SUFFIXES
 
 log = logging.getLogger(__name__)
 
+TASKS = (
+    "drone-to-satellite",
+    "satellite-to-drone",
+    "street-to-satellite",
+    "satellite-to-street",
+    "drone-to-street",
+    "street-to-drone",
+)
+"""The tasks between two views, the usual ones first."""
 INDEX_BYTES = 100_000_000
 """The largest list of pictures (.csv, .txt) that is read."""
 
@@ -180,8 +188,8 @@ class ListedDataset(Dataset):
 
 
 def tasks_between(queries: Collection[str], galleries: Collection[str]) -> list[str]:
-    """Every task from a view with queries to another with a gallery, those with a satellite first."""
-    pairs = sorted(permutations(("drone", "satellite", "street"), 2), key=lambda pair: "satellite" not in pair)
+    """Every task from a view with queries to another with a gallery, the usual ones first."""
+    pairs = (task.split("-to-") for task in TASKS)
     return [f"{query}-to-{gallery}" for query, gallery in pairs if query in queries and gallery in galleries]
 
 
