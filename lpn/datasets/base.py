@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import logging
 import os
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ TASKS = (
     "street-to-drone",
 )
 """The tasks between two views, the usual ones first."""
+_PLAIN = re.compile(r"\w[\w-]*(\.\w+)?(/\w[\w-]*(\.\w+)?)*")
 INDEX_BYTES = 100_000_000
 """The largest list of pictures (.csv, .txt) that is read."""
 
@@ -230,6 +232,8 @@ def below(text: str, where: str) -> str:
     Raises:
         DataError: naming `where` it was given, when it is absolute, empty, or climbs out with "..".
     """
+    if _PLAIN.fullmatch(text):
+        return text
     path = PurePosixPath(text.strip().replace("\\", "/"))
     drive = bool(path.parts) and ":" in path.parts[0]
     if not path.parts or path.is_absolute() or drive or ".." in path.parts or any(ord(c) < 32 for c in text.strip()):

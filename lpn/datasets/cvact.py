@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lpn import matfile
 from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, Size, say_left_out
 from lpn.errors import DataError
 from lpn.files import printable
@@ -26,7 +26,6 @@ FULL = {
     "test/satellite": Size(8_884, 8_884),
     "test/street": Size(8_884, 8_884),
 }
-MAT_BYTES = 500_000_000
 _FOLDERS = ("", "ANU_data_small/", "ANU_data_test/")
 _FILES = {"satellite": "satview_polish/{}_satView_polish", "street": "streetview/{}_grdView"}
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
@@ -79,21 +78,14 @@ def _find(there: Names, view: str, name: str) -> str | None:
 
 def _read(path: Path) -> tuple[list[str], dict[str, npt.NDArray[np.int64]]]:
     """The ids of all panoramas, and the 1-based rows of the pairs to train on and to test with."""
-    from scipy.io import loadmat
-
+    expected = "a MATLAB 5 file with panoIds, trainSet.trainInd, and valSet.valInd"
+    values = matfile.load(path, ["panoIds", "trainSet", "valSet"], expected)
     try:
-        if path.stat().st_size > MAT_BYTES:
-            raise ValueError(f"it has more than {MAT_BYTES // 1_000_000} MB")
-        values: Any = loadmat(path, simplify_cells=True, variable_names=["panoIds", "trainSet", "valSet"])
         ids = [str(name).strip() for name in np.atleast_1d(values["panoIds"]).reshape(-1)]
         raw = {"train": values["trainSet"]["trainInd"], "test": values["valSet"]["valInd"]}
         rows = {split: np.atleast_1d(np.asarray(indices)).reshape(-1) for split, indices in raw.items()}
-    except Exception as error:  # what scipy raises on a damaged file is anything
-        said = str(error).strip().partition("\n")[0] or type(error).__name__
-        raise DataError(
-            f"{NAME} cannot be read as CVACT's ({printable(said)}); expected a MATLAB 5 file with panoIds, trainSet.trainInd, "
-            "and valSet.valInd."
-        ) from error
+    except (KeyError, TypeError, IndexError, ValueError) as error:
+        raise DataError(f"{NAME} has other variables inside than CVACT's; expected {expected}.") from error
     for name in ids:
         if not _ID.fullmatch(name):
             raise DataError(f"{NAME} has the panoId {printable(name)!r}; expected letters, digits, - and _ only.")
