@@ -256,6 +256,39 @@ class Describe:
 
 
 @dataclass
+class Doctor:
+    """Say what a data set holds, what is broken in it, and what can be run; ends with status 1 where something is broken."""
+
+    data: Path
+    """Data set in any layout of docs/data.md."""
+    quick: bool = False
+    """Read the headers and ends of the pictures only, and do not decode them."""
+    json: Path | None = None
+    """File to write everything found to, with every name."""
+
+    def run(self) -> int:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        from lpn.datasets import open_dataset
+        from lpn.doctor import examine, show
+        from lpn.files import check_writable, write_whole
+
+        if self.json is not None:
+            check_writable(self.json)
+        console = Console(width=max(120, Console().width))
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task("Reading pictures", total=None)
+            dataset = open_dataset(self.data)
+            report = examine(dataset, not self.quick, lambda done, of: bar.update(task, completed=done, total=of))
+        show(report, console)
+        if self.json is not None:
+            write_whole(self.json, (json.dumps(report.to_dict(), indent=1) + "\n").encode())
+        return 0 if report.healthy else 1
+
+
+@dataclass
 class World:
     """Plan and render a fictional city as a data set with exact positions; resumable."""
 
@@ -349,19 +382,20 @@ class Reproduce:
         print(f"Wrote {', '.join(file.name for file in made)} to {self.out}.")
 
 
-COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe | World | Reproduce]] = {
+COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe | Doctor | World | Reproduce]] = {
     "explore": Explore,
     "train": Train,
     "evaluate": Evaluate,
     "export": Export,
     "describe": Describe,
+    "doctor": Doctor,
     "world": World,
     "reproduce": Reproduce,
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status: 0, or 2 after an error the user can mend."""
+    """Run the command line; returns the exit status: 0, 1 where doctor found damage, or 2 after an error the user can mend."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if not given or given[0] in ("-h", "--help"):
         print(_help())
@@ -374,7 +408,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     try:
         command = _parse(COMMANDS[given[0]], given[1:], f"lpn {given[0]}")
-        command.run()
+        return int(command.run() or 0)
     except LPNError as error:
         print(f"lpn: {error}", file=sys.stderr)
         return 2
@@ -388,7 +422,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("lpn: stopped.", file=sys.stderr)
         return 130
-    return 0
 
 
 def _parse(command: Callable[..., Any], arguments: list[str], program: str) -> Any:

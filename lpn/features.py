@@ -30,9 +30,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from lpn import images
 from lpn.changes import UNCHANGED, Change
-from lpn.datasets import Picture
+from lpn.datasets import Picture, files_below
 from lpn.errors import DataError, InputError, LPNError, OutputError, PictureError, StoreError
 from lpn.files import printable, write_whole
+from lpn.integrity import flaws, naming
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 
@@ -205,7 +206,7 @@ def describe(
         precision: of the numbers on disk; they are computed in float32.
 
     Raises:
-        PictureError: naming the first file that is not a picture, before anything is computed where its header tells.
+        PictureError: naming the files that are no whole pictures (see `lpn.integrity`), before anything is computed.
         InputError: when the model has no such view, or the change would leave nothing of a picture.
         StoreError: when `out` cannot be written, or holds descriptors of another model, view, change, or precision.
     """
@@ -227,8 +228,10 @@ def describe(
     before = _usable(out, manifest)
     if before is not None and before.manifest == manifest:
         return before
-    for file in files:
-        images.check_header(file)
+    if broken := flaws(files):
+        raise PictureError(
+            f"{len(broken)} of {len(files)} pictures cannot be described: {naming(broken)}; mend or remove them."
+        )
     try:
         out.mkdir(parents=True, exist_ok=True)
         with _alone(out):
@@ -342,13 +345,7 @@ def pictures_below(folder: str | Path) -> list[Path]:
     folder = Path(folder)
     if not folder.is_dir():
         raise DataError(f"There is no folder of pictures at {folder}; check the path.")
-    files = sorted(
-        file
-        for file in folder.rglob("*")
-        if file.suffix.lower() in images.SUFFIXES
-        and not any(name.startswith(".") for name in file.relative_to(folder).parts)
-        and file.is_file()
-    )
+    files = files_below(folder)
     if not files:
         raise DataError(f"{folder} holds no pictures; expected files ending in {', '.join(images.SUFFIXES)}.")
     return files

@@ -55,7 +55,10 @@ def decode_picture(data: bytes, name: str) -> Picture:
     Raises:
         PictureError: when they are not a picture, or one of more than 50 megapixels.
     """
-    _check_size(io.BytesIO(data), name)
+    if (found := header_flaw(io.BytesIO(data))) is not None:
+        raise PictureError(
+            f"{name} {found}; expected a JPEG, PNG, or WebP file of at most {MAX_PIXELS // 1_000_000} megapixels."
+        )
     try:
         decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
     except cv2.error:
@@ -65,30 +68,21 @@ def decode_picture(data: bytes, name: str) -> Picture:
     return cast(Picture, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
 
 
-def check_header(path: Path) -> None:
-    """Raise PictureError when a file's header already tells that it is not a picture we can read."""
-    try:
-        with path.open("rb") as file:
-            _check_size(file, printable(str(path)))
-    except OSError as error:
-        raise PictureError(
-            f"The picture {printable(str(path))} cannot be read ({error.strerror}); check the path."
-        ) from error
+def header_flaw(file: BinaryIO) -> str | None:
+    """What a picture file's header tells against it, as the end of a sentence: no picture, or too large a one; else None.
 
-
-def _check_size(file: BinaryIO, name: str) -> None:
-    """Refuse a decompression bomb from its header, before anything is decoded."""
+    A decompression bomb is refused here, before anything is decoded.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(file) as header:
                 width, height = header.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise PictureError(f"{name} is not a picture that can be read; expected a JPEG, PNG, or WebP file.") from error
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return "is not a picture that can be read"
     if width * height > MAX_PIXELS:
-        raise PictureError(
-            f"{name} is {width} x {height} pixels; at most {MAX_PIXELS // 1_000_000} megapixels are read, so make it smaller."
-        )
+        return f"has {width} x {height} pixels, too many to be read"
+    return None
 
 
 def rotate(picture: Picture, degrees: float) -> Picture:

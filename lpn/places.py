@@ -11,6 +11,7 @@ from rich.console import Console
 from lpn import images
 from lpn.datasets import Dataset, Picture
 from lpn.errors import DataError
+from lpn.integrity import flaws, naming
 from lpn.spec import VIEWS, View
 
 CACHE_BYTES = 2_000_000_000
@@ -20,9 +21,10 @@ CACHE_BYTES = 2_000_000_000
 class Places:
     """The training pictures by place: for each set (satellite, drone, street, google), each place's files.
 
+    Pictures that are not whole (see `lpn.integrity`) are left out, which is said once.
+
     Raises:
         DataError: when there is no place with a satellite picture and one of another view.
-        PictureError: naming the first file that is not a picture.
     """
 
     def __init__(self, dataset: Dataset, console: Console, google: bool = True) -> None:
@@ -39,6 +41,7 @@ class Places:
                 f"{dataset.root.name} has pictures in {found}; training needs train/satellite and at least one of "
                 "train/drone, train/street, as in University-1652."
             )
+        _leave_out_broken(by_place, dataset.root, console)
         everywhere = set.intersection(*(set(places) for places in by_place.values()))
         partial = sorted(set.union(*(set(places) for places in by_place.values())) - everywhere)
         if partial:
@@ -50,10 +53,6 @@ class Places:
             raise DataError(
                 f"No place of {dataset.root.name} has a picture in all of {', '.join(by_place)}; nothing to train on."
             )
-        for places in by_place.values():
-            for label in everywhere:
-                for file in places[label]:
-                    images.check_header(file)
         self.labels = sorted(everywhere)
         self.files = {name: [places[label] for label in self.labels] for name, places in by_place.items()}
         self.views: tuple[View, ...] = tuple(view for view in VIEWS if view in by_place)
@@ -79,6 +78,23 @@ class Places:
             self._kept[path] = picture
             self._kept_bytes += picture.nbytes
         return picture
+
+
+def _leave_out_broken(by_place: dict[str, dict[int, list[Path]]], root: Path, console: Console) -> None:
+    """Take out of each set the pictures that would stop the run, and the places that lose all of theirs."""
+    files = [file for places in by_place.values() for of_place in places.values() for file in of_place]
+    broken = flaws(files)
+    if not broken:
+        return
+    console.print(
+        f"{len(broken)} of {len(files)} training pictures cannot be used and are left out: {naming(broken, root)}.",
+        markup=False,
+    )
+    for places in by_place.values():
+        for label, of_place in list(places.items()):
+            places[label] = [file for file in of_place if file not in broken]
+            if not places[label]:
+                del places[label]
 
 
 def _by_label(pictures: list[Picture]) -> dict[int, list[Path]]:

@@ -13,7 +13,6 @@ from rich.console import Console
 import lpn
 from lpn.datasets import Dataset, open_dataset
 from lpn.errors import InputError
-from lpn.evaluate import PROTOCOL
 from lpn.files import check_writable, write_whole
 from lpn.model import Model
 from lpn.reproduce import pictures, report, runs, world
@@ -24,6 +23,13 @@ from lpn.spec import ModelSpec
 
 _SHOWN = {"figure7": ("instance", "lpn"), "figure8": ("lpn",)}
 """The trainings of Table I that each drawn figure shows."""
+_APART = {
+    "table2": ("SAFA and SAFA + LPN are described without their mirror.",),
+    "table4": ("Queries are turned counter-clockwise by the degrees named, on their own canvas, corners black.",),
+    "table5": ("The parts named, counted from the centre, are compared and no others.",),
+    "table6": ("Both sides are described by the branch named; ImageNet alone: the mean over the last feature map.",),
+}
+"""In what the rows' protocols differ from the first one's."""
 KEYS = (*tables(SCALES["paper"]), *_SHOWN)
 """Everything that can be reproduced."""
 
@@ -119,7 +125,9 @@ class Reproduction:
         """The trainings that no given model stands for."""
         needed = {training.name: training for table in wanted for training in table.trainings}
         names = {name for key in drawn for name in _SHOWN[key]}
-        needed |= {training.name: training for training in find("table1", self.scale).trainings if training.name in names}
+        needed |= {
+            training.name: training for training in find("table1", self.scale).trainings if training.name in names
+        }
         rows = [row for table in wanted for row in table.rows if row.training]
         given = {row.training.name for row in rows if row.training and self._given(row)}
         given |= {name for name in needed if name in self.models or (name == "lpn" and "" in self.models)}
@@ -147,11 +155,14 @@ class Reproduction:
         notebook = Notebook(self.out / "measured.json")
         data, columns = self._measured_on(table)
         measured: dict[str, list[Values]] = {}
+        protocols: dict[str, None] = {}
         for row in table.rows:
-            found = [notebook.values(row, table.measure, model, data) for model in self._models(row)]
+            found = [notebook.figures(row, table.measure, model, data) for model in self._models(row)]
             if found:
-                measured[row.label] = found
-        return report.write(table, measured, columns, self._foot(table), self.out)
+                measured[row.label] = [figures.values for figures in found]
+                protocols[found[0].protocol] = None
+        foot = [*(list(protocols)[:1] or ["Nothing was measured."]), *_APART.get(table.key, ()), *self._foot(table)]
+        return report.write(table, measured, columns, foot, self.out)
 
     def _measured_on(self, table: Table) -> tuple[list[Dataset], tuple[str, ...]]:
         if table.measure == "landmarks":
@@ -164,7 +175,7 @@ class Reproduction:
 
     def _foot(self, table: Table) -> list[str]:
         """What a reader must know of how the figures came about."""
-        said = [PROTOCOL]
+        said: list[str] = []
         if self._worlds:
             said.append(
                 "**Data: the rendered world, not the paper's data sets**; its figures compare with one another only."

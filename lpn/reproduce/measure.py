@@ -4,15 +4,31 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from lpn.changes import Change
 from lpn.datasets import Dataset
-from lpn.evaluate import evaluate
+from lpn.evaluate import Result, evaluate
 from lpn.files import write_whole
 from lpn.model import Model
+from lpn.protocol import Protocol
 from lpn.reproduce.paper import Values
 from lpn.reproduce.tables import Measure, Row
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What a network did.
+
+    Attributes:
+        values: in percent, one for each column of the table.
+        protocol: how they were measured, in one sentence.
+    """
+
+    values: Values
+    protocol: str
 
 
 class Notebook:
@@ -22,31 +38,37 @@ class Notebook:
         self.path = path
         try:
             held: Any = json.loads(path.read_bytes())
-        except (OSError, ValueError):
-            held = {}
-        self._held: dict[str, list[float]] = held if isinstance(held, dict) else {}
+            self._held = {key: Figures(tuple(map(float, v["values"])), str(v["protocol"])) for key, v in held.items()}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            self._held = {}
 
-    def values(self, row: Row, measure: Measure, model: Model, data: Sequence[Dataset]) -> Values:
-        """The row's figures in percent, one for each column of its table; measured when they are not there yet."""
+    def figures(self, row: Row, measure: Measure, model: Model, data: Sequence[Dataset]) -> Figures:
+        """The row's figures; measured when they are not there yet."""
         names = [dataset.root.resolve().name for dataset in data]
         key = json.dumps([model.fingerprint, measure, names, row.rotate, row.parts, row.branch])
         if key not in self._held:
-            self._held[key] = list(_measured(row, measure, model, data))
-            write_whole(self.path, (json.dumps(self._held, indent=1) + "\n").encode())
-        return tuple(self._held[key])
+            results = _measured(row, measure, model, data)
+            values = [value for result in results for value in _values(result, measure)]
+            self._held[key] = Figures(tuple(values), results[0].said)
+            whole = {key: asdict(figures) for key, figures in self._held.items()}
+            write_whole(self.path, (json.dumps(whole, indent=1) + "\n").encode())
+        return self._held[key]
 
 
-def _measured(row: Row, measure: Measure, model: Model, data: Sequence[Dataset]) -> Values:
+def _measured(row: Row, measure: Measure, model: Model, data: Sequence[Dataset]) -> list[Result]:
     if measure == "both ways":
-        ways = [
-            evaluate(model, data[0], task, row.rotate, row.parts)
-            for task in ("drone-to-satellite", "satellite-to-drone")
-        ]
-        return tuple(value for way in ways for value in (way.recall["1"], way.ap))
+        protocol = Protocol(Change(row.rotate), row.parts)
+        return [evaluate(model, data[0], task, protocol) for task in ("drone-to-satellite", "satellite-to-drone")]
     if measure == "ground":
-        recall = evaluate(model, data[0], "street-to-satellite").recall
-        return tuple(recall[key] for key in ("1", "5", "10", "1%"))
-    return tuple(evaluate(model, dataset, "street-to-street", branch=row.branch).ap for dataset in data)
+        return [evaluate(model, data[0], "street-to-satellite")]
+    branch = row.branch if row.training else "street"
+    return [evaluate(model, dataset, "street-to-street", Protocol(branch=branch)) for dataset in data]
+
+
+def _values(result: Result, measure: Measure) -> Values:
+    if measure == "both ways":
+        return result.recall["1"], result.ap
+    return tuple(result.recall[key] for key in ("1", "5", "10", "1%")) if measure == "ground" else (result.ap,)
 
 
 def spread(values: Sequence[float]) -> tuple[float, float]:

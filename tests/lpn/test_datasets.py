@@ -7,7 +7,7 @@ import pytest
 
 from lpn.datasets import open_dataset
 from lpn.errors import DataError
-from tests import worlds
+from tests import layouts, worlds
 
 
 def test_the_layout_is_read_in_order_of_place_and_file(data: Path) -> None:
@@ -49,7 +49,7 @@ def test_what_is_wrong_with_a_folder_is_said_in_one_sentence(tmp_path: Path) -> 
     with pytest.raises(DataError, match="no data set folder"):
         open_dataset(tmp_path / "absent")
     (tmp_path / "other").mkdir()
-    with pytest.raises(DataError, match="holds other; expected the folders train and test"):
+    with pytest.raises(DataError, match="holds other; expected train and test as in University-1652"):
         open_dataset(tmp_path)
     (tmp_path / "test" / "query_drone" / "0001").mkdir(parents=True)
     with pytest.raises(DataError, match="no pictures in it at test/query_drone"):
@@ -59,3 +59,98 @@ def test_what_is_wrong_with_a_folder_is_said_in_one_sentence(tmp_path: Path) -> 
     worlds.write(tmp_path / "test" / "query_drone" / "castle" / "a.png", worlds.place(1))
     with pytest.raises(DataError, match="castle in test/query_drone is not a number"):
         open_dataset(tmp_path).queries("drone")
+
+
+def test_a_world_is_told_from_university_1652(data: Path, tmp_path: Path) -> None:
+    dataset = open_dataset(data)
+    assert (dataset.kind, dataset.panoramas, dataset.full["test/gallery_drone"].pictures) == (
+        "University-1652",
+        False,
+        51_355,
+    )
+    assert dataset.truth("drone-to-satellite") is None
+    assert list(dataset.lists()) == [
+        *("train/satellite", "train/drone", "test/query_drone", "test/query_satellite"),
+        *("test/gallery_drone", "test/gallery_satellite"),
+    ]
+    worlds.make_dataset(tmp_path, train=1, test=1)
+    (tmp_path / "world.json").write_text("{}")
+    layouts.cvusa(tmp_path / "cvusa")
+    assert (open_dataset(tmp_path).kind, open_dataset(tmp_path).full) == ("world", {})
+    assert open_dataset(tmp_path / "cvusa").kind == "CVUSA"
+
+
+def test_a_data_set_in_a_folder_below_is_pointed_to(tmp_path: Path) -> None:
+    layouts.cvusa(tmp_path / "release")
+    with pytest.raises(DataError, match=r"data sets in folders of its own: release; give --data .*/release"):
+        open_dataset(tmp_path)
+
+
+def test_pairs_of_ones_own_are_read(tmp_path: Path) -> None:
+    root = layouts.pairs(
+        tmp_path,
+        "satellite,drone,split,place\n"
+        "tiles/a.jpg,drones/1.jpg,train,\n"
+        "tiles/a.jpg,drones/2.jpg,train,\n"
+        "\n"
+        "tiles/b.jpg,drones/3.jpg,,9\n"
+        "tiles/b.jpg,drones/4.jpg,test,\n"
+        ",drones/5.jpg,test,\n"
+        "tiles/c.jpg,drones/absent.jpg,test,\n",
+    )
+    dataset = open_dataset(root)
+    assert (dataset.kind, dataset.panoramas) == ("pairs", False)
+    assert dataset.tasks() == ["drone-to-satellite", "satellite-to-drone"]
+    (tile,) = dataset.train("satellite")
+    assert [p.label for p in dataset.train("drone")] == [tile.label, tile.label]
+    drones = {p.name: p.label for p in dataset.queries("drone")}
+    assert list(drones) == ["drones/3", "drones/4", "drones/5"]
+    assert drones["drones/3"] == drones["drones/4"] == 9
+    tiles = [p.label for p in dataset.gallery("satellite")]
+    assert len(tiles) == 2
+    assert len({*tiles, drones["drones/5"], tile.label}) == 4
+    assert [item.file for item in dataset.left_out] == ["drones/absent.jpg"]
+
+
+def test_pairs_without_satellites_go_by_their_first_view(tmp_path: Path) -> None:
+    dataset = open_dataset(layouts.pairs(tmp_path, "street,drone\na.jpg,1.jpg\na.jpg,2.jpg\nb.jpg,3.jpg\n"))
+    assert dataset.tasks() == ["drone-to-street", "street-to-drone"]
+    first, second, third = (p.label for p in dataset.queries("drone"))
+    assert [p.label for p in dataset.gallery("street")] == [first, third]
+    assert first == second != third
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", r"first line of pairs\.csv is empty; expected two or three of satellite, street, drone"),
+        ("satellite\na.jpg\n", "first line"),
+        ("satellite,street,colour\n", "first line"),
+        ("satellite,satellite,street\n", "first line"),
+        ("satellite,street\n", "no line after the first"),
+        ("satellite,street\na.jpg,b.jpg\na.jpg\n", r"Line 3 of pairs\.csv has 1 values; expected 2: satellite,street"),
+        ("satellite,street,split\na.jpg,b.jpg,val\n", "has the split 'val'; expected train or test"),
+        ("satellite,street,place\na.jpg,b.jpg,-3\n", "has the place '-3'; expected a whole number"),
+        ("satellite,street,place\na.jpg,b.jpg,1e5\n", "has the place '1e5'"),
+        (f"satellite,street,place\na.jpg,b.jpg,{'9' * 30}\n", "has the place"),
+        ("satellite,street,split\n,,test\n", "names no picture"),
+        ("satellite,street\n../a.jpg,b.jpg\n", r"Line 2 of pairs\.csv names the file '\.\./a\.jpg'"),
+        ("satellite,street\n/a.jpg,b.jpg\n", "expected a path below"),
+        ("satellite,street,place\na.jpg,b.jpg,1\na.jpg,c.jpg,2\n", r"Line 3 .* gives a\.jpg the place 2, after 1"),
+        ("satellite,street\nabsent1.jpg,absent2.jpg\n", "has none of the files that pairs.csv names"),
+    ],
+)
+def test_a_wrong_list_of_pairs_is_one_sentence(text: str, said: str, tmp_path: Path) -> None:
+    root = layouts.pairs(tmp_path / "mine", text)
+    with pytest.raises(DataError, match=said):
+        open_dataset(root)
+
+
+def test_a_folder_of_pictures_can_be_opened_and_offers_no_task(tmp_path: Path) -> None:
+    for name in ("b.jpg", "sub/a.png", ".thumbnails/c.png"):
+        worlds.write(tmp_path / name, layouts.small(1))
+    dataset = open_dataset(tmp_path)
+    assert (dataset.kind, dataset.tasks(), dataset.train("satellite")) == ("folder", [], [])
+    assert [p.name for p in dataset.lists()["pictures"]] == ["b", "sub/a"]
+    with pytest.raises(DataError, match="since this is a folder of pictures"):
+        dataset.queries("street")

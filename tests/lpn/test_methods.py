@@ -87,9 +87,7 @@ def test_training_on_panoramas_improves_retrieval(panoramas: Path, tmp_path: Pat
     model = improves(panoramas, tmp_path, name, ON_PANORAMAS[name], "street-to-satellite")
     export(model, tmp_path / "model.onnx")
     dataset = open_dataset(panoramas)
-    own, exported = (
-        evaluate(lpn.load(m), dataset, "street-to-satellite") for m in (model, tmp_path / "model.onnx")
-    )
+    own, exported = (evaluate(lpn.load(m), dataset, "street-to-satellite") for m in (model, tmp_path / "model.onnx"))
     np.testing.assert_allclose(own.ap, exported.ap, atol=1.0)
 
 

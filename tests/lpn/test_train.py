@@ -113,11 +113,22 @@ def test_an_epoch_is_kept_although_its_evaluation_fails(places: Path, tmp_path: 
     assert len(losses(tmp_path / "run")) == 3
 
 
-def test_a_picture_that_is_none_is_named_before_training(places: Path, tmp_path: Path) -> None:
-    shutil.copytree(places, tmp_path / "places")
-    (tmp_path / "places" / "train" / "drone" / "0003" / "image-01.png").write_bytes(b"no picture")
-    with pytest.raises(PictureError, match=r"drone/0003/image-01\.png"):
-        trainer(tmp_path / "places", tmp_path / "run")
+def test_broken_pictures_are_named_before_training_and_left_out(places: Path, tmp_path: Path) -> None:
+    data = tmp_path / "places"
+    shutil.copytree(places, data)
+    drone = data / "train" / "drone"
+    cut = (drone / "0002" / "image-01.png").read_bytes()[:-500]
+    (drone / "0002" / "image-02.png").write_bytes(cut)
+    (drone / "0003" / "image-01.png").write_bytes(b"no picture")
+    run, said = trainer(data, tmp_path / "run", replace(QUICK, epochs=1))
+    text = " ".join(said.getvalue().split())
+    assert (
+        "2 of 49 training pictures cannot be used and are left out: train/drone/0002/image-02.png is cut short" in text
+    )
+    assert "train/drone/0003/image-01.png is not a picture" in text
+    assert "1 places lack a picture in one of satellite, drone and are left out: 0003" in text
+    assert run.places.labels == [1, 2, *range(4, 25)]
+    run.run()
 
 
 def test_runs_are_not_overwritten_or_mixed(places: Path, tmp_path: Path) -> None:

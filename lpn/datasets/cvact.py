@@ -1,0 +1,98 @@
+"""CVACT (Liu & Li 2019): pairs of a tile and a panorama in Canberra, listed in a MATLAB file.
+
+    ACT_data.mat    panoIds, and the 1-based rows trainSet.trainInd, valSet.valInd, valSetAll.valInd
+    [ANU_data_small/]streetview/<id>_grdView.jpg, [ANU_data_small/]satview_polish/<id>_satView_polish.jpg
+
+Some copies hold the pictures as .png. The test split is CVACT_val (valSet). The label of a pair is its row.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn import matfile
+from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, Size, say_left_out
+from lpn.errors import DataError
+from lpn.files import printable
+
+NAME = "ACT_data.mat"
+FULL = {
+    "train/satellite": Size(35_532, 35_532),
+    "train/street": Size(35_532, 35_532),
+    "test/satellite": Size(8_884, 8_884),
+    "test/street": Size(8_884, 8_884),
+}
+_FOLDERS = ("", "ANU_data_small/", "ANU_data_test/")
+_FILES = {"satellite": "satview_polish/{}_satView_polish", "street": "streetview/{}_grdView"}
+_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
+
+
+class CVACT(ListedDataset):
+    """A folder in CVACT's layout. Pairs of which a picture is not there are left out, which is said once.
+
+    Raises:
+        DataError: when ACT_data.mat is not what is described above, or no pair is whole.
+        ModuleNotFoundError: when scipy, which reads it, is not installed.
+    """
+
+    kind = "CVACT"
+    panoramas = True
+
+    def __init__(self, root: Path) -> None:
+        ids, rows = _read(root / NAME)
+        there, left_out = Names(root), []
+        pictures: dict[str, dict[str, list[Picture]]] = {}
+        for split, indices in rows.items():
+            of_split: dict[str, list[Picture]] = {view: [] for view in _FILES}
+            for row in indices.tolist():
+                found = {view: _find(there, view, ids[row - 1]) for view in _FILES}
+                left_out += [
+                    LeftOut(f"{_FILES[view].format(ids[row - 1])}.jpg", "is not there")
+                    for view, file in found.items()
+                    if file is None
+                ]
+                for view, file in found.items():
+                    if file is not None and None not in found.values():
+                        of_split[view].append(Picture(root / file, row, printable(ids[row - 1])))
+            pictures[split] = of_split
+        if not any(pictures[split]["street"] for split in pictures):
+            raise DataError(
+                f"{root.name} has none of the pairs that {NAME} lists; expected their files in streetview and satview_polish, "
+                "or in these folders below ANU_data_small."
+            )
+        super().__init__(root, pictures["train"], pictures["test"], pictures["test"], f"a valSet in {NAME}")
+        self.left_out = left_out
+        self.full = FULL
+        say_left_out(self, f"files named in {NAME} cannot be used", "their pairs are left out")
+
+
+def _find(there: Names, view: str, name: str) -> str | None:
+    """The path of a pair's picture below the root."""
+    files = (f"{folder}{_FILES[view].format(name)}{suffix}" for folder in _FOLDERS for suffix in (".jpg", ".png"))
+    return next((file for file in files if file in there), None)
+
+
+def _read(path: Path) -> tuple[list[str], dict[str, npt.NDArray[np.int64]]]:
+    """The ids of all panoramas, and the 1-based rows of the pairs to train on and to test with."""
+    expected = "a MATLAB 5 file with panoIds, trainSet.trainInd, and valSet.valInd"
+    values = matfile.load(path, ["panoIds", "trainSet", "valSet"], expected)
+    try:
+        ids = [str(name).strip() for name in np.atleast_1d(values["panoIds"]).reshape(-1)]
+        raw = {"train": values["trainSet"]["trainInd"], "test": values["valSet"]["valInd"]}
+        rows = {split: np.atleast_1d(np.asarray(indices)).reshape(-1) for split, indices in raw.items()}
+    except (KeyError, TypeError, IndexError, ValueError) as error:
+        raise DataError(f"{NAME} has other variables inside than CVACT's; expected {expected}.") from error
+    for name in ids:
+        if not _ID.fullmatch(name):
+            raise DataError(f"{NAME} has the panoId {printable(name)!r}; expected letters, digits, - and _ only.")
+    for split, indices in rows.items():
+        whole = indices.dtype.kind in "iu" or (indices.dtype.kind == "f" and bool((indices == np.floor(indices)).all()))
+        if not whole or (len(indices) and (indices.min() < 1 or indices.max() > len(ids))):
+            raise DataError(f"{NAME} has {split} rows that are not whole numbers from 1 to {len(ids)}, its panoIds.")
+        if len(np.unique(indices)) < len(indices):
+            raise DataError(f"{NAME} lists a {split} row twice; expected each pair once.")
+    return ids, {split: indices.astype(np.int64) for split, indices in rows.items()}

@@ -1,0 +1,95 @@
+"""CVUSA (Workman et al. 2015, the split of Zhai et al. 2017): pairs of a tile and a panorama centred where it was taken.
+
+    splits/train-19zl.csv, splits/val-19zl.csv    bingmap/19/0000001.jpg,streetview/panos/0000001.jpg,<annotation>
+
+The third column may be empty or absent. The label of a pair is the number in both file names.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Literal
+
+from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, Size, below, read_rows, say_left_out
+from lpn.errors import DataError
+from lpn.files import printable
+
+Split = Literal["train", "val"]
+
+FULL = {
+    "train/satellite": Size(35_532, 35_532),
+    "train/street": Size(35_532, 35_532),
+    "test/satellite": Size(8_884, 8_884),
+    "test/street": Size(8_884, 8_884),
+}
+_NUMBER = re.compile(r"\d{1,15}$")
+
+
+def split_file(root: Path, split: Split) -> Path:
+    """The file that lists the pairs of a split."""
+    return root / "splits" / f"{split}-19zl.csv"
+
+
+class CVUSA(ListedDataset):
+    """A folder in CVUSA's layout. Pairs of which a picture is not there are left out, which is said once.
+
+    Raises:
+        DataError: when a line of the splits is not a pair of paths below the folder, or no pair is whole.
+    """
+
+    kind = "CVUSA"
+    panoramas = True
+
+    def __init__(self, root: Path) -> None:
+        listed: dict[Split, list[tuple[str, str]]] = {"train": _read(root, "train"), "val": _read(root, "val")}
+        labels = _labels(listed["train"] + listed["val"])
+        there, left_out = Names(root), []
+        pictures: dict[Split, dict[str, list[Picture]]] = {}
+        for split, pairs in listed.items():
+            of_split: dict[str, list[Picture]] = {"satellite": [], "street": []}
+            for pair in pairs:
+                missing = [file for file in pair if file not in there]
+                left_out += [LeftOut(file, "is not there") for file in missing]
+                if not missing:
+                    for view, file in zip(of_split, pair, strict=True):
+                        of_split[view].append(Picture(root / file, labels[pair], printable(Path(file).stem)))
+            pictures[split] = of_split
+        if not any(pictures[split]["street"] for split in pictures):
+            raise DataError(
+                f"{root.name} lists {len(listed['train']) + len(listed['val'])} pairs in splits, but has none of them whole; "
+                "expected their files in bingmap/19 and streetview/panos."
+            )
+        super().__init__(
+            root, pictures["train"], pictures["val"], pictures["val"], "a split of CVUSA, splits/val-19zl.csv"
+        )
+        self.left_out = left_out
+        # A rendered world keeps its panoramas in this layout, and is as large as it was asked to be.
+        self.full = {} if (root.parent / "world.json").is_file() else FULL
+        say_left_out(self, "files named in splits cannot be used", "their pairs are left out")
+
+
+def _read(root: Path, split: Split) -> list[tuple[str, str]]:
+    file = split_file(root, split)
+    if not file.is_file():
+        return []
+    name = f"splits/{file.name}"
+    pairs: list[tuple[str, str]] = []
+    for line, values in read_rows(file, name):
+        if len(values) not in (2, 3):
+            raise DataError(
+                f"Line {line} of {name} has {len(values)} values; expected a tile, a panorama, and perhaps an annotation."
+            )
+        where = f"Line {line} of {name}"
+        pairs.append((below(values[0], where), below(values[1], where)))
+    if len(set(pairs)) < len(pairs):
+        raise DataError(f"{name} lists a pair twice; keep one line of each.")
+    return pairs
+
+
+def _labels(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], int]:
+    """Each pair's number in its file names; its position in the lists where names and pairs do not agree one to one."""
+    numbers = [[_NUMBER.search(Path(file).stem) for file in pair] for pair in pairs]
+    named = [int(a[0]) for a, b in numbers if a and b and int(a[0]) == int(b[0])]
+    ordered = named if len(set(named)) == len(pairs) else range(len(pairs))
+    return dict(zip(pairs, ordered, strict=True))

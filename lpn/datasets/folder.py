@@ -1,0 +1,28 @@
+"""A folder of pictures without a layout: nothing says what shows the same place, so it can be described, not evaluated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lpn.datasets.base import ListedDataset, Picture
+from lpn.files import printable
+
+
+class Folder(ListedDataset):
+    """Pictures below a folder, each a place of its own.
+
+    Args:
+        files: the pictures, below the root.
+    """
+
+    kind = "folder"
+
+    def __init__(self, root: Path, files: list[Path]) -> None:
+        super().__init__(root, {}, {}, {}, "a data set with queries and a gallery, since this is a folder of pictures")
+        self.pictures = [
+            Picture(file, index, printable(file.relative_to(root).with_suffix("").as_posix()))
+            for index, file in enumerate(files)
+        ]
+
+    def lists(self) -> dict[str, list[Picture]]:
+        return {"pictures": list(self.pictures)}

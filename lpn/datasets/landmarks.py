@@ -1,0 +1,171 @@
+"""Oxford5k and Paris6k (Philbin et al. 2007, 2008): landmark pictures with queries that mark a part of one.
+
+    <anywhere>/<picture>.jpg
+    <anywhere>/<landmark>_<k>_query.txt            <picture> <left> <top> <right> <bottom>
+    <anywhere>/<landmark>_<k>_{good,ok,junk}.txt   a picture's name a line
+
+Oxford5k writes oxc1_ before the names in its query files. True matches are good and ok; junk is taken out of the ranking.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, files_below, read_lines, say_left_out
+from lpn.errors import DataError
+from lpn.files import printable
+from lpn.integrity import flaws
+
+PREFIX = "oxc1_"
+TASK = "street-to-street"
+# The archive of Oxford5k holds one picture more than the 5,062 of the paper.
+FULL = {
+    "Oxford5k": {"test/query_street": Size(55, 11), "test/gallery_street": Size(5_063)},
+    "Paris6k": {"test/query_street": Size(55, 11), "test/gallery_street": Size(6_392)},
+}
+# Listed by the authors of Paris6k beside the archive: these hold a web server's message in place of a picture.
+_CORRUPT = {
+    "louvre": (136, 146),
+    "moulinrouge": (422,),
+    "museedorsay": (1059,),
+    "notredame": (188,),
+    "pantheon": (284, 960, 974),
+    "pompidou": (195, 196, 201, 467, 640),
+    "sacrecoeur": (299, 330, 353),
+    "triomphe": (662, 833, 863, 867),
+}
+CORRUPT = frozenset(f"paris_{landmark}_{number:06d}" for landmark, numbers in _CORRUPT.items() for number in numbers)
+"""The 20 pictures of Paris6k that cannot be read in the published archive, without .jpg."""
+_QUERY = re.compile(r"(.+)_(\d{1,6})_query\.txt")
+
+
+class Landmarks(ListedDataset):
+    """Oxford5k, Paris6k, or a data set with ground-truth files of their kind; its one task is "street-to-street".
+
+    A picture's label is its landmark's number where a query has it as good or ok, and a number of its own, at least the
+    number of landmarks, otherwise: labels are for display, and `truth` is what counts. Pictures that cannot be read
+    are left out, which is said once.
+
+    Raises:
+        DataError: when a ground-truth file is missing or not as above, or two pictures have one name.
+    """
+
+    kind = "landmarks"
+
+    def __init__(self, root: Path, query_files: list[Path]) -> None:
+        queries = [_Query(root, file) for file in query_files]
+        queries.sort(key=lambda query: (query.landmark, query.number))
+        if len({query.prefixed for query in queries}) > 1:
+            raise DataError(
+                f"{root.name} holds ground truth of Oxford5k and of another data set; give the folder of one."
+            )
+        if queries[0].prefixed:
+            self.kind = "Oxford5k"
+        elif all(query.picture.startswith("paris_") for query in queries):
+            self.kind = "Paris6k"
+        files = _by_name(root)
+        broken = flaws(list(files.values()))
+        left_out = [
+            LeftOut(file.relative_to(root).as_posix(), why, self.kind == "Paris6k" and file.stem in CORRUPT)
+            for file, why in broken.items()
+        ]
+        readable = {name: file for name, file in files.items() if file not in broken}
+        position = {name: index for index, name in enumerate(readable)}
+        named = dict.fromkeys(name for query in queries for name in query.names())
+        left_out += [LeftOut(f"{name}.jpg", "is not there") for name in named if name not in files]
+        landmarks = {name: index for index, name in enumerate(sorted({query.landmark for query in queries}))}
+        labels = {name: len(landmarks) + index for name, index in position.items()}
+        labels |= {
+            name: landmarks[query.landmark] for query in reversed(queries) for name in query.good if name in position
+        }
+        usable = [query for query in queries if query.picture in position]
+        gallery = [Picture(file, labels[name], printable(name)) for name, file in readable.items()]
+        asked = [
+            Picture(readable[query.picture], landmarks[query.landmark], printable(query.name), query.box)
+            for query in usable
+        ]
+        super().__init__(root, {}, {"street": asked}, {"street": gallery}, "pictures named as in the ground truth")
+        if not asked:
+            raise DataError(f"{root.name} has the picture of none of its {len(queries)} queries; add them as .jpg.")
+        self._truth = [Truth(_positions(query.good, position), _positions(query.junk, position)) for query in usable]
+        self.left_out = left_out
+        self.full = FULL.get(self.kind, {})
+        say_left_out(self, "pictures cannot be used", "they are left out")
+
+    def tasks(self) -> list[str]:
+        return [TASK]
+
+    def truth(self, task: str) -> list[Truth] | None:
+        return list(self._truth) if task == TASK else None
+
+
+class _Query:
+    """One query's four ground-truth files."""
+
+    def __init__(self, root: Path, file: Path) -> None:
+        matched = _QUERY.fullmatch(file.name)
+        assert matched is not None
+        self.landmark, self.number = matched[1], int(matched[2])
+        self.name = f"{self.landmark}_{matched[2]}"
+        where = file.relative_to(root).as_posix()
+        lines = [line for line in read_lines(file, where) if line.strip()]
+        values = lines[0].split() if len(lines) == 1 else []
+        try:
+            left, top, right, bottom = (float(value) for value in values[1:])
+        except ValueError:
+            left = top = right = bottom = math.nan
+        if not (all(map(math.isfinite, (left, top, right, bottom))) and left < right and top < bottom):
+            said = printable(lines[0][:80]) if lines else "nothing"
+            raise DataError(
+                f"{where} says {said!r} in {len(lines)} lines; expected one line: a picture's name and its box as left, top, "
+                "right, bottom in pixels."
+            )
+        self.box = (left, top, right, bottom)
+        self.prefixed = values[0].startswith(PREFIX)
+        self.picture = _name(values[0].removeprefix(PREFIX), where, 1)
+        good, ok, self.junk = (
+            _names(root, file.with_name(f"{self.name}_{kind}.txt")) for kind in ("good", "ok", "junk")
+        )
+        self.good = list(dict.fromkeys(good + ok))
+
+    def names(self) -> list[str]:
+        return [self.picture, *self.good, *self.junk]
+
+
+def query_files(root: Path) -> list[Path]:
+    """The ground-truth files below a folder that name a query."""
+    return [file for file in files_below(root, ("_query.txt",)) if _QUERY.fullmatch(file.name)]
+
+
+def _by_name(root: Path) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for file in sorted(files_below(root, (".jpg", ".jpeg")), key=lambda file: (file.stem, file)):
+        if file.stem in found:
+            both = " and ".join(printable(f.relative_to(root).as_posix()) for f in (found[file.stem], file))
+            raise DataError(f"{root.name} has two pictures of one name, {both}; keep one, or give a folder with one.")
+        found[file.stem] = file
+    return found
+
+
+def _names(root: Path, file: Path) -> list[str]:
+    where = file.relative_to(root).as_posix()
+    return [_name(text, where, line) for line, text in enumerate(read_lines(file, where), 1) if text.strip()]
+
+
+def _name(text: str, where: str, line: int) -> str:
+    """A picture's name, without a folder; names are looked up among the files found, never opened as paths."""
+    name = text.strip().removesuffix(".jpg")
+    if not re.fullmatch(r"[\w.-]{1,200}", name) or name.startswith("."):
+        raise DataError(
+            f"Line {line} of {where} names {printable(text[:80])!r}; expected a picture's name without a folder."
+        )
+    return name
+
+
+def _positions(names: list[str], position: dict[str, int]) -> npt.NDArray[np.int64]:
+    return np.array(sorted(position[name] for name in names if name in position), dtype=np.int64)

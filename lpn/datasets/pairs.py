@@ -1,0 +1,122 @@
+"""Pairs of one's own: pictures anywhere below a folder, put together by a `pairs.csv`.
+
+    satellite,street,split,place
+    tiles/a.jpg,photos/a1.jpg,train,
+    tiles/b.jpg,photos/b1.jpg,test,7
+
+The first line names two or three of satellite, street, drone, and, if wanted, split (train or test; test without it) and
+place (a whole number). A cell may be empty where a line has no picture of a view. Without a place, lines with the same
+satellite picture (without satellites: of the first view named) show the same place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, below, read_rows, say_left_out
+from lpn.errors import DataError
+from lpn.files import printable
+from lpn.spec import VIEWS
+
+NAME = "pairs.csv"
+_MOST = 2**62
+
+
+@dataclass(frozen=True)
+class _Row:
+    line: int
+    files: dict[str, str]
+    split: str
+    place: int | None
+
+
+class PairsCSV(ListedDataset):
+    """A folder with a pairs.csv. A picture that is not there is left out, which is said once.
+
+    Raises:
+        DataError: when pairs.csv is not in the format above; the message names the line.
+    """
+
+    kind = "pairs"
+
+    def __init__(self, root: Path) -> None:
+        views, rows = _read(root / NAME)
+        places = _places(rows, "satellite" if "satellite" in views else views[0])
+        there = Names(root)
+        left_out: dict[str, LeftOut] = {}
+        pictures: dict[str, dict[str, dict[str, Picture]]] = {
+            split: {view: {} for view in views} for split in ("train", "test")
+        }
+        for row, place in zip(rows, places, strict=True):
+            for view, file in row.files.items():
+                listed = pictures[row.split][view].get(file)
+                if listed is not None and listed.label != place:
+                    raise DataError(
+                        f"Line {row.line} of {NAME} gives {printable(file)} the place {place}, after {listed.label}; keep one."
+                    )
+                if file in there:
+                    name = Path(file).with_suffix("").as_posix()
+                    pictures[row.split][view][file] = Picture(root / file, place, printable(name))
+                else:
+                    left_out[file] = LeftOut(file, "is not there")
+        train, test = (
+            {view: list(of_view.values()) for view, of_view in pictures[split].items()} for split in ("train", "test")
+        )
+        if not any([*train.values(), *test.values()]):
+            raise DataError(
+                f"{root.name} has none of the files that {NAME} names; expected paths relative to {root.name}."
+            )
+        super().__init__(root, train, test, test, f"lines of {NAME} with the split test and such a picture")
+        self.left_out = list(left_out.values())
+        say_left_out(self, f"files named in {NAME} cannot be used", "they are left out")
+
+
+def _read(path: Path) -> tuple[list[str], list[_Row]]:
+    rows = read_rows(path, NAME)
+    _, first = next(rows, (0, []))
+    header = [name.strip().lower() for name in first]
+    views: list[str] = [name for name in header if name in VIEWS]
+    unknown = set(header) - {*VIEWS, "split", "place"}
+    if len(views) < 2 or unknown or len(set(header)) < len(header):
+        raise DataError(
+            f"The first line of {NAME} is {printable(','.join(header)) or 'empty'}; expected two or three of "
+            f"{', '.join(VIEWS)} and, if wanted, split and place."
+        )
+    found = [_row(header, views, values, line) for line, values in rows]
+    if not found:
+        raise DataError(f"{NAME} has no line after the first; expected one for each pair.")
+    return views, found
+
+
+def _row(header: list[str], views: list[str], values: list[str], line: int) -> _Row:
+    if len(values) != len(header):
+        raise DataError(f"Line {line} of {NAME} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
+    row = {name: value.strip() for name, value in zip(header, values, strict=True)}
+    split = row.get("split") or "test"
+    if split not in ("train", "test"):
+        raise DataError(f"Line {line} of {NAME} has the split {printable(split)!r}; expected train or test.")
+    place = None
+    if text := row.get("place"):
+        place = int(text) if text.isdecimal() and len(text) < 20 else _MOST
+        if place >= _MOST:
+            raise DataError(f"Line {line} of {NAME} has the place {printable(text)!r}; expected a whole number from 0.")
+    files = {view: below(row[view], f"Line {line} of {NAME}") for view in views if row[view]}
+    if not files:
+        raise DataError(f"Line {line} of {NAME} names no picture; expected one of {', '.join(views)}.")
+    return _Row(line, files, split, place)
+
+
+def _places(rows: list[_Row], view: str) -> list[int]:
+    """Each line's place: as given, else that of the line that named its picture of `view` first, else of its own."""
+    given = [row.place for row in rows if row.place is not None]
+    # Places made up here must not be any that was given.
+    fresh = max(given, default=-1) + 1
+    known = {row.files[view]: row.place for row in rows if row.place is not None and view in row.files}
+    places: list[int] = []
+    for row in rows:
+        place = row.place
+        if place is None:
+            place = known.setdefault(row.files[view], fresh + row.line) if view in row.files else fresh + row.line
+        places.append(place)
+    return places

@@ -1,0 +1,319 @@
+"""What a data set's folder holds, what is broken in it, and what can be run with it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from lpn import geo
+from lpn.datasets import Dataset, LeftOut, Picture
+from lpn.errors import DataError
+from lpn.files import printable
+from lpn.integrity import flaws
+from lpn.recipes import RECIPES
+
+_RECIPES = {
+    "University-1652": ("university1652", "small", "world"),
+    "world": ("world", "small", "university1652"),
+    "CVUSA": ("cvusa", "safa"),
+    "CVACT": ("cvusa", "safa"),
+    "pairs": ("small", "university1652"),
+}
+_AERIAL = (("drone-to-satellite", "satellite-to-drone"), "Tables I, III, IV, V and Figure 5", "Tables IV and V")
+_GROUND = (("street-to-satellite",), "Table II", "Table II")
+_LANDMARKS = (("street-to-street",), "Table VI", "Table VI")
+# Per kind: the tasks that the paper reports, its tables with training, and those that need a test split alone.
+_TABLES = {
+    "University-1652": _AERIAL,
+    "world": _AERIAL,
+    "CVUSA": _GROUND,
+    "Oxford5k": _LANDMARKS,
+    "Paris6k": _LANDMARKS,
+}
+
+
+@dataclass(frozen=True)
+class Count:
+    """One list of pictures: how many there are, of how many places, and how many the complete data set has (None: unknown)."""
+
+    name: str
+    pictures: int
+    places: int
+    full_pictures: int | None
+    full_places: int | None
+
+
+@dataclass(frozen=True)
+class Broken:
+    """A picture that cannot be read, by its path below the root, and why."""
+
+    file: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Lacking:
+    """Places, or queries, that lack their counterpart.
+
+    Attributes:
+        name: the list or task in which it is lacking.
+        what: what the missing ones are, as the subject of a sentence.
+        names: which they are.
+        of: out of how many.
+    """
+
+    name: str
+    what: str
+    names: tuple[str, ...]
+    of: int
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was found; `healthy` when nothing is broken.
+
+    Attributes:
+        kind: what the folder was recognised as.
+        counts: of every list of pictures.
+        looked_at: number of files read; decoded: whether to their last pixel.
+        broken: pictures that cannot be read.
+        left_out: files that the data set leaves out by itself: named and not there, or known to be broken.
+        lacking: places and queries without their counterpart.
+        duplicates: groups of files of one list with the same content and different labels.
+        shared: places that are in train and test alike.
+        positions: what geo.csv says, or None without one; gap: what is wrong with it, or None.
+        runs: what can be run, a sentence each.
+    """
+
+    root: str
+    kind: str
+    counts: tuple[Count, ...]
+    looked_at: int
+    decoded: bool
+    broken: tuple[Broken, ...]
+    left_out: tuple[LeftOut, ...]
+    lacking: tuple[Lacking, ...]
+    duplicates: tuple[tuple[str, ...], ...]
+    shared: tuple[int, ...]
+    positions: str | None
+    gap: str | None
+    runs: tuple[str, ...]
+
+    @property
+    def healthy(self) -> bool:
+        """Whether nothing is broken: a smaller set, equal pictures, and what is so as published are no damage."""
+        missing = [item for item in self.left_out if not item.published]
+        return not (self.broken or missing or self.lacking or self.shared or self.gap)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The keys of the JSON file."""
+        return {"healthy": self.healthy, **asdict(self)}
+
+
+def examine(dataset: Dataset, decode: bool = True, report: Callable[[int, int], None] | None = None) -> Report:
+    """Look at every picture of a data set and at how its lists fit each other.
+
+    Args:
+        decode: decode every picture; else read headers and ends only, see `lpn.integrity`.
+        report: told now and then how many of how many files have been looked at.
+
+    Raises:
+        DataError: when a list cannot be read.
+    """
+    lists = dataset.lists()
+    files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
+    found = flaws(files, decode, None if report is None else lambda done: report(done, len(files)))
+    positions, gap = _positions(dataset)
+    return Report(
+        root=printable(dataset.root.resolve().name),
+        kind=dataset.kind,
+        counts=tuple(_count(dataset, name, pictures) for name, pictures in lists.items()),
+        looked_at=len(files),
+        decoded=decode,
+        broken=tuple(Broken(_below(dataset.root, file), why) for file, why in found.items()),
+        left_out=tuple(dataset.left_out),
+        lacking=(*_partial_places(lists), *_unanswered(dataset)),
+        duplicates=tuple(_duplicates(dataset.root, lists)),
+        shared=tuple(_shared(lists)),
+        positions=positions,
+        gap=gap,
+        runs=tuple(_runs(dataset, lists)),
+    )
+
+
+def _count(dataset: Dataset, name: str, pictures: Sequence[Picture]) -> Count:
+    full = dataset.full.get(name)
+    places = len({picture.label for picture in pictures})
+    return Count(name, len(pictures), places, full.pictures if full else None, full.places if full else None)
+
+
+def _partial_places(lists: dict[str, list[Picture]]) -> list[Lacking]:
+    """Training uses a place that has a picture of every view; which have not."""
+    labels = {name: {p.label for p in pictures} for name, pictures in lists.items() if name.startswith("train/")}
+    everywhere = set().union(*labels.values())
+    missing = {name: sorted(everywhere - there) for name, there in labels.items()}
+    return [
+        Lacking(name, f"places have no picture in {name}", tuple(f"{label:04d}" for label in without), len(everywhere))
+        for name, without in missing.items()
+        if without
+    ]
+
+
+def _unanswered(dataset: Dataset) -> list[Lacking]:
+    """Queries without a true match, which count as missed."""
+    found: list[Lacking] = []
+    for task in dataset.tasks():
+        query_view, gallery_view = task.split("-to-")
+        queries, truth = dataset.queries(query_view), dataset.truth(task)
+        if truth is None:
+            there = {picture.label for picture in dataset.gallery(gallery_view)}
+            without = [query.name for query in queries if query.label not in there]
+        else:
+            without = [query.name for query, of in zip(queries, truth, strict=True) if not len(of.good)]
+        if without:
+            found.append(Lacking(task, f"queries of {task} have no true match", tuple(without), len(queries)))
+    return found
+
+
+def _shared(lists: dict[str, list[Picture]]) -> list[int]:
+    places = {
+        split: {picture.label for name, pictures in lists.items() if name.startswith(split) for picture in pictures}
+        for split in ("train/", "test/")
+    }
+    return sorted(places["train/"] & places["test/"])
+
+
+def _duplicates(root: Path, lists: dict[str, list[Picture]]) -> Iterable[tuple[str, ...]]:
+    """Only files of one size can be equal, so few are read."""
+    digests: dict[Path, str] = {}
+    for pictures in lists.values():
+        by_size: dict[int, list[Picture]] = defaultdict(list)
+        for picture in pictures:
+            by_size[picture.path.stat().st_size].append(picture)
+        for same_size in by_size.values():
+            if len({picture.label for picture in same_size}) < 2:
+                continue
+            by_content: dict[str, list[Picture]] = defaultdict(list)
+            for picture in same_size:
+                if picture.path not in digests:
+                    with picture.path.open("rb") as file:
+                        digests[picture.path] = hashlib.file_digest(file, "sha256").hexdigest()
+                by_content[digests[picture.path]].append(picture)
+            for equal in by_content.values():
+                if len({picture.label for picture in equal}) > 1:
+                    yield tuple(_below(root, picture.path) for picture in equal)
+
+
+def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
+    """What `geo.csv` covers, and what is wrong with it."""
+    try:
+        known = geo.positions(dataset.root)
+        if known is None:
+            return None, None
+        tasks = [task.split("-to-") for task in dataset.tasks()]
+        asked = [picture for view in {query for query, _ in tasks} for picture in dataset.queries(view)]
+        shown = [picture for view in {gallery for _, gallery in tasks} for picture in dataset.gallery(view)]
+        pictures = list({picture.path: picture for picture in asked + shown}.values())
+        known.of(pictures)
+    except DataError as error:
+        return geo.NAME, str(error)
+    return f"{geo.NAME} has a position for each of the {len(pictures)} test pictures.", None
+
+
+def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
+    train = {
+        name.removeprefix("train/"): {p.label for p in of} for name, of in lists.items() if name.startswith("train/")
+    }
+    if "street" not in train:
+        train.pop("google", None)
+    places = len(set.intersection(*train.values())) if "satellite" in train and len(train) > 1 else 0
+    recipes = [name for name in _RECIPES.get(dataset.kind, ()) if name in RECIPES]
+    if places and recipes:
+        yield f"lpn train, on {places} places with {', '.join(train)}: --recipe {' or '.join(recipes)}"
+    for task in dataset.tasks():
+        query_view, gallery_view = task.split("-to-")
+        queries, gallery = len(dataset.queries(query_view)), len(dataset.gallery(gallery_view))
+        yield f"lpn evaluate --task {task}: {queries} queries, {gallery} pictures in the gallery"
+    if tables := _tables(dataset, places > 0):
+        counts = [_count(dataset, name, pictures) for name, pictures in lists.items()]
+        smaller = any(count.pictures < (count.full_pictures or 0) for count in counts) or not dataset.full
+        yield f"{tables}{', at the scale of what is here' if smaller else ''}"
+    if (dataset.root / "cvusa" / "splits").is_dir():
+        yield f"Table II of the paper, on the panoramas in {printable(dataset.root.resolve().name)}/cvusa, a data set of its own"
+    yield "lpn describe --images, on any folder of these pictures"
+
+
+def _tables(dataset: Dataset, trainable: bool) -> str | None:
+    """The tables of the paper that need no more than this data set, and models of it where it has nothing to train on."""
+    if dataset.kind not in _TABLES:
+        return None
+    directions, training, testing = _TABLES[dataset.kind]
+    offered = [task for task in directions if task in dataset.tasks()]
+    if not offered:
+        return None
+    found = f"{training} of the paper" if trainable else f"{testing} of the paper, with trained models"
+    return found if len(offered) == len(directions) else f"{found}, {offered[0]} only"
+
+
+def _below(root: Path, file: Path) -> str:
+    return printable(file.relative_to(root).as_posix())
+
+
+def show(report: Report, console: Console) -> None:
+    """Print a report for a person: at most five names of each kind, of which `to_dict` has all."""
+    console.print(f"{report.root} is {_KINDS.get(report.kind, report.kind)}.", markup=False, highlight=False)
+    table = Table()
+    for name in ("pictures of", "pictures", "places"):
+        table.add_column(name, justify="left" if name == "pictures of" else "right")
+    for count in report.counts:
+        row = _of(count.pictures, count.full_pictures), _of(count.places, count.full_places)
+        table.add_row(count.name, *row)
+    console.print(table)
+    how = "decoded" if report.decoded else "read at both ends"
+    good = report.looked_at - len(report.broken)
+    lines = [f"{good} of {report.looked_at} pictures can be read ({how})."]
+    lines += _some("cannot be read", [f"{item.file} {item.why}" for item in report.broken])
+    damage = [f"{item.file} {item.why}" for item in report.left_out if not item.published]
+    lines += _some("are named but left out", damage)
+    known = [item.file for item in report.left_out if item.published]
+    lines += _some("are left out, being broken in the published data set too", known)
+    for item in report.lacking:
+        lines += _some(f"of {item.of} {item.what}", item.names)
+    lines += _some("places are in train and in test", [f"{label:04d}" for label in report.shared])
+    lines += _some("groups of files in one list are equal", [" = ".join(g) for g in report.duplicates])
+    lines += [text for text in (report.gap or report.positions,) if text]
+    lines += ["What can be run:", *(f"  {text}" for text in report.runs)]
+    lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
+    for line in lines:
+        console.print(line, markup=False, highlight=False)
+
+
+_KINDS = {
+    "University-1652": "in University-1652's layout",
+    "world": "a rendered world",
+    "CVUSA": "in CVUSA's layout",
+    "CVACT": "in CVACT's layout",
+    "Oxford5k": "in Oxford5k's layout",
+    "Paris6k": "in Paris6k's layout",
+    "landmarks": "a set of landmarks with ground-truth files as in Oxford5k",
+    "pairs": "pairs listed in pairs.csv",
+    "folder": "a plain folder of pictures",
+}
+
+
+def _of(found: int, full: int | None) -> str:
+    return f"{found:,}" if full is None else f"{found:,} of {full:,}"
+
+
+def _some(said: str, names: Sequence[str]) -> list[str]:
+    if not names:
+        return []
+    more = f", and {len(names) - 5} more" if len(names) > 5 else ""
+    return [f"{len(names)} {said}: {', '.join(names[:5])}{more}."]

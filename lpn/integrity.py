@@ -1,0 +1,107 @@
+"""Whether picture files are whole, found out before long work that needs them.
+
+Decoding everything first would cost as much as the work itself. A file is passed when its header is a picture's and its
+end is where its format says it is: the end-of-image marker of a JPEG, every chunk of a PNG with its checksum, the length
+that a WebP states. Any other is decoded. So a file that is cut short, empty, or no picture at all is always found; damage in
+the middle of a JPEG or WebP with both ends whole is found by `decode` alone, and only where the decoder notices.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import BinaryIO
+
+from PIL import Image
+
+from lpn import images
+from lpn.errors import PictureError
+from lpn.files import printable
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_AT_ONCE = 2048
+
+
+def flaw(path: Path, decode: bool = False) -> str | None:
+    """What is wrong with a picture file, such as "is cut short", or None.
+
+    Args:
+        decode: decode the whole picture even where its ends are as they should be.
+    """
+    try:
+        with path.open("rb") as file:
+            if (found := images.header_flaw(file)) is not None:
+                return found
+            ends = _ends(file)
+    except OSError as error:
+        return f"cannot be read ({error.strerror or error})"
+    if ends and not decode:
+        return None
+    damage = "is damaged" if ends else "is cut short or damaged"
+    try:
+        images.load_picture(path)
+        if not ends:
+            # OpenCV of some versions fills the rest of a cut file with grey and says nothing.
+            with Image.open(path) as picture:
+                picture.load()
+    except (PictureError, OSError, ValueError, SyntaxError, EOFError):
+        return damage
+    return None
+
+
+def flaws(files: Sequence[Path], decode: bool = False, report: Callable[[int], None] | None = None) -> dict[Path, str]:
+    """What is wrong with picture files, for those with which something is, in their order; see `flaw`.
+
+    Args:
+        report: told now and then how many files have been looked at.
+    """
+    found: dict[Path, str] = {}
+    with ThreadPoolExecutor(min(32, 4 * (os.cpu_count() or 1))) as pool:
+        for start in range(0, len(files), _AT_ONCE):
+            some = files[start : start + _AT_ONCE]
+            for position, (file, said) in enumerate(
+                zip(some, pool.map(lambda f: flaw(f, decode), some), strict=True), 1
+            ):
+                if said is not None:
+                    found[file] = said
+                if report is not None and (position % 64 == 0 or position == len(some)):
+                    report(start + position)
+    return found
+
+
+def naming(found: Mapping[Path, str], root: Path | None = None, most: int = 5) -> str:
+    """The first of the files that `flaws` found, each with what is wrong, and how many more there are."""
+    some = [
+        f"{printable(str(file.relative_to(root) if root else file))} {said}"
+        for file, said in list(found.items())[:most]
+    ]
+    return ", ".join(some) + (f", and {len(found) - most} more" if len(found) > most else "")
+
+
+def _ends(file: BinaryIO) -> bool:
+    """Whether a picture file goes on to the end that its format tells."""
+    file.seek(0)
+    start = file.read(12)
+    size = file.seek(0, os.SEEK_END)
+    if start.startswith(b"\xff\xd8"):
+        file.seek(max(size - 64, 0))
+        return file.read().rstrip(b"\0\r\n ").endswith(b"\xff\xd9")
+    if start.startswith(_PNG):
+        file.seek(len(_PNG))
+        return _chunks_hold(file)
+    if start.startswith(b"RIFF") and start[8:] == b"WEBP":
+        return size >= int.from_bytes(start[4:8], "little") + 8
+    return False
+
+
+def _chunks_hold(file: BinaryIO) -> bool:
+    while len(head := file.read(8)) == 8:
+        body = file.read(int.from_bytes(head[:4], "big"))
+        if int.from_bytes(file.read(4), "big") != zlib.crc32(body, zlib.crc32(head[4:])):
+            return False
+        if head[4:] == b"IEND":
+            return True
+    return False

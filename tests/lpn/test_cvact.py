@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from lpn.datasets import CVACT, open_dataset
+from lpn.errors import DataError
+from tests import layouts
+
+WITHOUT_SCIPY = """
+import sys
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "scipy":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Refuse())
+from lpn.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("inner", ["", "ANU_data_small"])
+def test_pairs_are_read_from_the_matlab_file(inner: str, tmp_path: Path) -> None:
+    dataset = open_dataset(layouts.cvact(tmp_path, inner))
+    assert isinstance(dataset, CVACT)
+    assert (dataset.kind, dataset.panoramas) == ("CVACT", True)
+    assert dataset.tasks() == ["street-to-satellite", "satellite-to-street"]
+    assert [p.label for p in dataset.train("satellite")] == [p.label for p in dataset.train("street")] == [2, 3, 4]
+    queries, gallery = dataset.queries("street"), dataset.gallery("satellite")
+    assert [p.label for p in queries] == [p.label for p in gallery] == [5, 7]
+    name = "_eAbCdEfGhIjKlMnOpQr-5"
+    assert queries[0].path == tmp_path / inner / "streetview" / f"{name}_grdView.jpg"
+    assert gallery[0].path == tmp_path / inner / "satview_polish" / f"{name}_satView_polish.jpg"
+    assert queries[0].name == name
+
+
+def test_pairs_that_lack_a_picture_are_left_out_and_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    layouts.cvact(tmp_path)
+    next((tmp_path / "satview_polish").glob("_g*")).unlink()
+    with caplog.at_level(logging.WARNING):
+        dataset = open_dataset(tmp_path)
+    assert [p.label for p in dataset.queries("street")] == [p.label for p in dataset.gallery("satellite")] == [5]
+    assert [item.file for item in dataset.left_out] == ["satview_polish/_gAbCdEfGhIjKlMnOpQr-7_satView_polish.jpg"]
+    assert "1 files named in ACT_data.mat cannot be used" in caplog.text
+
+
+def test_one_pair_a_split_is_enough(tmp_path: Path) -> None:
+    layouts.cvact(tmp_path)
+    ids = sorted(file.name.removesuffix("_grdView.jpg") for file in (tmp_path / "streetview").iterdir())
+    layouts.save_act(tmp_path, ids, [1], [2])
+    assert [p.label for p in open_dataset(tmp_path).train("street")] == [1]
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"trainSet": None}, r"cannot be read \(it has no trainSet\); expected a MATLAB 5 file with panoIds"),
+        ({"trainSet": 5.0}, "has other variables inside than CVACT's"),
+        ({"panoIds": np.array(["../x"])}, r"has the panoId '\.\./x'; expected letters"),
+        ({"valSet": {"valInd": np.array([[0.0]])}}, "test rows that are not whole numbers from 1 to 3"),
+        ({"valSet": {"valInd": np.array([[4.0]])}}, "test rows that are not whole numbers from 1 to 3"),
+        ({"valSet": {"valInd": np.array([[1.5]])}}, "test rows that are not whole numbers from 1 to 3"),
+        ({"valSet": {"valInd": np.array([[np.nan]])}}, "test rows that are not whole numbers"),
+        ({"valSet": {"valInd": np.array([["x"]])}}, "test rows that are not whole numbers"),
+        ({"trainSet": {"trainInd": np.array([[1.0], [1.0]])}}, "lists a train row twice"),
+        ({}, "has none of the pairs"),
+    ],
+)
+def test_what_is_wrong_with_the_matlab_file_is_said(values: dict[str, object], said: str, tmp_path: Path) -> None:
+    whole = {
+        "panoIds": np.array(["abc", "def", "ghi"]),
+        "trainSet": {"trainInd": np.array([[1.0]])},
+        "valSet": {"valInd": np.array([[2.0]])},
+    }
+    savemat(tmp_path / "ACT_data.mat", {name: of for name, of in (whole | values).items() if of is not None})
+    with pytest.raises(DataError, match=said):
+        open_dataset(tmp_path)
+
+
+def test_without_scipy_the_extra_is_named(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", WITHOUT_SCIPY, "doctor", "--data", str(layouts.cvact(tmp_path))]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "lpn-explorer[data]" in done.stderr
+    assert done.stderr.count("\n") == 1

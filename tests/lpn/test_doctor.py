@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lpn import cli
+from lpn.datasets import open_dataset
+from lpn.doctor import examine
+from tests import layouts, worlds
+
+
+def doctor(root: Path, tmp_path: Path, *more: str) -> tuple[int, dict[str, Any]]:
+    out = tmp_path / "report.json"
+    status = cli.main(["doctor", "--data", str(root), "--json", str(out), *more])
+    return status, json.loads(out.read_text())
+
+
+def test_a_healthy_set_is_counted_against_the_full_one(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, found = doctor(data, tmp_path)
+    assert (status, found["healthy"], found["kind"], found["decoded"]) == (0, True, "University-1652", True)
+    counts = {count["name"]: count for count in found["counts"]}
+    assert counts["train/drone"] == {
+        **{"name": "train/drone", "pictures": 6, "places": 6},
+        **{"full_pictures": 37_854, "full_places": 701},
+    }
+    said = capsys.readouterr().out
+    assert "places is in University-1652's layout" in said
+    assert "6 of 37,854" in said
+    assert "68 of 68 pictures can be read (decoded)" in said
+    assert "--recipe university1652" in said
+    assert "lpn evaluate --task drone-to-satellite: 14 queries, 14 pictures" in said
+    assert "Tables I, III, IV, V and Figure 5 of the paper, at the scale of what is here" in said
+    assert "Nothing is broken." in said
+
+
+def test_broken_and_missing_pictures_are_named_and_end_with_status_1(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "places"
+    shutil.copytree(data, root)
+    cut = root / "test" / "query_drone" / "0007" / "image-01.png"
+    cut.write_bytes(cut.read_bytes()[:-200])
+    shutil.rmtree(root / "train" / "drone" / "0002")
+    shutil.rmtree(root / "test" / "gallery_satellite" / "0009")
+    for more in ((), ("--quick",)):
+        status, found = doctor(root, tmp_path, *more)
+        assert (status, found["healthy"]) == (1, False)
+        assert found["broken"] == [
+            {"file": "test/query_drone/0007/image-01.png", "why": "is cut short or damaged"},
+        ]
+        assert [(item["name"], item["names"], item["of"]) for item in found["lacking"]] == [
+            ("train/drone", ["0002"], 6),
+            ("drone-to-satellite", ["0009"], 14),
+        ]
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 cannot be read: test/query_drone/0007/image-01.png is cut short or damaged." in said
+    assert "1 of 6 places have no picture in train/drone: 0002." in said
+    assert "1 of 14 queries of drone-to-satellite have no true match: 0009." in said
+    assert "on 5 places" in said
+    assert "Something is broken" in said
+
+
+def test_positions_are_checked(tmp_path: Path) -> None:
+    root = worlds.map_dataset(worlds.make_dataset(tmp_path / "places", train=2, test=3))
+    status, found = doctor(root, tmp_path)
+    assert (status, found["positions"]) == (0, "geo.csv has a position for each of the 12 test pictures.")
+    lines = (root / "geo.csv").read_text().splitlines()
+    (root / "geo.csv").write_text("\n".join(lines[:-1]))
+    status, found = doctor(root, tmp_path)
+    assert status == 1
+    assert "no position for 1 of 12 pictures" in found["gap"]
+
+
+def test_equal_files_and_shared_places_are_found(tmp_path: Path) -> None:
+    root = layouts.pairs(
+        tmp_path / "mine",
+        "satellite,drone,split,place\na.jpg,1.jpg,train,1\nb.jpg,2.jpg,test,1\nc.jpg,3.jpg,test,3\n",
+    )
+    shutil.copy(root / "b.jpg", root / "c.jpg")
+    report = examine(open_dataset(root))
+    assert report.duplicates == (("b.jpg", "c.jpg"),)
+    assert report.shared == (1,)
+    assert not report.healthy
+
+
+def test_every_layout_is_named_with_what_it_is_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for make, kind, runs in (
+        (layouts.cvusa, "CVUSA", "Table II of the paper"),
+        (layouts.cvact, "CVACT", "lpn evaluate --task street-to-satellite: 2 queries"),
+        (layouts.oxford, "Oxford5k", "lpn evaluate --task street-to-street: 4 queries, 7 pictures"),
+        (layouts.paris, "Paris6k", "Table VI of the paper, with trained models"),
+    ):
+        status, found = doctor(make(tmp_path / kind), tmp_path, "--quick")
+        assert (status, found["kind"], found["decoded"]) == (0, kind, False)
+        assert f"{kind} is in {kind}'s layout" in capsys.readouterr().out
+        assert any(text.startswith(runs) for text in found["runs"])
+    worlds.write(tmp_path / "photos" / "a.png", layouts.small(1))
+    assert doctor(tmp_path / "photos", tmp_path)[1]["runs"] == [
+        "lpn describe --images, on any folder of these pictures"
+    ]
+
+
+def test_files_named_and_not_there_are_damage_but_what_is_published_broken_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = layouts.cvusa(tmp_path / "pairs")
+    (root / "bingmap" / "19" / "0000002.jpg").unlink()
+    status, found = doctor(root, tmp_path)
+    assert status == 1
+    assert found["left_out"] == [{"file": "bingmap/19/0000002.jpg", "why": "is not there", "published": False}]
+    assert "1 are named but left out: bingmap/19/0000002.jpg is not there." in capsys.readouterr().out
+    status, found = doctor(layouts.paris(tmp_path / "paris"), tmp_path)
+    assert (status, [item["published"] for item in found["left_out"]]) == (0, [True])
+    assert "being broken in the published data set too" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_folder_that_is_none_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["doctor", "--data", str(tmp_path / "absent")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

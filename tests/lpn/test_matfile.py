@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+from scipy.sparse import eye_array
+
+from lpn import matfile
+from lpn.errors import DataError
+
+VALUES = {
+    "names": np.array(["abc", "déf"]),
+    "mixed": np.array(["a", np.arange(3.0)], dtype=object),
+    "set": {"rows": np.array([[1.0], [2.0]]), "inner": {"flag": True, "half": np.float32(0.5)}},
+    "wide": np.arange(24, dtype=np.int16).reshape(2, 3, 4),
+    "empty": np.zeros((0, 3)),
+    "wave": np.array([1 + 2j]),
+}
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_what_was_saved_is_read(packed: bool, tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", VALUES, do_compression=packed)
+    found = matfile.load(tmp_path / "a.mat", list(VALUES), "such a file")
+    assert list(found) == list(VALUES)
+    assert found["names"].tolist() == ["abc", "déf"]
+    assert found["set"]["rows"].tolist() == [1, 2]
+    assert found["set"]["inner"]["half"] == 0.5
+    np.testing.assert_array_equal(found["wide"], VALUES["wide"])
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"no matlab file at all" * 20, b"MATLAB 7.3".ljust(512) + b"\x89HDF\r\n\x1a\n" + bytes(600)]
+)
+def test_what_is_none_is_one_sentence(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "a.mat").write_bytes(content)
+    with pytest.raises(DataError, match=r"a\.mat cannot be read \(it is no MATLAB 5 file.*; expected such a file\."):
+        matfile.load(tmp_path / "a.mat", ["names"], "such a file")
+    with pytest.raises(DataError, match="No such file"):
+        matfile.load(tmp_path / "absent.mat", ["names"], "such a file")
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_cut_file_is_one_sentence(packed: bool, tmp_path: Path) -> None:
+    file = tmp_path / "a.mat"
+    savemat(file, VALUES, do_compression=packed)
+    whole = file.read_bytes()
+    for kept in range(0, len(whole) - 1, 37):
+        file.write_bytes(whole[:kept])
+        with pytest.raises(DataError, match="cannot be read"):
+            matfile.load(file, list(VALUES), "such a file")
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_damage_anywhere_never_ends_the_process(packed: bool, tmp_path: Path) -> None:
+    file, rng = tmp_path / "a.mat", random.Random(0)
+    savemat(file, VALUES, do_compression=packed)
+    whole = file.read_bytes()
+    said: list[str] = []
+    for _ in range(200):
+        damaged = bytearray(whole)
+        for _ in range(rng.randint(1, 5)):
+            damaged[rng.randrange(len(whole))] = rng.randrange(256)
+        file.write_bytes(damaged)
+        try:
+            matfile.load(file, list(VALUES), "such a file")
+        except DataError as error:
+            said.append(str(error))
+    assert len(said) > 60
+    assert not any("\n" in sentence for sentence in said)
+
+
+def test_only_what_is_asked_for_must_be_readable(tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", VALUES | {"sparse": eye_array(3)})
+    assert list(matfile.load(tmp_path / "a.mat", ["wide"], "such a file")) == ["wide"]
+    with pytest.raises(DataError, match="of class 5, which is neither numbers nor text"):
+        matfile.load(tmp_path / "a.mat", ["sparse"], "such a file")
