@@ -78,7 +78,7 @@ def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: P
     text = (tmp_path / "table4.md").read_text()
     assert "| 75.93 |" in text
     assert "Mean of 2 seeds" in text
-    assert "Published protocol" in text
+    assert "Protocol: descriptors of picture and mirror added" in text
     assert "epochs = 1" in text
     with (tmp_path / "table4.csv").open() as file:
         rows = list(csv.DictReader(file))
