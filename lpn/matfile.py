@@ -23,11 +23,15 @@ _CELL, _STRUCT, _CHAR, _NUMERIC, _OPAQUE = 1, 2, 4, range(6, 16), 17
 Element = tuple[int, memoryview]
 
 
-def load(path: Path, names: Sequence[str], expected: str) -> dict[str, Any]:
-    """The named variables of a MATLAB 5 file as `scipy.io.loadmat` gives them with simplify_cells: structs as dicts.
+def load(
+    path: Path, names: Sequence[str], expected: str, optional: Sequence[str] = (), simplify: bool = True
+) -> dict[str, Any]:
+    """The named variables of a MATLAB 5 file as `scipy.io.loadmat` gives them.
 
     Args:
         expected: what the file should hold, for the sentence that says it does not.
+        optional: further variables, which are left out where the file has none of that name.
+        simplify: give structs as dicts, and matrices without their sides of one.
 
     Raises:
         DataError: when the file cannot be read, is not a whole MATLAB 5 file, or lacks one of the variables.
@@ -38,8 +42,9 @@ def load(path: Path, names: Sequence[str], expected: str) -> dict[str, Any]:
     try:
         if path.stat().st_size > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES // 1_000_000} MB")
-        _check(path.read_bytes(), frozenset(names))
-        values: dict[str, Any] = loadmat(path, simplify_cells=True, variable_names=list(names))
+        asked = [*names, *optional]
+        _check(path.read_bytes(), frozenset(asked))
+        values: dict[str, Any] = loadmat(path, simplify_cells=simplify, variable_names=asked)
         if missing := [name for name in names if name not in values]:
             raise ValueError(f"it has no {', '.join(missing)}")
     except Exception as error:  # scipy raises anything on what it does not know
@@ -47,7 +52,7 @@ def load(path: Path, names: Sequence[str], expected: str) -> dict[str, Any]:
         raise DataError(
             f"{path.name} cannot be read ({printable(said or type(error).__name__)}); expected {expected}."
         ) from error
-    return {name: values[name] for name in names}
+    return {name: values[name] for name in asked if name in values}
 
 
 def _check(data: bytes, names: frozenset[str]) -> None:

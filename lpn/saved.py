@@ -8,7 +8,6 @@ gallery_path, query_path      (G,) and (Q,) texts, padded with spaces; may be ab
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -16,6 +15,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from lpn import matfile
 from lpn.datasets import Dataset, Picture
 from lpn.errors import DataError, InputError
 from lpn.files import printable
@@ -97,6 +97,9 @@ class Saved:
         )
 
 
+_NEEDED = ("gallery_f", "gallery_label", "query_f", "query_label")
+
+
 def load_saved(path: str | Path, n_parts: int = 1) -> Saved:
     """Read a `pytorch_result.mat`; needs the extra `data`.
 
@@ -110,9 +113,9 @@ def load_saved(path: str | Path, n_parts: int = 1) -> Saved:
     path = Path(path)
     name = printable(path.name)
     values = _read(path, name)
-    missing = [key for key in ("gallery_f", "gallery_label", "query_f", "query_label") if key not in values]
+    missing = [key for key in _NEEDED if key not in values]
     if missing:
-        held = ", ".join(printable(key) for key in values if not key.startswith("__")) or "nothing"
+        held = ", ".join(values) or "none of them"
         raise DataError(
             f"{name} has no {', '.join(missing)}; it holds {held}, and the published test code writes gallery_f, gallery_label, "
             "query_f, and query_label."
@@ -138,22 +141,19 @@ def load_saved(path: str | Path, n_parts: int = 1) -> Saved:
 
 
 def _read(path: Path, name: str) -> dict[str, Any]:
-    from scipy.io import loadmat
-
     if not path.is_file():
         raise DataError(f"There is no saved result at {path}; check the path.")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return cast("dict[str, Any]", loadmat(str(path), appendmat=False))
-    except NotImplementedError as error:
+    if _start(path) == b"MATLAB 7.3":
         raise DataError(
             f"{name} is a MATLAB 7.3 file, which is not read; save it with scipy.io.savemat, as the published test code does."
-        ) from error
-    except Exception as error:  # scipy's reader fails on damaged files with errors of many classes
-        raise DataError(
-            f"{name} is not a MATLAB file or is damaged; expected pytorch_result.mat of the published test code."
-        ) from error
+        )
+    expected = "pytorch_result.mat of the published test code"
+    return matfile.load(path, (), expected, (*_NEEDED, "query_path", "gallery_path"), simplify=False)
+
+
+def _start(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(10)
 
 
 def _descriptors(values: Any, side: str, name: str, n_parts: int) -> FloatArray:

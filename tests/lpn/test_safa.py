@@ -21,6 +21,7 @@ from lpn.images import Picture, load_picture, polar
 from lpn.model import normalise
 from lpn.network import LPN, SpatialAware
 from lpn.partition import Partition
+from lpn.protocol import Protocol
 from lpn.retrieval import describe_picture
 from lpn.spec import ModelSpec
 from tests import seeded, worlds
@@ -243,6 +244,6 @@ def test_describe_and_evaluate_run_it(model_file: Path, data: Path, tmp_path: Pa
     )
     one = describe_picture(model, picture, "satellite")
     np.testing.assert_allclose(one.descriptor, store.descriptors[0], atol=1e-6)
-    result = evaluate(model, dataset, "drone-to-satellite", parts=(1, 4))
+    result = evaluate(model, dataset, "drone-to-satellite", Protocol(parts=(1, 4)))
     assert result.queries == result.gallery == 14
     assert 0 < result.ap <= 100
