@@ -118,6 +118,10 @@ class Exhibit:
         """A 64-pixel JPEG of a picture file as an html address."""
         return self._thumbnail(path)
 
+    def cut(self, picture: Picture, view: View) -> Picture:
+        """A picture as its parts are cut from it: unrolled where the network sees it so (SAFA), else as it is."""
+        return images.polar(picture, *self.spec.input_size) if self.spec.unrolled(view) else picture
+
     def masks(self, view: View, size: int = DISPLAY) -> npt.NDArray[np.int64]:
         """The part of each pixel of a size x size picture."""
         return overlays.part_masks(self.spec.partition(view), self.map_sizes[view], size)

@@ -194,7 +194,7 @@ class Stage:
 
     def _decorated(self, answer: Answer, described: Described, view: View) -> Picture:
         state = answer.state
-        picture = overlays.square(described.picture, DISPLAY)
+        picture = overlays.square(self._exhibit.cut(described.picture, view), DISPLAY)
         if state.heat and described.activation is not None:
             picture = overlays.with_heat(
                 picture, described.activation, self._exhibit.masks(view), state.heat_part, state.opacity
@@ -263,7 +263,8 @@ class Stage:
             if match.index == answer.chosen.index:
                 x, y = _card_position(slot)
                 self._marker.position = (x, y - 0.01, -0.02)
-            picture = overlays.square(self._exhibit.entry_picture(task.gallery[match.index].path), 224)
+            entry = self._exhibit.entry_picture(task.gallery[match.index].path)
+            picture = overlays.square(self._exhibit.cut(entry, task.gallery_view), 224)
             if state.rings:
                 picture = overlays.with_rings(picture, partition, self._exhibit.map_sizes[task.gallery_view], 1)
             photo.show(overlays.framed(picture, overlays.verdict_colour(match.true), 7))

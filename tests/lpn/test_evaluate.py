@@ -11,7 +11,7 @@ import lpn
 from lpn import images, metrics
 from lpn.changes import Change
 from lpn.checkpoints import save
-from lpn.datasets import Dataset, Picture, Truth, open_dataset
+from lpn.datasets import Picture, Truth, University, open_dataset
 from lpn.errors import InputError
 from lpn.evaluate import evaluate
 from lpn.model import FloatArray, Model
@@ -120,7 +120,7 @@ def test_one_branch_can_describe_both_sides(data: Path, tmp_path: Path) -> None:
         evaluate(model, dataset, "drone-to-satellite", Protocol(branch="street"))
 
 
-class Landmarks(Dataset):
+class Landmarks(University):
     """The drawn places as landmarks: a query is a part of a picture, and lists say what is true and what is junk."""
 
     def tasks(self) -> list[str]:

@@ -103,7 +103,7 @@ def test_given_models_stand_for_trainings(places: Path, tmp_path: Path) -> None:
     made = reproduction(places, tmp_path / "out", models={"": model}, train=False)
     made.run(["table1", "table4"])
     text = (tmp_path / "out" / "table1.md").read_text()
-    assert text.count("not run") == 6 * 4
+    assert text.count("| not run |") == 6 * 4
     assert "not known; " in text
     assert "Models given: model.onnx" in text
     assert not (tmp_path / "out" / "runs").exists()
