@@ -114,7 +114,7 @@ class Train:
     data: Path
     """Data set in University-1652's layout."""
     out: Path
-    """Folder of the run: last.safetensors, log.csv, and what --resume needs."""
+    """Folder of the run: last.safetensors, best.safetensors, log.csv, tensorboard, and what --resume needs."""
     recipe: Literal["university1652", "small", "world"] = "university1652"
     """The paper's recipe, one for some hundred places, or the latter for drone pictures of all headings."""
     init: Path | None = None
@@ -122,15 +122,35 @@ class Train:
     resume: bool = False
     """Go on with the run in --out."""
     evaluate_every: int = 0
-    """Test every so many epochs; 0 for the end only."""
+    """Test every so many epochs, and keep the best; 0 for the end only."""
+    validate: float = 0.0
+    """Share of the training places held out to choose the best epoch by; at 0 the test split chooses."""
+    workers: int = 0
+    """Threads that prepare pictures; 0 for what suits the machine. They change no result."""
     settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
 
     def run(self) -> None:
         trainer = import_module("lpn.train").Trainer
         dataset = import_module("lpn.datasets").open_dataset(self.data)
-        run = trainer(dataset, self.out, self.settings, self.init, self.resume, self.evaluate_every)
+        group = import_module("lpn.distributed").join()
+        run = group.together(
+            lambda: trainer(
+                dataset,
+                self.out,
+                self.settings,
+                self.init,
+                self.resume,
+                self.evaluate_every,
+                workers=self.workers,
+                validate=self.validate,
+                group=group,
+            )
+        )
         run.console.print(f"Recipe {self.recipe}: {self.settings.to_json()}")
-        print(f"The model is in {run.run()}.")
+        model = run.run()
+        group.leave()
+        if group.leads:
+            print(f"The model is in {model}.")
 
 
 @dataclass
@@ -292,7 +312,7 @@ def _numbers(text: str | None) -> list[int] | None:
 
 def _missing(error: ModuleNotFoundError) -> MissingPackageError:
     package = (error.name or "").split(".")[0]
-    extra = "train" if package in ("torch", "onnx", "onnxscript", "safetensors", "yaml") else ""
+    extra = "train" if package in ("torch", "onnx", "onnxscript", "safetensors", "yaml", "tensorboardX") else ""
     extra = "world" if package in ("bpy", "mathutils") else extra
     wanted = f"lpn-explorer[{extra}]" if extra else "lpn-explorer"
     return MissingPackageError(f"This needs the package {error.name}, which is not installed; pip install '{wanted}'.")

@@ -79,10 +79,10 @@ def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
     run, _ = trainer(places, tmp_path / "cut")
     original = Trainer._epoch
 
-    def killed(self: Trainer, epoch: int, report: object) -> dict[str, float]:
+    def killed(self: Trainer, epoch: int, *rest: object) -> dict[str, float]:
         if epoch == 1:
             raise KeyboardInterrupt
-        return original(self, epoch, report)
+        return original(self, epoch, *rest)
 
     with monkeypatch.context() as patch:
         patch.setattr(Trainer, "_epoch", killed)
@@ -170,7 +170,7 @@ def test_a_recipe_out_of_range_is_refused_in_words(field: str, value: float) -> 
 
 def test_weights_that_are_no_numbers_are_not_saved(places: Path, tmp_path: Path) -> None:
     run, _ = trainer(places, tmp_path / "run", replace(QUICK, epochs=1))
-    step, left = run.optimizer.step, [run.steps]
+    step, left = run.learner.optimizer.step, [run.steps]
 
     def spoil_at_last(*_: object) -> None:
         step()
@@ -178,7 +178,7 @@ def test_weights_that_are_no_numbers_are_not_saved(places: Path, tmp_path: Path)
         if left[0] == 0:
             run.network.heads[0].add_block[0].bias.data.fill_(float("inf"))
 
-    run.optimizer.step = spoil_at_last  # type: ignore[method-assign, assignment]
+    run.learner.optimizer.step = spoil_at_last  # type: ignore[method-assign, assignment]
     with pytest.raises(InputError, match="A weight is no longer a number"):
         run.run()
     assert not (tmp_path / "run" / "last.safetensors").exists()
@@ -233,7 +233,7 @@ def test_each_view_is_a_batch_of_its_own_unless_joined(places: Path, tmp_path: P
         run, _ = trainer(places, tmp_path / f"{joint}", recipe)
         run.network.train()
         satellite = torch.randn(4, 3, 64, 64, generator=torch.Generator().manual_seed(1))
-        return run._forward({"satellite": satellite, "drone": other})["satellite"][0].detach()
+        return run.learner.views({"satellite": satellite, "drone": other})["satellite"][0].detach()
 
     drone = torch.randn(4, 3, 64, 64, generator=torch.Generator().manual_seed(2))
     torch.testing.assert_close(embedded(False, drone), embedded(False, 3 * drone + 1))
