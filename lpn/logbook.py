@@ -16,6 +16,7 @@ from lpn.files import write_whole
 from lpn.selection import Row
 
 _EIGHTHS = " ▁▂▃▄▅▆▇█"
+_PLAIN = str.maketrans("▁▂▃▄▅▆▇█┤", "   #####|")
 _ROWS = 6
 
 
@@ -55,7 +56,9 @@ class Logbook:
         for epoch, row in enumerate(self.history, 1):
             for key, value in row.items():
                 if key != "epoch" and (key, epoch) not in self._written:
-                    self._board.add_scalar(key.replace(" ", "/"), value, epoch)
+                    self._board.add_scalar(
+                        key.replace("@", "_at_").replace(" ", "/", 1).replace(" ", "_"), value, epoch
+                    )
                     self._written.add((key, epoch))
         self._board.flush()
 
@@ -76,15 +79,12 @@ class Logbook:
 
     def say_curves(self, column: str | None) -> None:
         """Charts of the loss, and of the figure named, over the epochs."""
-        solid = not str(self.console.encoding).lower().startswith("utf")
+        blocks = str(self.console.encoding).lower().startswith("utf")
         for title, key in (("loss", "loss"), (column or "", column)):
             points = {epoch: row[key] for epoch, row in enumerate(self.history, 1) if key is not None and key in row}
             if len(points) > 1:
-                lines = chart(points, title.replace("recall@1", "R@1"), min(60, self.console.width - 12))
-                text = "\n".join(lines)
-                if solid:
-                    text = "".join("#" if c in _EIGHTHS[4:] else " " if c in _EIGHTHS else c for c in text)
-                self.console.print(text, highlight=False, soft_wrap=True)
+                text = "\n".join(chart(points, title.replace("recall@1", "R@1"), min(60, self.console.width - 12)))
+                self.console.print(text if blocks else text.translate(_PLAIN), highlight=False, soft_wrap=True)
 
     def close(self) -> None:
         """Finish the TensorBoard log."""
