@@ -107,11 +107,6 @@ class Places:
                 self._kept_bytes += picture.nbytes
         return picture
 
-    def forget(self) -> None:
-        """Let go of the pictures kept, so that each is decoded anew."""
-        with self._lock:
-            self._kept, self._kept_bytes = {}, 0
-
 
 def _by_label(pictures: list[Picture]) -> dict[int, list[Path]]:
     places: dict[int, list[Path]] = {}

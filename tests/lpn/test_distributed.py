@@ -44,8 +44,10 @@ def shared(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_two_processes_train_as_one_does(places: Path, shared: Path, tmp_path: Path) -> None:
-    run = trainer(places, tmp_path / "alone")
+    run, threads = trainer(places, tmp_path / "alone"), torch.get_num_threads()
+    torch.set_num_threads(1)  # as torchrun does
     run.run()
+    torch.set_num_threads(threads)
     assert losses(shared / "whole") == pytest.approx(losses(tmp_path / "alone"), rel=1e-4)
     weights = torch.load(shared / "weights0.pt", weights_only=True)
     for name, alone in run.network.named_parameters():
