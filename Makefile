@@ -63,6 +63,7 @@ format: $(VENV)/.dev
 
 bench: $(VENV)/.browser
 	$(BIN)/python -m bench.forward
+	$(BIN)/python -m bench.train
 	$(BIN)/python -m bench.page $(DATA) $(MODEL)
 
 # The demo made again, in runs/: a city rendered, a network trained on it, both packed. Every step goes on where it stopped.

@@ -191,7 +191,7 @@ class Train:
     data: Path
     """Data set in University-1652's layout."""
     out: Path
-    """Folder of the run: last.safetensors, log.csv, and what --resume needs."""
+    """Folder of the run: last.safetensors, best.safetensors, log.csv, tensorboard, and what --resume needs."""
     recipe: Literal["university1652", "cvusa", "safa", "small", "world"] = "university1652"
     """The paper's recipe for a data set, SAFA's, one for some hundred places, or the latter for pictures of all headings."""
     method: MethodName | None = None
@@ -202,15 +202,35 @@ class Train:
     resume: bool = False
     """Go on with the run in --out."""
     evaluate_every: int = 0
-    """Test every so many epochs; 0 for the end only."""
+    """Test every so many epochs, and keep the best; 0 for the end only."""
+    validate: float = 0.0
+    """Share of the training places held out to choose the best epoch by; at 0 the test split chooses."""
+    workers: int = 0
+    """Threads that prepare pictures; 0 for what suits the machine. They change no result."""
     settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
 
     def run(self) -> None:
         trainer = import_module("lpn.train").Trainer
         dataset = import_module("lpn.datasets").open_dataset(self.data)
-        run = trainer(dataset, self.out, self.settings, self.init, self.resume, self.evaluate_every)
+        group = import_module("lpn.distributed").join()
+        run = group.together(
+            lambda: trainer(
+                dataset,
+                self.out,
+                self.settings,
+                self.init,
+                self.resume,
+                self.evaluate_every,
+                workers=self.workers,
+                validate=self.validate,
+                group=group,
+            )
+        )
         run.console.print(f"Recipe {self.recipe}: {self.settings.to_json()}")
-        print(f"The model is in {run.run()}.")
+        model = run.run()
+        group.leave()
+        if group.leads:
+            print(f"The model is in {model}.")
 
 
 @dataclass

@@ -29,8 +29,9 @@ MAX_PIXELS = 50_000_000
 
 _MEAN = np.array([0.485, 0.456, 0.406], dtype=np.float32)
 _STD = np.array([0.229, 0.224, 0.225], dtype=np.float32)
-_SCALE = (1.0 / (255.0 * _STD)).astype(np.float32)
-_OFFSET = (-_MEAN / _STD).astype(np.float32)
+SCALE = (1.0 / (255.0 * _STD)).astype(np.float32)
+OFFSET = (-_MEAN / _STD).astype(np.float32)
+"""ImageNet normalisation of a value 0 .. 255 of each channel: value * SCALE + OFFSET."""
 
 
 def load_picture(path: str | Path) -> Picture:
@@ -177,8 +178,8 @@ def shrink(picture: Picture, side: int) -> Picture:
 def normalise(picture: Picture) -> npt.NDArray[np.float32]:
     """ImageNet normalisation: (H, W, 3) uint8 to (3, H, W) float32."""
     scaled = picture.astype(np.float32)
-    scaled *= _SCALE
-    scaled += _OFFSET
+    scaled *= SCALE
+    scaled += OFFSET
     return np.ascontiguousarray(scaled.transpose(2, 0, 1))
 
 

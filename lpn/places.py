@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
+import threading
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from lpn import images
 from lpn.datasets import Dataset, Picture
-from lpn.errors import DataError
+from lpn.errors import DataError, InputError
 from lpn.integrity import flaws, naming
 from lpn.spec import VIEWS, View
 
 CACHE_BYTES = 2_000_000_000
-"""Pictures are decoded once and kept when all of them take less than this."""
+"""Pictures are decoded once and kept, as long as those kept take less than this."""
 
 
 class Places:
@@ -56,8 +58,10 @@ class Places:
         self.labels = sorted(everywhere)
         self.files = {name: [places[label] for label in self.labels] for name, places in by_place.items()}
         self.views: tuple[View, ...] = tuple(view for view in VIEWS if view in by_place)
-        self._kept: dict[Path, images.Picture] | None = {}
+        self.panoramas = dataset.panoramas
+        self._kept: dict[Path, images.Picture] = {}
         self._kept_bytes = 0
+        self._lock = threading.Lock()
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -69,14 +73,38 @@ class Places:
         }
         return hashlib.sha256(json.dumps(names, sort_keys=True).encode()).hexdigest()
 
+    def hold_out(self, share: float, seed: int) -> dict[int, dict[str, list[Path]]]:
+        """Take a share of the places out of the training, chosen by the seed alone.
+
+        Returns:
+            For each place taken out, by label, its files of each set.
+
+        Raises:
+            InputError: when the share is not from 0 up to 1, or comes to a single place or all but one.
+        """
+        count = round(share * len(self)) if 0 <= share < 1 else 0
+        if share and not 2 <= count <= len(self) - 2:
+            raise InputError(
+                f"The share of places held out is {share:g}, {count} of {len(self)}; expected a number from 0 up to 1 that "
+                "leaves at least 2 on either side."
+            )
+        order = np.random.default_rng([seed, len(self)]).permutation(len(self))
+        out, kept = sorted(order[:count]), sorted(order[count:])
+        held = {self.labels[i]: {name: places[i] for name, places in self.files.items()} for i in out}
+        self.labels = [self.labels[i] for i in kept]
+        self.files = {name: [places[i] for i in kept] for name, places in self.files.items()}
+        return held
+
     def picture(self, path: Path) -> images.Picture:
-        """A decoded picture, kept in memory as long as there is room for it."""
-        if self._kept is not None and path in self._kept:
-            return self._kept[path]
+        """A decoded picture, kept in memory as long as there is room for it; for any thread."""
+        kept = self._kept.get(path)
+        if kept is not None:
+            return kept
         picture = images.load_picture(path)
-        if self._kept is not None and self._kept_bytes + picture.nbytes < CACHE_BYTES:
-            self._kept[path] = picture
-            self._kept_bytes += picture.nbytes
+        with self._lock:
+            if path not in self._kept and self._kept_bytes + picture.nbytes < CACHE_BYTES:
+                self._kept[path] = picture
+                self._kept_bytes += picture.nbytes
         return picture
 
 

@@ -18,6 +18,11 @@ VIEWS: tuple[View, ...] = ("satellite", "street", "drone")
 BRANCH: dict[View, str] = {"satellite": "model_1", "street": "model_2", "drone": "model_3"}
 
 
+def branch_of(pictures: str) -> View:
+    """The view whose branch a set of training pictures goes through: its own, or for "google" the street's."""
+    return "street" if pictures == "google" else cast(View, pictures)
+
+
 _ALLOWED: dict[str, tuple[Any, ...]] = {
     "backbone": ("resnet18", "resnet50", "vgg16_bn"),
     "last_layer": ("layer3", "layer4"),

@@ -2,44 +2,44 @@
 
 from __future__ import annotations
 
-import copy
-import csv
-import io
-import json
 import math
-import pickle
 import time
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
-from lpn import checkpoints, images
-from lpn.augment import augment, place_draw
+from lpn import checkpoints
 from lpn.backbones import CHANNELS
 from lpn.datasets import Dataset
+from lpn.distributed import Group, alone
 from lpn.errors import InputError, ModelFileError
-from lpn.evaluate import evaluate
-from lpn.files import check_writable, write_whole
-from lpn.losses import total_loss
+from lpn.files import check_writable
+from lpn.learner import Learner
+from lpn.loader import Batch, Loader
+from lpn.logbook import Logbook
 from lpn.network import LPN
 from lpn.places import Places
 from lpn.recipes import Recipe
-from lpn.spec import ModelSpec, View
+from lpn.selection import HeldOut, Judge, Row, TestSplit, best
+from lpn.spec import ModelSpec
+from lpn.state import State, read_state
 
-Row = dict[str, float]
+_EXPLODED = 10.0
+"""A mean loss this many times the first step's, which is about chance, is that of a training that has diverged."""
+_SURE_AFTER = 100
+"""Steps whose mean is trusted to tell that; an epoch of fewer is judged at its end."""
 
 
 class Trainer:
-    """One training run in a folder: `last.safetensors`, `state.pt` to resume from, and `log.csv`.
+    """One training run in a folder, see docs/training.md for its files.
 
     Args:
         dataset: in University-1652's layout.
@@ -47,7 +47,10 @@ class Trainer:
         recipe: every number of the training.
         init: weights for the backbone, loaded as far as they go.
         resume: go on from the last whole epoch in `out`, to the same losses as an uninterrupted run.
-        evaluate_every: test every so many epochs; 0 for the end only.
+        evaluate_every: test every so many epochs, and keep the best; 0 for the end only.
+        workers: threads that prepare pictures; 0 for what suits the machine. They change no result.
+        validate: share of the places that are held out of the training, to choose the best epoch by.
+        group: the processes that share the training; this one alone by default.
 
     Raises:
         DataError: when the data set cannot be trained on.
@@ -65,16 +68,15 @@ class Trainer:
         resume: bool = False,
         evaluate_every: int = 0,
         console: Console | None = None,
+        workers: int = 0,
+        validate: float = 0.0,
+        group: Group | None = None,
     ) -> None:
-        self.console = console or Console()
+        self.group = group or alone()
+        self.console = (console or Console()) if self.group.leads else Console(quiet=True)
         self.dataset, self.out, self.recipe, self.evaluate_every = dataset, out, recipe, evaluate_every
-        self.places = Places(dataset, self.console, recipe.google)
-        self.device = checkpoints.best_device()
-        self.bfloat16 = recipe.precision == "bfloat16" or (recipe.precision == "auto" and _has_bfloat16(self.device))
-        if len(self.places) < recipe.batch:
-            raise InputError(
-                f"There are {len(self.places)} places and a batch of {recipe.batch}; set --batch to at most that."
-            )
+        self.places, self.device = Places(dataset, self.console, recipe.google), self.group.device
+        held = self.places.hold_out(validate, recipe.seed)
         there = [name for name in ("state.pt", "last.safetensors", "log.csv") if (out / name).exists()]
         if not resume and there:
             raise InputError(
@@ -82,75 +84,92 @@ class Trainer:
             )
         if evaluate_every < 0:
             raise InputError(f"The figures are asked for every {evaluate_every} epochs; expected 0 or more.")
+        if held and not evaluate_every:
+            raise InputError("Places held out choose among the epochs that are tested; say which by --evaluate-every.")
+        share = self.group.share(recipe.batch)
+        self.loader = Loader(self.places, recipe, self.device, share, workers, self.group.local_size)
+        self.steps = self.loader.steps
         check_writable(out / "last.safetensors")
         torch.manual_seed(recipe.seed)
-        self.network = LPN(_spec(recipe, self.places))
+        network = LPN(_spec(recipe, self.places))
         if init is not None and not resume:
-            self._load_init(init)
-        self.network.to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.average = copy.deepcopy(self.network) if recipe.ema else None
-        self.optimizer = _optimizer(self.network, recipe)
-        self.rates = [float(group["lr"]) for group in self.optimizer.param_groups]
+            self._load_init(network, init)
+        self.learner = Learner(network, recipe, self.group)
         self.history: list[Row] = []
+        self.first_loss = math.nan
+        tasks = [task for task in dataset.tasks() if set(task.split("-to-")) <= set(self.places.views)]
+        self.test_split = TestSplit(dataset, tasks) if tasks else None
+        self.judge: Judge | None = HeldOut(held) if held else self.test_split
         self._places_digest = self.places.digest(dataset.root)
         if resume:
             self._resume()
 
     @property
-    def steps(self) -> int:
-        """Steps per epoch."""
-        return len(self.places) // self.recipe.batch
+    def network(self) -> LPN:
+        """The network in training."""
+        return self.learner.network
 
     def run(self) -> Path:
-        """Train to the last epoch, evaluate, and return the path of the model.
+        """Train to the last epoch, test, and return the path of the model.
 
         Raises:
-            InputError: when the loss is no longer a number.
+            InputError: when the training diverges.
+            LPNError: when a picture cannot be read, a file not be written, or another process stopped.
         """
+        self.learner.share_out()
+        self._say_how()
+        logbook = Logbook(self.out, self.history, self.console) if self.group.leads else None
+        try:
+            with self.group.watch():
+                self._train(logbook)
+        finally:
+            if logbook is not None:
+                logbook.close()
+        return self.out / "last.safetensors"
+
+    def _train(self, logbook: Logbook | None) -> None:
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
             TextColumn("{task.fields[said]}"),
             TimeRemainingColumn(),
         )
-        epochs = self.recipe.epochs
-        with Progress(*columns, console=self.console) as bar:
-            done = len(self.history)
+        done, epochs = len(self.history), self.recipe.epochs
+        stream = self.loader.stream(done, epochs)
+        with closing(cast(Any, stream)), Progress(*columns, console=self.console, disable=not self.group.leads) as bar:
             task = bar.add_task("Training", total=epochs * self.steps, completed=done * self.steps, said="")
+            # An epoch whose test was interrupted.
+            self._choose(logbook)
             for epoch in range(done, epochs):
                 bar.update(task, description=f"Epoch {epoch + 1}/{epochs}")
-                self.history.append(self._epoch(epoch, lambda said: bar.update(task, advance=1, said=said)))
-                self._save()
-                if self.evaluate_every and (epoch + 1) % self.evaluate_every == 0 and epoch + 1 < epochs:
-                    self._test(bar.console)
-        if not any(key.startswith("recall@1 ") for key in self.history[-1]):
-            self._test(self.console)
-        return self.out / "last.safetensors"
+                batches = islice(stream, self.steps)
+                self.history.append(self._epoch(epoch, batches, lambda said: bar.update(task, advance=1, said=said)))
+                self._save(logbook)
+                self._choose(logbook)
+                if logbook is not None:
+                    logbook.say_epoch(epochs)
+        self._finish(logbook)
 
-    def _epoch(self, epoch: int, report: Any) -> Row:
+    def _epoch(self, epoch: int, batches: Iterator[Batch], report: Callable[[str], object]) -> Row:
         self.network.train()
-        # Seeded by epoch, so that a resumed run repeats what an uninterrupted one does.
-        torch.manual_seed(self.recipe.seed * 100_003 + epoch)
-        started, total, seen = time.perf_counter(), 0.0, 0
-        for step, (sets, places) in enumerate(self._batches(epoch)):
-            rate = self._set_rate(epoch * self.steps + step)
-            autocast = torch.autocast(self.device.type, torch.bfloat16) if self.bfloat16 else nullcontext()
-            with autocast:
-                outputs = self._forward(sets)
-            loss = total_loss(outputs, places, self.recipe)
-            value = float(loss.detach())
-            if not math.isfinite(value):
-                raise self._diverged(f"The loss became {value}", epoch, step)
-            self.optimizer.zero_grad(set_to_none=True)
-            loss.backward()  # type: ignore[no-untyped-call]
-            self.optimizer.step()
-            self._follow(epoch * self.steps + step)
-            total += value
-            seen += len(places) * len(sets)
-            speed = seen / (time.perf_counter() - started)
-            report(f"loss {total / (step + 1):.3f}  {speed:.1f} images/s")
-        if not all(bool(torch.isfinite(tensor).all()) for tensor in self.network.state_dict().values()):
-            raise self._diverged("A weight is no longer a number", epoch, self.steps - 1)
+        # Seeded by epoch, so that a resumed run repeats what an uninterrupted one does; and each process for itself.
+        torch.manual_seed(self.recipe.seed * 100_003 + epoch + (self.group.rank << 50))
+        started, total, seen, rate = time.perf_counter(), 0.0, 0, 0.0
+        before: Tensor | None = None
+        for step, batch in enumerate(batches):
+            loss, rate = self.learner.step(batch, epoch * self.steps + step, self.steps)
+            seen += len(batch.places) * len(batch.sets)
+            # A step's loss is read when the next step is under way, so that a GPU need not wait for it.
+            if before is not None:
+                total += self._checked(float(before), total, epoch, step)
+                speed = seen / (time.perf_counter() - started)
+                report(f"loss {total / step:.3f}  {speed:.1f} images/s")
+            before = loss
+        assert before is not None
+        total += self._checked(float(before), total, epoch, self.steps)
+        report(f"loss {total / self.steps:.3f}")
+        if self.group.leads and not self.learner.finite():
+            raise self._diverged("A weight is no longer a number", epoch, self.steps)
         seconds = time.perf_counter() - started
         return {
             "epoch": epoch + 1,
@@ -160,173 +179,122 @@ class Trainer:
             "images_per_second": seen / seconds,
         }
 
-    def _diverged(self, found: str, epoch: int, step: int) -> InputError:
+    def _checked(self, loss: float, total: float, epoch: int, step: int) -> float:
+        """The loss of the epoch's step number `step`, from 1, after steps whose losses sum to `total`."""
+        if not math.isfinite(loss):
+            raise self._diverged(f"The loss became {loss}", epoch, step)
+        if math.isnan(self.first_loss):
+            self.first_loss = loss
+        mean, first = (total + loss) / step, self.first_loss
+        # A loss near 0 has no tenfold that would mean anything.
+        if step >= min(_SURE_AFTER, self.steps) and mean > _EXPLODED * max(first, 1.0):
+            raise self._diverged(
+                f"The loss rose to {mean:.3g} on average, from {first:.3g} at the first step,", epoch, step
+            )
+        return loss
+
+    def _diverged(self, found: str, epoch: int, step: int) -> BaseException:
         kept = f"{self.out} keeps the model of epoch {epoch}; " if epoch else ""
-        return InputError(
-            f"{found} in epoch {epoch + 1}, step {step + 1}; {kept}start again with a smaller --lr in another --out."
+        return self.group.said_once(
+            InputError(
+                f"{found} in epoch {epoch + 1}, step {step}; {kept}start again with a smaller --lr in another --out."
+            )
         )
 
-    def _forward(self, sets: dict[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
-        """Embeddings and scores of each set.
-
-        Each set is a batch of its own, as published, or those that share weights and partition are one: BatchNorm then
-        sees them together.
-        """
-        outputs: dict[str, tuple[Tensor, Tensor]] = {}
-        spec = self.network.spec
-        groups = spec.groups()
-        batches: dict[object, list[str]] = {}
-        for name in sets:
-            key = next(g for g in groups if branch_of(name) in g) if self.recipe.joint_views else name
-            batches.setdefault(key, []).append(name)
-        for names in batches.values():
-            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), branch_of(names[0]))
-            sizes = [len(sets[name]) for name in names]
-            for name, e, s in zip(names, embeddings.split(sizes), scores.split(sizes), strict=True):
-                outputs[name] = (e, s)
-        return outputs
-
-    def _batches(self, epoch: int) -> Iterator[tuple[dict[str, Tensor], Tensor]]:
-        """One epoch's steps; the next batch is prepared while the caller computes."""
-        order = np.random.default_rng([self.recipe.seed, epoch]).permutation(len(self.places))
-        chunks = [order[i * self.recipe.batch : (i + 1) * self.recipe.batch] for i in range(self.steps)]
-        with ThreadPoolExecutor(1) as pool:
-            ahead = pool.submit(self._batch, chunks[0], epoch)
-            for position in range(len(chunks)):
-                sets, places = ahead.result()
-                if position + 1 < len(chunks):
-                    ahead = pool.submit(self._batch, chunks[position + 1], epoch)
-                yield {name: pictures.to(self.device) for name, pictures in sets.items()}, places.to(self.device)
-
-    def _batch(self, chunk: Any, epoch: int) -> tuple[dict[str, Tensor], Tensor]:
-        sets: dict[str, list[Any]] = {name: [] for name in self.places.files}
-        for place in chunk:
-            rng = np.random.default_rng([self.recipe.seed, epoch, int(place)])
-            angle, mirror = place_draw(self.recipe, rng)
-            for name, files in self.places.files.items():
-                path = files[place][int(rng.integers(len(files[place])))]
-                panorama = self.dataset.panoramas and name == "street"
-                picture = augment(self.places.picture(path), self.recipe, rng, angle, mirror, branch_of(name), panorama)
-                sets[name].append(images.normalise(picture))
-        batch = {
-            name: torch.from_numpy(np.stack(pictures)).contiguous(memory_format=torch.channels_last)
-            for name, pictures in sets.items()
-        }
-        return batch, torch.from_numpy(np.asarray(chunk, dtype=np.int64))
-
-    def _set_rate(self, step: int) -> float:
-        recipe = self.recipe
-        factor = min(1.0, (step + 1) / max(recipe.warmup_epochs * self.steps, 1))
-        if recipe.schedule == "cosine":
-            factor *= 0.5 * (1 + math.cos(math.pi * step / (recipe.epochs * self.steps)))
-        elif step >= recipe.decay_epoch * self.steps:
-            factor *= 0.1
-        for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
-            group["lr"] = rate * factor
-        return self.rates[-1] * factor
-
-    @torch.no_grad()
-    def _follow(self, step: int) -> None:
-        """Move the average towards the weights, faster at the start."""
-        if self.average is None:
+    def _choose(self, logbook: Logbook | None) -> None:
+        """Where it is due, test the last epoch, and keep it apart if it is the best so far."""
+        epoch = len(self.history)
+        due = self.evaluate_every and epoch and (epoch % self.evaluate_every == 0 or epoch == self.recipe.epochs)
+        judge = self.judge
+        if not due or judge is None or judge.column in self.history[-1]:
             return
-        share = 1 - min(self.recipe.ema, (1 + step) / (10 + step))
-        for mean, value in zip(self.average.state_dict().values(), self.network.state_dict().values(), strict=True):
-            if mean.is_floating_point():
-                mean.lerp_(value, share)
-            else:
-                mean.copy_(value)
+        path = self.out / "last.safetensors"
+        say = {"console": self.console} if judge is self.test_split and epoch == self.recipe.epochs else {}
+        row = self.group.led(lambda: judge.measure(checkpoints.load_torch(path, self.device), **say))
+        self.history[-1] |= row
+        chosen = best(self.history, judge.column)
+        if chosen is not None and chosen[0] == epoch and self.group.leads:
+            more = {"epoch": str(epoch), "score": f"{chosen[1]:.4f}", "chosen by": judge.said}
+            self.learner.save_model(self.out / "best.safetensors", self._metadata() | more)
+        self._save(logbook)
 
-    def _test(self, console: Console) -> None:
-        """Recall@1 of every task the test split offers, printed with the protocol and noted in the log."""
-        model = checkpoints.load_torch(self.out / "last.safetensors", self.device)
-        row: Row = {}
-        for task in self.dataset.tasks():
-            if set(task.split("-to-")) <= set(model.views):
-                result = evaluate(model, self.dataset, task, cached=False)
-                recall = result.recall
-                console.print(
-                    f"{task}: R@1 {recall['1']:.2f}  R@5 {recall['5']:.2f}  R@10 {recall['10']:.2f}  "
-                    f"R@1% {recall['1%']:.2f}  AP {result.ap:.2f}  ({result.queries} queries, {result.gallery} tiles)"
-                )
-                row |= {f"recall@1 {task}": recall["1"], f"ap {task}": result.ap}
-        if row:
-            console.print(result.said)
+    def _finish(self, logbook: Logbook | None) -> None:
+        """Test what has not been tested, and say which epoch was the best."""
+        split, judge = self.test_split, self.judge
+        chosen = best(self.history, judge.column) if judge is not None else None
+        if split is not None and split.column not in self.history[-1]:
+            last = self.out / "last.safetensors"
+            row = self.group.led(lambda: split.measure(checkpoints.load_torch(last, self.device), self.console))
             self.history[-1] |= row
-            self._save()
+            self._save(logbook)
+        self.group.led(lambda: self._conclude(cast(Logbook, logbook), chosen))
 
-    def _load_init(self, init: Path) -> None:
-        filled, total, missing = checkpoints.load_backbone(self.network, init)
+    def _conclude(self, logbook: Logbook, chosen: tuple[int, float] | None) -> None:
+        """What the terminal shows at the end."""
+        split, judge = self.test_split, self.judge
+        logbook.say_curves(None if judge is None else judge.column)
+        if judge is None or chosen is None or not self.evaluate_every:
+            return
+        epoch, score = chosen
+        self.console.print(
+            f"best.safetensors is of epoch {epoch}, chosen by {judge.said}: {score:.2f}.", soft_wrap=True
+        )
+        if split is not None and judge is not split and epoch < len(self.history):
+            self.console.print("Its figures on the test split:")
+            split.measure(checkpoints.load_torch(self.out / "best.safetensors", self.device), self.console)
+
+    def _say_how(self) -> None:
+        group, norm = self.group, ""
+        if group.size > 1:
+            batch = self.recipe.batch // group.size
+            sees = "all of them" if self.device.type == "cuda" else "its own process's"
+            norm = f" {group.size} processes take {batch} places of each batch; BatchNorm sees {sees}."
+        self.console.print(
+            f"Computing in {self.learner.arithmetic.name} on {self.device.type}; {self.loader.workers} "
+            f"{'thread prepares' if self.loader.workers == 1 else 'threads prepare'} pictures.{norm}",
+            soft_wrap=True,
+        )
+        if self.evaluate_every and self.judge is None:
+            self.console.print(f"{self.dataset.root.name} has no test split, so no epoch is tested.")
+
+    def _load_init(self, network: LPN, init: Path) -> None:
+        filled, total, missing = checkpoints.load_backbone(network, init)
         rest = f"; not or not wholly in it, so as initialised: {', '.join(missing)}" if missing else ""
         self.console.print(f"{init.name} fills {filled} of the backbone's {total} tensors{rest}.")
 
-    def _save_model(self, path: Path) -> None:
-        metadata = {
+    def _save(self, logbook: Logbook | None) -> None:
+        """Model, logs, and last the state, which is what a resumed run trusts."""
+        if logbook is None:
+            return
+        self.learner.save_model(self.out / "last.safetensors", self._metadata())
+        logbook.save()
+        state = State(self.history, self.first_loss, self.group.size, self.learner.state())
+        state.write(self.out / "state.pt", self.recipe, self._places_digest)
+
+    def _metadata(self) -> dict[str, str]:
+        return {
             "recipe": self.recipe.to_json(),
             "epochs": str(len(self.history)),
             "data": self.dataset.root.resolve().name,
         }
-        checkpoints.save(self.average or self.network, path, metadata)
-
-    def _save(self) -> None:
-        """Model, log, and last the state, which is what a resumed run trusts."""
-        self._save_model(self.out / "last.safetensors")
-        keys = list(dict.fromkeys(key for row in self.history for key in row))
-        log = io.StringIO()
-        writer = csv.DictWriter(log, keys)
-        writer.writeheader()
-        writer.writerows(self.history)
-        write_whole(self.out / "log.csv", log.getvalue().encode())
-        state = {
-            "recipe": self.recipe.to_json(),
-            "places": self._places_digest,
-            "history": json.dumps(self.history),
-            "network": self.network.state_dict(),
-            "average": self.average.state_dict() if self.average is not None else {},
-            "optimizer": self.optimizer.state_dict(),
-        }
-        whole = io.BytesIO()
-        torch.save(state, whole)
-        write_whole(self.out / "state.pt", whole.getvalue())
 
     def _resume(self) -> None:
         path = self.out / "state.pt"
-        if not path.is_file():
-            raise InputError(f"There is no state.pt in {self.out} to resume from; start without --resume.")
+        state = read_state(path, self.recipe, self._places_digest)
         try:
-            state: Any = torch.load(path, map_location=self.device, weights_only=True)
-            saved = json.loads(state["recipe"])
-            history, places = json.loads(state["history"]), state["places"]
-        except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, TypeError) as error:
-            raise ModelFileError(
-                f"{path} is damaged; start the run again without --resume, in another --out."
-            ) from error
-        differs = [k for k, v in json.loads(self.recipe.to_json()).items() if saved.get(k) != v]
-        if differs:
-            raise InputError(
-                f"The run in {self.out} was started with another {', '.join(differs)}; resume it with the same."
-            )
-        if places != self._places_digest:
-            raise InputError(
-                f"The run in {self.out} was started with other training pictures; give the same --data, or start anew in "
-                "another --out."
-            )
-        try:
-            self.network.load_state_dict(state["network"])
-            if self.average is not None:
-                self.average.load_state_dict(state["average"])
-            self.optimizer.load_state_dict(state["optimizer"])
+            self.learner.restore(state.tensors)
         except (RuntimeError, ValueError, KeyError) as error:
             raise ModelFileError(
                 f"{path} does not fit its own recipe, so it is damaged; start anew in another --out."
             ) from error
-        self.history = cast("list[Row]", history)
+        self.history, self.first_loss = state.history, state.first_loss
+        if state.processes != self.group.size:
+            self.console.print(
+                f"The run had {state.processes} processes and goes on with {self.group.size}, so its losses will differ from "
+                "those of an uninterrupted one.",
+                soft_wrap=True,
+            )
         self.console.print(f"Going on after epoch {len(self.history)} of {self.recipe.epochs}.")
-
-
-def branch_of(name: str) -> View:
-    """The view whose branch a set of pictures goes through."""
-    return "street" if name == "google" else cast(View, name)
 
 
 def _spec(recipe: Recipe, places: Places) -> ModelSpec:
@@ -348,24 +316,3 @@ def _spec(recipe: Recipe, places: Places) -> ModelSpec:
     if recipe.pooling == "safa":
         return replace(spec, embedding=spec.maps * CHANNELS[spec.backbone, spec.last_layer])
     return spec
-
-
-def _optimizer(network: LPN, recipe: Recipe) -> torch.optim.Optimizer:
-    """Two groups: the backbones at their lower rate, then the heads."""
-    backbone = {id(p): p for view in network.spec.views for p in network.branch(view).model.parameters()}
-    heads = [p for p in network.parameters() if id(p) not in backbone]
-    groups = [
-        {"params": list(backbone.values()), "lr": recipe.lr * recipe.backbone_ratio},
-        {"params": heads, "lr": recipe.lr},
-    ]
-    if recipe.optimizer in ("adam", "adamw"):
-        kind = torch.optim.AdamW if recipe.optimizer == "adamw" else torch.optim.Adam
-        return kind(groups, weight_decay=recipe.weight_decay)
-    return torch.optim.SGD(groups, momentum=0.9, nesterov=True, weight_decay=recipe.weight_decay)
-
-
-def _has_bfloat16(device: torch.device) -> bool:
-    """Whether bfloat16 arithmetic is in the hardware; emulated, it would be slower than float32."""
-    if device.type == "cuda":
-        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
-    return bool(torch.cpu._is_avx512_bf16_supported())

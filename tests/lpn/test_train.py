@@ -9,14 +9,17 @@ from pathlib import Path
 import pytest
 import torch
 from rich.console import Console
+from safetensors import safe_open
 from torch import Tensor
 
 import lpn
+from lpn import optimization
 from lpn.checkpoints import load_torch, save
 from lpn.datasets import open_dataset
 from lpn.errors import DataError, InputError, LPNError, ModelFileError, PictureError
 from lpn.evaluate import evaluate
 from lpn.recipes import RECIPES, Recipe
+from lpn.selection import HeldOut, TestSplit
 from lpn.train import Trainer
 from tests import worlds
 from tests.conftest import RealRun
@@ -78,10 +81,10 @@ def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
     run, _ = trainer(places, tmp_path / "cut")
     original = Trainer._epoch
 
-    def killed(self: Trainer, epoch: int, report: object) -> dict[str, float]:
+    def killed(self: Trainer, epoch: int, *rest: object) -> dict[str, float]:
         if epoch == 1:
             raise KeyboardInterrupt
-        return original(self, epoch, report)
+        return original(self, epoch, *rest)
 
     with monkeypatch.context() as patch:
         patch.setattr(Trainer, "_epoch", killed)
@@ -178,9 +181,78 @@ def test_a_recipe_out_of_range_is_refused_in_words(field: str, value: float) -> 
         replace(QUICK, backbone="vgg16_bn")
 
 
+def test_the_best_epoch_is_kept_beside_the_last(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = iter([30.0, 50.0, 40.0])
+    task = "drone-to-satellite"
+    monkeypatch.setattr(TestSplit, "measure", lambda *_, **__: {f"recall@1 {task}": next(scores)})
+    run, said = trainer(places, tmp_path / "run", evaluate_every=1)
+    run.run()
+    with safe_open(str(tmp_path / "run" / "best.safetensors"), framework="pt") as file:
+        found = file.metadata()
+    assert (found["epoch"], found["score"]) == ("2", "50.0000")
+    assert "on the test split" in found["chosen by"]
+    assert "best.safetensors is of epoch 2" in said.getvalue()
+    assert "R@1 drone-to-satellite by epoch" in said.getvalue()
+    best, last = (load_torch(tmp_path / "run" / f"{name}.safetensors") for name in ("best", "last"))
+    assert best.fingerprint != last.fingerprint
+
+
+def test_held_out_places_choose_and_are_not_trained_on(places: Path, tmp_path: Path) -> None:
+    quick = replace(QUICK, epochs=1)
+    run, said = trainer(places, tmp_path / "run", quick, evaluate_every=1, validate=0.25)
+    assert (len(run.places), load_torch(run.run()).spec.classes) == (18, 18)
+    assert isinstance(run.judge, HeldOut)
+    held = {picture.label for picture in run.judge.pictures["drone"]}
+    assert len(held) == 6
+    assert held.isdisjoint(run.places.labels)
+    assert "on 6 places held out of the training" in said.getvalue()
+    with (tmp_path / "run" / "log.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert {"recall@1 drone-to-satellite held out", "recall@1 drone-to-satellite"} <= set(row)
+    again, _ = trainer(places, tmp_path / "again", quick, evaluate_every=1, validate=0.25)
+    assert again.places.labels == run.places.labels
+    with pytest.raises(InputError, match="other training pictures"):
+        trainer(places, tmp_path / "run", quick, evaluate_every=1, resume=True)
+    for share in (-0.1, 0.01, 1.0, float("nan")):
+        with pytest.raises(InputError, match="at least 2 on either side"):
+            trainer(places, tmp_path / "other", quick, evaluate_every=1, validate=share)
+    with pytest.raises(InputError, match="--evaluate-every"):
+        trainer(places, tmp_path / "other", quick, validate=0.25)
+
+
+def test_float16_and_its_scaler_are_resumed(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(optimization, "choose_dtype", lambda *_: torch.float16)
+    quick = replace(QUICK, epochs=1)
+    run, said = trainer(places, tmp_path / "run", quick)
+    run.learner.arithmetic.scaler = torch.amp.GradScaler("cpu", init_scale=1024.0)
+    run.run()
+    assert "Computing in float16" in said.getvalue()
+    resumed, _ = trainer(places, tmp_path / "run", quick, resume=True)
+    assert resumed.learner.arithmetic.scaler.get_scale() == 1024.0
+
+
+def test_a_run_of_another_version_is_not_resumed(places: Path, tmp_path: Path) -> None:
+    trainer(places, tmp_path / "run", replace(QUICK, epochs=1))[0].run()
+    state = torch.load(tmp_path / "run" / "state.pt", weights_only=True)
+    del state["format"]
+    torch.save(state, tmp_path / "run" / "state.pt")
+    with pytest.raises(ModelFileError, match="another version of lpn"):
+        trainer(places, tmp_path / "run", replace(QUICK, epochs=1), resume=True)
+
+
+def test_a_loss_that_explodes_stops_with_a_sentence(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, _ = trainer(places, tmp_path / "run")
+    values = iter([6.0] * 6 + [3.0, 40.0, 3.0, 3.0, 3.0, 3.0] + [90.0] * 6)
+    monkeypatch.setattr(run.learner, "step", lambda *_: (torch.tensor(next(values)), 0.1))
+    with pytest.raises(InputError, match=r"rose to 90 on average, from 6 at the first step, in epoch 3.* of epoch 2;"):
+        run.run()
+
+
 def test_weights_that_are_no_numbers_are_not_saved(places: Path, tmp_path: Path) -> None:
     run, _ = trainer(places, tmp_path / "run", replace(QUICK, epochs=1))
-    step, left = run.optimizer.step, [run.steps]
+    step, left = run.learner.optimizer.step, [run.steps]
 
     def spoil_at_last(*_: object) -> None:
         step()
@@ -188,7 +260,7 @@ def test_weights_that_are_no_numbers_are_not_saved(places: Path, tmp_path: Path)
         if left[0] == 0:
             run.network.heads[0].add_block[0].bias.data.fill_(float("inf"))
 
-    run.optimizer.step = spoil_at_last  # type: ignore[method-assign, assignment]
+    run.learner.optimizer.step = spoil_at_last  # type: ignore[method-assign, assignment]
     with pytest.raises(InputError, match="A weight is no longer a number"):
         run.run()
     assert not (tmp_path / "run" / "last.safetensors").exists()
@@ -231,7 +303,7 @@ def test_each_view_is_a_batch_of_its_own_unless_joined(places: Path, tmp_path: P
         run, _ = trainer(places, tmp_path / f"{joint}", recipe)
         run.network.train()
         satellite = torch.randn(4, 3, 64, 64, generator=torch.Generator().manual_seed(1))
-        return run._forward({"satellite": satellite, "drone": other})["satellite"][0].detach()
+        return run.learner.views({"satellite": satellite, "drone": other})["satellite"][0].detach()
 
     drone = torch.randn(4, 3, 64, 64, generator=torch.Generator().manual_seed(2))
     torch.testing.assert_close(embedded(False, drone), embedded(False, 3 * drone + 1))

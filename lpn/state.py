@@ -1,0 +1,86 @@
+"""What a run's `state.pt` holds, and the checks before a training goes on from it."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from lpn.errors import InputError, ModelFileError
+from lpn.files import write_whole
+from lpn.recipes import Recipe
+from lpn.selection import Row
+
+FORMAT = 2
+
+
+@dataclass(frozen=True)
+class State:
+    """A training after a whole epoch.
+
+    Attributes:
+        history: each epoch's figures.
+        first_loss: of the very first step, by which a divergence is told.
+        processes: how many shared the training.
+        tensors: the state dicts of network, average, optimizer, and scaler.
+    """
+
+    history: list[Row]
+    first_loss: float
+    processes: int
+    tensors: dict[str, Any]
+
+    def write(self, path: Path, recipe: Recipe, places: str) -> None:
+        """Write the file whole; `places` identifies the training pictures."""
+        values = {
+            "format": FORMAT,
+            "recipe": recipe.to_json(),
+            "places": places,
+            "history": json.dumps(self.history),
+            "first_loss": self.first_loss,
+            "processes": self.processes,
+            **self.tensors,
+        }
+        whole = io.BytesIO()
+        torch.save(values, whole)
+        write_whole(path, whole.getvalue())
+
+
+def read_state(path: Path, recipe: Recipe, places: str) -> State:
+    """Read what `State.write` wrote, for the same training.
+
+    Raises:
+        InputError: when there is none, or it is of another recipe or of other pictures.
+        ModelFileError: when it is damaged, or of another version of the program.
+    """
+    if not path.is_file():
+        raise InputError(f"There is no {path.name} in {path.parent} to resume from; start without --resume.")
+    try:
+        values: Any = torch.load(path, map_location="cpu", weights_only=True)
+        saved = json.loads(values["recipe"])
+        if values.get("format") != FORMAT:
+            raise ModelFileError(
+                f"{path} was written by another version of lpn, whose runs cannot be resumed exactly; start anew in another "
+                "--out."
+            )
+        history, digest = json.loads(values["history"]), values["places"]
+        tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler")}
+        state = State(history, float(values["first_loss"]), int(values["processes"]), tensors)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, TypeError) as error:
+        raise ModelFileError(f"{path} is damaged; start the run again without --resume, in another --out.") from error
+    differs = [k for k, v in json.loads(recipe.to_json()).items() if saved.get(k) != v]
+    if differs:
+        raise InputError(
+            f"The run in {path.parent} was started with another {', '.join(differs)}; resume it with the same."
+        )
+    if digest != places:
+        raise InputError(
+            f"The run in {path.parent} was started with other training pictures; give the same --data and --validate, or "
+            "start anew in another --out."
+        )
+    return state

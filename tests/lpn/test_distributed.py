@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import csv
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from lpn.distributed import Group
+from lpn.errors import InputError
+from tests import worlds
+from tests.lpn.two_processes import trainer
+
+ROOT = Path(__file__).parents[2]
+
+
+def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Two processes on this machine, as a person starts them."""
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", *arguments]
+    return subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, timeout=300, cwd=ROOT)
+
+
+def losses(out: Path) -> list[float]:
+    with (out / "log.csv").open() as file:
+        return [float(row["loss"]) for row in csv.DictReader(file)]
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return worlds.make_dataset(tmp_path_factory.mktemp("shared") / "places", train=16, test=3)
+
+
+@pytest.fixture(scope="module")
+def shared(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two processes' runs: `whole`, and `cut`, which was resumed."""
+    out = tmp_path_factory.mktemp("runs")
+    done = torchrun("-m", "tests.lpn.two_processes", places, out)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def test_two_processes_train_as_one_does(places: Path, shared: Path, tmp_path: Path) -> None:
+    run, threads = trainer(places, tmp_path / "alone"), torch.get_num_threads()
+    torch.set_num_threads(1)  # as torchrun does
+    run.run()
+    torch.set_num_threads(threads)
+    assert losses(shared / "whole") == pytest.approx(losses(tmp_path / "alone"), rel=1e-4)
+    weights = torch.load(shared / "weights0.pt", weights_only=True)
+    for name, alone in run.network.named_parameters():
+        torch.testing.assert_close(weights[name], alone.detach(), rtol=1e-3, atol=1e-5)
+
+
+def test_both_processes_have_the_same_weights(shared: Path) -> None:
+    one, two = (torch.load(shared / f"weights{rank}.pt", weights_only=True) for rank in (0, 1))
+    assert all(torch.equal(one[name], two[name]) for name in one)
+
+
+def test_a_shared_run_is_resumed_to_the_same_losses(shared: Path) -> None:
+    assert "after epoch 1 of 2" in (shared / "cut.txt").read_text()
+    assert losses(shared / "cut") == losses(shared / "whole")
+    one, two = (load_file(shared / run / "last.safetensors") for run in ("cut", "whole"))
+    assert all(torch.equal(one[name], two[name]) for name in one)
+
+
+def test_an_error_in_one_process_ends_all_with_its_sentence(places: Path, tmp_path: Path) -> None:
+    data = tmp_path / "places"
+    shutil.copytree(places, data)
+    broken = data / "train" / "drone" / "0003" / "image-01.png"
+    broken.write_bytes(broken.read_bytes()[:400])
+    quick = ("--recipe", "small", "--size", 64, "--batch", 4, "--epochs", 1)
+    done = torchrun("-m", "lpn.cli", "train", "--data", data, "--out", tmp_path / "run", *quick)
+    assert done.returncode != 0
+    said = [line for line in done.stderr.splitlines() if line.startswith("lpn: ")]
+    assert sum("0003/image-01.png is not a picture" in line for line in said) == 1
+    assert not (tmp_path / "run" / "last.safetensors").exists()
+
+
+def test_a_batch_is_shared_evenly_or_refused() -> None:
+    groups = [Group(torch.device("cpu"), rank, 3) for rank in range(3)]
+    assert [row for group in groups for row in range(12)[group.share(12)]] == list(range(12))
+    for batch in (8, 3):
+        with pytest.raises(InputError, match="multiple of 3, at least 6"):
+            groups[0].share(batch)

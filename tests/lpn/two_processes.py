@@ -1,0 +1,69 @@
+"""What test_distributed.py has torchrun start twice: a training, one that is cut and resumed, and their weights."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from rich.console import Console
+from torch import nn
+
+from lpn.datasets import open_dataset
+from lpn.distributed import Group, join
+from lpn.recipes import RECIPES
+from lpn.train import Trainer
+
+RECIPE = replace(
+    RECIPES["small"],
+    size=64,
+    epochs=2,
+    batch=8,
+    warmup_epochs=0,
+    precision="float32",
+    optimizer="sgd",
+    lr=0.01,
+    dropout=0.0,
+    ema=0.8,
+)
+
+
+def trainer(data: Path, out: Path, group: Group | None = None, resume: bool = False) -> Trainer:
+    """A training whose BatchNorm is frozen, so that it does not matter how a batch is shared out."""
+    with (out.parent / f"{out.name}.txt").open("a") as said:
+        run = Trainer(open_dataset(data), out, RECIPE, resume=resume, console=Console(file=said), group=group)
+    run.console = Console(quiet=True)
+    for module in run.network.modules():
+        if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d):
+            module.eval()
+            module.train = lambda _=True, module=module: module  # type: ignore[method-assign, misc]
+    return run
+
+
+def main(data: Path, out: Path) -> None:
+    group = join()
+    run = trainer(data, out / "whole", group)
+    run.run()
+    torch.save(dict(run.network.named_parameters()), out / f"weights{group.rank}.pt")
+    run = trainer(data, out / "cut", group)
+    original = Trainer._epoch
+
+    def killed(self: Trainer, epoch: int, *rest: object) -> dict[str, float]:
+        if epoch == 1:
+            raise KeyboardInterrupt
+        return original(self, epoch, *rest)  # type: ignore[arg-type]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Trainer, "_epoch", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run.run()
+    # The first process may still be writing what the run is resumed from.
+    group.led(lambda: None)
+    trainer(data, out / "cut", group, resume=True).run()
+    group.leave()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))
