@@ -73,9 +73,10 @@ def test_a_picture_is_decoded_once(data: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_an_error_in_a_worker_reaches_the_caller_and_the_workers_stop(data: Path, tmp_path: Path) -> None:
     shutil.copytree(data, tmp_path / "places")
     broken = tmp_path / "places" / "train" / "drone" / "0003" / "image-01.png"
-    broken.write_bytes(broken.read_bytes()[:300])
+    made = loader(tmp_path / "places", workers=3)
+    broken.write_bytes(broken.read_bytes()[:300])  # after the check at the start
     with pytest.raises(PictureError, match=r"0003/image-01\.png"):
-        list(loader(tmp_path / "places", workers=3).stream(0, 2))
+        list(made.stream(0, 2))
     stream: Any = loader(data, workers=3).stream(0, 1000)
     with closing(stream):
         assert len(list(islice(stream, 2))) == 2
