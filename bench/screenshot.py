@@ -17,7 +17,7 @@ import cv2
 from playwright.sync_api import Browser, sync_playwright
 
 from bench.page import QUIET, Process, free_port
-from lpn.cli import DEMO, DEMO_QUERY
+from lpn.commands.using import DEMO, DEMO_QUERY
 from lpn.files import write_whole
 
 QUALITY = 84

@@ -13,7 +13,7 @@ import trimesh
 import lpn
 from lpn import features, images
 from lpn.city import city_model
-from lpn.cli import DEMO, DEMO_QUERY
+from lpn.commands.using import DEMO, DEMO_QUERY
 from lpn.datasets import open_dataset
 from lpn.geo import Positions, on_plane
 

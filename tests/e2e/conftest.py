@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
 
-from lpn.cli import DEMO
+from lpn.commands.using import DEMO
 from lpn.export import export
 from tests import worlds
 from tests.conftest import RealRun

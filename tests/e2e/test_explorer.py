@@ -13,7 +13,7 @@ from playwright.sync_api import BrowserContext, expect
 
 import lpn
 from lpn import datasets, explain, geo, images, retrieval
-from lpn.cli import DEMO_QUERY
+from lpn.commands.using import DEMO_QUERY
 from lpn.retrieval import Ranking
 from tests import worlds
 from tests.e2e.conftest import Explorer, Running
