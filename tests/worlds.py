@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -44,6 +46,13 @@ def write(path: Path, picture: Picture) -> None:
     """Write a picture file, folders included."""
     path.parent.mkdir(parents=True, exist_ok=True)
     assert cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+
+
+def spoilt_png(path: Path) -> None:
+    """A PNG that is whole at both ends, with right checksums, and still cannot be decoded."""
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", SIZE, SIZE, 8, 2, 0, 0, 0)), (b"IDAT", b"\xff" * 400), (b"IEND", b"")]
+    framed = [struct.pack(">I", len(d)) + kind + d + struct.pack(">I", zlib.crc32(kind + d)) for kind, d in chunks]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(framed))
 
 
 def make_dataset(root: Path, train: int = 6, test: int = 14) -> Path:
@@ -119,11 +128,11 @@ def make_model(folder: Path, n_parts: int = 4, size: int = 64) -> Path:
 def make_views(root: Path, places: int) -> Path:
     """The same places to train on and to test on, from satellite, drone, and street, and a "google" set.
 
-    What the ground shows is drawn, too: the place in other light, its upper half turned away.
+    The drone's pictures are negatives, which a network that has learnt nothing does not find.
     """
     for label in range(1, places + 1):
         satellite, name = place(label), f"{label:04d}"
-        pictures = {"satellite": satellite, "drone": from_drone(satellite, 1000 + label)}
+        pictures = {"satellite": satellite, "drone": from_drone(255 - satellite, 1000 + label)}
         pictures["street"] = from_drone(np.ascontiguousarray(satellite[SIZE // 4 :]), 2000 + label)
         for view, picture in pictures.items():
             for split in (f"train/{view}", f"test/query_{view}", f"test/gallery_{view}"):

@@ -69,8 +69,7 @@ def test_a_shared_run_is_resumed_to_the_same_losses(shared: Path) -> None:
 def test_an_error_in_one_process_ends_all_with_its_sentence(places: Path, tmp_path: Path) -> None:
     data = tmp_path / "places"
     shutil.copytree(places, data)
-    broken = data / "train" / "drone" / "0003" / "image-01.png"
-    broken.write_bytes(broken.read_bytes()[:400])
+    worlds.spoilt_png(data / "train" / "drone" / "0003" / "image-01.png")
     quick = ("--recipe", "small", "--size", 64, "--batch", 4, "--epochs", 1)
     done = torchrun("-m", "lpn.cli", "train", "--data", data, "--out", tmp_path / "run", *quick)
     assert done.returncode != 0

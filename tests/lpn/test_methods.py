@@ -41,7 +41,16 @@ ON_PLACES: dict[str, dict[str, Any]] = {
     "lpn": {},
     "lpn without google": {"google": False},
     "lpn of two parts": {"n_parts": 2},
-    "lpn on resnet50": {"backbone": "resnet50", "google": False, "epochs": 5},
+    # So deep a network from nothing takes more steps, and smaller pictures to have them in time.
+    "lpn on resnet50": {
+        "backbone": "resnet50",
+        "google": False,
+        "size": 32,
+        "n_parts": 2,
+        "epochs": 40,
+        "backbone_ratio": 0.3,
+        "dropout": 0.0,
+    },
     "lpn on vgg16": {"backbone": "vgg16_bn", "last_layer": "layer4", "n_parts": 2, "google": False, "epochs": 5},
     **{name: {} for name in ("instance", "contrastive", "triplet-0.3", "triplet-0.5", "soft-margin")},
 }
