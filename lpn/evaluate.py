@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from lpn import features, geo, metrics
+from lpn.changes import UNCHANGED
 from lpn.datasets import Dataset, Truth
 from lpn.errors import InputError
 from lpn.geo import FloatArray
@@ -90,13 +91,17 @@ def error_shares(errors: FloatArray) -> dict[str, float]:
 
 
 def evaluate(
-    model: Model, dataset: Dataset, task: str, protocol: Protocol | None = None, cached: bool = True
+    model: Model,
+    dataset: Dataset,
+    task: str,
+    protocol: Protocol | None = None,
+    read: features.Reader = features.cached_descriptors,
 ) -> Result:
     """Evaluate one task, such as "drone-to-satellite".
 
     Args:
         protocol: how it is measured, the published protocol by default.
-        cached: take descriptors from the user's cache and leave new ones there.
+        read: where descriptors come from, by default the user's cache, which new ones are left in.
 
     Raises:
         InputError: when the data set lacks the task, the model a view, or a part does not exist.
@@ -125,9 +130,8 @@ def evaluate(
     # Before the long part, so that a gap in it costs nothing.
     where = None if protocol.average else geo.positions(dataset.root)
     places = None if where is None else (where.of(queries), where.of(gallery))
-    read = features.cached_descriptors if cached else features.passing_descriptors
     query = read(model, queries, query_branch, protocol.change)
-    tiles = read(model, gallery, gallery_branch)
+    tiles = read(model, gallery, gallery_branch, UNCHANGED)
     cropped = any(picture.box for picture in queries)
     said = _described(model, protocol, cropped)
     labels = [np.array([picture.label for picture in pictures], np.int64) for pictures in (queries, gallery)]

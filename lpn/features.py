@@ -15,7 +15,7 @@ import hashlib
 import json
 import logging
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -276,6 +276,10 @@ def _alone(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+Reader = Callable[[Model, Sequence[Picture], View, Change], FloatArray]
+"""Where descriptors (N, n, D) of changed pictures come from, such as `cached_descriptors`."""
 
 
 def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> FloatArray:

@@ -10,9 +10,10 @@ import numpy as np
 from rich.console import Console
 
 from lpn import features, metrics
+from lpn.changes import Change
 from lpn.datasets import Dataset, Picture
 from lpn.evaluate import evaluate
-from lpn.model import Model
+from lpn.model import FloatArray, Model
 from lpn.spec import View
 
 Row = dict[str, float]
@@ -45,8 +46,16 @@ class TestSplit:
     def measure(self, model: Model, console: Console | None = None) -> Row:
         """Recall@1 and AP of every task, and where a console is given, what Recall@5 and the others are too."""
         row: Row = {}
+        seen: dict[object, FloatArray] = {}
+
+        def once(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> FloatArray:
+            key = (view, change, tuple(picture.path for picture in pictures))
+            if key not in seen:
+                seen[key] = features.passing_descriptors(model, pictures, view, change)
+            return seen[key]
+
         for task in self.tasks:
-            result = evaluate(model, self.dataset, task, cached=False)
+            result = evaluate(model, self.dataset, task, read=once)
             recall = result.recall
             if console is not None:
                 console.print(

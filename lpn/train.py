@@ -51,6 +51,7 @@ class Trainer:
         workers: threads that prepare pictures; 0 for what suits the machine. They change no result.
         validate: share of the places that are held out of the training, to choose the best epoch by.
         group: the processes that share the training; this one alone by default.
+        test: measure the last model on the test split.
 
     Raises:
         DataError: when the data set cannot be trained on.
@@ -71,6 +72,7 @@ class Trainer:
         workers: int = 0,
         validate: float = 0.0,
         group: Group | None = None,
+        test: bool = True,
     ) -> None:
         self.group = group or alone()
         self.console = (console or Console()) if self.group.leads else Console(quiet=True)
@@ -98,7 +100,7 @@ class Trainer:
         self.history: list[Row] = []
         self.first_loss = math.nan
         tasks = [task for task in dataset.tasks() if set(task.split("-to-")) <= set(self.places.views)]
-        self.test_split = TestSplit(dataset, tasks) if tasks else None
+        self.test_split = TestSplit(dataset, tasks) if tasks and (test or evaluate_every) else None
         self.judge: Judge | None = HeldOut(held) if held else self.test_split
         self._places_digest = self.places.digest(dataset.root)
         if resume:

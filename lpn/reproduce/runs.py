@@ -49,7 +49,7 @@ class Job:
 
     @property
     def done(self) -> bool:
-        """Whether it is trained to the end and tested."""
+        """Whether it is trained to the end."""
         return (self.folder / "finished.json").is_file()
 
     @property
@@ -98,7 +98,7 @@ def train(work: Sequence[Job], data: Mapping[Role, Dataset], init: Path | None, 
                 "give them with --data."
             )
         resume = (job.folder / "state.pt").is_file()
-        Trainer(data[job.training.role], job.folder, job.recipe, init, resume=resume, console=console).run()
+        Trainer(data[job.training.role], job.folder, job.recipe, init, resume=resume, console=console, test=False).run()
         note = {"recipe": job.recipe.to_json(), "data": data[job.training.role].root.resolve().name}
         write_whole(job.folder / "finished.json", (json.dumps(note, indent=1) + "\n").encode())
 
