@@ -49,8 +49,9 @@ explore: $(EXPLORE_NEEDS)
 setup: $(VENV)/.train
 	@echo "Ready. Use it with: . $(VENV)/bin/activate"
 
+# One thread a process: the tests' networks are so small that threads cost more than they save, on a busy machine many times.
 test: check $(VENV)/.browser
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .
