@@ -98,6 +98,27 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None) ->
     write_whole(Path(path), save_tensors(tensors, metadata))
 
 
+def backbone_in(path: Path) -> str:
+    """Which backbone a file of backbone weights or of a whole model holds: "resnet18", "resnet50", or "vgg16_bn".
+
+    Raises:
+        ModelFileError: when the file cannot be read or holds none of them.
+    """
+    state = _read_weights(path)
+    prefix = "model_1.model." if any(key.startswith("model_1.model.") for key in state) else ""
+    return _infer_backbone({key.removeprefix(prefix) for key in state}, path.name)[0]
+
+
+def _read_weights(path: Path) -> State:
+    if not path.is_file():
+        raise ModelFileError(f"There is no file of weights at {path}; check the path given to --init.")
+    if path.suffix == ".onnx":
+        raise ModelFileError(
+            f"{path.name} is an exported graph; give --init the .safetensors or .pth it was made from."
+        )
+    return _read_tensors(path)[0] if path.suffix == ".safetensors" else _read_pth(path)
+
+
 def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
     """Fill the branches' backbones from a file of backbone weights or of a whole model, as far as it goes.
 
@@ -109,13 +130,7 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
         ModelFileError: when the file cannot be read or nothing in it fits.
     """
     path = Path(path)
-    if not path.is_file():
-        raise ModelFileError(f"There is no file of weights at {path}; check the path given to --init.")
-    if path.suffix == ".onnx":
-        raise ModelFileError(
-            f"{path.name} is an exported graph; give --init the .safetensors or .pth it was made from."
-        )
-    state = _read_tensors(path)[0] if path.suffix == ".safetensors" else _read_pth(path)
+    state = _read_weights(path)
     filled = total = 0
     missing: dict[str, None] = {}
     for view in network.spec.views:

@@ -7,6 +7,7 @@ LPNError
 ├── StoreError       a descriptor store cannot be read or written
 ├── OutputError      a file cannot be written
 ├── InputError       an array or option has the wrong shape, type, or value
+│   └── DivergedError   a training's loss or weights are out of bounds
 └── MissingPackageError   a feature needs a package of an extra that is not installed
 """
 
@@ -39,6 +40,10 @@ class OutputError(LPNError):
 
 class InputError(LPNError):
     """An array or option has the wrong shape, type, or value."""
+
+
+class DivergedError(InputError):
+    """A training's loss or weights are out of bounds, so that going on would be of no use."""
 
 
 class MissingPackageError(LPNError):

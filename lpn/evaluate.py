@@ -12,8 +12,9 @@ import numpy as np
 from lpn import features, geo, metrics
 from lpn.changes import UNCHANGED
 from lpn.datasets import Dataset, Truth
-from lpn.errors import InputError
+from lpn.errors import InputError, PictureError
 from lpn.geo import FloatArray
+from lpn.integrity import flaws, naming
 from lpn.metrics import IntArray
 from lpn.model import FloatArray as Descriptors
 from lpn.model import Model
@@ -141,6 +142,33 @@ def evaluate(
         metres = geo.metres(places[0], [places[1][index] for index in found.best])
         errors = np.where(found.best < 0, np.inf, metres)
     return replace(result, cropped=cropped, seconds=time.perf_counter() - started, errors=errors)
+
+
+def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
+    """Find out before long work what would stop an evaluation at its end.
+
+    Raises:
+        InputError: when the data set does not offer one of the tasks.
+        PictureError: when a picture of theirs is broken.
+        DataError: when the test split is incomplete, or its `geo.csv` does not cover it.
+    """
+    missing = [task for task in tasks if task not in dataset.tasks()]
+    if missing:
+        raise InputError(
+            f"{dataset.root.name} does not offer {missing[0]}; it offers {', '.join(dataset.tasks()) or 'no task'}."
+        )
+    views = [cast("tuple[View, View]", tuple(task.split("-to-"))) for task in tasks]
+    lists = [pictures for q, g in views for pictures in (dataset.queries(q), dataset.gallery(g))]
+    files = list(dict.fromkeys(picture.path for pictures in lists for picture in pictures))
+    if broken := flaws(files):
+        raise PictureError(
+            f"{len(broken)} of {len(files)} test pictures of {dataset.root.name} cannot be described: "
+            f"{naming(broken, dataset.root)}; mend or remove them."
+        )
+    where = geo.positions(dataset.root)
+    if where is not None:
+        for pictures in lists:
+            where.of(pictures)
 
 
 def evaluate_saved(saved: Saved, protocol: Protocol | None = None) -> Result:

@@ -13,11 +13,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -32,17 +30,10 @@ from lpn import images
 from lpn.changes import UNCHANGED, Change
 from lpn.datasets import Picture, files_below
 from lpn.errors import DataError, InputError, LPNError, OutputError, PictureError, StoreError
-from lpn.files import printable, write_whole
+from lpn.files import alone, printable, write_whole
 from lpn.integrity import flaws, naming
 from lpn.model import FloatArray, Model
 from lpn.spec import View
-
-try:
-    import fcntl
-except ImportError:  # not a POSIX system: there, two processes must not describe into one folder at once
-    fcntl = None  # type: ignore[assignment]
-
-log = logging.getLogger(__name__)
 
 FORMAT = "lpn-descriptors/2"
 BEFORE = "lpn-descriptors/1"
@@ -234,7 +225,7 @@ def describe(
         )
     try:
         out.mkdir(parents=True, exist_ok=True)
-        with _alone(out):
+        with alone(out, wait=True):
             # Another process may have described the same pictures while this one waited.
             before = _usable(out, manifest)
             if before is None or before.manifest != manifest:
@@ -260,24 +251,6 @@ def _write(
         (out / name).unlink(missing_ok=True)
 
 
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Two processes that describe into one folder take turns; the system lets go of a killed one's lock."""
-    if fcntl is None:
-        yield
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            log.warning("Another process is describing into %s; waiting for it.", folder)
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)
-
-
 Reader = Callable[[Model, Sequence[Picture], View, Change], FloatArray]
 """Where descriptors (N, n, D) of changed pictures come from, such as `cached_descriptors`."""
 
@@ -299,6 +272,8 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ch
     folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
     title = ", ".join(filter(None, (f"Describing {view}", change.describe())))
     try:
+        if (held := _held(model, files, view, folder, change, boxes)) is not None:
+            return held
         return describe(model, files, view, folder, change=change, boxes=boxes, title=title).float32
     except (StoreError, OutputError) as error:
         raise StoreError(
@@ -331,6 +306,23 @@ def passing_descriptors(
     with TemporaryDirectory(prefix="lpn-") as folder:
         store = describe(model, files, view, folder, change=change, boxes=boxes, title=f"Describing {view}")
         return np.array(store.descriptors)
+
+
+def _held(
+    model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[Box | None]
+) -> FloatArray | None:
+    """Descriptors of some of the files that a store has, so that a part of a folder does not replace the whole."""
+    store = _complete(folder)
+    if store is None or len(store.manifest.rows) <= len(files):
+        return None
+    rows = {row: position for position, row in enumerate(store.manifest.rows)}
+    wanted = [rows.get(_row(file, None, box)) for file, box in zip(files, boxes, strict=True)]
+    asked = Manifest(
+        model.fingerprint, view, change.rotate, model.n_parts, model.spec.embedding, (), "float32", change.shift, change.scale
+    )  # fmt: skip
+    if None in wanted or not asked.comparable(store.manifest):
+        return None
+    return store.float32[np.array(wanted, np.int64)]
 
 
 def cache_folder() -> Path:

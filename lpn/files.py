@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import logging
 import os
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from lpn.errors import OutputError
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system: there, two processes must not write into one folder at once
+    fcntl = None  # type: ignore[assignment]
+
+log = logging.getLogger(__name__)
 
 
 def fingerprint(*paths: Path, also: str = "") -> str:
@@ -51,6 +60,35 @@ def check_writable(path: Path) -> None:
         beside.unlink()
     except OSError as error:
         raise _unwritable(path, error) from error
+
+
+@contextmanager
+def alone(folder: Path, wait: bool) -> Iterator[None]:
+    """Two processes that write into one folder take turns; the system lets go of a killed one's lock.
+
+    Args:
+        wait: for the other process, rather than refuse to work beside it.
+
+    Raises:
+        OutputError: when another process is at work there and `wait` is False.
+    """
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            if not wait:
+                raise OutputError(
+                    f"Another process is writing to {folder}; wait for it, or choose another folder."
+                ) from error
+            log.warning("Another process is writing to %s; waiting for it.", folder)
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def printable(name: str) -> str:

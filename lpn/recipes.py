@@ -82,7 +82,7 @@ class Recipe:
 
     epochs: int = 120
     """Passes over all places, one picture of each view per place."""
-    batch: int = 8
+    batch: int = 32
     """Places per step; each step sees one picture of every view of each."""
     optimizer: Literal["sgd", "adam", "adamw"] = "sgd"
     """SGD has momentum 0.9 with Nesterov."""

@@ -12,7 +12,7 @@ from rich.console import Console
 from lpn import features, metrics
 from lpn.changes import Change
 from lpn.datasets import Dataset, Picture
-from lpn.evaluate import evaluate
+from lpn.evaluate import check_test_split, evaluate
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 
@@ -34,11 +34,16 @@ class Judge(Protocol):
 
 
 class TestSplit:
-    """Retrieval on the test split: the first task decides, which flatters the model chosen."""
+    """Retrieval on the test split: the first task decides, which flatters the model chosen.
+
+    Raises:
+        LPNError: when a picture of it is broken or it is incomplete, see `lpn.evaluate.check_test_split`.
+    """
 
     __test__ = False  # for pytest, which takes it for a test by its name
 
     def __init__(self, dataset: Dataset, tasks: Sequence[str]) -> None:
+        check_test_split(dataset, tasks)
         self.dataset, self.tasks = dataset, tasks
         self.column = f"recall@1 {tasks[0]}"
         self.said = f"R@1 of {tasks[0]} on the test split, which flatters it there (--validate does not)"

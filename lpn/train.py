@@ -20,7 +20,7 @@ from lpn import checkpoints
 from lpn.backbones import CHANNELS
 from lpn.datasets import Dataset
 from lpn.distributed import Group, alone
-from lpn.errors import InputError, ModelFileError
+from lpn.errors import DivergedError, InputError, ModelFileError
 from lpn.files import check_writable
 from lpn.learner import Learner
 from lpn.loader import Batch, Loader
@@ -198,7 +198,7 @@ class Trainer:
     def _diverged(self, found: str, epoch: int, step: int) -> BaseException:
         kept = f"{self.out} keeps the model of epoch {epoch}; " if epoch else ""
         return self.group.said_once(
-            InputError(
+            DivergedError(
                 f"{found} in epoch {epoch + 1}, step {step}; {kept}start again with a smaller --lr in another --out."
             )
         )

@@ -143,14 +143,15 @@ class Reproduce:
 
     what: Annotated[tuple[str, ...], tyro.conf.Positional]
     """table1 to table6, figure5, figure7, figure8, or all."""
-    data: tuple[str, ...]
-    """Data set folders (University-1652, CVUSA, Oxford5k, Paris6k, or a rendered world), or the word world for the demo's."""
+    data: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A data set's folder (University-1652, CVUSA, Oxford5k, Paris6k, or a rendered world), or the word world for the demo's;
+    once for each data set."""
     out: Path = Path("runs/reproduce")
     """Folder for trainings, measurements, and the tables."""
-    model: tuple[str, ...] = ()
-    """Networks to use instead of training: FILE for the LPN, or ROW=FILE."""
-    init: Path | None = None
-    """ImageNet weights the backbones start from (.safetensors or .pth, torchvision's names)."""
+    model: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A network to use instead of training one: FILE for the LPN, or NAME=FILE, such as instance=net_119.pth; once for each."""
+    init: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    """ImageNet weights a backbone starts from (.safetensors or .pth, torchvision's names); once for each backbone."""
     scale: Literal["auto", "paper", "reduced"] = "auto"
     """Size of networks and trainings; auto is reduced for a rendered world and the paper's for everything else."""
     seeds: tuple[int, ...] = (0,)
@@ -167,16 +168,24 @@ class Reproduce:
     def run(self) -> None:
         import_module("torch")
         from lpn.reproduce.command import KEYS, Reproduction
+        from lpn.reproduce.sources import is_rendered
         from lpn.reproduce.tables import SCALES
-        from lpn.reproduce.world import is_world
 
-        keys = KEYS if self.what == ("all",) else self.what
+        if not self.what or not self.data:
+            raise InputError(
+                f"Say what to reproduce ({', '.join(KEYS)}, or all) and on which data: lpn reproduce table1 --data FOLDER."
+            )
+        keys = KEYS if self.what == ("all",) else tuple(dict.fromkeys(self.what))
         for key in keys:
             if key not in KEYS:
                 raise InputError(f"There is no {key!r} to reproduce; choose one of {', '.join(KEYS)}, or all.")
-        worlds = any(given == "world" or is_world(Path(given)) for given in self.data)
-        scale = SCALES[self.scale if self.scale != "auto" else "reduced" if worlds else "paper"]
-        changes: dict[str, Any] = {"epochs": self.epochs} if self.epochs else {}
+        rendered = {is_rendered(given) for given in self.data}
+        if len(rendered) > 1 and self.scale == "auto":
+            raise InputError(
+                "--data names a rendered world and others; say with --scale whether it is paper or reduced."
+            )
+        scale = SCALES[self.scale if self.scale != "auto" else "reduced" if True in rendered else "paper"]
+        changes: dict[str, Any] = {} if self.epochs is None else {"epochs": self.epochs}
         if self.backbone:
             changes |= {"backbone": self.backbone, "last_layer": "layer4"}
         models = {name if rest else "": Path(rest or name) for name, _, rest in (m.partition("=") for m in self.model)}

@@ -2,34 +2,41 @@
 
 from __future__ import annotations
 
-import importlib.util
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 import lpn
-from lpn.datasets import Dataset, open_dataset
 from lpn.errors import InputError
-from lpn.files import check_writable, write_whole
+from lpn.files import alone, check_writable, write_whole
 from lpn.model import Model
-from lpn.reproduce import pictures, report, runs, world
-from lpn.reproduce.measure import Notebook
-from lpn.reproduce.paper import Values
-from lpn.reproduce.tables import SCALES, Role, Row, Scale, Table, find, tables
-from lpn.spec import ModelSpec
+from lpn.reproduce import pictures, report, runs, starts
+from lpn.reproduce.measure import Notebook, shared_protocol
+from lpn.reproduce.paper import LANDMARKS, Values
+from lpn.reproduce.report import Column
+from lpn.reproduce.sources import Sources, open_sources
+from lpn.reproduce.tables import SCALES, Row, Scale, Table, Training, find, tables
 
 _SHOWN = {"figure7": ("instance", "lpn"), "figure8": ("lpn",)}
 """The trainings of Table I that each drawn figure shows."""
 _APART = {
+    "table1": (
+        "Losses on distances compare satellites with drone and with street pictures, both ways; pairs and triplets are mined in "
+        "the batch: each place's own pictures are true, all others of the batch are wrong.",
+    ),
     "table2": ("SAFA and SAFA + LPN are described without their mirror.",),
     "table4": ("Queries are turned counter-clockwise by the degrees named, on their own canvas, corners black.",),
     "table5": ("The parts named, counted from the centre, are compared and no others.",),
-    "table6": ("Both sides are described by the branch named; ImageNet alone: the mean over the last feature map.",),
+    "table6": (
+        "Both sides are described by the branch named; ImageNet alone: the mean over the last feature map. Baseline and LPN are "
+        "trained alike, both without google.",
+    ),
 }
-"""In what the rows' protocols differ from the first one's."""
+"""What a reader of one table must know."""
 KEYS = (*tables(SCALES["paper"]), *_SHOWN)
 """Everything that can be reproduced."""
 
@@ -41,8 +48,8 @@ class Reproduction:
     Args:
         data: data set folders, or "world".
         out: folder for runs, measurements, and tables.
-        models: networks given, by row label, training name, or "" for the one LPN.
-        init: weights the backbones start from.
+        models: networks given, by the name of the training they stand for; "" is the LPN.
+        init: files of weights the backbones start from, one for each backbone.
         seeds: a training of each is made, and their mean is reported.
         scale: of `SCALES`.
         changes: of the recipe, for every row alike.
@@ -53,7 +60,7 @@ class Reproduction:
     data: Sequence[str]
     out: Path
     models: Mapping[str, Path]
-    init: Path | None
+    init: Sequence[Path]
     seeds: Sequence[int]
     scale: Scale
     changes: Mapping[str, Any]
@@ -65,165 +72,185 @@ class Reproduction:
         """Make the tables and figures named and return the files written.
 
         Raises:
-            LPNError: when data, models, or settings do not fit.
+            LPNError: when data, models, or settings do not fit, which is found out before anything is trained, or when
+                another process works in `out`.
         """
+        if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+            raise InputError(
+                "lpn reproduce is one process; train with torchrun -m lpn.cli train, and give it with --model."
+            )
         check_writable(self.out / "measured.json")
-        self._open()
+        with alone(self.out, wait=False):
+            return self._run(keys)
+
+    def _run(self, keys: Sequence[str]) -> list[Path]:
         wanted = [find(key, self.scale) for key in keys if key not in _SHOWN]
         drawn = [key for key in keys if key in _SHOWN]
+        self._sources: Sources = open_sources(self.data, self.out)
+        self._starts = starts.by_backbone(self.init)
+        self._given = self._load(wanted)
         self._check(wanted, drawn)
-        self._jobs = runs.jobs(self._missing(wanted, drawn), self.seeds, self.scale, self.changes, self.out)
+        self._jobs = self._planned(wanted, drawn)
+        for job in self._jobs:
+            if job.done or job.diverged:
+                job.check_same()
         if self.train:
-            runs.train(self._jobs, self._roles, self.init, self.console)
+            runs.train(self._jobs, self.console)
         written: list[Path] = []
         for table in wanted:
             files = self._table(table)
             self.console.print(files[0].read_text(), markup=False)
             written += files
-        for key in drawn:
-            written.append(self._figure(key))
-        return written
+        return written + [self._figure(key) for key in drawn]
 
-    def _open(self) -> None:
-        """Sort the data sets by what they are good for."""
-        self._roles: dict[Role, Dataset] = {}
-        self._landmarks: list[Dataset] = []
-        self._worlds = False
-        for given in self.data:
-            root = Path(given)
-            if given == "world" and not root.is_dir():
-                root = _rendered(self.out)
-            if world.is_world(root):
-                self._worlds = True
-                made = world.prepare(root, self.out / "data")
-                self._roles |= {"places": open_dataset(made["places"]), "panoramas": open_dataset(made["panoramas"])}
-                self._landmarks.append(open_dataset(made["landmarks"]))
-                continue
-            dataset = open_dataset(root)
-            if "street-to-street" in dataset.tasks():
-                self._landmarks.append(dataset)
-            else:
-                self._roles["panoramas" if dataset.panoramas else "places"] = dataset
+    def _load(self, wanted: Sequence[Table]) -> dict[str, Model]:
+        """The networks given, by training; each is opened, and fits the rows it is for."""
+        known = {training.name for table in tables(self.scale).values() for training in table.trainings}
+        found: dict[str, Model] = {}
+        for name, file in self.models.items():
+            training = name or "lpn"
+            if training not in known:
+                raise InputError(f"--model names {name!r}; the networks are called {', '.join(sorted(known))}.")
+            model = found[training] = lpn.load(file)
+            for table in wanted:
+                for row in table.rows:
+                    if row.training and row.training.name == training:
+                        _check_fits(model, file, table, row)
+        return found
 
     def _check(self, wanted: Sequence[Table], drawn: Sequence[str]) -> None:
-        for table in wanted:
-            if table.measure == "both ways" and "places" not in self._roles:
-                raise InputError(f"{table.title} needs places as in University-1652; give them with --data.")
-            if table.measure == "ground" and "panoramas" not in self._roles:
-                raise InputError(f"{table.title} needs panoramas and tiles as in CVUSA; give them with --data.")
-            if table.measure == "landmarks" and not self._landmarks:
-                raise InputError(f"{table.title} needs landmarks as in Oxford5k or Paris6k; give them with --data.")
-        if drawn and "places" not in self._roles:
-            raise InputError(f"{', '.join(drawn)} needs places as in University-1652; give them with --data.")
-        known = {row.label for table in wanted for row in table.rows} | {""}
-        known |= {row.training.name for table in wanted for row in table.rows if row.training} | {"lpn", "instance"}
-        unknown = sorted(set(self.models) - known)
-        if unknown:
-            raise InputError(f"--model names {unknown[0]!r}; the rows are {', '.join(sorted(known - {''}))}.")
+        """Find out what would stop the work later."""
+        for measure in dict.fromkeys(table.measure for table in wanted):
+            for source in self._sources.of(measure):
+                source.check(measure)
+        if drawn:
+            places = self._sources.role("places")
+            places.check("both ways")
+            pictures.named(places.dataset, self.queries)
 
-    def _missing(self, wanted: Sequence[Table], drawn: Sequence[str]) -> list[Any]:
-        """The trainings that no given model stands for."""
-        needed = {training.name: training for table in wanted for training in table.trainings}
+    def _planned(self, wanted: Sequence[Table], drawn: Sequence[str]) -> list[runs.Job]:
+        """The trainings that no given network stands for."""
         names = {name for key in drawn for name in _SHOWN[key]}
-        needed |= {
-            training.name: training for training in find("table1", self.scale).trainings if training.name in names
-        }
-        rows = [row for table in wanted for row in table.rows if row.training]
-        given = {row.training.name for row in rows if row.training and self._given(row)}
-        given |= {name for name in needed if name in self.models or (name == "lpn" and "" in self.models)}
-        return [training for name, training in needed.items() if name not in given]
+        needed = [training for training in find("table1", self.scale).trainings if training.name in names]
+        needed += [training for table in wanted for training in table.trainings if not self._is_copy(table, training)]
+        jobs = []
+        for seed in self.seeds:
+            for training in {training.name: training for training in needed}.values():
+                if training.name not in self._given:
+                    recipe = self.scale.recipe(training, seed, self.changes)
+                    folder = self.out / "runs" / f"{training.name}-seed{seed}"
+                    source, start = self._sources.role(training.role), self._starts.get(recipe.backbone)
+                    jobs.append(runs.Job(training, seed, recipe, folder, source, start))
+        return jobs
 
-    def _given(self, row: Row) -> Path | None:
-        name = row.training.name if row.training else ""
-        fallback = self.models.get("") if name == "lpn" else None
-        return self.models.get(row.label) or self.models.get(name) or fallback
+    def _is_copy(self, table: Table, training: Training) -> bool:
+        """Whether a row of Table I would be the one above it again: there is no google to train with."""
+        known = training.name == "lpn" and training.name not in self._given
+        return table.key == "table1" and known and not self._has_google()
 
-    def _models(self, row: Row) -> list[Model]:
-        """The networks of a row: the one given, or one for each seed."""
-        if row.training is None:
-            if self.init is None:
-                return []
-            recipe = self.scale.places
-            spec = ModelSpec(recipe.backbone, recipe.last_layer, input_size=recipe.input_size)
-            return [runs.imagenet_features(spec, self.init)]
-        given = self._given(row)
-        if given is not None:
-            return [lpn.load(given)]
-        return [lpn.load(job.model) for job in self._jobs if job.training.name == row.training.name and job.done]
+    def _has_google(self) -> bool:
+        return bool(self._sources.role("places").dataset.train("google"))
+
+    def _models(self, table: Table, row: Row) -> dict[str, Model]:
+        """The networks of a row by seed, or the one given."""
+        training = row.training
+        if training is None:
+            recipe = replace(self.scale.places, **self.changes)
+            start = self._starts.get(recipe.backbone)
+            return {} if start is None else {"given": starts.features_alone(recipe, start)}
+        return {} if self._is_copy(table, training) else self._networks(training.name)
+
+    def _networks(self, name: str) -> dict[str, Model]:
+        """The networks of a training by seed, or the one given."""
+        if name in self._given:
+            return {"given": self._given[name]}
+        own = [job for job in self._jobs if job.training.name == name and job.done]
+        return {f"seed {job.seed}": lpn.load(job.model) for job in own}
 
     def _table(self, table: Table) -> list[Path]:
         notebook = Notebook(self.out / "measured.json")
-        data, columns = self._measured_on(table)
-        measured: dict[str, list[Values]] = {}
-        protocols: dict[str, None] = {}
+        data = self._sources.of(table.measure)
+        measured: dict[str, dict[str, Values]] = {}
+        protocols: list[str] = []
         for row in table.rows:
-            found = [notebook.figures(row, table.measure, model, data) for model in self._models(row)]
+            found = {
+                name: notebook.figures(row, table.measure, model, data)
+                for name, model in self._models(table, row).items()
+            }
             if found:
-                measured[row.label] = [figures.values for figures in found]
-                protocols[found[0].protocol] = None
-        foot = [*(list(protocols)[:1] or ["Nothing was measured."]), *_APART.get(table.key, ()), *self._foot(table)]
-        return report.write(table, measured, columns, foot, self.out)
+                measured[row.label] = {name: figures.values for name, figures in found.items()}
+                protocols += [figures.protocol for figures in found.values()]
+        foot = [shared_protocol(protocols), *_APART.get(table.key, ()), *self._foot(table)]
+        return report.write(table, measured, self._columns(table), foot, self.out)
 
-    def _measured_on(self, table: Table) -> tuple[list[Dataset], tuple[str, ...]]:
-        if table.measure == "landmarks":
-            return self._landmarks, tuple(f"{self._name(dataset)} mAP" for dataset in self._landmarks)
-        role: Role = "places" if table.measure == "both ways" else "panoramas"
-        return [self._roles[role]], table.columns
-
-    def _name(self, dataset: Dataset) -> str:
-        return "World" if self._worlds else dataset.root.resolve().name
+    def _columns(self, table: Table) -> list[Column]:
+        """What is measured, and which of the paper's columns stands beside it."""
+        data = self._sources.of(table.measure)
+        if table.measure != "landmarks":
+            # CVACT is not what the paper's Table II is of.
+            same = data[0].dataset.kind != "CVACT"
+            return [Column(title, index if same else None) for index, title in enumerate(table.columns)]
+        of_kind = {"Oxford5k": LANDMARKS.index("Oxford mAP"), "Paris6k": LANDMARKS.index("Paris mAP")}
+        return [Column(f"{source.name} mAP", of_kind.get(source.dataset.kind)) for source in data]
 
     def _foot(self, table: Table) -> list[str]:
         """What a reader must know of how the figures came about."""
         said: list[str] = []
-        if self._worlds:
+        data = self._sources.of(table.measure)
+        if any(source.rendered for source in data):
             said.append(
                 "**Data: the rendered world, not the paper's data sets**; its figures compare with one another only."
             )
         else:
-            said.append(f"Data: {', '.join(dataset.root.resolve().name for dataset in self._measured_on(table)[0])}.")
-        if self.models:
-            said.append(f"Models given: {', '.join(sorted({path.name for path in self.models.values()}))}.")
-        if any(row.training and not self._given(row) for row in table.rows):
+            said.append(f"Data: {', '.join(f'{source.name} ({source.dataset.kind})' for source in data)}.")
+        names = {row.training.name for row in table.rows if row.training}
+        given = sorted(f"{name} = {self.models.get(name) or self.models['']}" for name in names & set(self._given))
+        if given:
+            said.append(f"Networks given: {', '.join(given)}.")
+        own = [job for job in self._jobs if job.training.name in names]
+        if any(job.done for job in own):
             said.append(self.scale.said)
+            of = {job.recipe.backbone: job.start for job in own}
+            begin = [f"{name} from {start.name if start else 'random weights'}" for name, start in of.items()]
+            said.append(f"Before training: {', '.join(begin)}.")
             if self.changes:
                 said.append(f"Changed: {', '.join(f'{name} = {value}' for name, value in self.changes.items())}.")
             if len(self.seeds) > 1:
                 said.append(
-                    f"Mean of {len(self.seeds)} seeds, ± half of the distance between the lowest and the highest."
+                    "Mean of the seeds trained so far, ± half of the distance between the lowest and the highest."
                 )
+        if lost := [job.name for job in own if job.diverged]:
+            said.append(f"Diverged, and given up: {', '.join(lost)}.")
+        if table.measure == "both ways" and "lpn" in names and "lpn" not in self._given and not self._has_google():
+            said.append("There is no train/google, so LPN is trained without it.")
         return said
 
     def _figure(self, key: str) -> Path:
-        table = find("table1", self.scale)
-        of = {row.training.name: self._models(row) for row in table.rows if row.training}
-        missing = [name for name in _SHOWN[key] if not of[name]]
+        of = {name: self._networks(name) for name in _SHOWN[key]}
+        missing = [name for name, networks in of.items() if not networks]
         if missing:
             raise InputError(
                 f"{key} needs the network {missing[0]}; give it with --model {missing[0]}=FILE, or train it."
             )
-        places = self._roles["places"]
+        places = self._sources.role("places").dataset
+        shown = [(name, next(iter(networks.values()))) for name, networks in of.items()]
         if key == "figure7":
-            both = [("baseline", of["instance"][0]), ("LPN", of["lpn"][0])]
-            data = pictures.heatmaps(both, places, self.queries)
+            data = pictures.heatmaps(shown, places, self.queries)
         else:
-            data = pictures.retrievals(of["lpn"][0], places, self.queries)
+            data = pictures.retrievals(shown[0][1], places, self.queries)
         write_whole(self.out / f"{key}.png", data)
         return self.out / f"{key}.png"
 
 
-def _rendered(out: Path) -> Path:
-    """The demo's world with street pictures and panoramas, rendered in `out`/world where Blender's package is there."""
-    root = out / "world"
-    if importlib.util.find_spec("bpy") is None:
-        if not world.is_world(root):
-            raise InputError(
-                f"There is no rendered world in {root}, and rendering one needs the package bpy: pip install "
-                "'lpn-explorer[world]', or give a world's folder with --data."
-            )
-        return root
-    from lpn.world.atlas import Settings
-    from lpn.world.build import Part, build_world
-
-    build_world(Settings(0, 460, 8, 256, 384, 4, 4, 1), root, Part.parse("1/1"), 0)
-    return root
+def _check_fits(model: Model, file: Path, table: Table, row: Row) -> None:
+    """Raise InputError where a given network cannot be measured for a row."""
+    needed = {"both ways": {"drone", "satellite"}, "ground": {"street", "satellite"}}.get(table.measure, {row.branch})
+    lacking = sorted(str(view) for view in needed - set(model.views))
+    if lacking:
+        raise InputError(
+            f"{table.title} needs the view {lacking[0]} for {row.label}; {file.name} has {', '.join(model.views)}."
+        )
+    if row.parts and max(row.parts) > model.n_parts:
+        raise InputError(
+            f"{table.title} needs {max(row.parts)} parts for {row.label}; {file.name} has {model.n_parts}."
+        )

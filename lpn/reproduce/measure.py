@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, cast
 
 from lpn.changes import Change
-from lpn.datasets import Dataset
 from lpn.evaluate import Result, evaluate
 from lpn.files import write_whole
 from lpn.model import Model
 from lpn.protocol import Protocol
 from lpn.reproduce.paper import Values
+from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import Measure, Row
 
 
@@ -42,10 +42,10 @@ class Notebook:
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             self._held = {}
 
-    def figures(self, row: Row, measure: Measure, model: Model, data: Sequence[Dataset]) -> Figures:
+    def figures(self, row: Row, measure: Measure, model: Model, data: Sequence[Source]) -> Figures:
         """The row's figures; measured when they are not there yet."""
-        names = [dataset.root.resolve().name for dataset in data]
-        key = json.dumps([model.fingerprint, measure, names, row.rotate, row.parts, row.branch])
+        digests = [source.test_digest(measure) for source in data]
+        key = json.dumps([model.fingerprint, measure, digests, row.rotate, row.parts, row.branch])
         if key not in self._held:
             results = _measured(row, measure, model, data)
             values = [value for result in results for value in _values(result, measure)]
@@ -55,20 +55,24 @@ class Notebook:
         return self._held[key]
 
 
-def _measured(row: Row, measure: Measure, model: Model, data: Sequence[Dataset]) -> list[Result]:
-    if measure == "both ways":
+def _measured(row: Row, measure: Measure, model: Model, data: Sequence[Source]) -> list[Result]:
+    protocol = Protocol(Change(row.rotate), row.parts, row.branch if row.training else "street")
+    if measure != "landmarks":
         protocol = Protocol(Change(row.rotate), row.parts)
-        return [evaluate(model, data[0], task, protocol) for task in ("drone-to-satellite", "satellite-to-drone")]
-    if measure == "ground":
-        return [evaluate(model, data[0], "street-to-satellite")]
-    branch = row.branch if row.training else "street"
-    return [evaluate(model, dataset, "street-to-street", Protocol(branch=branch)) for dataset in data]
+    return [evaluate(model, source.dataset, task, protocol) for source in data for task in TASKS[measure]]
 
 
 def _values(result: Result, measure: Measure) -> Values:
     if measure == "both ways":
         return result.recall["1"], result.ap
     return tuple(result.recall[key] for key in ("1", "5", "10", "1%")) if measure == "ground" else (result.ap,)
+
+
+def shared_protocol(protocols: Sequence[str]) -> str:
+    """What the protocols of a table's rows have in common, as one sentence."""
+    lists = [sentence.removeprefix("Protocol: ").removesuffix(".").split("; ") for sentence in protocols]
+    shared = [clause for clause in lists[0] if all(clause in other for other in lists)] if lists else []
+    return f"Protocol: {'; '.join(shared)}." if shared else "Nothing was measured."
 
 
 def spread(values: Sequence[float]) -> tuple[float, float]:
@@ -81,5 +85,5 @@ def by_column(seeds: Sequence[Values]) -> list[tuple[float, float]]:
     return [spread(cast("tuple[float, ...]", column)) for column in zip(*seeds, strict=True)]
 
 
-Measured = Mapping[str, Sequence[Values]]
-"""For each row's label, the values of each seed."""
+Measured = Mapping[str, Mapping[str, Values]]
+"""For each row's label, the values of each network: by its seed, or "given"."""

@@ -29,9 +29,8 @@ def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, names: Seque
         InputError: when there is no such query.
     """
     plt = _pyplot()
-    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
-    tiles = {picture.label: picture for picture in gallery}
-    chosen = _named(queries, names)
+    tiles = {picture.label: picture for picture in dataset.gallery("satellite")}
+    chosen = named(dataset, names)
     shown, axes = plt.subplots(
         2 * len(chosen), 1 + len(models), figsize=(2.1 * (1 + len(models)), 4.2 * len(chosen)), layout="constrained",
         squeeze=False,
@@ -65,7 +64,7 @@ def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 
         InputError: when there is no such query.
     """
     plt = _pyplot()
-    chosen = _named(dataset.queries("drone"), names)
+    chosen = named(dataset, names)
     labels = {picture.label for picture in chosen}
     asked: list[tuple[Picture, View, View]] = [(picture, "drone", "satellite") for picture in chosen]
     asked += [(p, "satellite", "drone") for p in dataset.queries("satellite") if p.label in labels]
@@ -91,14 +90,22 @@ def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 
     return _png(shown, plt)
 
 
-def _named(pictures: Sequence[Picture], names: Sequence[str]) -> list[Picture]:
+def named(dataset: Dataset, names: Sequence[str]) -> list[Picture]:
+    """The drone queries of some names, or without names four from all over the list, that have a satellite tile.
+
+    Raises:
+        InputError: when there is no such query, or it has no tile.
+    """
+    tiles = {picture.label for picture in dataset.gallery("satellite")}
+    queries = dataset.queries("drone")
+    pictures = [picture for picture in queries if picture.label in tiles]
     by_name = {picture.name: picture for picture in pictures}
     for name in names:
         if name not in by_name:
-            raise InputError(f"There is no query {name}; its names are such as {pictures[0].name}.")
-    if names:
+            raise InputError(f"There is no query {name} with a tile; names are such as {queries[0].name}.")
+    if names or not pictures:
         return [by_name[name] for name in names]
-    return [pictures[len(pictures) * step // 4] for step in range(4)]
+    return [pictures[len(pictures) * step // 4] for step in range(min(4, len(pictures)))]
 
 
 def _pyplot() -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,28 @@ from lpn.reproduce.measure import Measured, by_column
 from lpn.reproduce.paper import CLAIMS, Claim
 from lpn.reproduce.tables import Table
 
+_COLOURS = ("#1f5fbf", "#7fb2e5", "#c2571a", "#eba968")
 
-def write(table: Table, measured: Measured, columns: Sequence[str], foot: Sequence[str], out: Path) -> list[Path]:
+
+@dataclass(frozen=True)
+class Column:
+    """A measured column.
+
+    Attributes:
+        title: its name.
+        paper: which of the paper's columns stands beside it, None where it has none for these data.
+    """
+
+    title: str
+    paper: int | None
+
+
+def write(table: Table, measured: Measured, columns: Sequence[Column], foot: Sequence[str], out: Path) -> list[Path]:
     """Write `<key>.md`, `<key>.csv`, and `<key>.png` into a folder and return their paths.
 
     Args:
-        measured: for each row's label, the values of each seed; rows that are not in it are said to be not run.
-        columns: the names of the measured columns.
+        measured: for each row's label, the values of each network; rows that are not in it are said to be not run.
+        columns: what was measured.
         foot: sentences printed under the table: protocol, scale, data.
     """
     files = [out / f"{table.key}.{suffix}" for suffix in ("md", "csv", "png")]
@@ -29,19 +45,34 @@ def write(table: Table, measured: Measured, columns: Sequence[str], foot: Sequen
     return files
 
 
-def markdown(table: Table, measured: Measured, columns: Sequence[str], foot: Sequence[str]) -> str:
+def markdown(table: Table, measured: Measured, columns: Sequence[Column], foot: Sequence[str]) -> str:
     """The table, its foot, and the claims."""
-    paper = any(row.paper for row in table.rows)
-    titles = [title for column in columns for title in ((column, "paper") if paper else (column,))]
+    titles: list[str] = []
+    # Each cell is a measured column or one of the paper's; those of the paper's without a neighbour come last.
+    cells: list[tuple[bool, int]] = []
+    any_paper = any(row.paper for row in table.rows)
+    for index, column in enumerate(columns):
+        titles.append(column.title)
+        cells.append((True, index))
+        if any_paper and column.paper is not None:
+            titles.append("paper")
+            cells.append((False, column.paper))
+    if table.measure == "landmarks":
+        beside = {column.paper for column in columns}
+        for index, title in enumerate(table.columns):
+            if index not in beside:
+                titles.append(f"paper, {title}")
+                cells.append((False, index))
     lines = [f"### {table.title}", "", "| | " + " | ".join(titles) + " |", "|---|" + "---:|" * len(titles)]
     for row in table.rows:
-        values = by_column(measured[row.label]) if row.label in measured else None
-        cells = []
-        for index in range(len(columns)):
-            cells.append("not run" if values is None else _said(*values[index]))
-            if paper:
-                cells.append(f"{row.paper[index]:.2f}" if index < len(row.paper) else "")
-        lines.append(f"| {row.label} | " + " | ".join(cells) + " |")
+        values = by_column(list(measured[row.label].values())) if row.label in measured else None
+        said = []
+        for here, index in cells:
+            if here:
+                said.append("not run" if values is None else _said(*values[index]))
+            else:
+                said.append(f"{row.paper[index]:.2f}" if index < len(row.paper) else "")
+        lines.append(f"| {row.label} | " + " | ".join(said) + " |")
     lines += ["", *(f"{sentence}  " for sentence in foot)]
     claims = verdicts(table, measured, columns)
     if claims:
@@ -49,22 +80,23 @@ def markdown(table: Table, measured: Measured, columns: Sequence[str], foot: Seq
     return "\n".join(lines) + "\n"
 
 
-def verdicts(table: Table, measured: Measured, columns: Sequence[str]) -> list[str]:
+def verdicts(table: Table, measured: Measured, columns: Sequence[Column]) -> list[str]:
     """Each of the paper's claims with whether it held here, and the figures that say so."""
     return [_verdict(claim, measured, columns) for claim in CLAIMS.get(table.key, ())]
 
 
-def _verdict(claim: Claim, measured: Measured, columns: Sequence[str]) -> str:
-    missing = [label for label in (claim.better, *claim.worse) if label not in measured]
+def _verdict(claim: Claim, measured: Measured, columns: Sequence[Column]) -> str:
+    labels = (claim.better, *claim.worse)
+    missing = [label for label in labels if label not in measured]
     if missing:
         return f"{claim.text}: not known; {', '.join(missing)} was not run."
-    mean = {
-        label: by_column(measured[label])[min(claim.column, len(columns) - 1)] for label in (claim.better, *claim.worse)
-    }
+    index = min(claim.column, len(columns) - 1)
+    mean = {label: by_column(list(measured[label].values()))[index] for label in labels}
     best, own = mean[claim.better]
     gaps = {label: best - mean[label][0] for label in claim.worse}
     figures = ", ".join(f"{label} {mean[label][0]:.1f}" for label in claim.worse)
-    said = f"{columns[min(claim.column, len(columns) - 1)]} {best:.1f} against {figures}"
+    once = min(len(measured[label]) for label in labels) == 1
+    said = f"{columns[index].title} {best:.1f} against {figures}{'; one network each' if once else ''}"
     if claim.keeps:
         worst = max(gaps.values())
         verdict = "held" if worst <= claim.keeps else f"did not hold, {worst:.1f} points are lost"
@@ -83,21 +115,22 @@ def _said(mean: float, spread: float) -> str:
     return f"{mean:.2f} ± {spread:.2f}" if spread else f"{mean:.2f}"
 
 
-def _csv(table: Table, measured: Measured, columns: Sequence[str]) -> bytes:
+def _csv(table: Table, measured: Measured, columns: Sequence[Column]) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    seeds = max((len(values) for values in measured.values()), default=0)
-    writer.writerow(["row", "column", "paper", "mean", *(f"seed {seed}" for seed in range(seeds))])
+    names = list(dict.fromkeys(name for values in measured.values() for name in values))
+    writer.writerow(["row", "column", "paper", "mean", *names])
     for row in table.rows:
+        values = measured.get(row.label, {})
         for index, column in enumerate(columns):
-            values = [seed[index] for seed in measured.get(row.label, ())]
-            mean = f"{sum(values) / len(values):.4f}" if values else ""
-            paper = row.paper[index] if index < len(row.paper) else ""
-            writer.writerow([row.label, column, paper, mean, *(f"{value:.4f}" for value in values)])
+            paper = row.paper[column.paper] if column.paper is not None and column.paper < len(row.paper) else ""
+            found = [f"{values[name][index]:.4f}" if name in values else "" for name in names]
+            mean = f"{by_column(list(values.values()))[index][0]:.4f}" if values else ""
+            writer.writerow([row.label, column.title, paper, mean, *found])
     return text.getvalue().encode()
 
 
-def figure(table: Table, measured: Measured, columns: Sequence[str]) -> bytes:
+def figure(table: Table, measured: Measured, columns: Sequence[Column]) -> bytes:
     """The table as a PNG: bars, or lines where the rows are steps of one quantity."""
     import matplotlib
 
@@ -107,11 +140,12 @@ def figure(table: Table, measured: Measured, columns: Sequence[str]) -> bytes:
     labels = [row.label for row in table.rows]
     steps = table.key in ("table3", "table4", "figure5")
     shown, axes = plt.subplots(figsize=(8.2, 3.9) if steps else (8.2, 0.5 * len(labels) + 1.6), layout="constrained")
-    colours = ("#1f5fbf", "#7fb2e5", "#c2571a", "#eba968")
     for index, column in enumerate(columns):
-        run = [(place, by_column(measured[label])[index]) for place, label in enumerate(labels) if label in measured]
-        paper = [(place, row.paper[index]) for place, row in enumerate(table.rows) if index < len(row.paper)]
-        _draw(axes, steps, index, len(columns), column, colours[index], run, paper)
+        of_row = {label: by_column(list(values.values()))[index] for label, values in measured.items()}
+        run = [(place, of_row[label]) for place, label in enumerate(labels) if label in of_row]
+        at = column.paper
+        paper = [(n, row.paper[at]) for n, row in enumerate(table.rows) if at is not None and at < len(row.paper)]
+        _draw(axes, steps, index, len(columns), column.title, _COLOURS[index % len(_COLOURS)], run, paper)
     if steps:
         axes.set_xticks(range(len(labels)), labels)
         axes.set_ylabel("%")

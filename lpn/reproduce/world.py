@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import os
 import shutil
@@ -23,7 +24,7 @@ def is_world(root: Path) -> bool:
 
 
 def prepare(world: Path, out: Path) -> dict[str, Path]:
-    """Lay a world out as the data sets the tables need, in `out`; what is there already is not made again.
+    """Lay a world out as the data sets the tables need, in a folder of its own in `out`, and once only.
 
     places: University-1652's layout. Of each training place's street pictures the first half are train/street and the
     others train/google, as pictures of the ground from elsewhere. landmarks: the street pictures of the test places in
@@ -47,12 +48,23 @@ def prepare(world: Path, out: Path) -> dict[str, Path]:
         )
     if not (world / "cvusa" / "splits").is_dir():
         raise DataError(f"{world} has no panoramas; render it with --panoramas 1, which adds them.")
-    places, landmarks = out / "places", out / "landmarks"
+    folder = out / f"world-{_digest(world)}"
+    places, landmarks = folder / "places", folder / "landmarks"
     if not places.is_dir():
         _places(world, streets, places)
     if not landmarks.is_dir():
         _landmarks(tests, landmarks)
     return {"places": places, "panoramas": world / "cvusa", "landmarks": landmarks}
+
+
+def _digest(world: Path) -> str:
+    """What identifies a world and the pictures it has by now."""
+    digest = hashlib.sha256((world / "world.json").read_bytes())
+    for split in ("train", "test"):
+        for file in sorted((world / split).rglob("*")):
+            if file.is_file():
+                digest.update(f"{file.relative_to(world)} {file.stat().st_size}\n".encode())
+    return digest.hexdigest()[:12]
 
 
 def _places(world: Path, streets: list[Picture], out: Path) -> None:

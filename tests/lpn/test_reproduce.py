@@ -2,18 +2,25 @@ from __future__ import annotations
 
 import csv
 import io
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from rich.console import Console
+from safetensors.torch import save_file
 
-from lpn.errors import InputError
+from lpn.checkpoints import save
+from lpn.cli import main
+from lpn.errors import DivergedError, InputError, LPNError, ModelFileError
 from lpn.recipes import METHODS
 from lpn.reproduce import paper, report
 from lpn.reproduce.command import KEYS, Reproduction
+from lpn.reproduce.starts import features_alone
 from lpn.reproduce.tables import SCALES, find, tables
-from tests import worlds
+from lpn.train import Trainer
+from tests import layouts, worlds
 
 QUICK = {"size": 64, "epochs": 1, "batch": 4, "precision": "float32"}
 
@@ -28,7 +35,7 @@ def reproduction(places: Path, out: Path, **options: Any) -> Reproduction:
         "data": [str(places)],
         "out": out,
         "models": {},
-        "init": None,
+        "init": (),
         "seeds": (0,),
         "scale": SCALES["reduced"],
         "changes": QUICK,
@@ -77,7 +84,7 @@ def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: P
     ]  # fmt: skip
     text = (tmp_path / "table4.md").read_text()
     assert "| 75.93 |" in text
-    assert "Mean of 2 seeds" in text
+    assert "Mean of the seeds trained so far" in text
     assert "Protocol: descriptors of picture and mirror added" in text
     assert "epochs = 1" in text
     with (tmp_path / "table4.csv").open() as file:
@@ -98,43 +105,179 @@ def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: P
         reproduction(places, tmp_path, changes={**QUICK, "epochs": 2}).run(["table4"])
 
 
+def test_other_pictures_or_another_start_are_noticed(places: Path, tmp_path: Path) -> None:
+    reproduction(places, tmp_path / "out").run(["table4"])
+    before = (tmp_path / "out" / "table4.csv").read_text()
+    shutil.copytree(places, tmp_path / "places")
+    for name in ("query", "gallery"):
+        shutil.rmtree(tmp_path / "places" / "test" / f"{name}_drone" / "0010")
+    # The same training pictures, and fewer to test with, under the same folder name: measured again.
+    reproduction(tmp_path / "places", tmp_path / "out").run(["table4"])
+    assert (tmp_path / "out" / "table4.csv").read_text() != before
+    shutil.rmtree(tmp_path / "places" / "train" / "drone" / "0004")
+    quick = {**QUICK, "batch": 3}
+    with pytest.raises(InputError, match="another batch, pictures"):
+        reproduction(tmp_path / "places", tmp_path / "out", changes=quick).run(["table4"])
+    start = tmp_path / "start.safetensors"
+    save(worlds.make_network(), start)
+    with pytest.raises(InputError, match="another start"):
+        reproduction(places, tmp_path / "out", init=[start]).run(["table4"])
+
+
+def test_a_run_killed_at_its_very_start_and_one_that_diverged_do_not_block(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    half = tmp_path / "runs" / "instance-seed0"
+    half.mkdir(parents=True)
+    (half / "last.safetensors").write_bytes(b"half")
+    original = Trainer._epoch
+
+    def explode(self: Trainer, *rest: Any) -> Any:
+        if self.recipe.n_parts == 2:
+            raise DivergedError("The loss became nan in epoch 1, step 1; start again.")
+        return original(self, *rest)
+
+    monkeypatch.setattr(Trainer, "_epoch", explode)
+    made = reproduction(places, tmp_path)
+    made.run(["figure5"])
+    text = (tmp_path / "figure5.md").read_text()
+    assert "lpn-2-parts, seed 0 is given up" in said(made)
+    assert "| n = 2 | not run |" in text
+    assert "Diverged, and given up: lpn-2-parts, seed 0." in text
+    assert "| n = 8 | not run |" not in text
+
+
 def test_given_models_stand_for_trainings(places: Path, tmp_path: Path) -> None:
     model = worlds.make_model(tmp_path)
-    made = reproduction(places, tmp_path / "out", models={"": model}, train=False)
-    made.run(["table1", "table4"])
+    made = reproduction(places, tmp_path / "out", models={"": model, "instance": model}, train=False)
+    made.run(["table1", "table4", "figure7", "figure8"])
     text = (tmp_path / "out" / "table1.md").read_text()
-    assert text.count("| not run |") == 6 * 4
+    assert text.count("| not run |") == 5 * 4
     assert "not known; " in text
-    assert "Models given: model.onnx" in text
+    assert f"Networks given: instance = {model}, lpn = {model}" in text
     assert not (tmp_path / "out" / "runs").exists()
-    with pytest.raises(InputError, match="--model names 'nobody'"):
-        reproduction(places, tmp_path / "out", models={"nobody": model}).run(["table1"])
-    with pytest.raises(InputError, match="figure7 needs the network instance"):
-        reproduction(places, tmp_path / "out", models={"": model}, train=False).run(["figure7"])
-    reproduction(places, tmp_path / "out", models={"": model, "instance": model}, train=False).run(["figure7"])
     assert (tmp_path / "out" / "figure7.png").is_file()
 
 
 def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"Table II.* needs panoramas"):
-        reproduction(places, tmp_path).run(["table1", "table2"])
-    with pytest.raises(InputError, match="needs landmarks"):
-        reproduction(places, tmp_path).run(["table6"])
-    with pytest.raises(InputError, match="There is no 'table9'"):
-        reproduction(places, tmp_path).run(["table9"])
-    assert not (tmp_path / "runs").exists()
+    model, out = worlds.make_model(tmp_path), tmp_path / "out"
+    start = tmp_path / "model.safetensors"
+    for options, keys, expected in (
+        ({}, ["table1", "table2"], "Panoramas and tiles as in CVUSA are needed"),
+        ({}, ["table6"], "needs landmarks"),
+        ({}, ["table9"], "There is no 'table9'"),
+        ({"models": {"nobody": model}}, ["table1"], "--model names 'nobody'"),
+        ({"models": {"lpn": tmp_path / "typo.onnx"}}, ["figure5", "table4"], "no model file"),
+        (
+            {"models": {"lpn-without-google": model}, "data": [str(landmarks(tmp_path))]},
+            ["table6"],
+            "needs the view street",
+        ),
+        ({"queries": ["nope"]}, ["figure8"], "no query nope"),
+        ({"data": [str(places), str(places)]}, ["table4"], "two data sets of places"),
+        ({"init": [start, start]}, ["table4"], "both hold a resnet18"),
+    ):
+        with pytest.raises(LPNError, match=expected):
+            reproduction(places, out, **options).run(keys)
+        assert not (out / "runs").exists()
+    shutil.copytree(places, tmp_path / "broken")
+    file = tmp_path / "broken" / "test" / "gallery_satellite" / "0007" / "0007.png"
+    file.write_bytes(file.read_bytes()[:500])
+    with pytest.raises(LPNError, match=r"1 of .* test pictures .* cannot be described: .*0007\.png"):
+        reproduction(tmp_path / "broken", out).run(["table4"])
+    assert not (out / "runs").exists()
+
+
+def landmarks(folder: Path) -> Path:
+    return folder / "oxford" if (folder / "oxford").is_dir() else layouts.oxford(folder / "oxford")
+
+
+def test_landmarks_stand_beside_the_paper_s_column_of_their_own(places: Path, tmp_path: Path) -> None:
+    root = worlds.make_views(tmp_path / "views", 4)
+    paris, start = layouts.paris(tmp_path / "paris"), tmp_path / "start.safetensors"
+    save(worlds.make_network(), start)
+    data = [str(root), str(paris), str(layouts.oxford(tmp_path / "oxford"))]
+    reproduction(places, tmp_path / "out", data=data, init=[start]).run(["table6"])
+    header, _, first = (tmp_path / "out" / "table6.md").read_text().splitlines()[2:5]
+    assert header == "| | oxford mAP | paper | paris mAP | paper |"
+    cells = first.split("|")
+    assert (cells[1], cells[3], cells[5]) == (" ImageNet alone ", " 8.43 ", " 27.93 ")
+    assert 0 <= float(cells[2]) <= 100
+    save_file({"conv1.weight": torch.zeros(64, 3, 7, 7)}, str(tmp_path / "half.safetensors"))
+    with pytest.raises(ModelFileError, match="lacks"):
+        features_alone(SCALES["reduced"].places, tmp_path / "half.safetensors")
+
+
+def test_a_world_becomes_places_with_google_panoramas_and_landmarks(tmp_path: Path) -> None:
+    root = tmp_path / "world"
+    for label in range(1, 7):
+        picture, split = worlds.place(label), "train" if label <= 4 else "test"
+        roles = {"satellite": 1, "drone": 1, "street": 4}
+        for view, count in roles.items():
+            for folder in (view,) if split == "train" else (f"query_{view}", f"gallery_{view}"):
+                for k in range(count):
+                    worlds.write(
+                        root / split / folder / f"{label:04d}" / f"image-{k}.jpg", worlds.from_drone(picture, k)
+                    )
+    worlds.make_cvusa(root / "cvusa", 4)
+    (root / "world.json").write_text("{}")
+    made = reproduction(root, tmp_path / "out", data=[str(root)])
+    made.run(["table1", "table2", "table6"])
+    folder = next((tmp_path / "out" / "data").iterdir())
+    assert len(list((folder / "places" / "train" / "google").rglob("*.jpg"))) == 8
+    assert len(list((folder / "places" / "train" / "street").rglob("*.jpg"))) == 8
+    assert len(list((folder / "landmarks" / "gt").glob("*_query.txt"))) == 4
+    for key in ("table1", "table2", "table6"):
+        text = (tmp_path / "out" / f"{key}.md").read_text()
+        assert "the rendered world, not the paper's data sets" in text
+    assert "| not run |" not in (tmp_path / "out" / "table1.md").read_text()
+    assert "paper, Oxford mAP | paper, Paris mAP |" in text
+    assert "mined in the batch" in (tmp_path / "out" / "table1.md").read_text()
 
 
 def test_claims_are_judged_by_the_figures_and_the_seeds_spread() -> None:
     table = find("table1", SCALES["paper"])
+    columns = [report.Column(title, index) for index, title in enumerate(table.columns)]
 
     def verdict(lpn: list[float], baseline: list[float]) -> str:
         measured = {
-            row.label: [(value,) * 4 for value in (lpn if row.label == "LPN without google" else baseline)]
+            row.label: {
+                f"seed {seed}": (value,) * 4
+                for seed, value in enumerate(lpn if row.label == "LPN without google" else baseline)
+            }
             for row in table.rows
         }
-        return report.verdicts(table, measured, table.columns)[0]
+        return report.verdicts(table, measured, columns)[0]
 
-    assert "**held** (drone → satellite R@1 70.0 against Instance loss (baseline) 50.0)" in verdict([70], [50])
+    assert "**held** (drone → satellite R@1 70.0 against Instance loss (baseline) 50.0; one network each)" in verdict(
+        [70], [50]
+    )
     assert "**did not hold**" in verdict([50], [50])
     assert "within the spread" in verdict([49, 55], [47, 53])
+    assert verdict([69, 71], [50, 52]).endswith("against Instance loss (baseline) 51.0).")
+
+
+def test_the_command_collects_repeated_flags_and_wants_to_know_what(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen: list[Reproduction] = []
+    monkeypatch.setattr(Reproduction, "run", lambda self, _: seen.append(self) or [])
+    given = [
+        "--data",
+        str(places),
+        "--data",
+        "b",
+        "--model",
+        "x.onnx",
+        "--model",
+        "instance=y.onnx",
+        "--seeds",
+        "0",
+        "1",
+    ]
+    assert main(["reproduce", "table1", "table4", *given, "--out", str(tmp_path)]) == 0
+    assert seen[0].data == (str(places), "b")
+    assert seen[0].models == {"": Path("x.onnx"), "instance": Path("y.onnx")}
+    assert (seen[0].seeds, seen[0].scale.name) == ((0, 1), "paper")
+    assert main(["reproduce", "--data", str(places)]) == 2
+    assert "Say what to reproduce" in capsys.readouterr().err

@@ -1,0 +1,165 @@
+"""The data sets of a reproduction, sorted by what they are good for, and what identifies their pictures."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lpn.datasets import Dataset, Picture, open_dataset
+from lpn.errors import InputError
+from lpn.evaluate import check_test_split
+from lpn.reproduce import world
+from lpn.reproduce.tables import Measure, Role
+
+TASKS: dict[Measure, tuple[str, ...]] = {
+    "both ways": ("drone-to-satellite", "satellite-to-drone"),
+    "ground": ("street-to-satellite",),
+    "landmarks": ("street-to-street",),
+}
+"""The tasks behind each kind of columns."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A data set, and whether it is of a rendered world."""
+
+    dataset: Dataset
+    rendered: bool
+
+    @property
+    def name(self) -> str:
+        """How a table calls it."""
+        return "World" if self.rendered else self.dataset.root.resolve().name
+
+    def training_digest(self, google: bool) -> str:
+        """What identifies the pictures to train on: a network that is there is used for the same only."""
+        names = ("satellite", "drone", "street", *(("google",) if google else ()))
+        return _digest(self.dataset.root, {name: self.dataset.train(name) for name in names}, None)
+
+    def test_digest(self, measure: Measure) -> str:
+        """What identifies the pictures and true matches that figures are measured on."""
+        lists = self._lists(measure)
+        truth = {task: self.dataset.truth(task) for task in TASKS[measure]}
+        listed = {task: [[t.good.tolist(), t.junk.tolist()] for t in found] for task, found in truth.items() if found}
+        return _digest(self.dataset.root, lists, listed)
+
+    def check(self, measure: Measure) -> None:
+        """Find out at the start what would stop a measurement at the end.
+
+        Raises:
+            LPNError: when a task is not offered, a picture is broken, or `geo.csv` does not cover the pictures.
+        """
+        check_test_split(self.dataset, TASKS[measure])
+
+    def _lists(self, measure: Measure) -> dict[str, list[Picture]]:
+        lists: dict[str, list[Picture]] = {}
+        for task in TASKS[measure]:
+            query, gallery = task.split("-to-")
+            lists |= {
+                f"query {query}": self.dataset.queries(query),
+                f"gallery {gallery}": self.dataset.gallery(gallery),
+            }
+        return lists
+
+
+@dataclass
+class Sources:
+    """What was given, by role."""
+
+    roles: dict[Role, Source] = field(default_factory=dict)
+    landmarks: list[Source] = field(default_factory=list)
+
+    def of(self, measure: Measure) -> list[Source]:
+        """The data sets behind a kind of columns, the paper's order first.
+
+        Raises:
+            InputError: when none was given.
+        """
+        if measure == "landmarks":
+            if not self.landmarks:
+                raise InputError("Table VI needs landmarks as in Oxford5k or Paris6k; give them with --data.")
+            return sorted(self.landmarks, key=lambda source: source.dataset.kind)
+        return [self.role("places" if measure == "both ways" else "panoramas")]
+
+    def role(self, role: Role) -> Source:
+        """The data set of a role.
+
+        Raises:
+            InputError: when none was given.
+        """
+        if role not in self.roles:
+            kind = "places as in University-1652" if role == "places" else "panoramas and tiles as in CVUSA"
+            raise InputError(f"{kind[0].upper()}{kind[1:]} are needed for what is asked; give them with --data.")
+        return self.roles[role]
+
+    def add(self, role: Role, source: Source) -> None:
+        """Note the data set of a role.
+
+        Raises:
+            InputError: when there is one already.
+        """
+        if role in self.roles:
+            one, other = self.roles[role].dataset.root, source.dataset.root
+            raise InputError(f"--data names two data sets of {role}, {one} and {other}; give one of them at a time.")
+        self.roles[role] = source
+
+
+def is_rendered(given: str) -> bool:
+    """Whether what was given with --data is a rendered world, or its panoramas."""
+    root = Path(given)
+    inner = root.name == "cvusa" and world.is_world(root.parent)
+    return inner or world.is_world(root) or (given == "world" and not root.is_dir())
+
+
+def open_sources(data: Sequence[str], out: Path) -> Sources:
+    """Open what was given with --data; a world is laid out in `out`/data, and "world" is rendered in `out`/world.
+
+    Raises:
+        LPNError: when something is no data set, or two are of one role.
+    """
+    found = Sources()
+    for given in data:
+        root = Path(given)
+        if given == "world" and not root.is_dir():
+            root = _rendered(out)
+        if world.is_world(root):
+            made = world.prepare(root, out / "data")
+            found.add("places", Source(open_dataset(made["places"]), True))
+            found.add("panoramas", Source(open_dataset(made["panoramas"]), True))
+            found.landmarks.append(Source(open_dataset(made["landmarks"]), True))
+            continue
+        source = Source(open_dataset(root), is_rendered(given))
+        if "street-to-street" in source.dataset.tasks():
+            found.landmarks.append(source)
+        else:
+            found.add("panoramas" if source.dataset.panoramas else "places", source)
+    return found
+
+
+def _rendered(out: Path) -> Path:
+    """The demo's world with street pictures and panoramas, rendered in `out`/world where Blender's package is there."""
+    root = out / "world"
+    if importlib.util.find_spec("bpy") is None:
+        if not world.is_world(root):
+            raise InputError(
+                f"There is no rendered world in {root}, and rendering one needs the package bpy: pip install "
+                "'lpn-explorer[world]', or give a world's folder with --data."
+            )
+        return root
+    from lpn.world.atlas import Settings
+    from lpn.world.build import Part, build_world
+
+    build_world(Settings(0, 460, 8, 256, 384, 4, 4, 1), root, Part.parse("1/1"), 0)
+    return root
+
+
+def _digest(root: Path, lists: dict[str, list[Picture]], truth: object) -> str:
+    rows = {
+        name: [(str(p.path.relative_to(root)), p.path.stat().st_size, p.label, p.box) for p in pictures]
+        for name, pictures in lists.items()
+    }
+    return hashlib.sha256(json.dumps([rows, truth]).encode()).hexdigest()[:16]

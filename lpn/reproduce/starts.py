@@ -1,0 +1,64 @@
+"""What networks start from: files of ImageNet weights, one for each backbone, and their features without any training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import cast
+
+import torch
+from torch import nn
+
+from lpn import checkpoints
+from lpn.errors import InputError, ModelFileError
+from lpn.files import fingerprint
+from lpn.network import LPN
+from lpn.recipes import Recipe
+from lpn.spec import ModelSpec
+
+Starts = Mapping[str, Path]
+"""By backbone."""
+
+
+def by_backbone(files: Sequence[Path]) -> dict[str, Path]:
+    """The files given with --init by the backbone they hold.
+
+    Raises:
+        ModelFileError: when one cannot be read or holds no backbone that is known.
+        InputError: when two hold the same.
+    """
+    found: dict[str, Path] = {}
+    for file in files:
+        name = checkpoints.backbone_in(file)
+        if name in found:
+            raise InputError(f"{found[name]} and {file} both hold a {name}; give one of them with --init.")
+        found[name] = file
+    return found
+
+
+def features_alone(recipe: Recipe, init: Path) -> checkpoints.TorchModel:
+    """A network whose descriptor is the mean over the last feature map, and whose backbone is as in `init`.
+
+    Raises:
+        ModelFileError: when `init` lacks some of that backbone.
+    """
+    shape = ModelSpec(recipe.backbone, recipe.last_layer, views=("street",), shared=False, input_size=recipe.input_size)
+    channels = LPN(shape).branch("street").model.channels
+    spec = ModelSpec(
+        recipe.backbone, recipe.last_layer, views=("street",), shared=False, n_parts=1, embedding=channels, classes=1,
+        input_size=recipe.input_size,
+    )  # fmt: skip
+    network = LPN(spec)
+    _, _, missing = checkpoints.load_backbone(network, init)
+    if missing:
+        raise ModelFileError(
+            f"{init.name} lacks {', '.join(missing)} of {recipe.backbone}, so its features alone cannot be measured; give a file "
+            "of the whole backbone with --init."
+        )
+    block = network.heads[0].add_block
+    linear, norm = cast(nn.Linear, block[0]), cast(nn.BatchNorm1d, block[1])
+    with torch.no_grad():
+        linear.weight.copy_(torch.eye(channels))
+        norm.weight.fill_(1.0)
+    print_of = fingerprint(init, also=f"features alone {spec.to_json()}")
+    return checkpoints.TorchModel(network.to(checkpoints.best_device()), print_of)
