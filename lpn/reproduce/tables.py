@@ -100,7 +100,7 @@ class Scale:
         base = self.places if training.role == "places" else self.panoramas
         if training.method.startswith("safa") and self.safa is not None:
             base = self.safa
-        return replace(method(training.method, base), **training.changes, seed=seed, **changes)
+        return replace(method(training.method, base), **{**training.changes, "seed": seed, **changes})
 
 
 _REDUCED = replace(RECIPES["world"], epochs=30, batch=16, lr=2e-3, backbone_ratio=0.25, infonce=0.0)
