@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from explorer import chart, overlays
 from explorer.chart import Places
+from explorer.layout import layout_for
 from explorer.session import TRUTH, State
 from lpn import explain, geo, images, retrieval
 from lpn.city import CityModel
@@ -23,9 +24,6 @@ from lpn.images import Picture
 from lpn.model import FloatArray, Model
 from lpn.retrieval import Described, Match, Ranking
 from lpn.spec import ModelSpec, View
-
-DISPLAY = 384
-"""Side in pixels of the large pictures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +95,7 @@ class Exhibit:
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._mosaics: dict[str, Picture] = {}
         self._mosaic_lock = Lock()
+        self.layout = layout_for(self.spec.input_size)
         self.entry_picture = lru_cache(maxsize=64)(images.load_picture)
 
     def open_with(self, query: str | None) -> None:
@@ -122,9 +121,9 @@ class Exhibit:
         """A picture as its parts are cut from it: unrolled where the network sees it so (SAFA), else as it is."""
         return images.polar(picture, *self.spec.input_size) if self.spec.unrolled(view) else picture
 
-    def masks(self, view: View, size: int = DISPLAY) -> npt.NDArray[np.int64]:
-        """The part of each pixel of a size x size picture."""
-        return overlays.part_masks(self.spec.partition(view), self.map_sizes[view], size)
+    def masks(self, view: View) -> npt.NDArray[np.int64]:
+        """The part of each pixel of a large picture."""
+        return overlays.part_masks(self.spec.partition(view), self.map_sizes[view], self.layout.pixels)
 
     def mosaic(self, task: Task) -> Picture:
         """The task's tiles at their places as one picture, made once for all browsers; the task must have places."""

@@ -57,23 +57,23 @@ def square(picture: Picture, size: int) -> Picture:
     return images.resize(picture, size, size)
 
 
-def part_masks(partition: Partition, map_size: tuple[int, int], size: int) -> npt.NDArray[np.int64]:
-    """The part of each pixel of a size x size picture, from the model's own cells: (size, size)."""
+def part_masks(partition: Partition, map_size: tuple[int, int], size: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """The part of each pixel of a picture of size (height, width), from the model's own cells: (height, width)."""
     labels = partition.labels(*map_size)
-    rows = np.arange(size) * labels.shape[0] // size
-    columns = np.arange(size) * labels.shape[1] // size
+    rows = np.arange(size[0]) * labels.shape[0] // size[0]
+    columns = np.arange(size[1]) * labels.shape[1] // size[1]
     return cast(npt.NDArray[np.int64], labels[rows[:, None], columns[None, :]])
 
 
 def with_heat(
     picture: Picture, activation: FloatArray, masks: npt.NDArray[np.int64], part: int | None, opacity: float
 ) -> Picture:
-    """Lay a heatmap over a square picture; weak cells stay transparent, so that the picture remains readable.
+    """Lay a heatmap over a picture; weak cells stay transparent, so that the picture remains readable.
 
     With `part`, the scale is that part's own and the rest of the picture is darkened.
     """
-    size = picture.shape[0]
-    heat = np.clip(cv2.resize(activation, (size, size), interpolation=cv2.INTER_CUBIC), 0.0, 1.0)
+    height, width = picture.shape[:2]
+    heat = np.clip(cv2.resize(activation, (width, height), interpolation=cv2.INTER_CUBIC), 0.0, 1.0)
     if part is not None:
         inside = masks == part
         low, high = float(heat[inside].min()), float(heat[inside].max())
@@ -90,19 +90,19 @@ def with_heat(
 
 def with_rings(picture: Picture, partition: Partition, map_size: tuple[int, int], thickness: int = 2) -> Picture:
     """Draw the true boundary of each part in its colour, on a dark hairline that shows on bright ground."""
-    size = picture.shape[0]
+    height, width = picture.shape[:2]
     drawn = np.ascontiguousarray(picture).copy()
     for part, (left, top, right, bottom) in enumerate(partition.boxes(*map_size)):
         inset = thickness // 2 + 1
-        first = (round(left * size) + inset, round(top * size) + inset)
-        second = (round(right * size) - 1 - inset, round(bottom * size) - 1 - inset)
+        first = (round(left * width) + inset, round(top * height) + inset)
+        second = (round(right * width) - 1 - inset, round(bottom * height) - 1 - inset)
         cv2.rectangle(drawn, first, second, (0, 0, 0), thickness + 2)
         cv2.rectangle(drawn, first, second, part_colour(part), thickness)
     return drawn
 
 
 def ring_layer(picture: Picture, masks: npt.NDArray[np.int64], part: int) -> npt.NDArray[np.uint8]:
-    """One part of a picture alone, the rest transparent: (size, size, 4) RGBA."""
+    """One part of a picture alone, the rest transparent: (height, width, 4) RGBA."""
     alpha = np.where(masks == part, 255, 0).astype(np.uint8)
     return np.dstack([picture, alpha])
 

@@ -11,11 +11,13 @@ import numpy.typing as npt
 import viser
 
 from explorer import overlays
-from explorer.exhibit import DISPLAY, Answer, Exhibit
+from explorer.exhibit import Answer, Exhibit
 from explorer.gallery_map import GalleryMap
+from explorer.layout import CAPTION, Layout, Point
 from explorer.planes import UPRIGHT, Plane, Rotation, title
 from explorer.session import State
 from explorer.viewpoint import Viewpoint
+from lpn import images
 from lpn.images import Picture
 from lpn.retrieval import Described, Match
 from lpn.spec import View
@@ -23,15 +25,8 @@ from lpn.spec import View
 SHOWN = 10
 """Ranked tiles on the stage."""
 
-_SIDE = 3.3
-_APART = 2.4
-_TOP = 2.2
-_COLUMNS = 5
-_CARD = 1.5
-_CARD_STEP = 1.62
-_CAPTION = 0.36
-_CARDS_TOP = 0.28
 _LIFT = 0.5
+_STEP = 0.12
 _INWARD = 0.3
 _FOV = 0.45
 _HEIGHT = 8.1
@@ -42,20 +37,22 @@ _MIDDLE = (0.0, 0.36)
 class Exhibited:
     """One large picture: flat, with a caption, or taken apart into its rings along the axis."""
 
-    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, name: str, x: float, n_parts: int) -> None:
-        self._exhibit, self._n, self._x = exhibit, n_parts, x
+    def __init__(
+        self, client: viser.ClientHandle, exhibit: Exhibit, name: str, centre: Point, caption: Point, n_parts: int
+    ) -> None:
+        self._exhibit, self._n, self._centre, self._layout = exhibit, n_parts, centre, exhibit.layout
         scene = client.scene
-        self._group = scene.add_frame(f"/{name}", show_axes=False, position=(x, _TOP, 0.0))
-        self._flat = Plane(scene, f"/{name}/flat", _SIDE, _SIDE, (0.0, 0.0, 0.0))
-        self._caption = Plane(scene, f"/{name}_caption", _SIDE, _CAPTION, (x, _TOP + _SIDE / 2 + 0.24, 0.0))
+        size = self._layout.picture
+        self._group = scene.add_frame(f"/{name}", show_axes=False, position=(*centre, 0.0))
+        self._flat = Plane(scene, f"/{name}/flat", *size, (0.0, 0.0, 0.0))
+        self._caption = Plane(scene, f"/{name}_caption", *CAPTION, (*caption, 0.0))
         self._layers: list[viser.ImageHandle] = []
         self._layer_pictures: list[Picture | None] = [None] * n_parts
         for part in range(n_parts):
             layer = scene.add_image(
                 f"/{name}/layer{part}",
                 np.zeros((2, 2, 4), np.uint8),
-                _SIDE,
-                _SIDE,
+                *size,
                 format="png",
                 cast_shadow=False,
                 receive_shadow=False,
@@ -68,8 +65,11 @@ class Exhibited:
         """Draw the picture; `towards` is the side, -1 or 1, an exploded stack opens to."""
         self._caption.show(caption)
         self._flat.handle.visible = not exploded
-        self._group.wxyz = _about_y(towards * math.radians(38)) if exploded else (1.0, 0.0, 0.0, 0.0)
-        self._group.position = (self._x + (towards * _INWARD if exploded else 0.0), _TOP, 0.0)
+        # Wide pictures lean back and their parts step forward one by one; others turn, and open to the side.
+        angle = math.radians(self._angle) if exploded else 0.0
+        self._group.wxyz = _about_x(-angle) if self._layout.stacked else _about_y(towards * angle)
+        inward = towards * _INWARD if exploded and not self._layout.stacked else 0.0
+        self._group.position = (self._centre[0] + inward, self._centre[1], 0.0)
         if not exploded:
             self._flat.show(picture)
         masks = self._exhibit.masks(view)
@@ -86,17 +86,27 @@ class Exhibited:
         if not exploded:
             return 0.0
         order = part if self._exhibit.spec.partition(view).outside_in else self._n - 1 - part
-        return (order - (self._n - 1) / 2) * _LIFT
+        return (order - (self._n - 1) / 2) * (_STEP if self._layout.stacked else _LIFT)
 
-    def anchor(self, part: int, height: float, side: float, exploded: bool, view: View) -> tuple[float, float, float]:
-        """Where a link leaves a part: on its left (-1) or right (1) border, in stage coordinates."""
+    @property
+    def _angle(self) -> float:
+        """Degrees that a picture taken apart is turned by."""
+        return 32.0 if self._layout.stacked else 38.0
+
+    def anchor(self, part: int, along: float, side: float, exploded: bool, view: View) -> tuple[float, float, float]:
+        """Where a link leaves a part: on its left (-1) or right (1) border at the height `along`, in stage coordinates; on
+        its lower (-1) or upper (1) border at the middle of the part where pictures are stacked."""
         left, top, right, bottom = self._exhibit.spec.partition(view).boxes(*self._exhibit.map_sizes[view])[part]
-        x = ((right if side > 0 else left) - 0.5) * _SIDE
-        y = min(max(height, (0.5 - bottom) * _SIDE + 0.05), (0.5 - top) * _SIDE - 0.05)
+        width, height = self._layout.picture
         z = self.depth(part, exploded, view) + 0.01
-        if exploded:
-            angle = -side * math.radians(-38)
-            x, z = x * math.cos(angle) + z * math.sin(angle), -x * math.sin(angle) + z * math.cos(angle)
+        angle = math.radians(self._angle) if exploded else 0.0
+        if self._layout.stacked:
+            x, y = ((left + right) / 2 - 0.5) * width, side * height / 2
+            y, z = y * math.cos(angle) + z * math.sin(angle), z * math.cos(angle) - y * math.sin(angle)
+        else:
+            x = ((right if side > 0 else left) - 0.5) * width
+            y = min(max(along, (0.5 - bottom) * height + 0.05), (0.5 - top) * height - 0.05)
+            x, z = x * math.cos(angle) + side * z * math.sin(angle), -side * x * math.sin(angle) + z * math.cos(angle)
         centre = self._group.position
         return float(centre[0]) + x, float(centre[1]) + y, z
 
@@ -109,9 +119,11 @@ class Stage:
         self._n = exhibit.spec.n_parts
         scene = client.scene
         scene.configure_default_lights(cast_shadow=False)
-        self._query = Exhibited(client, exhibit, "query", -_APART, self._n)
-        self._tile = Exhibited(client, exhibit, "tile", _APART, self._n)
-        self._gutter = Plane(scene, "/gutter", 1.3, _SIDE, (0.0, _TOP, 0.02))
+        self._layout = layout = exhibit.layout
+        self._query = Exhibited(client, exhibit, "query", layout.query, layout.query_caption, self._n)
+        self._tile = Exhibited(client, exhibit, "tile", layout.tile, layout.tile_caption, self._n)
+        (x, y), size = layout.gutter
+        self._gutter = Plane(scene, "/gutter", *size, (x, y, 0.02))
         self._links: viser.LineSegmentsHandle = scene.add_line_segments(
             "/links",
             np.zeros((2 * self._n, 2, 3), np.float32),
@@ -122,8 +134,8 @@ class Stage:
         self._marker = scene.add_image(
             "/marker",
             np.full((2, 2, 3), 235, np.uint8),
-            _CARD + 0.08,
-            _CARD + _CAPTION + 0.09,
+            layout.card[0] + 0.08,
+            sum(layout.card[1:]) + 0.09,
             cast_shadow=False,
             receive_shadow=False,
             wxyz=UPRIGHT,
@@ -131,9 +143,10 @@ class Stage:
         self._shown: Answer | None = None
         self._cards: list[tuple[Plane, Plane]] = []
         for slot in range(SHOWN):
-            x, y = _card_position(slot)
-            photo = Plane(scene, f"/card{slot}/photo", _CARD, _CARD, (x, y - _CAPTION / 2, 0.0))
-            label = Plane(scene, f"/card{slot}/label", _CARD, _CAPTION, (x, y + _CARD / 2, 0.0))
+            x, y = layout.card_centre(slot)
+            width, height, above = layout.card
+            photo = Plane(scene, f"/card{slot}/photo", width, height, (x, y - above / 2, 0.0))
+            label = Plane(scene, f"/card{slot}/label", width, above, (x, y + height / 2, 0.0))
             self._cards.append((photo, label))
             for plane in (photo, label):
                 plane.handle.on_click(self._clicked(slot, on_select))
@@ -187,14 +200,15 @@ class Stage:
         with self._client.atomic():
             self._query.show(left, self._query_caption(answer), task.query_view, state.exploded, 1.0)
             self._tile.show(right, self._tile_caption(answer), task.gallery_view, state.exploded, -1.0)
-            self._gutter.show(self._gutter_picture(answer.chosen))
+            draw = self._gutter_row if self._layout.stacked else self._gutter_picture
+            self._gutter.show(draw(answer.chosen))
             self._links.points = self._link_points(answer)
             self._links.colors = _link_colours(answer.ranking.weights)
             self._show_cards(answer)
 
     def _decorated(self, answer: Answer, described: Described, view: View) -> Picture:
         state = answer.state
-        picture = overlays.square(self._exhibit.cut(described.picture, view), DISPLAY)
+        picture = images.resize(self._exhibit.cut(described.picture, view), *self._layout.pixels)
         if state.heat and described.activation is not None:
             picture = overlays.with_heat(
                 picture, described.activation, self._exhibit.masks(view), state.heat_part, state.opacity
@@ -216,12 +230,12 @@ class Stage:
     def _gutter_picture(self, chosen: Match) -> Picture:
         """For each part: its name, cosine, and share of the distance as a bar."""
         image, draw = overlays.caption(260, 660)
-        rows = _row_heights(self._n)
+        rows = _row_heights(self._layout, self._n)
         full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)
         size = 30 if self._n <= 6 else 22
         small = size - 6
         for part in range(self._n):
-            y = (0.5 - rows[part] / _SIDE) * 660
+            y = (0.5 - rows[part] / self._layout.picture[1]) * 660
             colour = overlays.part_colour(part)
             draw.text((130, y - 6), self._exhibit.part_names[part], colour, overlays.font(size), anchor="mb")
             draw.rectangle((10, y, 250, y + 9), fill=(48, 48, 48))
@@ -237,15 +251,43 @@ class Stage:
                 overlays.draw_squared(draw, 250, below, f"{chosen.shares[part]:.3f}", small, overlays.DIM)
         return np.asarray(image)
 
+    def _gutter_row(self, chosen: Match) -> Picture:
+        """The same one beside the other, each below the query's strip and above the tile's."""
+        image, draw = overlays.caption(1280, round(1280 * self._layout.gutter[1][1] / self._layout.gutter[1][0]))
+        full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)
+        room = 1280 / self._n
+        size = 24 if self._n <= 6 else 19
+        for part in range(self._n):
+            left, right = part * room + 8, (part + 1) * room - 8
+            colour = overlays.part_colour(part)
+            name = overlays.fitted(draw, self._exhibit.part_names[part], size, right - left)
+            draw.text(((left + right) / 2, 20), name, colour, overlays.font(size), anchor="mm")
+            draw.rectangle((left, 37, right, 45), fill=(48, 48, 48))
+            length = (right - left) * float(chosen.shares[part]) / full
+            if length >= 1:
+                draw.rectangle((left, 37, left + length, 45), fill=colour)
+            if chosen.shares[part] == 0 and chosen.cosines[part] < 1:
+                draw.text(((left + right) / 2, 64), "off", overlays.DIM, overlays.font(size - 4), anchor="mm")
+            else:
+                cosine = f"cos {chosen.cosines[part]:.2f}"
+                draw.text((left, 64), cosine, overlays.DIM, overlays.font(size - 4), anchor="lm")
+                overlays.draw_squared(draw, right, 64, f"{chosen.shares[part]:.3f}", size - 4, overlays.DIM)
+        return np.asarray(image)
+
     def _link_points(self, answer: Answer) -> npt.NDArray[np.float32]:
-        """Two segments per part: query ring to gutter row, gutter row to tile ring."""
+        """Two segments per part: query ring to its place in the gutter, and from there to the tile's ring."""
         state, task = answer.state, answer.task
         points = np.zeros((2 * self._n, 2, 3), np.float32)
-        for part, height in enumerate(_row_heights(self._n)):
-            points[2 * part, 0] = self._query.anchor(part, height, 1.0, state.exploded, task.query_view)
-            points[2 * part, 1] = (-0.6, _TOP + height - 0.025, 0.03)
-            points[2 * part + 1, 0] = (0.6, _TOP + height - 0.025, 0.03)
-            points[2 * part + 1, 1] = self._tile.anchor(part, height, -1.0, state.exploded, task.gallery_view)
+        (x, y), (width, height) = self._layout.gutter
+        for part, along in enumerate(_row_heights(self._layout, self._n)):
+            if self._layout.stacked:
+                across = x + ((part + 0.5) / self._n - 0.5) * width
+                ends = (-1.0, (across, y + height / 2, 0.03), (across, y - height / 2, 0.03), 1.0)
+            else:
+                ends = (1.0, (-0.6, y + along - 0.025, 0.03), (0.6, y + along - 0.025, 0.03), -1.0)
+            points[2 * part, 0] = self._query.anchor(part, along, ends[0], state.exploded, task.query_view)
+            points[2 * part, 1], points[2 * part + 1, 0] = ends[1], ends[2]
+            points[2 * part + 1, 1] = self._tile.anchor(part, along, ends[3], state.exploded, task.gallery_view)
         return points
 
     def _show_cards(self, answer: Answer) -> None:
@@ -261,14 +303,14 @@ class Stage:
                 continue
             match = answer.matches[slot]
             if match.index == answer.chosen.index:
-                x, y = _card_position(slot)
+                x, y = self._layout.card_centre(slot)
                 self._marker.position = (x, y - 0.01, -0.02)
             entry = self._exhibit.entry_picture(task.gallery[match.index].path)
-            picture = overlays.square(self._exhibit.cut(entry, task.gallery_view), 224)
+            picture = images.resize(self._exhibit.cut(entry, task.gallery_view), *self._layout.card_pixels)
             if state.rings:
                 picture = overlays.with_rings(picture, partition, self._exhibit.map_sizes[task.gallery_view], 1)
             photo.show(overlays.framed(picture, overlays.verdict_colour(match.true), 7))
-            label.show(_card_label(match, task.gallery[match.index].name, full))
+            label.show(_card_label(self._layout, match, task.gallery[match.index].name, full))
 
     def _clicked(self, slot: int, on_select: Callable[[State, int], None]) -> Callable[[Any], None]:
         def clicked(_: Any) -> None:
@@ -279,16 +321,9 @@ class Stage:
         return clicked
 
 
-def _card_position(slot: int) -> tuple[float, float]:
-    """Centre of a card, caption included."""
-    row, column = divmod(slot, _COLUMNS)
-    x = (column - (_COLUMNS - 1) / 2) * _CARD_STEP
-    return x, _CARDS_TOP - (_CARD + _CAPTION) / 2 - row * (_CARD + _CAPTION + 0.16)
-
-
-def _row_heights(n: int) -> list[float]:
+def _row_heights(layout: Layout, n: int) -> list[float]:
     """Where each part's row stands in the gutter, from the top, relative to the pictures' centre."""
-    return [(0.5 - (part + 0.5) / n) * _SIDE for part in range(n)]
+    return [(0.5 - (part + 0.5) / n) * layout.picture[1] for part in range(n)]
 
 
 def _link_colours(weights: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
@@ -301,16 +336,21 @@ def _about_y(angle: float) -> Rotation:
     return math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0
 
 
-def _card_label(match: Match, name: str, full: float) -> Picture:
-    image, draw = overlays.caption(240, 58)
+def _about_x(angle: float) -> Rotation:
+    return math.cos(angle / 2), math.sin(angle / 2), 0.0, 0.0
+
+
+def _card_label(layout: Layout, match: Match, name: str, full: float) -> Picture:
+    width = round(58 * layout.card[0] / layout.card[2])
+    image, draw = overlays.caption(width, 58)
     draw.text((2, 20), str(match.rank), overlays.TEXT, overlays.font(26), anchor="lm")
     x = 8 + draw.textlength(str(match.rank), font=overlays.font(26))
     if match.true is not None:
         overlays.draw_sign(draw, x + 2, 11, 17, match.true)
         x += 28
     value = f"{match.distance2:.3f}"
-    draw.text((238, 20), value, overlays.TEXT, overlays.font(22), anchor="rm")
-    room = 238 - draw.textlength(value, font=overlays.font(22)) - x - 8
+    draw.text((width - 2, 20), value, overlays.TEXT, overlays.font(22), anchor="rm")
+    room = width - 2 - draw.textlength(value, font=overlays.font(22)) - x - 8
     draw.text((x, 21), overlays.fitted(draw, name, 20, room), overlays.DIM, overlays.font(20), anchor="lm")
-    overlays.draw_shares(draw, (0, 40, 239, 52), match.shares, full)
+    overlays.draw_shares(draw, (0, 40, width - 1, 52), match.shares, full)
     return np.asarray(image)

@@ -14,10 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import torch
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
 
+from lpn.checkpoints import save
 from lpn.commands.using import DEMO
 from lpn.export import export
+from lpn.network import LPN
+from lpn.spec import ModelSpec
 from tests import worlds
 from tests.conftest import RealRun
 from tests.saved import save_result
@@ -107,6 +111,27 @@ def saved_app(app: Running, tmp_path: Path) -> Iterator[Running]:
     """The same places and descriptors as of `app`, from a saved result."""
     save_result(tmp_path / "pytorch_result.mat", app.data, app.model)
     with started(app.data, app.model, tmp_path / "cache", saved=tmp_path / "pytorch_result.mat") as running:
+        yield running
+
+
+@pytest.fixture
+def panorama_app(tmp_path: Path) -> Iterator[Running]:
+    """The app on panoramas and tiles, with an untrained SAFA + LPN."""
+    torch.manual_seed(0)
+    spec = ModelSpec(
+        "resnet18",
+        "layer3",
+        views=("satellite", "street"),
+        shared=False,
+        n_parts=4,
+        embedding=8 * 256,
+        input_size=(48, 256),
+        pooling="safa",
+        polar=True,
+    )
+    save(LPN(spec), tmp_path / "safa.safetensors")
+    export(tmp_path / "safa.safetensors", tmp_path / "safa.onnx")
+    with started(worlds.make_cvusa(tmp_path / "pairs", 12), tmp_path / "safa.onnx", tmp_path / "cache") as running:
         yield running
 
 

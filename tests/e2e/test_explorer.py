@@ -292,3 +292,24 @@ def test_the_main_job_on_real_pictures(real_app: Running, contexts: Callable[[],
     explorer.rows.nth(4).click()
     explorer.expect_status("chosen", str(ranking.match(4).index))
     expect(explorer.page.locator("#lpn-parts")).to_contain_text(f"{ranking.match(4).distance2:.3f}")
+
+
+def test_panoramas_and_unrolled_tiles_are_shown_wide(
+    panorama_app: Running, contexts: Callable[[], BrowserContext]
+) -> None:
+    explorer = Explorer(contexts().new_page())
+    explorer.open(panorama_app.url)
+    expect(explorer.page.locator("#lpn-header")).to_contain_text("SAFA + LPN")
+    model, dataset = lpn.load(panorama_app.model), datasets.open_dataset(panorama_app.data)
+    query, gallery = dataset.queries("street")[0], dataset.gallery("satellite")
+    found, *tiles = (
+        model.descriptors(model.prepare(images.load_picture(entry.path), view)[None], view)[0]
+        for entry, view in [(query, "street"), *((entry, "satellite") for entry in gallery)]
+    )
+    best = int(np.argmax(explain.part_cosines(found, np.stack(tiles)).mean(axis=1)))
+    expect(explorer.rows.first).to_have_attribute("data-index", str(best))
+    flat = explorer.stage()
+    explorer.key("x")
+    expect(explorer.field("Take apart")).to_be_checked()
+    explorer.page.wait_for_timeout(1000)
+    assert explorer.stage() != flat

@@ -22,7 +22,7 @@ def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Exhib
 
 
 def test_masks_are_the_model_s_own_cells() -> None:
-    masks = overlays.part_masks(Partition("rings", 4), (16, 16), 384)
+    masks = overlays.part_masks(Partition("rings", 4), (16, 16), (384, 384))
     labels = Partition("rings", 4).labels(16, 16)
     np.testing.assert_array_equal(masks[12::24, 12::24], labels)
 
@@ -37,7 +37,7 @@ def test_drawn_rings_lie_on_the_boundaries() -> None:
 
 def test_heat_of_one_part_leaves_the_others_without_colour() -> None:
     grey = np.full((64, 64, 3), 100, np.uint8)
-    masks = overlays.part_masks(Partition("rings", 4), (16, 16), 64)
+    masks = overlays.part_masks(Partition("rings", 4), (16, 16), (64, 64))
     activation = np.random.default_rng(0).random((16, 16)).astype(np.float32)
     drawn = overlays.with_heat(grey, activation, masks, 1, 0.8)
     assert (np.ptp(drawn[masks != 1].astype(int), axis=1) == 0).all()
