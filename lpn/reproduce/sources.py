@@ -81,7 +81,10 @@ class Sources:
         """
         if measure == "landmarks":
             if not self.landmarks:
-                raise InputError("Table VI needs landmarks as in Oxford5k or Paris6k; give them with --data.")
+                raise InputError(
+                    "Table VI needs landmarks as in Oxford5k or Paris6k; give them with --data, or a world that was rendered with "
+                    "--streets 4."
+                )
             return sorted(self.landmarks, key=lambda source: source.dataset.kind)
         return [self.role("places" if measure == "both ways" else "panoramas")]
 
@@ -92,8 +95,12 @@ class Sources:
             InputError: when none was given.
         """
         if role not in self.roles:
-            kind = "places as in University-1652" if role == "places" else "panoramas and tiles as in CVUSA"
-            raise InputError(f"{kind[0].upper()}{kind[1:]} are needed for what is asked; give them with --data.")
+            if role == "places":
+                raise InputError("Places as in University-1652 are needed for what is asked; give them with --data.")
+            raise InputError(
+                "Panoramas and tiles as in CVUSA are needed for what is asked; give them with --data, or a world rendered with "
+                "--panoramas 1."
+            )
         return self.roles[role]
 
     def add(self, role: Role, source: Source) -> None:
@@ -129,8 +136,10 @@ def open_sources(data: Sequence[str], out: Path) -> Sources:
         if world.is_world(root):
             made = world.prepare(root, out / "data")
             found.add("places", Source(open_dataset(made["places"]), True))
-            found.add("panoramas", Source(open_dataset(made["panoramas"]), True))
-            found.landmarks.append(Source(open_dataset(made["landmarks"]), True))
+            if "panoramas" in made:
+                found.add("panoramas", Source(open_dataset(made["panoramas"]), True))
+            if "landmarks" in made:
+                found.landmarks.append(Source(open_dataset(made["landmarks"]), True))
             continue
         source = Source(open_dataset(root), is_rendered(given))
         if "street-to-street" in source.dataset.tasks():

@@ -10,7 +10,6 @@ import shutil
 from pathlib import Path
 
 from lpn.datasets import Picture, open_dataset
-from lpn.errors import DataError
 from lpn.files import write_whole
 from lpn.images import load_picture
 
@@ -31,30 +30,23 @@ def prepare(world: Path, out: Path) -> dict[str, Path]:
     Paris6k's layout: the first two of a place are queries by their middle, all of the place are good answers.
 
     Returns:
-        The folders: "places", "panoramas" (the world's own, in CVUSA's layout), "landmarks".
-
-    Raises:
-        DataError: when the world has fewer than two street pictures of a place, or no panoramas.
+        The folders by what they are: "places"; "panoramas" (the world's own, in CVUSA's layout) and "landmarks" where the
+        world was rendered with panoramas and street pictures. Without enough of the latter, places are the world itself.
     """
-    dataset = open_dataset(world)
-    streets, tests = (
-        dataset.train("street"),
-        dataset.gallery("street") if (world / "test/gallery_street").is_dir() else [],
-    )
-    if len(streets) < 2 * len({picture.label for picture in streets}) or not tests:
-        raise DataError(
-            f"{world} has {len(streets)} street pictures for training and {len(tests)} for testing; render it with "
-            "--streets 4 --panoramas 1, which adds them."
-        )
-    if not (world / "cvusa" / "splits").is_dir():
-        raise DataError(f"{world} has no panoramas; render it with --panoramas 1, which adds them.")
-    folder = out / f"world-{_digest(world)}"
-    places, landmarks = folder / "places", folder / "landmarks"
-    if not places.is_dir():
-        _places(world, streets, places)
-    if not landmarks.is_dir():
-        _landmarks(tests, landmarks)
-    return {"places": places, "panoramas": world / "cvusa", "landmarks": landmarks}
+    dataset, folder = open_dataset(world), out / f"world-{_digest(world)}"
+    made = {"places": world}
+    streets = dataset.train("street")
+    if streets and len(streets) >= 2 * len({picture.label for picture in streets}):
+        made["places"] = folder / "places"
+        if not made["places"].is_dir():
+            _places(world, streets, made["places"])
+    if (world / "test" / "gallery_street").is_dir():
+        made["landmarks"] = folder / "landmarks"
+        if not made["landmarks"].is_dir():
+            _landmarks(dataset.gallery("street"), made["landmarks"])
+    if (world / "cvusa" / "splits").is_dir():
+        made["panoramas"] = world / "cvusa"
+    return made
 
 
 def _digest(world: Path) -> str:
