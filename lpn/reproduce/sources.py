@@ -82,7 +82,7 @@ class Sources:
         if measure == "landmarks":
             if not self.landmarks:
                 raise InputError(
-                    "Table VI needs landmarks as in Oxford5k or Paris6k; give them with --data, or a world that was rendered with "
+                    "Table VI needs landmarks as in Oxford5k or Paris6k; give them with --data, or a world rendered with "
                     "--streets 4."
                 )
             return sorted(self.landmarks, key=lambda source: source.dataset.kind)

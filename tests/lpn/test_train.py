@@ -105,6 +105,9 @@ def test_an_epoch_is_kept_although_its_evaluation_fails(places: Path, tmp_path: 
     broken = sorted((data / "test" / "query_drone").rglob("*.png"))[0]
     whole = broken.read_bytes()
     broken.write_bytes(whole[:400])
+    with pytest.raises(PictureError, match=f"1 of .* test pictures .*{broken.parent.name}/{broken.name}"):
+        trainer(data, tmp_path / "run", evaluate_every=1)
+    worlds.spoilt_png(broken)  # which the check at the start does not find
     run, _ = trainer(data, tmp_path / "run", evaluate_every=1)
     with pytest.raises(PictureError, match=f"{broken.parent.name}/{broken.name}"):
         run.run()
