@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from lpn.evaluate import error_shares
 from lpn.files import printable
 from lpn.model import FloatArray, Model
 from lpn.saved import Saved
-from lpn.spec import Layout, ModelSpec, View
+from lpn.spec import Layout, ModelSpec, View, views_of
 
 log = logging.getLogger(__name__)
 
@@ -42,7 +41,7 @@ def open_model(data: Path, model: Path, query: str | None = None) -> Exhibit:
     opened = lpn.load(model)
     data_name = printable(data.resolve().name)
     dataset = open_dataset(data)
-    pairs = [cast("tuple[View, View]", tuple(name.split("-to-"))) for name in dataset.tasks()]
+    pairs = [views_of(name) for name in dataset.tasks()]
     known = [pair for pair in pairs if set(pair) <= set(opened.views)]
     if not known:
         raise DataError(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import viser
+from PIL.ImageDraw import ImageDraw
 
 from explorer import overlays
 from explorer.exhibit import Answer, Exhibit
@@ -231,48 +232,42 @@ class Stage:
         """For each part: its name, cosine, and share of the distance as a bar."""
         image, draw = overlays.caption(260, 660)
         rows = _row_heights(self._layout, self._n)
-        full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)
         size = 30 if self._n <= 6 else 22
-        small = size - 6
         for part in range(self._n):
             y = (0.5 - rows[part] / self._layout.picture[1]) * 660
-            colour = overlays.part_colour(part)
-            draw.text((130, y - 6), self._exhibit.part_names[part], colour, overlays.font(size), anchor="mb")
-            draw.rectangle((10, y, 250, y + 9), fill=(48, 48, 48))
-            length = 240 * float(chosen.shares[part]) / full
-            if length >= 1:
-                draw.rectangle((10, y, 10 + length, y + 9), fill=colour)
-            below = y + 16 + small / 2
-            if chosen.shares[part] == 0 and chosen.cosines[part] < 1:
-                draw.text((130, below), "off", overlays.DIM, overlays.font(small), anchor="mm")
-            else:
-                cosine = f"cos {chosen.cosines[part]:.2f}"
-                draw.text((10, below), cosine, overlays.DIM, overlays.font(small), anchor="lm")
-                overlays.draw_squared(draw, 250, below, f"{chosen.shares[part]:.3f}", small, overlays.DIM)
+            self._draw_part(draw, chosen, part, (10, 250), y, (size, size - 6))
         return np.asarray(image)
 
     def _gutter_row(self, chosen: Match) -> Picture:
         """The same one beside the other, each below the query's strip and above the tile's."""
         image, draw = overlays.caption(1280, round(1280 * self._layout.gutter[1][1] / self._layout.gutter[1][0]))
-        full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)
         room = 1280 / self._n
         size = 24 if self._n <= 6 else 19
         for part in range(self._n):
-            left, right = part * room + 8, (part + 1) * room - 8
-            colour = overlays.part_colour(part)
-            name = overlays.fitted(draw, self._exhibit.part_names[part], size, right - left)
-            draw.text(((left + right) / 2, 20), name, colour, overlays.font(size), anchor="mm")
-            draw.rectangle((left, 37, right, 45), fill=(48, 48, 48))
-            length = (right - left) * float(chosen.shares[part]) / full
-            if length >= 1:
-                draw.rectangle((left, 37, left + length, 45), fill=colour)
-            if chosen.shares[part] == 0 and chosen.cosines[part] < 1:
-                draw.text(((left + right) / 2, 64), "off", overlays.DIM, overlays.font(size - 4), anchor="mm")
-            else:
-                cosine = f"cos {chosen.cosines[part]:.2f}"
-                draw.text((left, 64), cosine, overlays.DIM, overlays.font(size - 4), anchor="lm")
-                overlays.draw_squared(draw, right, 64, f"{chosen.shares[part]:.3f}", size - 4, overlays.DIM)
+            self._draw_part(draw, chosen, part, (part * room + 8, (part + 1) * room - 8), 37, (size, size - 4))
         return np.asarray(image)
+
+    def _draw_part(
+        self, draw: ImageDraw, chosen: Match, part: int, sides: tuple[float, float], y: float, sizes: tuple[int, int]
+    ) -> None:
+        """A part's share of the distance as a bar from the height `y` down, its name above, cosine and share below."""
+        left, right = sides
+        (size, small), middle = sizes, (left + right) / 2
+        colour = overlays.part_colour(part)
+        name = overlays.fitted(draw, self._exhibit.part_names[part], size, right - left)
+        draw.text((middle, y - 6), name, colour, overlays.font(size), anchor="mb")
+        draw.rectangle((left, y, right, y + 9), fill=(48, 48, 48))
+        full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)
+        length = (right - left) * float(chosen.shares[part]) / full
+        if length >= 1:
+            draw.rectangle((left, y, left + length, y + 9), fill=colour)
+        below = y + 16 + small / 2
+        if chosen.shares[part] == 0 and chosen.cosines[part] < 1:
+            draw.text((middle, below), "off", overlays.DIM, overlays.font(small), anchor="mm")
+        else:
+            cosine = f"cos {chosen.cosines[part]:.2f}"
+            draw.text((left, below), cosine, overlays.DIM, overlays.font(small), anchor="lm")
+            overlays.draw_squared(draw, right, below, f"{chosen.shares[part]:.3f}", small, overlays.DIM)
 
     def _link_points(self, answer: Answer) -> npt.NDArray[np.float32]:
         """Two segments per part: query ring to its place in the gutter, and from there to the tile's ring."""

@@ -18,6 +18,7 @@ from lpn.errors import DataError
 from lpn.files import printable
 from lpn.integrity import flaws
 from lpn.recipes import RECIPES
+from lpn.spec import views_of
 
 _RECIPES = {
     "University-1652": ("university1652", "small", "world"),
@@ -170,7 +171,7 @@ def _unanswered(dataset: Dataset) -> list[Lacking]:
     """Queries without a true match, which count as missed."""
     found: list[Lacking] = []
     for task in dataset.tasks():
-        query_view, gallery_view = task.split("-to-")
+        query_view, gallery_view = views_of(task)
         queries, truth = dataset.queries(query_view), dataset.truth(task)
         if truth is None:
             there = {picture.label for picture in dataset.gallery(gallery_view)}
@@ -217,7 +218,7 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
         known = geo.positions(dataset.root)
         if known is None:
             return None, None
-        tasks = [task.split("-to-") for task in dataset.tasks()]
+        tasks = [views_of(task) for task in dataset.tasks()]
         asked = [picture for view in {query for query, _ in tasks} for picture in dataset.queries(view)]
         shown = [picture for view in {gallery for _, gallery in tasks} for picture in dataset.gallery(view)]
         pictures = list({picture.path: picture for picture in asked + shown}.values())
@@ -238,7 +239,7 @@ def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
     if places and recipes:
         yield f"lpn train, on {places} places with {', '.join(train)}: --recipe {' or '.join(recipes)}"
     for task in dataset.tasks():
-        query_view, gallery_view = task.split("-to-")
+        query_view, gallery_view = views_of(task)
         queries, gallery = len(dataset.queries(query_view)), len(dataset.gallery(gallery_view))
         yield f"lpn evaluate --task {task}: {queries} queries, {gallery} pictures in the gallery"
     if tables := _tables(dataset, places > 0):

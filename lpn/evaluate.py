@@ -5,22 +5,22 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from lpn import features, geo, metrics
 from lpn.changes import UNCHANGED
-from lpn.datasets import Dataset, Truth
-from lpn.errors import InputError, PictureError
+from lpn.datasets import Dataset, Picture, Truth
+from lpn.errors import InputError
 from lpn.geo import FloatArray
-from lpn.integrity import flaws, naming
+from lpn.integrity import check_whole
 from lpn.metrics import IntArray
 from lpn.model import FloatArray as Descriptors
 from lpn.model import Model
 from lpn.protocol import Protocol, averaged, sentence
 from lpn.saved import Saved
-from lpn.spec import View
+from lpn.spec import View, views_of
 
 WITHIN = (25, 50, 100)
 """Distances in metres within which an answer counts as near."""
@@ -115,7 +115,7 @@ def evaluate(
             f"The task is {task!r}; {dataset.root.name} offers {', '.join(dataset.tasks()) or 'none'} in its test split."
         )
     protocol.chosen(model.n_parts)
-    query_view, gallery_view = cast("tuple[View, View]", tuple(task.split("-to-")))
+    query_view, gallery_view = views_of(task)
     query_branch, gallery_branch = (protocol.branch or view for view in (query_view, gallery_view))
     for branch in (query_branch, gallery_branch):
         _check_branch(model, branch, protocol)
@@ -157,18 +157,22 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
         raise InputError(
             f"{dataset.root.name} does not offer {missing[0]}; it offers {', '.join(dataset.tasks()) or 'no task'}."
         )
-    views = [cast("tuple[View, View]", tuple(task.split("-to-"))) for task in tasks]
-    lists = [pictures for q, g in views for pictures in (dataset.queries(q), dataset.gallery(g))]
-    files = list(dict.fromkeys(picture.path for pictures in lists for picture in pictures))
-    if broken := flaws(files):
-        raise PictureError(
-            f"{len(broken)} of {len(files)} test pictures of {dataset.root.name} cannot be described: "
-            f"{naming(broken, dataset.root)}; mend or remove them."
-        )
+    lists = lists_of(dataset, tasks)
+    files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
+    check_whole(files, f"test pictures of {dataset.root.name}", dataset.root)
     where = geo.positions(dataset.root)
     if where is not None:
-        for pictures in lists:
+        for pictures in lists.values():
             where.of(pictures)
+
+
+def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]:
+    """The pictures behind some tasks, each list once: "query drone", "gallery satellite", ..."""
+    queries = dict.fromkeys(views_of(task)[0] for task in tasks)
+    galleries = dict.fromkeys(views_of(task)[1] for task in tasks)
+    return {f"query {view}": dataset.queries(view) for view in queries} | {
+        f"gallery {view}": dataset.gallery(view) for view in galleries
+    }
 
 
 def evaluate_saved(saved: Saved, protocol: Protocol | None = None) -> Result:

@@ -31,7 +31,7 @@ from lpn.changes import UNCHANGED, Change
 from lpn.datasets import Picture, files_below
 from lpn.errors import DataError, InputError, LPNError, OutputError, PictureError, StoreError
 from lpn.files import alone, printable, write_whole
-from lpn.integrity import flaws, naming
+from lpn.integrity import check_whole
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 
@@ -219,10 +219,7 @@ def describe(
     before = _usable(out, manifest)
     if before is not None and before.manifest == manifest:
         return before
-    if broken := flaws(files):
-        raise PictureError(
-            f"{len(broken)} of {len(files)} pictures cannot be described: {naming(broken)}; mend or remove them."
-        )
+    check_whole(files, "pictures")
     try:
         out.mkdir(parents=True, exist_ok=True)
         with alone(out, wait=True):
@@ -311,9 +308,9 @@ def passing_descriptors(
 def _held(
     model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[Box | None]
 ) -> FloatArray | None:
-    """Descriptors of some of the files that a store has, so that a part of a folder does not replace the whole."""
+    """Descriptors of files that a store has, all or some, so that a part of a folder does not replace the whole."""
     store = _complete(folder)
-    if store is None or len(store.manifest.rows) <= len(files):
+    if store is None or len(store.manifest.rows) < len(files):
         return None
     rows = {row: position for position, row in enumerate(store.manifest.rows)}
     wanted = [rows.get(_row(file, None, box)) for file, box in zip(files, boxes, strict=True)]
@@ -322,7 +319,8 @@ def _held(
     )  # fmt: skip
     if None in wanted or not asked.comparable(store.manifest):
         return None
-    return store.float32[np.array(wanted, np.int64)]
+    whole = wanted == list(range(len(rows)))
+    return store.float32 if whole else store.float32[np.array(wanted, np.int64)]
 
 
 def cache_folder() -> Path:

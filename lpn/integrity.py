@@ -72,6 +72,22 @@ def flaws(files: Sequence[Path], decode: bool = False, report: Callable[[int], N
     return found
 
 
+def check_whole(files: Sequence[Path], said: str, root: Path | None = None) -> None:
+    """Stop where a picture is broken, before anything is made of the others.
+
+    Args:
+        said: what the files are, such as "pictures".
+        root: the folder their names are told from.
+
+    Raises:
+        PictureError: naming the first of them, each with what is wrong.
+    """
+    if broken := flaws(files):
+        raise PictureError(
+            f"{len(broken)} of {len(files)} {said} cannot be described: {naming(broken, root)}; mend or remove them."
+        )
+
+
 def naming(found: Mapping[Path, str], root: Path | None = None, most: int = 5) -> str:
     """The first of the files that `flaws` found, each with what is wrong, and how many more there are."""
     some = [

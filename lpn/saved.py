@@ -21,7 +21,7 @@ from lpn.errors import DataError, InputError
 from lpn.files import printable
 from lpn.metrics import IntArray
 from lpn.model import FloatArray
-from lpn.spec import VIEWS, View
+from lpn.spec import VIEWS, View, views_of
 
 _NORM_TOLERANCE = 0.01
 
@@ -82,7 +82,7 @@ class Saved:
         """
         tasks = dataset.tasks()
         for task in sorted(tasks, key=lambda task: task != self.task):
-            query_view, gallery_view = cast("tuple[View, View]", tuple(task.split("-to-")))
+            query_view, gallery_view = views_of(task)
             queries = _behind(self.query_paths, self.query_labels, dataset.queries(query_view))
             if queries is not None:
                 gallery = _behind(self.gallery_paths, self.gallery_labels, dataset.gallery(gallery_view))

@@ -23,6 +23,12 @@ def branch_of(pictures: str) -> View:
     return "street" if pictures == "google" else cast(View, pictures)
 
 
+def views_of(task: str) -> tuple[View, View]:
+    """The views of a task's queries and of its gallery: of "drone-to-satellite", drone and satellite."""
+    query, gallery = task.split("-to-")
+    return cast(View, query), cast(View, gallery)
+
+
 _ALLOWED: dict[str, tuple[Any, ...]] = {
     "backbone": ("resnet18", "resnet50", "vgg16_bn"),
     "last_layer": ("layer3", "layer4"),

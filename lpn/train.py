@@ -29,7 +29,7 @@ from lpn.network import LPN
 from lpn.places import Places
 from lpn.recipes import Recipe
 from lpn.selection import HeldOut, Judge, Row, TestSplit, best
-from lpn.spec import ModelSpec
+from lpn.spec import ModelSpec, views_of
 from lpn.state import State, read_state
 
 _EXPLODED = 10.0
@@ -42,7 +42,7 @@ class Trainer:
     """One training run in a folder, see docs/training.md for its files.
 
     Args:
-        dataset: in University-1652's layout.
+        dataset: with pictures to train on.
         out: the run's folder.
         recipe: every number of the training.
         init: weights for the backbone, loaded as far as they go.
@@ -99,7 +99,7 @@ class Trainer:
         self.learner = Learner(network, recipe, self.group)
         self.history: list[Row] = []
         self.first_loss = math.nan
-        tasks = [task for task in dataset.tasks() if set(task.split("-to-")) <= set(self.places.views)]
+        tasks = [task for task in dataset.tasks() if set(views_of(task)) <= set(self.places.views)]
         self.test_split = TestSplit(dataset, tasks) if tasks and (test or evaluate_every) else None
         self.judge: Judge | None = HeldOut(held) if held else self.test_split
         self._places_digest = self.places.digest(dataset.root)

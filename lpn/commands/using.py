@@ -36,7 +36,7 @@ class Explore:
     """Open the explorer in a browser."""
 
     data: Path | None = None
-    """Data set in University-1652's layout, of which the test split is shown; by default the demo."""
+    """Data set in any layout of docs/data.md, of which the test split is shown; by default the demo."""
     model: Path | None = None
     """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth; by default the demo's, for the demo."""
     saved: Path | None = None

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from lpn.errors import DataError
 from lpn.files import printable
 from lpn.images import SUFFIXES
+from lpn.spec import views_of
 
 log = logging.getLogger(__name__)
 
@@ -191,7 +192,7 @@ class ListedDataset(Dataset):
 
 def tasks_between(queries: Collection[str], galleries: Collection[str]) -> list[str]:
     """Every task from a view with queries to another with a gallery, the usual ones first."""
-    pairs = (task.split("-to-") for task in TASKS)
+    pairs = (views_of(task) for task in TASKS)
     return [f"{query}-to-{gallery}" for query, gallery in pairs if query in queries and gallery in galleries]
 
 

@@ -18,8 +18,9 @@ from lpn.reproduce import pictures, report, runs, starts
 from lpn.reproduce.measure import Notebook, shared_protocol
 from lpn.reproduce.paper import LANDMARKS, Values
 from lpn.reproduce.report import Column
-from lpn.reproduce.sources import Sources, open_sources
+from lpn.reproduce.sources import TASKS, Sources, open_sources
 from lpn.reproduce.tables import SCALES, Row, Scale, Table, Training, find, tables
+from lpn.spec import views_of
 
 _SHOWN = {"figure7": ("instance", "lpn"), "figure8": ("lpn",)}
 """The trainings of Table I that each drawn figure shows."""
@@ -79,21 +80,19 @@ class Reproduction:
             raise InputError(
                 "lpn reproduce is one process; train with torchrun -m lpn.cli train, and give it with --model."
             )
+        wanted = [find(key, self.scale) for key in keys if key not in _SHOWN]
         check_writable(self.out / "measured.json")
         with alone(self.out, wait=False):
-            return self._run(keys)
+            return self._run(wanted, [key for key in keys if key in _SHOWN])
 
-    def _run(self, keys: Sequence[str]) -> list[Path]:
-        wanted = [find(key, self.scale) for key in keys if key not in _SHOWN]
-        drawn = [key for key in keys if key in _SHOWN]
+    def _run(self, wanted: Sequence[Table], drawn: Sequence[str]) -> list[Path]:
         self._sources: Sources = open_sources(self.data, self.out)
         self._starts = starts.by_backbone(self.init)
         self._given = self._load(wanted)
         self._check(wanted, drawn)
         self._jobs = self._planned(wanted, drawn)
         for job in self._jobs:
-            if job.done or job.diverged:
-                job.check_same()
+            job.check_same()
         if self.train:
             runs.train(self._jobs, self.console)
         written: list[Path] = []
@@ -146,10 +145,7 @@ class Reproduction:
     def _is_copy(self, table: Table, training: Training) -> bool:
         """Whether a row of Table I would be the one above it again: there is no google to train with."""
         known = training.name == "lpn" and training.name not in self._given
-        return table.key == "table1" and known and not self._has_google()
-
-    def _has_google(self) -> bool:
-        return bool(self._sources.role("places").dataset.train("google"))
+        return table.key == "table1" and known and not self._sources.role("places").has_google
 
     def _models(self, table: Table, row: Row) -> dict[str, Model]:
         """The networks of a row by seed, or the one given."""
@@ -221,7 +217,8 @@ class Reproduction:
                 )
         if lost := [job.name for job in own if job.diverged]:
             said.append(f"Diverged, and given up: {', '.join(lost)}.")
-        if table.measure == "both ways" and "lpn" in names and "lpn" not in self._given and not self._has_google():
+        own_lpn = table.measure == "both ways" and "lpn" in names and "lpn" not in self._given
+        if own_lpn and not self._sources.role("places").has_google:
             said.append("There is no train/google, so LPN is trained without it.")
         return said
 
@@ -244,7 +241,7 @@ class Reproduction:
 
 def _check_fits(model: Model, file: Path, table: Table, row: Row) -> None:
     """Raise InputError where a given network cannot be measured for a row."""
-    needed = {"both ways": {"drone", "satellite"}, "ground": {"street", "satellite"}}.get(table.measure, {row.branch})
+    needed = {row.branch} if row.branch else {view for task in TASKS[table.measure] for view in views_of(task)}
     lacking = sorted(str(view) for view in needed - set(model.views))
     if lacking:
         raise InputError(

@@ -56,9 +56,7 @@ class Notebook:
 
 
 def _measured(row: Row, measure: Measure, model: Model, data: Sequence[Source]) -> list[Result]:
-    protocol = Protocol(Change(row.rotate), row.parts, row.branch if row.training else "street")
-    if measure != "landmarks":
-        protocol = Protocol(Change(row.rotate), row.parts)
+    protocol = Protocol(Change(row.rotate), row.parts, row.branch)
     return [evaluate(model, source.dataset, task, protocol) for source in data for task in TASKS[measure]]
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from typing import Any, cast
 
 import numpy as np
 
@@ -12,6 +10,7 @@ from lpn import explain, features, images, retrieval
 from lpn.datasets import Dataset, Picture
 from lpn.errors import InputError
 from lpn.model import Model
+from lpn.reproduce.plots import png, pyplot
 from lpn.spec import View
 
 TRUE, FALSE = "#f2c200", "#2f6fdb"
@@ -28,10 +27,9 @@ def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, names: Seque
     Raises:
         InputError: when there is no such query.
     """
-    plt = _pyplot()
     tiles = {picture.label: picture for picture in dataset.gallery("satellite")}
     chosen = named(dataset, names)
-    shown, axes = plt.subplots(
+    shown, axes = pyplot().subplots(
         2 * len(chosen), 1 + len(models), figsize=(2.1 * (1 + len(models)), 4.2 * len(chosen)), layout="constrained",
         squeeze=False,
     )  # fmt: skip
@@ -51,7 +49,7 @@ def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, names: Seque
                     )
                 if row == line == 0:
                     cell.set_title(models[column - 1][0] if column else "picture", fontsize=9)
-    return _png(shown, plt)
+    return png(shown, 100)
 
 
 def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 5) -> bytes:
@@ -63,12 +61,11 @@ def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 
     Raises:
         InputError: when there is no such query.
     """
-    plt = _pyplot()
     chosen = named(dataset, names)
     labels = {picture.label for picture in chosen}
     asked: list[tuple[Picture, View, View]] = [(picture, "drone", "satellite") for picture in chosen]
     asked += [(p, "satellite", "drone") for p in dataset.queries("satellite") if p.label in labels]
-    shown, axes = plt.subplots(
+    shown, axes = pyplot().subplots(
         len(asked), 1 + top, figsize=(1.7 * (1 + top), 1.85 * len(asked)), layout="constrained", squeeze=False
     )
     for row, (query, view, other) in zip(axes, asked, strict=True):
@@ -87,7 +84,7 @@ def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 
             cell.set_title(title, fontsize=7)
             for side in cell.spines.values():
                 side.set(linewidth=0 if query_cell else 3, color=TRUE if right else FALSE)
-    return _png(shown, plt)
+    return png(shown, 100)
 
 
 def named(dataset: Dataset, names: Sequence[str]) -> list[Picture]:
@@ -106,19 +103,3 @@ def named(dataset: Dataset, names: Sequence[str]) -> list[Picture]:
     if names or not pictures:
         return [by_name[name] for name in names]
     return [pictures[len(pictures) * step // 4] for step in range(min(4, len(pictures)))]
-
-
-def _pyplot() -> Any:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    return cast(Any, pyplot)
-
-
-def _png(shown: Any, plt: Any) -> bytes:
-    data = io.BytesIO()
-    shown.savefig(data, format="png", dpi=100, metadata={"Software": None})
-    plt.close(shown)
-    return data.getvalue()

@@ -12,6 +12,7 @@ from typing import Any
 from lpn.files import write_whole
 from lpn.reproduce.measure import Measured, by_column
 from lpn.reproduce.paper import CLAIMS, Claim
+from lpn.reproduce.plots import png, pyplot
 from lpn.reproduce.tables import Table
 
 _COLOURS = ("#1f5fbf", "#7fb2e5", "#c2571a", "#eba968")
@@ -132,14 +133,11 @@ def _csv(table: Table, measured: Measured, columns: Sequence[Column]) -> bytes:
 
 def figure(table: Table, measured: Measured, columns: Sequence[Column]) -> bytes:
     """The table as a PNG: bars, or lines where the rows are steps of one quantity."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
     labels = [row.label for row in table.rows]
     steps = table.key in ("table3", "table4", "figure5")
-    shown, axes = plt.subplots(figsize=(8.2, 3.9) if steps else (8.2, 0.5 * len(labels) + 1.6), layout="constrained")
+    shown, axes = pyplot().subplots(
+        figsize=(8.2, 3.9) if steps else (8.2, 0.5 * len(labels) + 1.6), layout="constrained"
+    )
     for index, column in enumerate(columns):
         of_row = {label: by_column(list(values.values()))[index] for label, values in measured.items()}
         run = [(place, of_row[label]) for place, label in enumerate(labels) if label in of_row]
@@ -159,10 +157,7 @@ def figure(table: Table, measured: Measured, columns: Sequence[Column]) -> bytes
     axes.set_title(table.title, loc="left", fontsize=11)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
-    data = io.BytesIO()
-    shown.savefig(data, format="png", dpi=110, metadata={"Software": None})
-    plt.close(shown)
-    return data.getvalue()
+    return png(shown, 110)
 
 
 def _draw(

@@ -21,7 +21,7 @@ from lpn.reproduce.tables import Training
 from lpn.train import Trainer
 
 _COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16_bn": 8.5}
-"""Time of a training step per pixel, ResNet-18 being one; a guess until epochs of each are on disk."""
+"""Time of a training step per pixel, ResNet-18 being one: a guess, which the estimate of the time left rests on."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +49,12 @@ class Job:
     @property
     def done(self) -> bool:
         """Whether it is trained to the end."""
-        return (self.folder / "finished.json").is_file()
+        return bool(self._noted("ended") == "finished")
 
     @property
     def diverged(self) -> bool:
         """Whether it was given up."""
-        return (self.folder / "diverged.json").is_file()
+        return bool(self._noted("ended") == "diverged")
 
     @property
     def model(self) -> Path:
@@ -77,33 +77,45 @@ class Job:
     def identity(self) -> dict[str, Any]:
         """All that decides what is trained."""
         return {
-            "recipe": json.loads(self.recipe.to_json()),
+            **json.loads(self.recipe.to_json()),
             "pictures": self.source.training_digest(self.recipe.google),
             "start": fingerprint(self.start) if self.start else None,
         }
 
     def check_same(self) -> None:
-        """Raise InputError unless a run that has ended is the one that is asked for."""
-        file = self.folder / ("finished.json" if self.done else "diverged.json")
-        try:
-            held: Any = json.loads(file.read_bytes())
-            before, asked = {**held["recipe"], **held}, self.identity()
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{file} is damaged; delete {self.folder}, and it is trained again.") from error
-        asked = {**asked["recipe"], "pictures": asked["pictures"], "start": asked["start"]}
-        differs = [key for key, value in asked.items() if key in before and before[key] != value]
+        """Raise InputError where the run on disk, finished or not, is another than the one asked for."""
+        if not any((self.folder / name).is_file() for name in ("job.json", "state.pt")):
+            return
+        before = self._noted("identity")
+        if not isinstance(before, dict):
+            raise InputError(
+                f"{self.folder} does not say what is trained there; delete it, and it is trained again, or give another --out."
+            )
+        # A setting that came with a later version had its default then.
+        differs = [key for key, value in self.identity().items() if key in before and before[key] != value]
         if differs:
             raise InputError(
                 f"{self.folder} was trained with another {', '.join(differs)}; give the same data and settings, or another --out."
             )
+
+    def note(self, ended: str | None) -> None:
+        """Write what is trained in the folder, and how it ended: "finished", "diverged", or None before it has."""
+        values = {"ended": ended, "identity": self.identity()}
+        write_whole(self.folder / "job.json", (json.dumps(values, indent=1) + "\n").encode())
+
+    def _noted(self, name: str) -> Any:
+        try:
+            held: Any = json.loads((self.folder / "job.json").read_bytes())
+            return held.get(name)
+        except (OSError, ValueError, AttributeError):
+            return None
 
 
 def train(work: Sequence[Job], console: Console) -> None:
     """Train what is not trained yet, one after the other; a training that diverges is given up, and the next one begins.
 
     Raises:
-        InputError: when a run on disk has another recipe, other pictures, or another start.
-        LPNError: as `lpn.train.Trainer`.
+        LPNError: as `lpn.train.Trainer`, but for a divergence.
     """
     left = [job for job in work if not job.done and not job.diverged]
     for position, job in enumerate(left):
@@ -112,15 +124,16 @@ def train(work: Sequence[Job], console: Console) -> None:
         if not resume:
             # A run that was killed before its first epoch was on disk.
             shutil.rmtree(job.folder, ignore_errors=True)
-        ended = "finished.json"
+        job.note(None)
+        ended = "finished"
         try:
             Trainer(
                 job.source.dataset, job.folder, job.recipe, job.start, resume=resume, console=console, test=False
             ).run()
         except DivergedError as error:
-            ended = "diverged.json"
+            ended = "diverged"
             console.print(f"{job.name} is given up. {error}", markup=False)
-        write_whole(job.folder / ended, (json.dumps(job.identity(), indent=1) + "\n").encode())
+        job.note(ended)
 
 
 def seconds_left(left: Sequence[Job], known: Sequence[Job]) -> float | None:

@@ -7,11 +7,12 @@ import importlib.util
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.errors import InputError
-from lpn.evaluate import check_test_split
+from lpn.evaluate import check_test_split, lists_of
 from lpn.reproduce import world
 from lpn.reproduce.tables import Measure, Role
 
@@ -23,29 +24,41 @@ TASKS: dict[Measure, tuple[str, ...]] = {
 """The tasks behind each kind of columns."""
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Source:
     """A data set, and whether it is of a rendered world."""
 
     dataset: Dataset
     rendered: bool
+    _digests: dict[str, str] = field(default_factory=dict, init=False)
 
     @property
     def name(self) -> str:
         """How a table calls it."""
         return "World" if self.rendered else self.dataset.root.resolve().name
 
+    @cached_property
+    def has_google(self) -> bool:
+        """Whether there are pictures of the ground from elsewhere to train with."""
+        return bool(self.dataset.train("google"))
+
     def training_digest(self, google: bool) -> str:
         """What identifies the pictures to train on: a network that is there is used for the same only."""
         names = ("satellite", "drone", "street", *(("google",) if google else ()))
-        return _digest(self.dataset.root, {name: self.dataset.train(name) for name in names}, None)
+        if (key := " ".join(names)) not in self._digests:
+            lists = {name: self.dataset.train(name) for name in names}
+            self._digests[key] = _digest(self.dataset.root, lists, None)
+        return self._digests[key]
 
     def test_digest(self, measure: Measure) -> str:
         """What identifies the pictures and true matches that figures are measured on."""
-        lists = self._lists(measure)
-        truth = {task: self.dataset.truth(task) for task in TASKS[measure]}
-        listed = {task: [[t.good.tolist(), t.junk.tolist()] for t in found] for task, found in truth.items() if found}
-        return _digest(self.dataset.root, lists, listed)
+        if measure not in self._digests:
+            truth = {task: self.dataset.truth(task) for task in TASKS[measure]}
+            listed = {
+                task: [[t.good.tolist(), t.junk.tolist()] for t in found] for task, found in truth.items() if found
+            }
+            self._digests[measure] = _digest(self.dataset.root, lists_of(self.dataset, TASKS[measure]), listed)
+        return self._digests[measure]
 
     def check(self, measure: Measure) -> None:
         """Find out at the start what would stop a measurement at the end.
@@ -54,16 +67,6 @@ class Source:
             LPNError: when a task is not offered, a picture is broken, or `geo.csv` does not cover the pictures.
         """
         check_test_split(self.dataset, TASKS[measure])
-
-    def _lists(self, measure: Measure) -> dict[str, list[Picture]]:
-        lists: dict[str, list[Picture]] = {}
-        for task in TASKS[measure]:
-            query, gallery = task.split("-to-")
-            lists |= {
-                f"query {query}": self.dataset.queries(query),
-                f"gallery {gallery}": self.dataset.gallery(gallery),
-            }
-        return lists
 
 
 @dataclass

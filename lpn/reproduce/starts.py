@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
@@ -10,14 +10,12 @@ import torch
 from torch import nn
 
 from lpn import checkpoints
+from lpn.backbones import CHANNELS
 from lpn.errors import InputError, ModelFileError
 from lpn.files import fingerprint
 from lpn.network import LPN
 from lpn.recipes import Recipe
 from lpn.spec import ModelSpec
-
-Starts = Mapping[str, Path]
-"""By backbone."""
 
 
 def by_backbone(files: Sequence[Path]) -> dict[str, Path]:
@@ -42,8 +40,7 @@ def features_alone(recipe: Recipe, init: Path) -> checkpoints.TorchModel:
     Raises:
         ModelFileError: when `init` lacks some of that backbone.
     """
-    shape = ModelSpec(recipe.backbone, recipe.last_layer, views=("street",), shared=False, input_size=recipe.input_size)
-    channels = LPN(shape).branch("street").model.channels
+    channels = CHANNELS[recipe.backbone, recipe.last_layer]
     spec = ModelSpec(
         recipe.backbone, recipe.last_layer, views=("street",), shared=False, n_parts=1, embedding=channels, classes=1,
         input_size=recipe.input_size,

@@ -218,7 +218,7 @@ def _of_size(size: int, scale: Scale, values: paper.Values) -> Row:
 def _carried() -> tuple[Row, ...]:
     labels = list(paper.TABLE6)
     branches: tuple[View, View] = ("satellite", "street")
-    rows = [Row(labels[0], None, paper.TABLE6[labels[0]])]
+    rows = [Row(labels[0], None, paper.TABLE6[labels[0]], branch="street")]
     of_branch = [(training, branch) for training in (_BASELINE, _LPN_ONLY) for branch in branches]
     for label, (training, branch) in zip(labels[1:], of_branch, strict=True):
         rows.append(Row(label, training, paper.TABLE6[label], branch=branch))

@@ -52,31 +52,26 @@ def prepare(world: Path, out: Path) -> dict[str, Path]:
 def _digest(world: Path) -> str:
     """What identifies a world and the pictures it has by now."""
     digest = hashlib.sha256((world / "world.json").read_bytes())
-    for split in ("train", "test"):
-        for file in sorted((world / split).rglob("*")):
-            if file.is_file():
-                digest.update(f"{file.relative_to(world)} {file.stat().st_size}\n".encode())
+    for file in _files(world):
+        digest.update(f"{file.relative_to(world)} {file.stat().st_size}\n".encode())
     return digest.hexdigest()[:12]
+
+
+def _files(world: Path) -> list[Path]:
+    return [file for split in ("train", "test") for file in sorted((world / split).rglob("*")) if file.is_file()]
 
 
 def _places(world: Path, streets: list[Picture], out: Path) -> None:
     made = out.with_name(out.name + ".new")
     shutil.rmtree(made, ignore_errors=True)
-    moved: dict[str, str] = {}
-    count: dict[int, int] = {}
+    of_place: dict[int, list[str]] = {}
     for picture in streets:
-        count[picture.label] = count.get(picture.label, 0) + 1
-    seen: dict[int, int] = {}
-    for picture in streets:
-        seen[picture.label] = seen.get(picture.label, 0) + 1
-        if 2 * seen[picture.label] > count[picture.label]:
-            name = picture.path.relative_to(world).as_posix()
-            moved[name] = name.replace("train/street/", "train/google/", 1)
-    for split in ("train", "test"):
-        for file in sorted((world / split).rglob("*")):
-            if file.is_file():
-                name = file.relative_to(world).as_posix()
-                _link(file, made / moved.get(name, name))
+        of_place.setdefault(picture.label, []).append(picture.path.relative_to(world).as_posix())
+    later = [name for names in of_place.values() for name in names[len(names) // 2 :]]
+    moved = {name: name.replace("train/street/", "train/google/", 1) for name in later}
+    for file in _files(world):
+        name = file.relative_to(world).as_posix()
+        _link(file, made / moved.get(name, name))
     if (world / "geo.csv").is_file():
         with (world / "geo.csv").open(newline="") as source:
             rows = list(csv.DictReader(source))

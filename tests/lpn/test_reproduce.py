@@ -147,6 +147,35 @@ def test_a_run_killed_at_its_very_start_and_one_that_diverged_do_not_block(
     assert "| n = 8 | not run |" not in text
 
 
+def test_an_unfinished_run_goes_on_only_as_it_began(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, out, longer = Trainer._epoch, tmp_path / "out", {**QUICK, "epochs": 2}
+
+    def stop(self: Trainer, epoch: int, *rest: Any) -> Any:
+        if epoch == 1:
+            raise KeyboardInterrupt
+        return original(self, epoch, *rest)
+
+    monkeypatch.setattr(Trainer, "_epoch", stop)
+    with pytest.raises(KeyboardInterrupt):
+        reproduction(places, out, changes=longer).run(["table4"])
+    monkeypatch.setattr(Trainer, "_epoch", original)
+    start = tmp_path / "start.safetensors"
+    save(worlds.make_network(), start)
+    with pytest.raises(InputError, match="another start"):
+        reproduction(places, out, init=[start], changes=longer).run(["table4"])
+    note = out / "runs" / "lpn-seed0" / "job.json"
+    kept = note.read_bytes()
+    note.write_bytes(b"{")
+    with pytest.raises(InputError, match="does not say what is trained there"):
+        reproduction(places, out, changes=longer).run(["table4"])
+    note.write_bytes(kept)
+    made = reproduction(places, out, changes=longer)
+    made.run(["table4"])
+    assert "Going on after epoch 1 of 2" in said(made)
+
+
 def test_given_models_stand_for_trainings(places: Path, tmp_path: Path) -> None:
     model = worlds.make_model(tmp_path)
     made = reproduction(places, tmp_path / "out", models={"": model, "instance": model}, train=False)
