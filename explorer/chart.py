@@ -10,8 +10,7 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from explorer import overlays
-from lpn import geo, images
+from lpn import geo, images, overlays
 from lpn.geo import Position
 from lpn.images import Picture
 

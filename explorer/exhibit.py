@@ -11,11 +11,11 @@ from threading import Lock
 import numpy as np
 import numpy.typing as npt
 
-from explorer import chart, overlays
+from explorer import chart
 from explorer.chart import Places
 from explorer.layout import layout_for
 from explorer.session import TRUTH, State
-from lpn import explain, geo, images, retrieval
+from lpn import explain, geo, images, overlays, retrieval
 from lpn.city import CityModel
 from lpn.datasets import Picture as Entry
 from lpn.datasets import Truth
@@ -142,7 +142,7 @@ class Exhibit:
         task = self.tasks[name]
         picture = images.load_picture(task.gallery[index].path)
         if self.model is None:
-            return Described(picture, task.descriptors[index], None)
+            return Described(picture, task.descriptors[index], None, None)
         return retrieval.describe_picture(self.model, picture, task.gallery_view)
 
     def _make_thumbnail(self, path: Path) -> str:
@@ -214,5 +214,5 @@ class Analyst:
     def _described(self, task: Task, state: State) -> Described:
         model = self._exhibit.model
         if model is None:
-            return Described(self._picture, task.asked[state.query], None)
+            return Described(self._picture, task.asked[state.query], None, None)
         return retrieval.describe_picture(model, self._picture, task.query_view, state.angle)

@@ -10,13 +10,12 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from explorer import overlays
 from explorer.chart import Places
 from explorer.exhibit import Answer, Exhibit
 from explorer.planes import Plane, Rotation
 from explorer.session import State
 from explorer.viewpoint import AT, PICTURE, SIDE, Viewpoint, over
-from lpn import geo
+from lpn import geo, overlays
 
 _LINES = 0.2
 _WORDS = SIDE - 2 * PICTURE

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from explorer import overlays, words
+from explorer import words
 from explorer.exhibit import Answer, Exhibit, Task
+from lpn import overlays
 from lpn.retrieval import Match
 
 STYLE = """<style>

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from explorer import overlays
+from lpn import overlays
 from lpn.images import Picture
 
 Rotation = tuple[float, float, float, float]

@@ -11,14 +11,13 @@ import numpy.typing as npt
 import viser
 from PIL.ImageDraw import ImageDraw
 
-from explorer import overlays
 from explorer.exhibit import Answer, Exhibit
 from explorer.gallery_map import GalleryMap
 from explorer.layout import CAPTION, Layout, Point
 from explorer.planes import UPRIGHT, Plane, Rotation, title
 from explorer.session import State
 from explorer.viewpoint import Viewpoint
-from lpn import images
+from lpn import images, overlays
 from lpn.images import Picture
 from lpn.retrieval import Described, Match
 from lpn.spec import View

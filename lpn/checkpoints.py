@@ -18,7 +18,7 @@ from torch import Tensor
 
 from lpn.errors import ModelFileError
 from lpn.files import fingerprint, printable, write_whole
-from lpn.model import FloatArray, Heads, Model
+from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.network import LPN, map_size
 from lpn.spec import BRANCH, ModelSpec, View
 
@@ -38,14 +38,15 @@ class TorchModel(Model):
         self.spec = network.spec
         self.fingerprint = fingerprint
 
-    def run(self, images: FloatArray, view: View) -> tuple[FloatArray, FloatArray]:
-        """One forward pass: part embeddings (B, n, D) and feature map (B, C, h, w)."""
+    def run(self, images: FloatArray, view: View) -> Pass:
+        """One forward pass of pictures (B, 3, H, W)."""
         device = next(self.network.parameters()).device
         # Left to itself, cuDNN convolves in TF32, whose ten-bit mantissa moves descriptors by more than 1e-4.
         precise = torch.backends.cudnn.flags(allow_tf32=False) if device.type == "cuda" else nullcontext()
         with torch.inference_mode(), precise:
-            parts, features = self.network.embed(torch.tensor(images, device=device), view)
-        return cast(FloatArray, parts.cpu().numpy()), cast(FloatArray, features.cpu().numpy())
+            found = self.network.embed(torch.tensor(images, device=device), view)
+        parts, features, attention = (None if tensor is None else tensor.cpu().numpy() for tensor in found)
+        return Pass(cast(FloatArray, parts), cast(FloatArray, features), attention)
 
     def map_size(self, view: View) -> tuple[int, int]:
         """(h, w) of the feature map of a picture of the model's input size."""

@@ -15,7 +15,7 @@ import onnxruntime as ort
 
 from lpn.errors import InputError, ModelFileError
 from lpn.files import fingerprint
-from lpn.model import FloatArray, Heads, Model
+from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.spec import ModelSpec, View
 
 FORMAT = "lpn-explorer-onnx/1"
@@ -60,11 +60,12 @@ class Engine(Model):
             self._sessions.update(dict.fromkeys(group, session))
         self.fingerprint = fingerprint(*files)
 
-    def run(self, images: FloatArray, view: View) -> tuple[FloatArray, FloatArray]:
-        """One forward pass: part embeddings (B, n, D) and feature map (B, C, h, w)."""
+    def run(self, images: FloatArray, view: View) -> Pass:
+        """One forward pass of pictures (B, 3, H, W) of the model's input size."""
         self._check_size(images, view)
-        parts, features = self._sessions[view].run(list(OUTPUTS), {"images": images})
-        return cast(FloatArray, parts), cast(FloatArray, features)
+        names = [*OUTPUTS, *(SAFA_OUTPUTS if self.spec.pooling == "safa" else ())]
+        found = cast("list[FloatArray]", self._sessions[view].run(names, {"images": images}))
+        return Pass(found[0], found[1], found[2] if len(found) > 2 else None)
 
     def _parts(self, images: FloatArray, view: View) -> FloatArray:
         self._check_size(images, view)

@@ -1,19 +1,36 @@
-"""Why a tile is where it is in the ranking: each part's exact share of the distance, and what each part responds to.
+"""Why a tile is where it is in the ranking: each part's exact share, and which cells of either picture it comes from.
 
 With parts q_i, g_i of norm 1/sqrt(n) and part weights w_i that sum to one, cos_i = n q_i . g_i and
 
     score = sum_i w_i cos_i,        distance^2 = 2 - 2 score = sum_i 2 w_i (1 - cos_i).
+
+A test-time head is affine, so a part's raw embedding is a sum over the cells x of the feature maps F_p of the picture (and
+of its mirror, folded back) and one constant: e_i = sum_p sum_x a_pi(x) A_i F_p(x) + c_i. Hence, with the tile's part u_i of
+norm one,
+
+    cos_i = sum_x <sum_p a_pi(x) A_i F_p(x), u_i> / |e_i|  +  <c_i, u_i> / |e_i|,
+
+a signed map and one constant; and the same on the tile's side. Where a head ends in a LeakyReLU its slopes, and with SAFA the
+weights of the cells, are held as they are for this picture. It accounts for the score; it does not say what the score would be
+were a cell not there, which `lpn.occlusion` measures.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 from lpn.errors import InputError
-from lpn.model import FloatArray
+from lpn.model import FloatArray, Heads, Model, Pass, normalise
+from lpn.spec import View
+
+Exact = npt.NDArray[np.float64]
+
+LEAK = 0.1
+"""Slope of a head's LeakyReLU below zero."""
 
 
 def part_weights(n: int, values: npt.ArrayLike | None = None) -> FloatArray:
@@ -48,3 +65,212 @@ def activation(features: FloatArray) -> FloatArray:
     total = features.sum(axis=0)
     low, high = float(total.min()), float(total.max())
     return cast(FloatArray, ((total - low) / max(high - low, 1e-12)).astype(np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """Each part's cosine as a sum over one picture's cells and one constant.
+
+    Attributes:
+        cells: signed share of each cell in each part's cosine, (n, h, w); 0 where a cell does not belong to the part.
+        constants: what comes from no cell, (n,).
+    """
+
+    cells: Exact
+    constants: Exact
+
+    def total(self, weights: FloatArray) -> Exact:
+        """Each cell's share of the score under part weights, (h, w)."""
+        return cast(Exact, np.tensordot(weights.astype(np.float64), self.cells, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """The score of a pair, accounted for on the side of the query and on that of the tile.
+
+    Attributes:
+        cosines: of each part, (n,).
+        weights: part weights that sum to one, (n,).
+    """
+
+    cosines: Exact
+    weights: FloatArray
+    query: Side
+    tile: Side
+
+    @property
+    def contributions(self) -> Exact:
+        """What each part adds to the score, (n,)."""
+        return self.cosines * self.weights
+
+    @property
+    def score(self) -> float:
+        """Weighted mean cosine, -1 .. 1."""
+        return float(self.contributions.sum())
+
+    @property
+    def distance2(self) -> float:
+        """Squared distance, 0 .. 4."""
+        return 2.0 - 2.0 * self.score
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """What a description leaves to account for it.
+
+    Attributes:
+        embedding: raw part embeddings, the mirror's added, (n, D).
+        features: the feature map of each of P passes, the mirror's turned back, (P, C, h, w).
+        cells: weight of each cell in each part of each pass, (P, n, M, h, w); M is 1, or SAFA's number of maps.
+        heads: the affine heads; None with SAFA, whose parts are the weighted sums themselves.
+        slopes: of a head's LeakyReLU for each number of each pass's embedding, (P, n, D); None without one.
+    """
+
+    embedding: FloatArray
+    features: FloatArray
+    cells: FloatArray
+    heads: Heads | None
+    slopes: FloatArray | None
+
+    @classmethod
+    def of(cls, model: Model, found: Pass, view: View) -> Trace:
+        """The trace of one forward pass: of a picture alone, or of a picture and its mirror as a batch of two."""
+        attention = found.attention
+        heads = None if attention is not None else model.heads(view)
+        if heads is None:
+            cells = cast(FloatArray, attention)
+        else:
+            # A model in PyTorch takes pictures of other sizes than it was trained on; then the cells are others.
+            size = found.features.shape[2:]
+            weights = heads.cells if heads.cells.shape[1:] == size else model.spec.partition(view).weights(*size)
+            cells = np.broadcast_to(weights[None, :, None], (len(found.parts), len(weights), 1, *size))
+        leaky = heads is not None and model.spec.activation == "leaky_relu"
+        slopes = np.where(found.parts > 0, np.float32(1), np.float32(LEAK)) if leaky else None
+        embedding = cast(FloatArray, found.parts.sum(axis=0))
+        return cls(embedding, _upright(found.features), _upright(cells), heads, slopes)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(h, w) of the feature map."""
+        return self.features.shape[2], self.features.shape[3]
+
+    def along(self, direction: npt.NDArray[np.floating]) -> tuple[Exact, Exact]:
+        """The inner product of the embedding with a direction (n, D), part by part, as cells (n, h, w) and constants (n,)."""
+        passes, channels = self.features.shape[:2]
+        parts, maps = self.cells.shape[1:3]
+        direction = direction.astype(np.float32)
+        constants = np.zeros(parts)
+        if self.heads is None:
+            pulled = np.broadcast_to(direction.reshape(1, parts * maps, channels), (passes, parts * maps, channels))
+        else:
+            turned = np.broadcast_to(direction, (passes, *direction.shape))
+            turned = turned if self.slopes is None else turned * self.slopes
+            pulled = np.matmul(turned.transpose(1, 0, 2), self.heads.weight).transpose(1, 0, 2)
+            constants = np.einsum("pnd,nd->n", turned, self.heads.bias, dtype=np.float64)
+        responses = np.matmul(pulled, self.features.reshape(passes, channels, -1))
+        shares = responses.reshape(self.cells.shape) * self.cells
+        return shares.sum(axis=(0, 2), dtype=np.float64), constants
+
+    def vectors(self, part: int, only: npt.NDArray[np.bool_] | None = None) -> FloatArray:
+        """What each cell adds to a part's embedding, (h * w, D), row by row; their sum and the constant are the embedding.
+
+        Args:
+            only: cells (h, w) to sum over, which gives (D,) in place of one row for each cell.
+        """
+        flat = self.features.reshape(*self.features.shape[:2], -1)
+        found: FloatArray | None = None
+        for number, (features, cells) in enumerate(zip(flat, self.cells[:, part], strict=True)):
+            weights = cells.reshape(len(cells), -1)
+            if only is None:
+                pooled = features * weights[:, None]
+            else:
+                pooled = np.matmul(features, (weights * only.reshape(-1)).T).T[..., None]
+            if self.heads is None:
+                added = pooled.reshape(-1, pooled.shape[-1])
+            else:
+                added = self.heads.weight[part] @ pooled[0]
+                added = added if self.slopes is None else added * self.slopes[number, part][:, None]
+            found = added if found is None else found + added
+        assert found is not None
+        return found.T if only is None else found[:, 0]
+
+    def region(self, cells: npt.NDArray[np.bool_]) -> FloatArray:
+        """A query of some cells alone, (n, D) of norm one: its inner products order a gallery by what they add to its scores.
+
+        Parts without such a cell are zero; the constants, which come from no cell, are left out.
+
+        Args:
+            cells: which cells are meant, (h, w).
+
+        Raises:
+            InputError: when they are not as many as the feature map has, or none of them belongs to a part.
+        """
+        if cells.shape != self.size:
+            raise InputError(f"The region has {cells.shape} cells; the feature map has {self.size}.")
+        parts = np.stack([self.vectors(part, cells) for part in range(len(self.embedding))])
+        parts /= np.maximum(np.linalg.norm(self.embedding, axis=1, keepdims=True), 1e-12)
+        norm = float(np.linalg.norm(parts))
+        if norm < 1e-12:
+            raise InputError("No cell is painted; paint some of the query, and search again.")
+        return cast(FloatArray, parts / np.float32(norm))
+
+
+def side(trace: Trace, other: npt.NDArray[np.floating]) -> Side:
+    """A picture's cells, each with its share in the cosines with another picture's descriptor or embedding (n, D)."""
+    units = other / np.maximum(np.linalg.norm(other, axis=1, keepdims=True), 1e-12)
+    norms = np.maximum(np.linalg.norm(trace.embedding.astype(np.float64), axis=1), 1e-12)
+    cells, constants = trace.along(units)
+    return Side(cells / norms[:, None, None], constants / norms)
+
+
+def evidence(query: Trace, tile: Trace, weights: FloatArray | None = None) -> Evidence:
+    """Account for the score of a pair, cell by cell, on both sides.
+
+    Args:
+        weights: part weights that sum to one, see `part_weights`; equal by default.
+
+    Raises:
+        InputError: when the two are not of one model.
+    """
+    if query.embedding.shape != tile.embedding.shape:
+        raise InputError(
+            f"The query has parts of shape {query.embedding.shape}, the tile {tile.embedding.shape}; describe both with one "
+            "model."
+        )
+    n = len(query.embedding)
+    weights = part_weights(n) if weights is None else weights
+    first, second = (normalise(trace.embedding).astype(np.float64) for trace in (query, tile))
+    return Evidence(n * (first * second).sum(axis=1), weights, side(query, tile.embedding), side(tile, query.embedding))
+
+
+def links(query: Trace, tile: Trace, part: int) -> FloatArray:
+    """How much of a part's cosine each cell of the query shares with each of the tile: (h w, h' w'), both row by row.
+
+    A row's sum, and what the query's cell shares with the tile's constant, is that cell's share in `Evidence.query`.
+    """
+    norms = float(np.linalg.norm(query.embedding[part]) * np.linalg.norm(tile.embedding[part]))
+    return cast(FloatArray, query.vectors(part) @ tile.vectors(part).T / np.float32(max(norms, 1e-12)))
+
+
+def counterparts(query: Trace, tile: Trace) -> list[npt.NDArray[np.int64]]:
+    """For each part the cell of the tile that agrees most with each cell of the query, row by row: n times (h w,).
+
+    -1 for cells of the query outside of the part.
+    """
+    found = []
+    for part in range(len(query.embedding)):
+        shared = links(query, tile, part)
+        shared[:, ~_within(tile, part)] = -np.inf
+        best = shared.argmax(axis=1)
+        best[~_within(query, part)] = -1
+        found.append(best)
+    return found
+
+
+def _within(trace: Trace, part: int) -> npt.NDArray[np.bool_]:
+    return cast("npt.NDArray[np.bool_]", (trace.cells[:, part] != 0).any(axis=(0, 1)).reshape(-1))
+
+
+def _upright(values: FloatArray) -> FloatArray:
+    """The second of two passes is of the mirrored picture: turn its columns back."""
+    return values if len(values) == 1 else np.concatenate([values[:1], values[1:, ..., ::-1]])

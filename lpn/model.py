@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,20 @@ class Heads:
     cells: FloatArray
 
 
+class Pass(NamedTuple):
+    """What one forward pass gives.
+
+    Attributes:
+        parts: raw head outputs, (B, n, D).
+        features: the last feature map, (B, C, h, w).
+        attention: SAFA's weights of each picture's cells, (B, n, M, h, w); None where all pictures' cells weigh alike.
+    """
+
+    parts: FloatArray
+    features: FloatArray
+    attention: FloatArray | None
+
+
 class Model(ABC):
     """A trained LPN, ready to describe pictures.
 
@@ -60,8 +74,8 @@ class Model(ABC):
         return self.spec.views
 
     @abstractmethod
-    def run(self, images: FloatArray, view: View) -> tuple[FloatArray, FloatArray]:
-        """One forward pass: part embeddings (B, n, D) and feature map (B, C, h, w)."""
+    def run(self, images: FloatArray, view: View) -> Pass:
+        """One forward pass of pictures (B, 3, H, W)."""
 
     @abstractmethod
     def heads(self, view: View) -> Heads:
@@ -123,7 +137,7 @@ class Model(ABC):
 
     def _parts(self, images: FloatArray, view: View) -> FloatArray:
         """The part embeddings of one chunk; for models that can leave the feature map out."""
-        return self.run(images, view)[0]
+        return self.run(images, view).parts
 
     def _batch(self, images: Any, view: View) -> FloatArray:
         self.check_view(view)

@@ -166,19 +166,20 @@ class LPN(nn.Module):
 
     def forward(self, images: Tensor, view: View) -> tuple[Tensor, Tensor]:
         """Part embeddings (B, n, D), the raw head outputs, and class scores (B, n, classes), of which SAFA has none."""
-        embeddings, _ = self.embed(images, view)
+        embeddings = self.embed(images, view)[0]
         if not self.heads:
             return embeddings, embeddings[..., :0]
         scores = torch.stack([head.classifier(embeddings[:, i]) for i, head in enumerate(self.heads)], 1)
         return embeddings, scores
 
-    def embed(self, images: Tensor, view: View) -> tuple[Tensor, Tensor]:
-        """Part embeddings (B, n, D) and the feature map (B, C, h, w) they were pooled from."""
+    def embed(self, images: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Part embeddings (B, n, D), the feature map (B, C, h, w) they were pooled from, and SAFA's `attention` or None."""
         features = self.features(images, view)
         if self.spec.pooling == "safa":
-            return weigh(features, self.attention(features, view)), features
+            attention = self.attention(features, view)
+            return weigh(features, attention), features, attention
         pooled = self.pool(features, view)
-        return torch.stack([head.add_block(pooled[:, i]) for i, head in enumerate(self.heads)], 1), features
+        return torch.stack([head.add_block(pooled[:, i]) for i, head in enumerate(self.heads)], 1), features, None
 
 
 def weigh(features: Tensor, attention: Tensor) -> Tensor:

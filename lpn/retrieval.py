@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 from lpn import explain, images
 from lpn.datasets import Truth
+from lpn.explain import Trace
 from lpn.images import Picture
 from lpn.metrics import JUNK
 from lpn.model import FloatArray, Model, normalise
@@ -24,11 +24,13 @@ class Described:
         picture: the turned picture, (H, W, 3) uint8.
         descriptor: parts of norm 1/sqrt(n), (n, D).
         activation: channel sum of the last feature map, (h, w), 0 .. 1; None where no network was at hand.
+        trace: what accounts for the descriptor cell by cell; None where no network was at hand.
     """
 
     picture: Picture
     descriptor: FloatArray
     activation: FloatArray | None
+    trace: Trace | None
 
 
 @dataclass(frozen=True)
@@ -113,9 +115,8 @@ def describe_picture(model: Model, picture: Picture, view: View, angle: float = 
     turned = images.rotate(picture, angle)
     prepared = model.prepare(turned, view)
     batch = [prepared, prepared[..., ::-1]] if model.spec.mirrored else [prepared]
-    parts, features = model.run(np.stack(batch), view)
-    descriptor = normalise(cast(FloatArray, parts.sum(axis=0)))
-    return Described(turned, descriptor, explain.activation(features[0]))
+    trace = Trace.of(model, model.run(np.stack(batch), view), view)
+    return Described(turned, normalise(trace.embedding), explain.activation(trace.features[0]), trace)
 
 
 def rank(

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explorer import overlays, pages, words
+from explorer import pages, words
 from explorer.exhibit import Analyst, Exhibit
 from explorer.opening import open_model
 from explorer.session import State, Upload
+from lpn import overlays
 from lpn.errors import DataError, InputError
 from lpn.partition import Partition
 from tests import worlds

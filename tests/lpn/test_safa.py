@@ -89,7 +89,7 @@ def test_a_descriptor_is_what_plain_loops_make_of_the_map() -> None:
     built = network()
     model = TorchModel(built)
     images = seeded.pictures(3, 2, 32, 160)
-    parts, features = model.run(images, "drone")
+    parts, features, _ = model.run(images, "drone")
     assert features.shape == (2, 256, 2, 10)
     expected = np.zeros((2, 4, 3, 256))
     for picture in range(2):
@@ -116,7 +116,7 @@ def test_attention_lies_inside_its_strip_and_makes_the_embedding() -> None:
     built = network()
     images = torch.from_numpy(seeded.pictures(4, 2, 32, 160))
     with torch.inference_mode():
-        parts, features = built.embed(images, "satellite")
+        parts, features, _ = built.embed(images, "satellite")
         attention = built.attention(features, "satellite")
         assert attention.shape == (2, 4, 3, 2, 10)
         for part in range(4):
@@ -212,9 +212,9 @@ def test_a_saved_and_an_exported_model_answer_as_the_network(model_file: Path) -
     )
     assert original.spec == saved.spec == exported.spec
     for view in SPEC.views:
-        parts, features = original.run(images, view)
+        parts, features, _ = original.run(images, view)
         np.testing.assert_array_equal(saved.part_embeddings(images, view), parts)
-        found, found_features = exported.run(images, view)
+        found, found_features, _ = exported.run(images, view)
         assert np.abs(found - parts).max() <= 1e-4 * np.abs(parts).max()
         assert np.abs(found_features - features).max() <= 1e-4 * np.abs(features).max()
         np.testing.assert_allclose(exported.descriptors(images, view), original.descriptors(images, view), atol=1e-5)

@@ -1,0 +1,211 @@
+"""Exact evidence: that it adds up, on every kind of model, and belongs to the pair and the trained network."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+
+from lpn import explain, images, retrieval
+from lpn.checkpoints import TorchModel, save
+from lpn.commands.using import DEMO
+from lpn.datasets import open_dataset
+from lpn.engine import Engine
+from lpn.errors import InputError
+from lpn.export import export
+from lpn.model import Model
+from lpn.network import LPN
+from lpn.retrieval import Described
+from lpn.spec import ModelSpec, View
+
+SPECS = {
+    "rings": ModelSpec("resnet18", "layer3", n_parts=4, embedding=24, classes=5, input_size=(64, 64)),
+    "area": ModelSpec("resnet18", "layer3", n_parts=2, embedding=24, classes=5, input_size=(64, 64), weighting="area"),
+    # A map of 4 x 4 is resized before it is cut into eight rings.
+    "resized": ModelSpec("resnet18", "layer3", n_parts=8, embedding=24, classes=5, input_size=(64, 64)),
+    "whole": ModelSpec("resnet18", "layer3", n_parts=1, embedding=24, classes=5, input_size=(64, 64)),
+    "leaky": ModelSpec(
+        "resnet18", "layer3", n_parts=4, embedding=24, classes=5, input_size=(64, 64), activation="leaky_relu"
+    ),
+    "rings and rows": ModelSpec(
+        "vgg16_bn", views=("satellite", "street"), shared=False, layout="cvusa", n_parts=4, embedding=24, classes=5,
+        input_size=(64, 64),
+    ),
+    "columns": ModelSpec(
+        "resnet18", "layer3", views=("satellite", "street"), shared=False, layout="strips", n_parts=3, embedding=24,
+        classes=5, input_size=(64, 128),
+    ),
+    "safa": ModelSpec(
+        "resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=3, maps=2, embedding=2 * 256,
+        input_size=(48, 128), pooling="safa", polar=True,
+    ),
+}  # fmt: skip
+
+
+def network(spec: ModelSpec, seed: int = 0) -> LPN:
+    """A network whose norms have seen something: untrained ones have heads without constants."""
+    torch.manual_seed(seed)
+    made = LPN(spec)
+    for module in made.modules():
+        if isinstance(module, torch.nn.BatchNorm1d):
+            module.running_mean = 0.3 * torch.randn_like(module.weight)
+            module.bias.data = 0.3 * torch.randn_like(module.weight)
+    return made
+
+
+def pair(model: Model, seed: int = 1) -> tuple[Described, Described]:
+    """A query and a tile of noise and shapes, described."""
+    rng = np.random.default_rng(seed)
+    query_view: View = "drone" if "drone" in model.views else "street"
+    pictures = [rng.integers(0, 256, (60, 80, 3)).astype(np.uint8) for _ in range(2)]
+    return (
+        retrieval.describe_picture(model, pictures[0], query_view),
+        retrieval.describe_picture(model, pictures[1], "satellite"),
+    )
+
+
+def evidence(one: Described, other: Described, weights: explain.FloatArray | None = None) -> explain.Evidence:
+    assert one.trace is not None
+    assert other.trace is not None
+    return explain.evidence(one.trace, other.trace, weights)
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_cells_and_constants_add_up_to_each_cosine_on_both_sides(name: str) -> None:
+    model = TorchModel(network(SPECS[name]))
+    query, tile = pair(model)
+    n = model.n_parts
+    weights = explain.part_weights(n, 1.0 + np.arange(n))
+    found = evidence(query, tile, weights)
+    cosines = explain.part_cosines(query.descriptor, tile.descriptor[None])[0]
+    np.testing.assert_allclose(found.cosines, cosines, atol=1e-5)
+    for side in (found.query, found.tile):
+        np.testing.assert_allclose(side.cells.sum(axis=(1, 2)) + side.constants, cosines, atol=1e-5)
+    assert found.score == pytest.approx(float(cosines @ weights), abs=1e-5)
+    assert found.query.total(weights).sum() + found.query.constants @ weights == pytest.approx(found.score, abs=1e-5)
+    if model.spec.pooling == "average":
+        # The constants are told from the cells, not made up for what is missing.
+        assert np.abs(found.query.constants).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["rings", "leaky", "columns", "safa"])
+def test_links_add_up_to_each_cell_and_turn_around_with_the_pair(name: str) -> None:
+    model = TorchModel(network(SPECS[name]))
+    query, tile = pair(model)
+    assert query.trace is not None
+    assert tile.trace is not None
+    found, turned = evidence(query, tile), evidence(tile, query)
+    np.testing.assert_allclose(found.query.cells, turned.tile.cells, atol=1e-6)
+    np.testing.assert_allclose(found.tile.constants, turned.query.constants, atol=1e-6)
+    for part in range(model.n_parts):
+        shared = explain.links(query.trace, tile.trace, part)
+        np.testing.assert_allclose(shared, explain.links(tile.trace, query.trace, part).T, atol=1e-6)
+        # What a query's cell shares with the tile's constant is no cell's.
+        constant = tile.trace.embedding[part] - tile.trace.vectors(part).sum(axis=0)
+        norms = np.linalg.norm(query.trace.embedding[part]) * np.linalg.norm(tile.trace.embedding[part])
+        rest = query.trace.vectors(part) @ constant / norms
+        np.testing.assert_allclose(shared.sum(axis=1) + rest, found.query.cells[part].reshape(-1), atol=1e-5)
+
+
+def test_a_counterpart_is_the_tile_s_cell_of_the_same_part_that_agrees_most() -> None:
+    model = TorchModel(network(replace(SPECS["rings"], n_parts=2)))
+    query, tile = pair(model)
+    assert query.trace is not None
+    assert tile.trace is not None
+    labels = model.spec.partition("drone").labels(4, 4).reshape(-1)
+    for part, best in enumerate(explain.counterparts(query.trace, tile.trace)):
+        np.testing.assert_array_equal(best == -1, labels != part)
+        assert (labels[best[best >= 0]] == part).all()
+        shared = explain.links(query.trace, tile.trace, part)
+        for cell in np.flatnonzero(best >= 0):
+            assert shared[cell, best[cell]] == shared[cell, labels == part].max()
+
+
+@pytest.mark.parametrize("name", ["rings", "leaky", "safa"])
+def test_a_region_s_search_orders_by_what_its_cells_add_to_each_score(name: str) -> None:
+    model = TorchModel(network(SPECS[name]))
+    query, _ = pair(model)
+    assert query.trace is not None
+    rng = np.random.default_rng(3)
+    painted = np.zeros(query.trace.size, bool)
+    painted[1:3, 0:3] = True
+    region = query.trace.region(painted)
+    assert np.linalg.norm(region) == pytest.approx(1.0, abs=1e-5)
+    gallery = rng.normal(size=(6, *region.shape)).astype(np.float32)
+    gallery /= np.linalg.norm(gallery, axis=2, keepdims=True) * np.sqrt(model.n_parts)
+    added = [explain.side(query.trace, tile).cells.mean(axis=0)[painted].sum() for tile in gallery]
+    cosines = explain.part_cosines(region, gallery).mean(axis=1)
+    np.testing.assert_allclose(cosines / cosines[0], np.array(added) / added[0], rtol=1e-3)
+    with pytest.raises(InputError, match="No cell is painted"):
+        query.trace.region(np.zeros(query.trace.size, bool))
+    with pytest.raises(InputError, match="the feature map has"):
+        query.trace.region(np.ones((2, 2), bool))
+
+
+def test_mirrored_pictures_have_mirrored_evidence() -> None:
+    model = TorchModel(network(SPECS["rings"]))
+    query, tile = pair(model)
+    mirrored = retrieval.describe_picture(model, np.ascontiguousarray(query.picture[:, ::-1]), "drone")
+    np.testing.assert_allclose(mirrored.descriptor, query.descriptor, atol=1e-5)
+    np.testing.assert_allclose(
+        evidence(mirrored, tile).query.cells[..., ::-1], evidence(query, tile).query.cells, atol=1e-5
+    )
+
+
+def test_a_randomised_network_has_other_maps(tmp_path: Path) -> None:
+    proto = onnx.load(DEMO / "lpn.onnx")
+    rng = np.random.default_rng(0)
+    for weight in proto.graph.initializer:
+        values = onnx.numpy_helper.to_array(weight)
+        if values.ndim == 4 and values.size > 1000:
+            shuffled = rng.permutation(values.reshape(-1)).reshape(values.shape)
+            weight.CopyFrom(onnx.numpy_helper.from_array(shuffled, weight.name))
+    onnx.save(proto, tmp_path / "randomised.onnx")
+    found = [demo_evidence(Engine(file)) for file in (DEMO / "lpn.onnx", tmp_path / "randomised.onnx")]
+    alike = []
+    for trained, randomised in zip(*found, strict=True):
+        for one, other in zip(trained.query.cells, randomised.query.cells, strict=True):
+            inside = one != 0
+            alike.append(np.corrcoef(one[inside], other[inside])[0, 1])
+    assert np.mean(alike) < 0.3
+
+
+@pytest.mark.parametrize("storage", ["float32", "int8"])
+def test_an_exported_model_accounts_without_torch_s_model(storage: str, tmp_path: Path) -> None:
+    save(network(SPECS["leaky"]), tmp_path / "model.safetensors")
+    export(tmp_path / "model.safetensors", tmp_path / "model.onnx", storage)  # type: ignore[arg-type]
+    query, tile = pair(Engine(tmp_path / "model.onnx"))
+    found = evidence(query, tile)
+    np.testing.assert_allclose(found.query.cells.sum(axis=(1, 2)) + found.query.constants, found.cosines, atol=1e-5)
+    if storage == "float32":
+        original = evidence(*pair(TorchModel(network(SPECS["leaky"]))))
+        np.testing.assert_allclose(found.query.cells, original.query.cells, atol=1e-4)
+
+
+def test_two_models_are_not_compared() -> None:
+    spec = SPECS["rings"]
+    query, _ = pair(TorchModel(network(spec)))
+    _, tile = pair(TorchModel(network(replace(spec, embedding=16))))
+    with pytest.raises(InputError, match="describe both with one model"):
+        evidence(query, tile)
+
+
+def test_the_demo_s_evidence_adds_up() -> None:
+    for found in demo_evidence(Engine(DEMO / "lpn.onnx")):
+        for side in (found.query, found.tile):
+            np.testing.assert_allclose(side.cells.sum(axis=(1, 2)) + side.constants, found.cosines, atol=1e-5)
+
+
+def demo_evidence(model: Model) -> list[explain.Evidence]:
+    """Three of the demo's queries with their true tiles."""
+    dataset, found = open_dataset(DEMO), []
+    tiles = {entry.label: entry for entry in dataset.gallery("satellite")}
+    for query in dataset.queries("drone")[5:800:300]:
+        one = retrieval.describe_picture(model, images.load_picture(query.path), "drone")
+        other = retrieval.describe_picture(model, images.load_picture(tiles[query.label].path), "satellite")
+        found.append(evidence(one, other))
+    return found
