@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import Any, BinaryIO, cast
 
 import cv2
 import numpy as np
@@ -166,6 +166,13 @@ def polar(picture: Picture, height: int, width: int) -> Picture:
         picture, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     return cast(Picture, shown)
+
+
+def enlarge(cells: npt.NDArray[Any], height: int, width: int) -> npt.NDArray[Any]:
+    """Cells (rows, columns) as pixels (height, width), each taking its cell's value."""
+    rows = np.arange(height) * cells.shape[0] // height
+    columns = np.arange(width) * cells.shape[1] // width
+    return cast("npt.NDArray[Any]", cells[rows[:, None], columns[None, :]])
 
 
 def shrink(picture: Picture, side: int) -> Picture:

@@ -59,10 +59,7 @@ def square(picture: Picture, size: int) -> Picture:
 
 def part_masks(partition: Partition, map_size: tuple[int, int], size: tuple[int, int]) -> npt.NDArray[np.int64]:
     """The part of each pixel of a picture of size (height, width), from the model's own cells: (height, width)."""
-    labels = partition.labels(*map_size)
-    rows = np.arange(size[0]) * labels.shape[0] // size[0]
-    columns = np.arange(size[1]) * labels.shape[1] // size[1]
-    return cast(npt.NDArray[np.int64], labels[rows[:, None], columns[None, :]])
+    return cast(npt.NDArray[np.int64], images.enlarge(partition.labels(*map_size), *size))
 
 
 def with_heat(
