@@ -119,7 +119,7 @@ class Exhibit:
 
     def cut(self, picture: Picture, view: View) -> Picture:
         """A picture as its parts are cut from it: unrolled where the network sees it so (SAFA), else as it is."""
-        return images.polar(picture, *self.spec.input_size) if self.spec.unrolled(view) else picture
+        return picture if self.model is None else self.model.cut(picture, view)
 
     def masks(self, view: View) -> npt.NDArray[np.int64]:
         """The part of each pixel of a large picture."""

@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from explorer.exhibit import Answer
-
-
-def ordinal(rank: int) -> str:
-    """1st, 2nd, 3rd, 4th, ..."""
-    suffix = "th" if 10 <= rank % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(rank % 10, "th")
-    return f"{rank}{suffix}"
+from lpn.words import ordinal
 
 
 def verdict(answer: Answer, part_names: list[str]) -> tuple[bool | None, str, str]:

@@ -10,13 +10,15 @@ import tyro
 
 import lpn
 from lpn.commands.making import Export, Reproduce, Train, World, parse_train
+from lpn.commands.reasons import Explain
 from lpn.commands.using import Describe, Doctor, Evaluate, Explore
 from lpn.errors import LPNError, MissingPackageError
 
-COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe | Doctor | World | Reproduce]] = {
+COMMANDS: dict[str, type[Any]] = {
     "explore": Explore,
     "train": Train,
     "evaluate": Evaluate,
+    "explain": Explain,
     "export": Export,
     "describe": Describe,
     "doctor": Doctor,

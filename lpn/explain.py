@@ -17,8 +17,9 @@ were a cell not there, which `lpn.occlusion` measures.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -112,6 +113,26 @@ class Evidence:
     def distance2(self) -> float:
         """Squared distance, 0 .. 4."""
         return 2.0 - 2.0 * self.score
+
+    def to_dict(self, names: Sequence[str]) -> dict[str, Any]:
+        """Everything, as a JSON file has it, so that anyone can add it up.
+
+        A part's `contribution` is its weight times its cosine, and their sum the score; the `cells`, row by row, and the
+        `constant` add up to the cosine, on the query's side and, under `match`, on the tile's.
+        """
+        parts = [
+            {
+                "name": name,
+                "cosine": float(self.cosines[part]),
+                "weight": float(self.weights[part]),
+                "contribution": float(self.contributions[part]),
+                "constant": float(self.query.constants[part]),
+                "cells": self.query.cells[part].tolist(),
+                "match": {"constant": float(self.tile.constants[part]), "cells": self.tile.cells[part].tolist()},
+            }
+            for part, name in enumerate(names)
+        ]
+        return {"exact": True, "score": self.score, "distance2": self.distance2, "parts": parts}
 
 
 @dataclass(frozen=True, eq=False)

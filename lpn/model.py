@@ -95,6 +95,10 @@ class Model(ABC):
             return pictures.polar(picture, *self.input_size)
         return pictures.resize(picture, *self.input_size)
 
+    def cut(self, picture: Picture, view: View) -> Picture:
+        """A picture as its parts are cut from it: unrolled where the network sees it so (SAFA), else as it is."""
+        return self.shape(picture, view) if self.spec.unrolled(view) else picture
+
     def prepare(self, picture: Picture, view: View) -> FloatArray:
         """A picture ready for the model: (3, height, width) float32, in the published order."""
         return pictures.normalise(self.shape(picture, view))

@@ -7,22 +7,25 @@ affine. Covering makes a picture that no camera took, and cells answer to more o
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from lpn import explain, images
+from lpn.explain import Evidence
 from lpn.images import Picture
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 
+SQUARES = 8
+"""Squares across and down that a picture is divided into."""
 _AT_ONCE = 8
 
 
 def covered(
-    model: Model, picture: Picture, view: View, other: FloatArray, rows: int = 8, columns: int = 8
+    model: Model, picture: Picture, view: View, other: FloatArray, rows: int = SQUARES, columns: int = SQUARES
 ) -> Iterator[tuple[int, FloatArray]]:
     """Cover one square of a picture after the other, and measure what each part's cosine with another picture loses.
 
@@ -50,6 +53,21 @@ def covered(
         for (row, column), cosines in zip(some, _cosines(model, pictures, view, other), strict=True):
             losses[:, row, column] = whole - cosines
         yield start + len(some), losses
+
+
+def to_dict(found: Evidence, losses: FloatArray, names: Sequence[str]) -> dict[str, Any]:
+    """The losses (n, rows, columns) of a pair as a JSON file has them; they add up to nothing."""
+    parts = [
+        {
+            "name": name,
+            "cosine": float(found.cosines[part]),
+            "weight": float(found.weights[part]),
+            "contribution": float(found.contributions[part]),
+            "losses": losses[part].tolist(),
+        }
+        for part, name in enumerate(names)
+    ]
+    return {"exact": False, "score": found.score, "distance2": found.distance2, "parts": parts}
 
 
 def curve(
@@ -94,9 +112,13 @@ def blur(picture: Picture) -> Picture:
 
 
 def mixed(picture: Picture, blurred: Picture, gone: npt.NDArray[np.bool_]) -> Picture:
-    """A picture with its squares (rows, columns) that are gone taken from the blurred one."""
-    mask = images.enlarge(gone, *picture.shape[:2])
-    return np.where(mask[..., None], blurred, picture)
+    """A picture with its squares (rows, columns) that are gone taken from the blurred one.
+
+    One fades into the other between the middles of neighbours: sharp borders would be something new to see.
+    """
+    height, width = picture.shape[:2]
+    share = cv2.resize(gone.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)[..., None]
+    return np.asarray(np.round(picture * (1 - share) + blurred * share), np.uint8)
 
 
 def _cosines(model: Model, pictures: Sequence[Picture], view: View, other: FloatArray) -> FloatArray:

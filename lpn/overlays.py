@@ -32,6 +32,9 @@ PART_COLOURS: tuple[Colour, ...] = (
 TRUE_COLOUR: Colour = (255, 200, 30)
 FALSE_COLOUR: Colour = (70, 120, 240)
 UNKNOWN_COLOUR: Colour = (130, 130, 130)
+FOR: Colour = (255, 140, 26)
+AGAINST: Colour = (143, 123, 255)
+"""Evidence for and against a pair: orange and violet differ for any colour vision."""
 BACKGROUND: Colour = (20, 20, 20)
 TEXT: Colour = (236, 236, 236)
 DIM: Colour = (160, 160, 160)
@@ -83,6 +86,27 @@ def with_heat(
     if part is not None:
         blended *= np.where(masks == part, 1.0, 1.0 - 0.55 * opacity)[..., None]
     return np.asarray(blended, dtype=np.uint8)
+
+
+def evidence_alpha(values: npt.NDArray[np.floating], limit: float) -> npt.NDArray[np.float32]:
+    """How thickly a cell of evidence is painted: 0 at zero, 1 at the limit, raised in between to be seen."""
+    return cast(npt.NDArray[np.float32], np.clip(np.abs(values) / max(limit, 1e-12), 0, 1).astype(np.float32) ** 0.7)
+
+
+def with_evidence(picture: Picture, cells: npt.NDArray[np.floating], limit: float, opacity: float = 0.85) -> Picture:
+    """Paint each cell (h, w) in the colour for or against over a greyed picture, as thickly as it weighs."""
+    values = images.enlarge(cells, *picture.shape[:2])
+    grey = cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    ground = (0.25 * picture + 0.5 * grey).astype(np.float32)
+    alpha = (opacity * evidence_alpha(values, limit))[..., None]
+    colours = np.where(values[..., None] >= 0, np.array(FOR, np.float32), np.array(AGAINST, np.float32))
+    return np.asarray(ground * (1 - alpha) + colours * alpha, np.uint8)
+
+
+def evidence_scale(width: int, height: int) -> Picture:
+    """The scale of `with_evidence` from the limit against, by zero in the middle, to the limit for."""
+    values = np.broadcast_to(np.linspace(-1, 1, width), (height, width))
+    return with_evidence(np.full((height, width, 3), 40, np.uint8), values, 1.0)
 
 
 def with_rings(picture: Picture, partition: Partition, map_size: tuple[int, int], thickness: int = 2) -> Picture:

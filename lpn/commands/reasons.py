@@ -1,0 +1,126 @@
+"""Commands that say why: explain."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import lpn
+from lpn.commands.using import ViewName
+from lpn.errors import InputError
+from lpn.files import printable
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lpn.explain import Evidence
+    from lpn.model import FloatArray, Model
+    from lpn.retrieval import Described
+
+
+@dataclass
+class Explain:
+    """Account for the score of one pair of pictures, cell by cell, exactly; from the .onnx alone."""
+
+    model: Path
+    """Trained LPN: .onnx (needs no torch), .safetensors, or .pth."""
+    query: Path
+    """Picture file of the query."""
+    match: Path
+    """Picture file of the tile it is compared with."""
+    view_query: ViewName = "drone"
+    """What the query shows: the branch that describes it."""
+    view_match: ViewName = "satellite"
+    """What the tile shows."""
+    rotate: float = 0.0
+    """Degrees counter-clockwise the query is turned first."""
+    weights: str | None = None
+    """Weight of each part, such as 1,1,0,1; all alike by default."""
+    covering: bool = False
+    """Measure instead what the score loses where a square of the query is blurred: approximate, and serves every model."""
+    json: Path | None = None
+    """File to write score, parts, and every cell to."""
+    png: Path | None = None
+    """Picture to write."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from lpn import explain, images, occlusion, pairfigure, retrieval, words
+        from lpn.files import check_writable, write_whole
+
+        for file in (self.json, self.png):
+            if file is not None:
+                check_writable(file)
+        model = lpn.load(self.model)
+        views = (self.view_query, self.view_match)
+        for view in views:
+            model.check_view(view)
+        weights = explain.part_weights(model.n_parts, _weights(self.weights))
+        query = retrieval.describe_picture(model, images.load_picture(self.query), self.view_query, self.rotate)
+        tile = retrieval.describe_picture(model, images.load_picture(self.match), self.view_match)
+        assert query.trace is not None
+        assert tile.trace is not None
+        found = explain.evidence(query.trace, tile.trace, weights)
+        names = model.spec.partition(self.view_query).names()
+        console = Console(width=max(100, Console().width))
+        losses = _losses(model, query, self.view_query, tile, console) if self.covering else None
+        of: dict[str, Any] = {"model": model.fingerprint, "query": str(self.query), "match": str(self.match)}
+        of |= {"view_query": self.view_query, "view_match": self.view_match, "rotate": self.rotate}
+        values = of | (found.to_dict(names) if losses is None else occlusion.to_dict(found, losses, names))
+        _show(console, found, names)
+        console.print(words.why(found, names, *views), markup=False)
+        if self.json is not None:
+            write_whole(self.json, (json.dumps(values, indent=1) + "\n").encode())
+        if self.png is not None:
+            cut = [model.cut(one.picture, view) for one, view in zip((query, tile), views, strict=True)]
+            titles = (f"{self.view_query} {_short(self.query)}", f"{self.view_match} {_short(self.match)}")
+            shown = pairfigure.draw(found, (cut[0], cut[1]), titles, views, model.spec, losses)
+            write_whole(self.png, pairfigure.encode(shown))
+
+
+def _weights(text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        return [float(item) for item in text.split(",")]
+    except ValueError as error:
+        raise InputError(f"The weights are {text!r}; expected a number for each part, such as 1,1,0,1.") from error
+
+
+def _losses(model: Model, query: Described, view: ViewName, tile: Described, console: Console) -> FloatArray:
+    """What each part's cosine loses where a square is covered, measured to the end."""
+    from rich.progress import Progress
+
+    from lpn import occlusion
+
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("Covering", total=occlusion.SQUARES**2)
+        for found in occlusion.covered(model, query.picture, view, tile.descriptor):
+            bar.update(task, completed=found[0])
+    return found[1]
+
+
+def _show(console: Console, found: Evidence, names: Sequence[str]) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"score {found.score:.4f}, squared distance {found.distance2:.4f}")
+    for name in ("part", "cosine", "weight", "adds to the score", "cells for", "cells against", "constant"):
+        table.add_column(name, justify="left" if name == "part" else "right")
+    for part, name in enumerate(names):
+        cells, weight = found.query.cells[part], float(found.weights[part])
+        gains, losses = float(cells[cells > 0].sum()) * weight, float(cells[cells < 0].sum()) * weight
+        constant = float(found.query.constants[part]) * weight
+        numbers = (found.contributions[part], gains, losses, constant)
+        table.add_row(
+            name, f"{found.cosines[part]:+.4f}", f"{100 * weight:.0f} %", *(f"{number:+.4f}" for number in numbers)
+        )
+    console.print(table)
+
+
+def _short(path: Path) -> str:
+    """A picture's folder, which often names the place, and its name."""
+    return printable("/".join(path.resolve().parts[-2:]))

@@ -1,0 +1,101 @@
+"""`lpn explain` as a person runs it, and the sentences it says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lpn import cli, words
+from lpn.explain import Evidence, Side, part_weights
+from tests.lpn.test_cli import without_torch
+
+
+@pytest.fixture
+def pair(data: Path) -> list[str]:
+    """A drone picture and a tile of other names, as options."""
+    query, match = (next((data / "test" / name / "0008").iterdir()) for name in ("query_drone", "gallery_satellite"))
+    return ["--query", str(query), "--match", str(match)]
+
+
+def test_what_is_written_adds_up_and_needs_no_torch(model_file: Path, pair: list[str], tmp_path: Path) -> None:
+    file, picture = tmp_path / "deep" / "why.json", tmp_path / "why.png"
+    run = without_torch(
+        "explain", "--model", model_file, *pair, "--weights", "1,1,0,2", "--json", file, "--png", picture
+    )
+    assert run.returncode == 0, run.stderr
+    found = json.loads(file.read_text())
+    assert found["exact"]
+    assert [part["weight"] for part in found["parts"]] == pytest.approx([0.25, 0.25, 0, 0.5])
+    for part in found["parts"]:
+        assert part["contribution"] == pytest.approx(part["weight"] * part["cosine"], abs=1e-7)
+        for side in (part, part["match"]):
+            assert np.shape(side["cells"]) == (4, 4)
+            assert np.sum(side["cells"]) + side["constant"] == pytest.approx(part["cosine"], abs=1e-5)
+    assert sum(part["contribution"] for part in found["parts"]) == pytest.approx(found["score"], abs=1e-6)
+    assert found["distance2"] == pytest.approx(2 - 2 * found["score"])
+    assert "adds most to the score" in run.stdout
+    drawn = cv2.imread(str(picture))
+    assert drawn is not None
+    assert drawn.shape[1] == 1200
+    # Both colours are there, and the pictures beneath them.
+    assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 1000
+
+
+def test_covering_is_said_to_be_approximate(model_file: Path, pair: list[str], tmp_path: Path) -> None:
+    file, picture = tmp_path / "why.json", tmp_path / "why.png"
+    given = ["explain", "--model", str(model_file), *pair, "--covering", "--json", str(file), "--png", str(picture)]
+    assert cli.main(given) == 0
+    found = json.loads(file.read_text())
+    assert found["exact"] is False
+    assert np.shape(found["parts"][0]["losses"]) == (8, 8)
+    assert "cells" not in found["parts"][0]
+    assert cv2.imread(str(picture)) is not None
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        (["--query", "nowhere.jpg"], "nowhere.jpg"),
+        (["--view-query", "street"], "no 'street' view"),
+        (["--weights", "1,2"], "expected 4 numbers"),
+        (["--weights", "a,b"], "expected a number for each part"),
+        (["--model", "nowhere.onnx"], "no model file"),
+    ],
+)
+def test_mistakes_get_one_sentence(
+    changed: list[str], expected: str, model_file: Path, pair: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["explain", "--model", str(model_file), *pair, *changed]) == 2
+    said = capsys.readouterr().err
+    assert expected in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "picture", "tile"),
+    [(0, 3, "upper right", "north-east"), (3, 0, "lower left", "south-west"), (1, 3, "right", "east")],
+)
+def test_sides_of_a_tile_are_told_by_the_compass(row: int, column: int, picture: str, tile: str) -> None:
+    cells = np.zeros((4, 4))
+    cells[row, column] = 1
+    if picture == "right":
+        cells[2, column] = 1
+    assert (words.where(cells, "drone"), words.where(cells, "satellite")) == (picture, tile)
+    assert words.where(np.ones((4, 4)), "drone") == "all around"
+    assert words.where(-np.ones((4, 4)), "drone") == "all around"
+
+
+def test_the_sentence_names_the_part_that_adds_most_and_one_that_speaks_against() -> None:
+    cells = np.zeros((2, 4, 4))
+    cells[1, 0, 3] = 0.8
+    side = Side(cells, np.zeros(2))
+    found = Evidence(np.array([-0.2, 0.8]), part_weights(2), side, side)
+    said = words.why(found, ["1 centre", "2 outer"], "drone", "satellite")
+    assert said.startswith(
+        "Part 2 outer adds most to the score (+0.400 of 0.300): the query's upper right with the tile's"
+    )
+    assert "north-east. Part 1 centre speaks against the pair (-0.100)." in said
