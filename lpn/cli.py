@@ -9,11 +9,12 @@ from typing import Any
 import tyro
 
 import lpn
+from lpn.commands.failures import Failures
 from lpn.commands.making import Export, Reproduce, Train, World, parse_train
 from lpn.commands.using import Describe, Doctor, Evaluate, Explore
 from lpn.errors import LPNError, MissingPackageError
 
-COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe | Doctor | World | Reproduce]] = {
+COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe | Doctor | World | Reproduce | Failures]] = {
     "explore": Explore,
     "train": Train,
     "evaluate": Evaluate,
@@ -22,6 +23,7 @@ COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe | Doctor
     "doctor": Doctor,
     "world": World,
     "reproduce": Reproduce,
+    "failures": Failures,
 }
 
 
@@ -62,6 +64,7 @@ def _parse(command: Callable[..., Any], arguments: list[str], program: str) -> A
 _EXTRAS = {
     **dict.fromkeys(("torch", "onnx", "onnxscript", "safetensors", "yaml", "matplotlib", "tensorboardX"), "train"),
     "scipy": "data",
+    **dict.fromkeys(("umap", "numba", "sklearn"), "umap"),
     **dict.fromkeys(("bpy", "mathutils"), "world"),
 }
 """The extra that brings each package that the base installation has not."""
