@@ -145,7 +145,8 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
     square = _NORMAL_95**2
     middle = (hits + square / 2) / (of + square)
     half = _NORMAL_95 / (of + square) * np.sqrt(hits * (of - hits) / of + square / 4)
-    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
+    low, high = float(middle - half), float(middle + half)
+    return 0.0 if hits == 0 else low, 1.0 if hits == of else high
 
 
 def _rows(outcomes: Outcomes, rows: IntArray | None) -> IntArray:

@@ -135,8 +135,8 @@ class Table:
     def sort(self, rows: IntArray, column: str, descending: bool = False) -> IntArray:
         """Rows in the order of a column; equal ones stay in their order, and what is unknown comes last either way."""
         keys = self.column(column).keys[rows]
-        order = np.argsort(-keys if descending else keys, kind="stable")
-        return rows[order]
+        sorted_rows: IntArray = rows[np.argsort(-keys if descending else keys, kind="stable")]
+        return sorted_rows
 
     def filter(self, rows: IntArray, where: str) -> IntArray:
         """Those of some rows that fulfil a filter, in their order; all for an empty one.
@@ -161,7 +161,8 @@ class Table:
         """Those of some rows whose name contains a text, case ignored."""
         wanted = text.strip().casefold()
         folded = self.columns["name"].folded
-        return rows[np.array([wanted in folded[row] for row in rows], bool)]
+        found: IntArray = rows[np.array([wanted in folded[row] for row in rows], bool)]
+        return found
 
     def page(self, rows: IntArray, start: int, count: int) -> IntArray:
         """At most `count` of some rows from position `start` on; the last full page where there are not so many."""

@@ -48,7 +48,7 @@ class Failures:
     def run(self) -> None:
         from rich.console import Console
 
-        from lpn import features, notes
+        from lpn import features, metadata, notes
         from lpn.datasets import open_dataset
         from lpn.failures import OUTCOME, build, labels_of, table
         from lpn.files import check_writable, write_whole
@@ -77,9 +77,10 @@ class Failures:
         made = made.plus(notes.columns(said, made.paths))
         rows = made.sort(made.filter(made.rows(), self.where), self.sort, self.descending)
         console = Console(width=max(120, Console().width))
-        shown = [*OUTCOME, notes.TAGS, *(name for name in made.columns if name in f"{self.where} {self.sort}")]
+        shown = [*OUTCOME, metadata.TAGS, *(name for name in made.columns if name in f"{self.where} {self.sort}")]
         _print(console, made, rows, list(dict.fromkeys(shown)), self.top)
-        _print_breakdown(console, made, rows, outcomes, labels, names, self.top)
+        if len(rows):
+            _print_breakdown(console, made, rows, outcomes, labels, names, self.top)
         if self.csv is not None:
             write_whole(self.csv, made.to_csv(rows))
 
@@ -94,7 +95,7 @@ def _print(console: Console, table: Table, rows: IntArray, names: list[str], top
         printed.add_column(title, justify="right" if column.kind == "number" else "left")
     for row in rows[:top]:
         printed.add_row(*(Text(column.text(row)) for column in columns))
-    console.print(printed)
+    console.print(printed, f"{len(rows)} of {len(table)} queries, {min(top, len(rows))} listed.")
 
 
 def _print_breakdown(
@@ -111,10 +112,9 @@ def _print_breakdown(
     from lpn.failures import described_by
 
     failures = int(outcomes.failed[rows].sum())
-    console.print(f"{len(rows)} of {len(table)} queries, {failures} of them failures; {min(top, len(rows))} listed.")
     if failures:
         blamed = zip(part_names, breakdown.blame(outcomes, rows).tolist(), strict=True)
-        _print_counts(console, "The part that costs a failure most:", list(blamed))
+        _print_counts(console, f"The part that costs most, in {failures} failures:", list(blamed))
         pairs = breakdown.confusions(outcomes, *labels, rows)
         truth, answer = table.column("truth"), table.column("answer")
         counts = [
