@@ -9,7 +9,7 @@ so the margin is a sum over the parts, and exact: a part's term is what it does 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,6 +72,7 @@ def build(
     labels: npt.ArrayLike | None,
     truth: Sequence[Truth] | None = None,
     weights: npt.ArrayLike | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Outcomes:
     """Find the outcome of every query; ranks are those of `metrics.retrieve`.
 
@@ -82,6 +83,7 @@ def build(
         query_labels, labels: the place of each, (Q,) and (G,), -1 for junk; not read where there is `truth`.
         truth: for each query its true matches and its junk, in place of labels.
         weights: of the parts, (n,), see `explain.part_weights`; equal by default.
+        progress: told after each block how many queries are done, and of how many; what it raises ends the work.
 
     Raises:
         InputError: when shapes do not fit, a value is not finite, a side is empty, or a list names what is not there.
@@ -107,6 +109,8 @@ def build(
             scores[junk] = -np.inf
             rank[rows], *found = _outcome(scores, good)
             first[rows], true[rows], false[rows] = (np.where(tile >= 0, kept[tile], -1) for tile in found)
+        if progress is not None:
+            progress(rows.stop, len(flat))
     parts = _part_margins(queries, gallery, true, false, n * used)
     margin = parts.sum(axis=1)
     decides = np.where(rank == 0, np.argmax(parts, axis=1), np.argmin(parts, axis=1))

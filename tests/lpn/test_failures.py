@@ -119,6 +119,19 @@ def test_equal_scores_are_in_the_gallerys_order() -> None:
     assert (before.rank[0], before.first[0], before.margin[0]) == (0, 0, 0.0)
 
 
+def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics, "_BLOCK_BYTES", 8 * 5 * 4)
+    told: list[tuple[int, int]] = []
+    build(descriptors(10), descriptors(5), range(10), range(5), progress=lambda done, of: told.append((done, of)))  # type: ignore[arg-type]
+    assert told == [(4, 10), (8, 10), (10, 10)]
+
+    def stop(done: int, of: int) -> None:
+        raise InterruptedError(f"{done} of {of}")
+
+    with pytest.raises(InterruptedError, match="4 of 10"):
+        build(descriptors(10), descriptors(5), range(10), range(5), progress=stop)  # type: ignore[arg-type]
+
+
 def test_descriptors_that_do_not_fit_are_refused() -> None:
     with pytest.raises(InputError, match="same parts"):
         build(descriptors(2), descriptors(2, n=2), [1, 2], [1, 2])
