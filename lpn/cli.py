@@ -9,6 +9,7 @@ from typing import Any
 import tyro
 
 import lpn
+from lpn.commands.failures import Failures
 from lpn.commands.making import Export, Reproduce, Train, World, parse_train
 from lpn.commands.reasons import Explain
 from lpn.commands.using import Describe, Doctor, Evaluate, Explore
@@ -24,6 +25,7 @@ COMMANDS: dict[str, type[Any]] = {
     "doctor": Doctor,
     "world": World,
     "reproduce": Reproduce,
+    "failures": Failures,
 }
 
 
@@ -64,6 +66,7 @@ def _parse(command: Callable[..., Any], arguments: list[str], program: str) -> A
 _EXTRAS = {
     **dict.fromkeys(("torch", "onnx", "onnxscript", "safetensors", "yaml", "matplotlib", "tensorboardX"), "train"),
     "scipy": "data",
+    **dict.fromkeys(("umap", "numba", "sklearn"), "umap"),
     **dict.fromkeys(("bpy", "mathutils"), "world"),
 }
 """The extra that brings each package that the base installation has not."""

@@ -38,6 +38,8 @@ from lpn.spec import View
 FORMAT = "lpn-descriptors/2"
 BEFORE = "lpn-descriptors/1"
 """Knew of no shift, scale, or boxes; what it says is true of such stores still."""
+STORES = "descriptors"
+"""Folder of a data set in which stores of its test split may come along: `query_drone`, `gallery_satellite`, ..."""
 Precision = Literal["float32", "float16", "int8"]
 Box = tuple[float, float, float, float]
 
@@ -293,6 +295,14 @@ def shipped_descriptors(model: Model, pictures: Sequence[Picture], view: View, s
     wanted = (model.fingerprint, view, UNCHANGED, model.n_parts)
     found = (held.manifest.fingerprint, held.manifest.view, held.manifest.change, held.manifest.n_parts)
     return held.float32 if found == wanted and rows == these else None
+
+
+def known_descriptors(
+    model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Literal["query", "gallery"]
+) -> FloatArray:
+    """Descriptors (N, n, D) of one side of a test split: those that came with the data set in `root`, else from the cache."""
+    found = shipped_descriptors(model, pictures, view, root / STORES / f"{role}_{view}")
+    return cached_descriptors(model, pictures, view) if found is None else found
 
 
 def passing_descriptors(

@@ -88,7 +88,10 @@ class Positions:
         Raises:
             DataError: when one has none.
         """
-        names = [picture.path.relative_to(self._root).as_posix() for picture in pictures]
+        return self.below([picture.path.relative_to(self._root).as_posix() for picture in pictures])
+
+    def below(self, names: Sequence[str]) -> list[Position]:
+        """The position of each picture by its path below the folder, with forward slashes; DataError as for `of`."""
         missing = [name for name in names if name not in self._by_path]
         if missing:
             raise DataError(

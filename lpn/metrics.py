@@ -97,26 +97,24 @@ def retrieve(
 
     Memory: two blocks of scores, 64 MB each, beside the gallery in double precision.
     """
-    queries, tiles = _flat(query, "query"), _flat(gallery, "gallery")
-    if queries.shape[1] != tiles.shape[1]:
-        raise InputError(
-            f"Query descriptors have {queries.shape[1]} numbers and gallery descriptors {tiles.shape[1]}; "
-            "describe both with the same model and parts."
-        )
+    queries, tiles = flat_sides(query, gallery)
     kept = np.arange(len(tiles))
     truths: Iterator[Truth]
     if truth is None:
-        of_query, of_tile = _labels(query_labels, queries, "query"), _labels(gallery_labels, tiles, "gallery")
+        of_query, of_tile = (
+            checked_labels(query_labels, queries, "query"),
+            checked_labels(gallery_labels, tiles, "gallery"),
+        )
         kept = np.flatnonzero(of_tile != JUNK)
         truths = _same_label(of_query, of_tile[kept])
     else:
-        _check_truth(truth, len(queries), len(tiles))
+        check_truth(truth, len(queries), len(tiles))
         truths = iter(truth)
     first, best = (np.full(len(queries), -1, np.int64) for _ in range(2))
     precision = np.zeros(len(queries))
-    for i, (scores, of) in enumerate(
-        zip(_scores(queries, tiles if len(kept) == len(tiles) else tiles[kept]), truths, strict=True)
-    ):
+    blocks = score_blocks(queries, tiles if len(kept) == len(tiles) else tiles[kept])
+    rows = (row for _, block in blocks for row in block)
+    for i, (scores, of) in enumerate(zip(rows, truths, strict=True)):
         scores[of.junk] = -np.inf
         true_ranks = _ranks_in_row(scores, of.good)
         if len(true_ranks):
@@ -127,13 +125,24 @@ def retrieve(
     return Retrieval(first, best, precision, len(tiles))
 
 
-def _scores(queries: npt.NDArray[Any], tiles: npt.NDArray[Any]) -> Iterator[npt.NDArray[np.float64]]:
-    """Each query's inner products with the gallery, (G,), computed by blocks of queries."""
+def score_blocks(
+    queries: npt.NDArray[Any], tiles: npt.NDArray[Any], factors: npt.NDArray[np.float64] | None = None
+) -> Iterator[tuple[slice, npt.NDArray[np.float64]]]:
+    """Inner products (B, G) of queries (Q, F) with tiles (G, F), block by block of queries, each of 64 MB at most.
+
+    Args:
+        factors: what each number of a query is multiplied by first, (F,).
+
+    Returns:
+        The rows of each block, and its products, which are the caller's to change.
+    """
     # In single precision, tiles closer than its rounding change places with the order of summation.
     tiles = tiles.astype(np.float64)
     block = max(1, _BLOCK_BYTES // (8 * max(len(tiles), 1)))
     for start in range(0, len(queries), block):
-        yield from queries[start : start + block].astype(np.float64) @ tiles.T
+        rows = slice(start, min(start + block, len(queries)))
+        asked = queries[rows].astype(np.float64)
+        yield rows, (asked if factors is None else asked * factors) @ tiles.T
 
 
 def _same_label(of_query: IntArray, of_tile: IntArray) -> Iterator[Truth]:
@@ -144,7 +153,8 @@ def _same_label(of_query: IntArray, of_tile: IntArray) -> Iterator[Truth]:
     return (Truth(by_label[begin:end], _NONE) for begin, end in zip(begins, ends, strict=True))
 
 
-def _check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
+def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
+    """Raise InputError unless there is one list for each query, and each names gallery pictures once."""
     if len(truth) != queries:
         raise InputError(f"There are {len(truth)} lists of true matches for {queries} queries; expected one for each.")
     for i, of in enumerate(truth):
@@ -198,6 +208,17 @@ def _average_precision(true_ranks: IntArray) -> float:
     return float(np.mean((after + before) / 2))
 
 
+def flat_sides(query: npt.ArrayLike, gallery: npt.ArrayLike) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Descriptors of both sides as (Q, F) and (G, F); InputError when they are not what `evaluate` takes."""
+    queries, tiles = _flat(query, "query"), _flat(gallery, "gallery")
+    if queries.shape[1] != tiles.shape[1]:
+        raise InputError(
+            f"Query descriptors have {queries.shape[1]} numbers and gallery descriptors {tiles.shape[1]}; "
+            "describe both with the same model and parts."
+        )
+    return queries, tiles
+
+
 def _flat(values: Any, side: str) -> npt.NDArray[Any]:
     array = as_array(values)
     if array.ndim not in (2, 3) or len(array) == 0 or not np.issubdtype(array.dtype, np.floating):
@@ -211,7 +232,8 @@ def _flat(values: Any, side: str) -> npt.NDArray[Any]:
     return cast("npt.NDArray[Any]", flat)
 
 
-def _labels(values: Any, rows: npt.NDArray[Any], side: str) -> IntArray:
+def checked_labels(values: Any, rows: npt.NDArray[Any], side: str) -> IntArray:
+    """Labels as int64, one for each row of descriptors; InputError when they are something else."""
     labels = as_array(values)
     if labels.shape != (len(rows),) or not np.issubdtype(labels.dtype, np.integer):
         raise InputError(

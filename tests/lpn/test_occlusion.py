@@ -27,7 +27,7 @@ def test_a_square_s_loss_is_what_its_blurring_costs(model_file: Path) -> None:
     spoilt = occlusion.mixed(shaped, occlusion.blur(shaped), gone)
     # The middle of the square is blurred, the other end of the picture as it was.
     np.testing.assert_array_equal(spoilt[:5], shaped[:5])
-    np.testing.assert_array_equal(spoilt[32, 40], occlusion.blur(shaped)[32, 40])
+    np.testing.assert_allclose(spoilt[32, 40], occlusion.blur(shaped)[32, 40], atol=2)
     cosines = [
         explain.part_cosines(retrieval.describe_picture(model, shown, "drone").descriptor, other[None])[0]
         for shown in (shaped, spoilt)

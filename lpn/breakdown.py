@@ -1,0 +1,172 @@
+"""Where a task fails: places taken for each other, parts to blame, and failure rates against anything known of a query."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.errors import InputError
+from lpn.failures import Outcomes
+from lpn.geo import FloatArray
+from lpn.metrics import IntArray
+from lpn.tables import Column
+
+_NORMAL_95 = 1.959963984540054
+"""Two-sided 95 % of the normal distribution."""
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Confusion:
+    """One place taken for another.
+
+    Attributes:
+        place, answered: the two places, by label.
+        queries: the queries of `place` that were answered so, (C,).
+        tile: gallery position of the answer that came first for the first of them.
+    """
+
+    place: int
+    answered: int
+    queries: IntArray
+    tile: int
+
+    @property
+    def count(self) -> int:
+        """How many queries."""
+        return len(self.queries)
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How often queries of one kind fail.
+
+    Attributes:
+        name: what they have in common, in words.
+        low, high: smallest and largest value among them; NaN for texts.
+        queries, failures: how many there are, and fail.
+    """
+
+    name: str
+    low: float
+    high: float
+    queries: int
+    failures: int
+
+    @property
+    def share(self) -> float:
+        """Failures among the queries, 0 .. 1."""
+        return self.failures / self.queries
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """See `wilson`."""
+        return wilson(self.failures, self.queries)
+
+
+def confusions(
+    outcomes: Outcomes, query_labels: IntArray, labels: IntArray, rows: IntArray | None = None
+) -> list[Confusion]:
+    """Which places are taken for which, most often first; equals in order of their labels.
+
+    Args:
+        query_labels, labels: the place of each query and tile, (Q,) and (G,).
+        rows: the queries looked at, all by default. Queries of which nothing came first are left out.
+    """
+    rows = _rows(outcomes, rows)
+    rows = rows[outcomes.failed[rows] & (outcomes.first[rows] >= 0)]
+    pairs = np.stack([query_labels[rows], labels[outcomes.first[rows]]], axis=1)
+    kinds, which, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+    groups = np.split(rows[np.argsort(which.ravel(), kind="stable")], np.cumsum(counts)[:-1])
+    found = [
+        Confusion(int(place), int(answered), group, int(outcomes.first[group[0]]))
+        for (place, answered), group in zip(kinds, groups, strict=False)
+    ]
+    return sorted(found, key=lambda one: -one.count)
+
+
+def blame(outcomes: Outcomes, rows: IntArray | None = None) -> IntArray:
+    """How many failures each part decided, (n,); those without a margin count for none."""
+    rows = _rows(outcomes, rows)
+    decided = outcomes.decides[rows][outcomes.failed[rows]]
+    return np.bincount(decided[decided >= 0], minlength=outcomes.parts.shape[1]).astype(np.int64)
+
+
+def rates(failed: BoolArray, column: Column, bins: int = 5, rows: IntArray | None = None) -> list[Rate]:
+    """Failure rate against a column: of numbers in quantile bins, of texts by value.
+
+    Bins are ascending and as equal in number of queries as equal values, which are never parted, allow. Texts come with
+    the highest rate first; queries whose value is not known come last, on their own.
+
+    Args:
+        failed: which queries failed, (Q,).
+        column: of Q values.
+        bins: of numbers, at most.
+        rows: the queries looked at, all by default.
+
+    Raises:
+        InputError: when there are not as many values as queries, or no bins.
+    """
+    if len(column.values) != len(failed) or bins < 1:
+        raise InputError(
+            f"{column.name} has {len(column.values)} values for {len(failed)} queries and {bins} bins; expected one value for "
+            "each query and at least one bin."
+        )
+    rows = np.arange(len(failed)) if rows is None else rows
+    known, unknown = rows[column.known[rows]], rows[~column.known[rows]]
+    values = column.values[known]
+    found: list[Rate] = []
+    if len(known):
+        distinct, which = np.unique(values, return_inverse=True)
+        which = which if column.kind == "text" else _quantile_bins(which, bins)
+        totals, missed = np.bincount(which), np.bincount(which, failed[known])
+        for i in range(len(totals)):
+            members = distinct[i : i + 1] if column.kind == "text" else values[which == i]
+            found.append(_rate(column, members, int(totals[i]), int(missed[i])))
+    if column.kind == "text":
+        found.sort(key=lambda rate: (-rate.share, -rate.queries))
+    if len(unknown):
+        found.append(Rate("not known", np.nan, np.nan, len(unknown), int(np.count_nonzero(failed[unknown]))))
+    return found
+
+
+def wilson(hits: int, of: int) -> tuple[float, float]:
+    """The Wilson 95 % interval of a share, 0 .. 1, for `hits` of `of` independent trials (Wilson 1927).
+
+    Several pictures of one place are not independent, so that the true interval is wider.
+
+    Raises:
+        InputError: when there are no trials, or more hits than trials.
+    """
+    if not 0 <= hits <= of or of == 0:
+        raise InputError(f"There are {hits} hits of {of}; expected at least one trial, and no more hits than trials.")
+    square = _NORMAL_95**2
+    middle = (hits + square / 2) / (of + square)
+    half = _NORMAL_95 / (of + square) * np.sqrt(hits * (of - hits) / of + square / 4)
+    low, high = float(middle - half), float(middle + half)
+    return 0.0 if hits == 0 else low, 1.0 if hits == of else high
+
+
+def _rows(outcomes: Outcomes, rows: IntArray | None) -> IntArray:
+    return np.arange(len(outcomes)) if rows is None else rows
+
+
+def _quantile_bins(which: IntArray, bins: int) -> IntArray:
+    """The bin of each value, from the place of its value among the distinct ones: where the middle of its equals lies."""
+    counts = np.bincount(which)
+    if len(counts) <= bins:
+        return which
+    middles: FloatArray = (np.cumsum(counts) - counts / 2) / len(which)
+    _, compact = np.unique((middles * bins).astype(np.int64), return_inverse=True)
+    return compact[which].astype(np.int64)
+
+
+def _rate(column: Column, members: npt.NDArray[np.object_], queries: int, failures: int) -> Rate:
+    if column.kind == "text":
+        return Rate(str(members[0]), np.nan, np.nan, queries, failures)
+    low, high = float(members.min()), float(members.max())
+    unit = f" {column.unit}" if column.unit not in ("", "°") else column.unit
+    name = f"{low:g}{unit}" if low == high else f"{low:g} to {high:g}{unit}"
+    return Rate(name, low, high, queries, failures)

@@ -1,0 +1,153 @@
+"""The command that says where a model fails: failures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.table import Table as Printed
+from rich.text import Text
+
+import lpn
+from lpn.commands.using import TaskName
+from lpn.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lpn.breakdown import Rate
+    from lpn.failures import Outcomes
+    from lpn.metrics import IntArray
+    from lpn.tables import Table
+
+
+@dataclass
+class Failures:
+    """List the queries of a task with rank, margin, and the part that decides, and say what fails most."""
+
+    data: Path
+    """Data set in any layout of docs/data.md."""
+    model: Path
+    """Trained LPN: .onnx, .safetensors, or .pth."""
+    task: TaskName | None = None
+    """Which view is the query and which the gallery; by default the first that the data set offers and the model knows."""
+    where: str = ""
+    """Which queries, such as 'rank > 1 and margin < -0.1 and name ~ 0012'; all by default."""
+    sort: str = "margin"
+    """Column that the queries are listed by, lowest first; by default what fails by most comes first."""
+    descending: bool = False
+    """Highest first."""
+    top: int = 20
+    """Queries listed, and lines of each other table, at most."""
+    notes: Path | None = None
+    """File of tags and notes; by default notes.csv in the data set's folder."""
+    csv: Path | None = None
+    """File to write all queries chosen by --where to, with all columns, tags, and notes."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from lpn import features, metadata, notes
+        from lpn.datasets import open_dataset
+        from lpn.failures import OUTCOME, build, labels_of, table
+        from lpn.files import check_writable, write_whole
+        from lpn.spec import views_of
+
+        if self.top < 1:
+            raise InputError(f"The number of queries listed is {self.top}; expected 1 or more.")
+        if self.csv is not None:
+            check_writable(self.csv)
+        model, dataset = lpn.load(self.model), open_dataset(self.data)
+        known = [task for task in dataset.tasks() if set(views_of(task)) <= set(model.views)]
+        task = self.task or (known[0] if known else "")
+        if task not in known:
+            raise InputError(
+                f"The task is {task or 'none'}; {dataset.root.name} and this model offer {', '.join(known) or 'none'} together."
+            )
+        views = views_of(task)
+        said = notes.read_notes(self.notes or dataset.root / notes.NAME)
+        queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
+        asked = features.known_descriptors(model, queries, views[0], dataset.root, "query")
+        tiles = features.known_descriptors(model, gallery, views[1], dataset.root, "gallery")
+        labels = labels_of(queries), labels_of(gallery)
+        outcomes = build(asked, tiles, *labels, dataset.truth(task))
+        names = model.spec.partition(views[0]).names()
+        made = table(dataset.root, queries, gallery, outcomes, names)
+        made = made.plus(notes.columns(said, made.paths))
+        rows = made.sort(made.filter(made.rows(), self.where), self.sort, self.descending)
+        console = Console(width=max(120, Console().width))
+        shown = [*OUTCOME, metadata.TAGS, *(name for name in made.columns if name in f"{self.where} {self.sort}")]
+        _print(console, made, rows, list(dict.fromkeys(shown)), self.top)
+        if len(rows):
+            _print_breakdown(console, made, rows, outcomes, labels, names, self.top)
+        if self.csv is not None:
+            write_whole(self.csv, made.to_csv(rows))
+
+
+def _print(console: Console, table: Table, rows: IntArray, names: list[str], top: int) -> None:
+    """The first rows, with those of some columns in which anything is known."""
+    columns = [table.columns[name] for name in names if name in table.columns]
+    columns = [column for column in columns if column.name != "false" and column.known[rows].any()]
+    printed = Printed()
+    for column in columns:
+        title = f"{column.name} ({column.unit})" if column.unit else column.name
+        printed.add_column(title, justify="right" if column.kind == "number" else "left")
+    for row in rows[:top]:
+        printed.add_row(*(Text(column.text(row)) for column in columns))
+    console.print(printed, f"{len(rows)} of {len(table)} queries, {min(top, len(rows))} listed.")
+
+
+def _print_breakdown(
+    console: Console,
+    table: Table,
+    rows: IntArray,
+    outcomes: Outcomes,
+    labels: tuple[IntArray, IntArray],
+    part_names: list[str],
+    top: int,
+) -> None:
+    """What the failures among some rows have in common."""
+    from lpn import breakdown
+    from lpn.failures import described_by
+
+    failures = int(outcomes.failed[rows].sum())
+    if failures:
+        blamed = zip(part_names, breakdown.blame(outcomes, rows).tolist(), strict=True)
+        _print_counts(console, f"The part that costs most, in {failures} failures:", list(blamed))
+        pairs = breakdown.confusions(outcomes, *labels, rows)
+        truth, answer = table.column("truth"), table.column("answer")
+        counts = [
+            (f"{truth.text(one.queries[0]) or one.place} taken for {answer.text(one.queries[0])}", one.count)
+            for one in pairs[:top]
+        ]
+        listed = f", {top} listed" if len(pairs) > top else ""
+        _print_counts(console, f"Places taken for others ({len(pairs)} pairs{listed}):", counts)
+    # Among failures alone, every rate is 100 %.
+    looked = rows if 0 < failures < len(rows) else table.rows()
+    for column in described_by(table):
+        found = breakdown.rates(outcomes.failed, column, rows=looked)
+        if column.name not in ("latitude", "longitude") and len(found) > 1:
+            of = f"{'all ' if len(looked) == len(table) else ''}{len(looked)} queries"
+            listed = f"; {top} of {len(found)} values" if len(found) > top else ""
+            _print_rates(console, f"Failures by {column.name}, of {of}{listed}:", found[:top])
+
+
+def _print_counts(console: Console, title: str, counts: list[tuple[str, int]]) -> None:
+    printed = Printed(show_header=False)
+    printed.add_column()
+    printed.add_column(justify="right")
+    for name, count in counts:
+        printed.add_row(Text(name), str(count))
+    console.print("", Text(title), printed)
+
+
+def _print_rates(console: Console, title: str, rates: list[Rate]) -> None:
+    printed = Printed()
+    for name in ("", "queries", "failures", "share", "95 % interval"):
+        printed.add_column(name, justify="right" if name else "left")
+    for rate in rates:
+        low, high = rate.interval
+        figures = (f"{100 * rate.share:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %")
+        printed.add_row(Text(rate.name), str(rate.queries), str(rate.failures), *figures)
+    console.print("", Text(title), printed)

@@ -1,0 +1,172 @@
+"""What a data set's folder says of its pictures beside the pictures themselves, as columns of a table.
+
+    geo.csv        latitude, longitude, altitude, heading, tilt, fov, width: see `lpn.geo`
+    world.json     of a rendered world, what a picture's building is: district, its character, kind, height, twins
+    metadata.csv   anything else, one line for each picture:
+
+        path,weather,battery
+        test/query_drone/0005/image-01.jpeg,rain,81.5
+
+A column of metadata.csv holds numbers where each of its values is one, else texts; a value may be empty, and so may pictures be
+without a line.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import astuple, fields
+from pathlib import Path
+
+from lpn import geo
+from lpn.datasets import Picture
+from lpn.datasets.base import read_rows
+from lpn.errors import DataError
+from lpn.files import printable
+from lpn.tables import Column, number_column, text_column
+
+log = logging.getLogger(__name__)
+
+NAME = "metadata.csv"
+WORLD = "world.json"
+TAGS, NOTE = "tags", "note"
+"""Columns that a person's own notes make, see `lpn.notes`."""
+_UNITS = {"latitude": "°", "longitude": "°", "altitude": "m", "heading": "°", "tilt": "°", "fov": "°", "width": "m"}
+_SIGNS = set('<>=!~"')
+
+
+def relative(root: Path, pictures: Sequence[Picture]) -> list[str]:
+    """The path of each picture below the data set's folder, with forward slashes."""
+    return [picture.path.relative_to(root).as_posix() for picture in pictures]
+
+
+def columns(root: Path, paths: Sequence[str], taken: Sequence[str] = ()) -> list[Column]:
+    """Everything known of some pictures; columns of which nothing is known are left out.
+
+    Args:
+        root: the data set's folder.
+        paths: the pictures, below it.
+        taken: names that columns of metadata.csv must not have.
+
+    Raises:
+        DataError: when one of the files cannot be used; the message names it and its line.
+    """
+    found = [*_positions(root, paths), *_world(root, paths)]
+    found += _own(root, paths, [*taken, *(column.name for column in found), "path", TAGS, NOTE])
+    return [column for column in found if column.known.any()]
+
+
+def _positions(root: Path, paths: Sequence[str]) -> list[Column]:
+    where = geo.positions(root)
+    if where is None:
+        return []
+    names = [field.name for field in fields(geo.Position)]
+    values = zip(*(astuple(place) for place in where.below(paths)), strict=True)
+    return [
+        number_column(name, [math.nan if value is None else value for value in of_all], _UNITS[name])
+        for name, of_all in zip(names, values, strict=True)
+    ]
+
+
+def _world(root: Path, paths: Sequence[str]) -> list[Column]:
+    """What a rendered world says of the building on each picture."""
+    file = root / WORLD
+    if not file.is_file():
+        return []
+    try:
+        plan = json.loads(file.read_bytes())
+        districts = {int(district["number"]): district for district in plan["districts"]}
+        buildings = {int(building["id"]): building for building in plan["buildings"]}
+        shown = {str(picture["path"]): buildings.get(int(picture["id"])) for picture in plan["pictures"]}
+        rows = [_building(shown.get(path), districts) for path in paths]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DataError(
+            f"{WORLD} in {printable(root.name)} is damaged or not the plan of a rendered world; render it again, or take "
+            f"{WORLD} away."
+        ) from error
+    district, character, kind, height, twins = zip(*rows, strict=True)
+    return [
+        text_column("district", district),
+        text_column("character", character),
+        text_column("kind", kind),
+        number_column("height", height, "m"),
+        text_column("twins", twins),
+    ]
+
+
+def _building(
+    building: dict[str, object] | None, districts: dict[int, dict[str, object]]
+) -> tuple[str, str, str, float, str]:
+    """District, its character, kind, height in metres, and whether there are others that look the same."""
+    if building is None:
+        return "", "", "", math.nan, ""
+    district = districts[int(str(building["district"]))]
+    height = float(str(building["height"]))
+    twins = "no" if building["twins"] is None else "yes"
+    return str(district["name"]), str(district["character"]), str(building["kind"]), height, twins
+
+
+def _own(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Column]:
+    file = root / NAME
+    if not file.is_file():
+        return []
+    lines = read_rows(file, NAME)
+    _, header = next(lines, (0, []))
+    names = [printable(name.strip()) for name in header]
+    if names[:1] != ["path"] or len(names) < 2:
+        raise DataError(
+            f"The first line of {NAME} is {','.join(names) or 'empty'}; expected path and the names of columns."
+        )
+    _check_names(names, taken)
+    rows: dict[str, list[str]] = {}
+    for number, values in lines:
+        if len(values) != len(names):
+            raise DataError(
+                f"Line {number} of {NAME} has {len(values)} values; expected {len(names)}: {','.join(names)}."
+            )
+        path, *rest = (value.strip() for value in values)
+        path = path.removeprefix("./")
+        if path in rows:
+            raise DataError(f"Line {number} of {NAME} is a second one for {printable(path)!r}; keep one.")
+        rows[path] = [printable(value) for value in rest]
+    missing = [path for path in paths if path not in rows]
+    if paths and len(missing) == len(paths):
+        raise DataError(
+            f"{NAME} names none of the {len(paths)} queries; expected paths below the folder, such as {printable(paths[0])}."
+        )
+    if missing:
+        log.warning("%s has no line for %d of %d queries, such as %s.", NAME, len(missing), len(paths), missing[0])
+    empty = [""] * (len(names) - 1)
+    return [
+        _column(name, [rows.get(path, empty)[i] for path in paths], [row[i] for row in rows.values()])
+        for i, name in enumerate(names[1:])
+    ]
+
+
+def _check_names(names: Sequence[str], taken: Sequence[str]) -> None:
+    used = {name.casefold() for name in taken}
+    for name in names[1:]:
+        if not name or _SIGNS & set(name):
+            raise DataError(
+                f"{NAME} has a column called {name!r}; expected a name without any of {' '.join(sorted(_SIGNS))}, so rename it."
+            )
+        if name.casefold() in used:
+            raise DataError(f"{NAME} has a column called {name!r}, which there is already; rename it.")
+        used.add(name.casefold())
+
+
+def _column(name: str, values: Sequence[str], everywhere: Sequence[str]) -> Column:
+    """Numbers where every value of the file is one, so that a column is of one kind for all tasks."""
+    known = [text for text in everywhere if text]
+    if known and all(_is_number(text) for text in known):
+        return number_column(name, [float(text) if text else math.nan for text in values])
+    return text_column(name, values)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False

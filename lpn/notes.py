@@ -1,0 +1,161 @@
+"""A person's own tags and notes on queries, kept in `notes.csv` in the data set's folder, or in another file.
+
+    path,tags,note
+    test/query_drone/0005/image-01.jpeg,night blur,"Looks like the twin next door."
+
+`path` is the query's picture, relative to the data set's folder; tags are words with a space between them. The file may be
+edited by hand, and by several programs at once, each of which changes one line.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lpn.errors import DataError, InputError, OutputError
+from lpn.files import alone, check_writable, printable, write_whole
+from lpn.metadata import NOTE, TAGS
+from lpn.tables import Column, text_column
+
+NAME = "notes.csv"
+LONGEST_TAG, MOST_TAGS, LONGEST_NOTE = 30, 20, 2000
+
+_HEADER = ["path", TAGS, NOTE]
+_TAG = re.compile(rf"\w[\w-]{{0,{LONGEST_TAG - 1}}}")
+_BETWEEN = re.compile(r"[\s,;]+")
+_BYTES = 50_000_000
+
+
+@dataclass(frozen=True)
+class Note:
+    """What a person said of one query.
+
+    Attributes:
+        tags: short words, each once, in the order given.
+        text: may have several lines.
+    """
+
+    tags: tuple[str, ...] = ()
+    text: str = ""
+
+
+def read_notes(file: Path) -> dict[str, Note]:
+    """All notes by the query's path; none where there is no file yet.
+
+    Raises:
+        DataError: when the file is not in the format above; the message names the line.
+    """
+    try:
+        if not file.exists():
+            return {}
+        if file.stat().st_size > _BYTES:
+            raise DataError(f"{file} has more than {_BYTES // 1_000_000} MB; expected notes, so move it away.")
+        text = file.read_text(encoding="utf-8-sig")
+        return _parsed(csv.reader(io.StringIO(text, newline=""), strict=True), file)
+    except OSError as error:
+        raise DataError(f"{file} cannot be read ({error.strerror}); check that it is readable.") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{file} is not text of comma-separated values in UTF-8; mend it, or move it away.") from error
+
+
+def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dict[str, Note]:
+    """Set what is said of one query, and keep what others said of others meanwhile; nothing said takes its line away.
+
+    Args:
+        file: the notes, usually `notes.csv` in the data set's folder.
+        path: the query's picture, relative to the data set's folder.
+        tags: words, or one text of them with spaces or commas between.
+        text: the note.
+
+    Returns:
+        All notes as they are now.
+
+    Raises:
+        InputError: when a tag is no short word, or there is too much of something.
+        DataError: when the file that is there is damaged; it is left as it is.
+        OutputError: when it cannot be written.
+    """
+    note = Note(parse_tags(tags), _clean(text))
+    if not path or not path.isprintable():
+        raise InputError(f"The query's path is {printable(path)!r}; expected the picture's, relative to the folder.")
+    if len(note.text) > LONGEST_NOTE:
+        raise InputError(f"The note has {len(note.text)} letters; expected {LONGEST_NOTE} at most.")
+    check_writable(file)
+    try:
+        with alone(file.parent, wait=True):
+            notes = read_notes(file)
+            notes.pop(path, None)
+            if note != Note():
+                notes[path] = note
+            write_whole(file, _written(notes))
+    except OSError as error:
+        raise OutputError(f"{file} cannot be written ({error.strerror}); choose another place for notes.") from error
+    return notes
+
+
+def parse_tags(tags: str | Iterable[str]) -> tuple[str, ...]:
+    """Tags as words, each once.
+
+    Raises:
+        InputError: when one is not of letters, digits, "-", and "_", or is too long, or there are too many.
+    """
+    words = _BETWEEN.split(tags) if isinstance(tags, str) else tags
+    found = tuple(dict.fromkeys(word for word in words if word))
+    for word in found:
+        if not _TAG.fullmatch(word):
+            raise InputError(
+                f"The tag {printable(word)[:60]!r} is not a word of at most {LONGEST_TAG} letters, digits, - and _; rename it."
+            )
+    if len(found) > MOST_TAGS:
+        raise InputError(f"There are {len(found)} tags; expected {MOST_TAGS} at most.")
+    return found
+
+
+def columns(notes: dict[str, Note], paths: Sequence[str]) -> list[Column]:
+    """The columns `tags` and `note` of a table with these rows, to be filtered by and exported."""
+    of = [notes.get(path, Note()) for path in paths]
+    return [text_column(TAGS, [" ".join(note.tags) for note in of]), text_column(NOTE, [note.text for note in of])]
+
+
+def _parsed(lines: Iterable[list[str]], file: Path) -> dict[str, Note]:
+    notes: dict[str, Note] = {}
+    header: list[str] | None = None
+    for number, values in enumerate((values for values in lines if values), 1):
+        if header is None:
+            header = [value.strip().lower() for value in values]
+            if header != _HEADER:
+                raise DataError(
+                    f"The first line of {file} is {printable(','.join(values))[:100]}; expected {','.join(_HEADER)}, so mend it, "
+                    "or move the file away."
+                )
+            continue
+        path = values[0].strip().removeprefix("./")
+        if len(values) != len(_HEADER) or not path or path in notes:
+            wrong = "has no path" if not path else f"is a second one for {printable(path)}"
+            wrong = f"has {len(values)} values" if len(values) != len(_HEADER) else wrong
+            raise DataError(
+                f"Entry {number - 1} of {file} {wrong}; expected one for a query, with {','.join(_HEADER)}."
+            )
+        try:
+            notes[path] = Note(parse_tags(values[1]), _clean(values[2]))
+        except InputError as error:
+            raise DataError(f"Entry {number - 1} of {file} cannot be used: {error}") from error
+    return notes
+
+
+def _written(notes: dict[str, Note]) -> bytes:
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_HEADER)
+    writer.writerows([path, " ".join(note.tags), note.text] for path, note in sorted(notes.items()))
+    return text.getvalue().encode("utf-8", "replace")
+
+
+def _clean(text: str) -> str:
+    """Without control characters but line breaks and tabs, which a file of comma-separated values would not give back."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n")
+    return "".join(c for c in lines if c.isprintable() or c in "\n\t").strip()

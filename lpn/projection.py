@@ -1,0 +1,105 @@
+"""Descriptors as points in the plane, to be looked at and selected from: PCA at once, UMAP as an extra."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.errors import InputError, MissingPackageError
+from lpn.geo import FloatArray
+from lpn.metrics import IntArray, flat_sides
+
+SAMPLE = 2000
+"""Pictures that the axes are found from, at most."""
+_BLOCK = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """Both sides of a task on one plane.
+
+    Attributes:
+        queries, tiles: (Q, 2) and (G, 2) float64.
+        variance: share of the variance that each axis shows, 0 .. 1, (2,); None where that means nothing (UMAP).
+    """
+
+    queries: FloatArray
+    tiles: FloatArray
+    variance: FloatArray | None
+
+
+def pca(queries: npt.ArrayLike, gallery: npt.ArrayLike, sample: int = SAMPLE) -> Projection:
+    """The two directions of largest variance of all descriptors, queries and tiles together.
+
+    The directions are exact for the sample, which is everything where there is no more, and evenly spaced rows otherwise. The
+    largest number of each direction is positive, so that the same descriptors always give the same picture.
+
+    Args:
+        queries, gallery: (Q, n, D) and (G, n, D), or flattened.
+        sample: rows that the directions are found from, at most.
+
+    Raises:
+        InputError: as for `metrics.evaluate`, or when the sample is smaller than 2.
+    """
+    if sample < 2:
+        raise InputError(f"The sample for the PCA is {sample}; expected 2 pictures or more.")
+    sides = flat_sides(queries, gallery)
+    total = len(sides[0]) + len(sides[1])
+    chosen = np.unique(np.linspace(0, total - 1, min(sample, total)).astype(np.int64))
+    split = np.searchsorted(chosen, len(sides[0]))
+    drawn = np.concatenate([sides[0][chosen[:split]], sides[1][chosen[split:] - len(sides[0])]]).astype(np.float64)
+    middle = drawn.mean(axis=0)
+    drawn -= middle
+    # The right singular vectors from the smaller of the two products, which is many times quicker than an SVD.
+    if len(drawn) < drawn.shape[1]:
+        values, left = np.linalg.eigh(drawn @ drawn.T)
+        axes = (drawn.T @ left[:, :-3:-1]) / np.sqrt(np.maximum(values[:-3:-1], 1e-30))
+    else:
+        values, right = np.linalg.eigh(drawn.T @ drawn)
+        axes = right[:, :-3:-1]
+    variance = np.zeros(2)
+    variance[: axes.shape[1]] = np.maximum(values[:-3:-1], 0) / max(float(np.maximum(values, 0).sum()), 1e-300)
+    axes[:, variance[: axes.shape[1]] < 1e-12] = 0.0
+    largest = np.take_along_axis(axes, np.argmax(np.abs(axes), axis=0)[None], axis=0)
+    axes = np.pad(axes * np.where(largest < 0, -1.0, 1.0), ((0, 0), (0, 2 - axes.shape[1])))
+    placed = [
+        np.concatenate([(side[i : i + _BLOCK] - middle) @ axes for i in range(0, len(side), _BLOCK)]) for side in sides
+    ]
+    return Projection(placed[0], placed[1], variance)
+
+
+def umap(queries: npt.ArrayLike, gallery: npt.ArrayLike, neighbours: int = 15, seed: int = 0) -> Projection:
+    """UMAP of all descriptors by cosine (McInnes et al. 2018): neighbours stay together, distances between groups mean little.
+
+    Args:
+        queries, gallery: as for `pca`.
+        neighbours: of each picture that are to stay near.
+        seed: the same seed gives the same picture.
+
+    Raises:
+        MissingPackageError: when umap-learn is not installed.
+        InputError: as for `metrics.evaluate`, or when there are not more pictures than neighbours.
+    """
+    sides = flat_sides(queries, gallery)
+    total = len(sides[0]) + len(sides[1])
+    if not 2 <= neighbours < total:
+        raise InputError(f"UMAP is asked for {neighbours} neighbours of {total} pictures; expected 2 to {total - 1}.")
+    try:
+        from umap import UMAP
+    except ModuleNotFoundError as error:
+        raise MissingPackageError(
+            "A UMAP needs the package umap-learn, which is not installed; pip install 'lpn-explorer[umap]', or use the PCA."
+        ) from error
+    # One thread: with a seed, umap-learn uses no more, and says so in a warning unless told.
+    reducer = UMAP(n_neighbors=neighbours, metric="cosine", random_state=seed, n_jobs=1)
+    points = cast(FloatArray, reducer.fit_transform(np.concatenate(sides)).astype(np.float64))
+    return Projection(points[: len(sides[0])], points[len(sides[0]) :], None)
+
+
+def inside(points: FloatArray, corner: tuple[float, float], opposite: tuple[float, float]) -> IntArray:
+    """Which points (N, 2) lie in a rectangle, its edges included: (M,), ascending. Corners are any two opposite ones."""
+    low, high = np.minimum(corner, opposite), np.maximum(corner, opposite)
+    return np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))

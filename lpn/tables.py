@@ -1,0 +1,226 @@
+"""A table of many rows that is sorted, filtered, searched, and paged by index arrays, so that it is never copied.
+
+A filter is one or more conditions joined by `and`:
+
+    rank > 1 and margin < -0.1 and district = "Dock 3" and name ~ 0012
+
+`=`, `!=`, `<`, `<=`, `>`, `>=` compare numbers; `=`, `!=` compare texts and `~`, `!~` ask whether one contains another, case
+ignored. `none` is what is unknown: no number, or no text. Otherwise, what is unknown fulfils no comparison of numbers.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import operator
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.errors import InputError
+from lpn.metrics import IntArray
+
+_COMPARED: dict[str, Callable[[Any, Any], Any]] = {
+    "=": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+_AND = re.compile(r'\s+and\s+(?=(?:[^"]*"[^"]*")*[^"]*$)', re.IGNORECASE)
+"""Outside of quotes."""
+_CONDITION = re.compile(r'\s*([^<>=!~"]+?)\s*(<=|>=|!=|!~|=|<|>|~)\s*("[^"]*"|[^<>=!~"]*?)\s*')
+_LONGEST = 1000
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+Kind = Literal["number", "text"]
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One column of a table.
+
+    Attributes:
+        name: unique in its table, without the signs of a filter.
+        kind: of its values.
+        values: (N,) float64 with NaN for what is unknown, or (N,) object of str with "" for it.
+        unit: of numbers, such as "m"; may be empty.
+    """
+
+    name: str
+    kind: Kind
+    values: npt.NDArray[Any]
+    unit: str = ""
+
+    def text(self, row: int) -> str:
+        """A value as it is shown to people: numbers with up to four digits after the point, "" for what is unknown."""
+        value = self.values[row]
+        if self.kind == "text":
+            return str(value)
+        return "" if np.isnan(value) else f"{value:.4f}".rstrip("0").rstrip(".")
+
+    @cached_property
+    def known(self) -> npt.NDArray[np.bool_]:
+        """Which values are known, (N,)."""
+        return np.asarray(~np.isnan(self.values) if self.kind == "number" else self.values != "", bool)
+
+    @cached_property
+    def folded(self) -> npt.NDArray[np.object_]:
+        """Texts as they are compared, (N,)."""
+        return np.array([value.casefold() for value in self.values], object)
+
+    @cached_property
+    def keys(self) -> npt.NDArray[np.float64]:
+        """Numbers in the order of the values, NaN for what is unknown, (N,)."""
+        if self.kind == "number":
+            return self.values
+        places = {text: i for i, text in enumerate(sorted(set(self.folded.tolist())))}
+        order = np.array([places[text] for text in self.folded], np.float64)
+        return np.where(self.known, order, np.nan)
+
+
+def number_column(name: str, values: npt.ArrayLike, unit: str = "") -> Column:
+    """A column of numbers (N,), NaN for what is unknown."""
+    return Column(name, "number", np.asarray(values, np.float64), unit)
+
+
+def text_column(name: str, values: Iterable[str]) -> Column:
+    """A column of texts (N,), "" for what is unknown."""
+    return Column(name, "text", np.array(list(values), object))
+
+
+class Table:
+    """Columns of equal length, of which the one called `name` says what each row is.
+
+    Args:
+        paths: what identifies each row, (N,): its picture's path in the data set.
+        columns: at least `name`.
+    """
+
+    def __init__(self, paths: Sequence[str], columns: Sequence[Column]) -> None:
+        self.paths = tuple(paths)
+        self.columns = {column.name: column for column in columns}
+        if len(self.columns) < len(columns) or any(len(column.values) != len(self.paths) for column in columns):
+            raise InputError(
+                f"The columns {', '.join(c.name for c in columns)} are not {len(columns)} names of {len(self.paths)} rows each."
+            )
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def plus(self, columns: Sequence[Column]) -> Table:
+        """This table with more columns, in place of those of the same name."""
+        return Table(self.paths, list((self.columns | {column.name: column for column in columns}).values()))
+
+    def rows(self) -> IntArray:
+        """All rows, (N,)."""
+        return np.arange(len(self))
+
+    def column(self, name: str) -> Column:
+        """A column by its name, case ignored.
+
+        Raises:
+            InputError: when there is none; the message says which there are.
+        """
+        for column in self.columns.values():
+            if column.name.casefold() == name.strip().casefold():
+                return column
+        raise InputError(f"There is no column {name.strip()!r}; the columns are {', '.join(self.columns)}.")
+
+    def sort(self, rows: IntArray, column: str, descending: bool = False) -> IntArray:
+        """Rows in the order of a column; equal ones stay in their order, and what is unknown comes last either way."""
+        keys = self.column(column).keys[rows]
+        sorted_rows: IntArray = rows[np.argsort(-keys if descending else keys, kind="stable")]
+        return sorted_rows
+
+    def filter(self, rows: IntArray, where: str) -> IntArray:
+        """Those of some rows that fulfil a filter, in their order; all for an empty one.
+
+        Raises:
+            InputError: when the filter is not one, see above, or names a column that is not there.
+        """
+        if len(where) > _LONGEST:
+            raise InputError(f"The filter has {len(where)} letters; expected {_LONGEST} at most.")
+        for text in _AND.split(where) if where.strip() else []:
+            condition = _CONDITION.fullmatch(text)
+            if condition is None:
+                raise InputError(
+                    f"The condition {text.strip()!r} cannot be read; expected one such as rank > 1 or name ~ 0012, a value with "
+                    f'signs or "and" in it within "", and the columns {", ".join(self.columns)}.'
+                )
+            name, sign, value = condition.groups()
+            rows = rows[_fulfilled(self.column(name), sign, value)[rows]]
+        return rows
+
+    def search(self, rows: IntArray, text: str) -> IntArray:
+        """Those of some rows whose name contains a text, case ignored."""
+        wanted = text.strip().casefold()
+        folded = self.columns["name"].folded
+        found: IntArray = rows[np.array([wanted in folded[row] for row in rows], bool)]
+        return found
+
+    def page(self, rows: IntArray, start: int, count: int) -> IntArray:
+        """At most `count` of some rows from position `start` on; the last full page where there are not so many."""
+        start = max(0, min(start, len(rows) - count))
+        return rows[start : start + max(count, 0)]
+
+    def to_csv(self, rows: IntArray) -> bytes:
+        """Some rows as comma-separated values in UTF-8: path and all columns, numbers in full, unknown ones empty.
+
+        A text that a spreadsheet would take for a formula (it begins with =, +, -, @, or a control character) gets an
+        apostrophe before it.
+        """
+        columns = list(self.columns.values())
+        cells = [
+            [("" if np.isnan(v) else f"{v:.9g}") for v in column.values[rows]]
+            if column.kind == "number"
+            else [harmless(text) for text in column.values[rows]]
+            for column in columns
+        ]
+        file = io.StringIO(newline="")
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["path", *(harmless(column.name) for column in columns)])
+        writer.writerows(zip((harmless(self.paths[row]) for row in rows), *cells, strict=True))
+        return file.getvalue().encode("utf-8", "replace")
+
+
+def harmless(text: str) -> str:
+    """A text that no spreadsheet takes for a formula."""
+    return f"'{text}" if text.startswith(_FORMULA) else text
+
+
+def _fulfilled(column: Column, sign: str, value: str) -> npt.NDArray[np.bool_]:
+    """Which rows fulfil one condition, (N,)."""
+    quoted, wanted = value.startswith('"'), value.strip('"').strip()
+    if not wanted:
+        raise InputError(f"There is nothing to compare {column.name} with; expected a value after {sign}, or none.")
+    if wanted.casefold() == "none" and not quoted and sign in ("=", "!="):
+        return column.known if sign == "!=" else ~column.known
+    if column.kind == "text":
+        return _text_fulfilled(column, sign, wanted.casefold())
+    try:
+        number = float(wanted)
+    except ValueError:
+        number = np.nan
+    if np.isnan(number) or sign not in _COMPARED:
+        raise InputError(
+            f"{column.name} holds numbers, and {sign} {wanted} does not fit them; expected one of {' '.join(_COMPARED)} and a "
+            "number, or = none."
+        )
+    fulfilled: npt.NDArray[np.bool_] = _COMPARED[sign](column.values, number) & column.known
+    return fulfilled
+
+
+def _text_fulfilled(column: Column, sign: str, wanted: str) -> npt.NDArray[np.bool_]:
+    if sign in ("=", "!="):
+        return np.asarray((column.folded == wanted) == (sign == "="), bool)
+    if sign in ("~", "!~"):
+        return np.array([(wanted in text) == (sign == "~") for text in column.folded], bool)
+    raise InputError(
+        f"{column.name} holds texts, which {sign} does not compare; expected = or != for the whole text, ~ or !~ for a part."
+    )

@@ -1,0 +1,353 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lpn
+from lpn import breakdown, cli, explain, geo, metrics, notes, retrieval
+from lpn.datasets import Picture, Truth, open_dataset
+from lpn.errors import DataError, InputError
+from lpn.failures import OUTCOME, Outcomes, build, described_by, labels_of, table
+from lpn.features import cached_descriptors, describe, known_descriptors
+from lpn.model import FloatArray, normalise
+from lpn.tables import number_column, text_column
+from tests import worlds
+
+
+def descriptors(count: int, n: int = 4, size: int = 6, seed: int = 0) -> FloatArray:
+    return normalise(np.random.default_rng(seed).standard_normal((count, n, size)).astype(np.float32))
+
+
+def one_by_one(
+    queries: FloatArray,
+    gallery: FloatArray,
+    query_labels: np.ndarray,
+    labels: np.ndarray,
+    weights: FloatArray,
+    truth: list[Truth] | None = None,
+) -> list[tuple[int, int, int, int, float, list[float], int]]:
+    """The same outcomes from a whole ranking of each query, as the explorer makes it."""
+    found = []
+    for i, query in enumerate(queries):
+        of = None if truth is None else truth[i]
+        cosines = explain.part_cosines(query.astype(np.float64), gallery.astype(np.float64))
+        ranking = retrieval.rank(cosines, weights, labels, int(query_labels[i]), of)
+        assert ranking.relevant is not None
+        order = ranking.order.tolist()
+        good = [position for position, index in enumerate(order) if ranking.relevant[index]]
+        bad = [position for position, index in enumerate(order) if not ranking.relevant[index]]
+        true, false = (order[at[0]] if at else -1 for at in (good, bad))
+        parts, margin, decides = [np.nan] * len(weights), np.nan, -1
+        if good and bad:
+            parts = [float(w * (a - b)) for w, a, b in zip(weights, cosines[true], cosines[false], strict=True)]
+            margin = float(ranking.scores[true] - ranking.scores[false])
+            decides = parts.index(max(parts) if good[0] == 0 else min(parts))
+        found.append((good[0] if good else -1, order[0] if order else -1, true, false, margin, parts, decides))
+    return found
+
+
+def compare(outcomes: Outcomes, expected: list[tuple[int, int, int, int, float, list[float], int]]) -> None:
+    rank, first, true, false, margin, parts, decides = (np.array(column) for column in zip(*expected, strict=True))
+    for name, column in (("rank", rank), ("first", first), ("true", true), ("false", false), ("decides", decides)):
+        np.testing.assert_array_equal(getattr(outcomes, name), column, name)
+    np.testing.assert_allclose(outcomes.margin, margin, atol=1e-7)
+    np.testing.assert_allclose(outcomes.parts, parts, atol=1e-7)
+    np.testing.assert_array_equal(outcomes.parts.sum(axis=1), outcomes.margin)
+    found = outcomes.rank == 0
+    assert (outcomes.margin[found & ~np.isnan(outcomes.margin)] >= 0).all()
+    assert (outcomes.margin[outcomes.rank > 0] <= 0).all()
+
+
+@pytest.mark.parametrize("block", [64_000_000, 700])
+@pytest.mark.parametrize("weights", [None, [0.1, 0.0, 3, 1]])
+def test_outcomes_are_those_of_each_query_ranked_alone(
+    block: int, weights: list[float] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(metrics, "_BLOCK_BYTES", block)
+    monkeypatch.setattr("lpn.failures._CHUNK_BYTES", block)
+    rng = np.random.default_rng(1)
+    queries, gallery = descriptors(50), descriptors(30, seed=1)
+    labels, asked = rng.integers(-1, 9, 30), rng.integers(0, 11, 50)
+    gallery[20] = gallery[4]
+    queries[:15] = normalise(queries[:15] + 2 * gallery[rng.integers(0, 30, 15)])
+    outcomes = build(queries, gallery, asked, labels, weights=weights)
+    used = explain.part_weights(4, weights).astype(np.float64)
+    compare(outcomes, one_by_one(queries, gallery, asked, labels, used))  # type: ignore[arg-type]
+    assert {-1, 0, 2} <= set(outcomes.rank.tolist())
+    if weights is None:
+        np.testing.assert_array_equal(outcomes.rank, metrics.retrieve(queries, asked, gallery, labels).first)
+        np.testing.assert_array_equal(outcomes.first, metrics.retrieve(queries, asked, gallery, labels).best)
+
+
+def test_true_matches_and_junk_may_come_from_lists() -> None:
+    rng = np.random.default_rng(2)
+    queries, gallery = descriptors(12), descriptors(20, seed=3)
+    truth = []
+    for count in range(12):
+        drawn = rng.permutation(20)
+        truth.append(Truth(np.sort(drawn[: count % 4]), np.sort(drawn[count % 4 : 2 * count])))
+    outcomes = build(queries, gallery, None, None, truth)
+    nothing = np.zeros(20, np.int64)
+    compare(outcomes, one_by_one(queries, gallery, nothing, nothing, np.full(4, 0.25, np.float32), truth))
+    np.testing.assert_array_equal(outcomes.rank, metrics.retrieve(queries, None, gallery, None, truth).first)
+
+
+def test_where_nothing_is_false_or_all_is_junk_there_is_no_margin() -> None:
+    queries, gallery = descriptors(2), descriptors(3, seed=1)
+    alone = build(queries, gallery, [5, 6], [5, 5, 5])
+    assert alone.rank.tolist() == [0, -1]
+    assert alone.false.tolist()[0] == alone.true.tolist()[1] == -1
+    assert np.isnan(alone.margin).all()
+    assert alone.decides.tolist() == [-1, -1]
+    junk = build(queries, gallery, [5, 6], [-1, -1, -1])
+    assert [junk.first.tolist(), junk.rank.tolist()] == [[-1, -1], [-1, -1]]
+    listed = build(queries, gallery, None, None, [Truth(np.zeros(0, np.int64), np.arange(3))] * 2)
+    assert listed.first.tolist() == [-1, -1]
+
+
+def test_equal_scores_are_in_the_gallerys_order() -> None:
+    tile = descriptors(1)
+    gallery = np.concatenate([tile] * 4)
+    behind = build(tile, gallery, [1], [0, 0, 1, 1])
+    assert (behind.rank[0], behind.first[0], behind.true[0], behind.false[0]) == (2, 0, 2, 0)
+    before = build(tile, gallery, [1], [1, 0, 1, 0])
+    assert (before.rank[0], before.first[0], before.margin[0]) == (0, 0, 0.0)
+
+
+def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics, "_BLOCK_BYTES", 8 * 5 * 4)
+    told: list[tuple[int, int]] = []
+    build(descriptors(10), descriptors(5), range(10), range(5), progress=lambda done, of: told.append((done, of)))  # type: ignore[arg-type]
+    assert told == [(4, 10), (8, 10), (10, 10)]
+
+    def stop(done: int, of: int) -> None:
+        raise InterruptedError(f"{done} of {of}")
+
+    with pytest.raises(InterruptedError, match="4 of 10"):
+        build(descriptors(10), descriptors(5), range(10), range(5), progress=stop)  # type: ignore[arg-type]
+
+
+def test_descriptors_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(InputError, match="same parts"):
+        build(descriptors(2), descriptors(2, n=2), [1, 2], [1, 2])
+    with pytest.raises(InputError, match="one integer for each"):
+        build(descriptors(2), descriptors(2), [1], [1, 2])
+    with pytest.raises(InputError, match="part weights"):
+        build(descriptors(2), descriptors(2), [1, 2], [1, 2], weights=[1, 2])
+
+
+def described(root: Path, model_file: Path) -> tuple[list[Picture], list[Picture], Outcomes]:
+    model, dataset = lpn.load(model_file), open_dataset(root)
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    asked, tiles = cached_descriptors(model, queries, "drone"), cached_descriptors(model, gallery, "satellite")
+    return queries, gallery, build(asked, tiles, labels_of(queries), labels_of(gallery))
+
+
+def world_json(root: Path) -> None:
+    """A plan with two districts; places with an even number have twins."""
+    shown = [(file.relative_to(root).as_posix(), int(file.parent.name)) for file in sorted(root.rglob("*.png"))]
+    ids = sorted({number for _, number in shown})
+    plan = {
+        "districts": [{"number": i, "name": f"Dock {i}", "character": "industry"} for i in range(2)],
+        "buildings": [
+            {"id": i, "district": i // 13, "kind": "hall", "height": i + 0.5, "twins": None if i % 2 else 1}
+            for i in ids
+        ],
+        "pictures": [{"path": path, "id": number} for path, number in shown],
+    }
+    (root / "world.json").write_text(json.dumps(plan))
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set with everything that can be known of its pictures."""
+    root = worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("known") / "places"))
+    world_json(root)
+    lines = ["path,weather,Battery left,2nd"]
+    files = sorted((root / "test" / "query_drone").rglob("*.png"))
+    for i, file in enumerate(files[:-1]):
+        lines.append(f"{file.relative_to(root).as_posix()},{('rain', '=sun', '')[i % 3]},{80 - i}.5,{i or ''}")
+    (root / "metadata.csv").write_text("\n".join(lines) + "\n")
+    return root
+
+
+def test_a_table_has_a_row_for_each_query_and_a_column_for_all_that_is_known(known: Path, model_file: Path) -> None:
+    queries, gallery, outcomes = described(known, model_file)
+    made = table(known, queries, gallery, outcomes, ["1 centre", "2", "3", "4 outer"])
+    assert list(made.columns)[:8] == list(OUTCOME)
+    of_pictures = [column.name for column in described_by(made)]
+    assert of_pictures == [
+        *("latitude", "longitude", "altitude", "heading", "tilt", "fov"),
+        *("district", "character", "kind", "height", "twins", "weather", "Battery left", "2nd"),
+    ]
+    where = geo.Positions(known)
+    for i, query in enumerate(queries):
+        row = {name: column.values[i] for name, column in made.columns.items()}
+        answer, truth = gallery[outcomes.first[i]], gallery[outcomes.true[i]]
+        assert (row["name"], row["answer"], row["truth"]) == (query.name, answer.name, truth.name)
+        assert row["rank"] == outcomes.rank[i] + 1
+        assert row["part"].startswith(str(outcomes.decides[i] + 1))
+        assert row["distance"] == pytest.approx(geo.metres(where.of([query]), where.of([answer]))[0])
+        assert row["altitude"] == 150
+        assert sum(row[f"margin_{k}"] for k in range(1, 5)) == pytest.approx(row["margin"], abs=1e-12)
+        assert (row["district"], row["height"]) == (f"Dock {query.label // 13}", query.label + 0.5)
+        assert row["twins"] == ("no" if query.label % 2 else "yes")
+    assert np.isnan(made.columns["Battery left"].values[-1])
+    assert made.columns["Battery left"].values[:2].tolist() == [80.5, 79.5]
+    assert made.columns["weather"].values[:4].tolist() == ["rain", "=sun", "", "rain"]
+
+
+def test_a_data_set_of_which_nothing_is_known_has_its_outcomes_only(data: Path, model_file: Path) -> None:
+    queries, gallery, outcomes = described(data, model_file)
+    made = table(data, queries, gallery, outcomes)
+    assert described_by(made) == []
+    assert "distance" not in made.columns
+    assert set(made.columns["part"].values) <= {"1", "2", "3", "4"}
+    with pytest.raises(InputError, match="those of one task"):
+        table(data, queries[1:], gallery, outcomes)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is empty; expected path"),
+        ("name,x\n", "is name,x; expected path"),
+        ("path\n", "is path; expected path and"),
+        ("path,a,A\n", "'A', which there is already"),
+        ("path,rank\n", "'rank', which there is already"),
+        ("path,tags\n", "'tags', which there is already"),
+        ("path,a<b\n", "without any of"),
+        ("path,\n", "called ''"),
+        ("path,a\nx.png,1,2\n", "Line 2 of metadata.csv has 3 values; expected 2"),
+        ("path,a\nx.png,1\n./x.png,1\n", "Line 3 of metadata.csv is a second one"),
+        ("path,a\nx.png,1\n", "names none of the 14 queries"),
+        ("path,\xff", "not text in UTF-8"),
+    ],
+)
+def test_metadata_that_cannot_be_used_is_one_sentence(tmp_path: Path, text: str, said: str) -> None:
+    root = worlds.make_dataset(tmp_path / "places", train=0)
+    queries, gallery = open_dataset(root).queries("drone"), open_dataset(root).gallery("satellite")
+    outcomes = build(descriptors(14), descriptors(14), labels_of(queries), labels_of(gallery))
+    (root / "metadata.csv").write_bytes(text.encode("latin-1"))
+    with pytest.raises(DataError) as error:
+        table(root, queries, gallery, outcomes)
+    assert said in str(error.value)
+    (root / "metadata.csv").unlink()
+    (root / "world.json").write_text('{"districts": [], "buildings": [{"id": 1}], "pictures": 3}')
+    with pytest.raises(DataError, match="not the plan of a rendered world"):
+        table(root, queries, gallery, outcomes)
+
+
+def outcomes_of(rank: list[int], first: list[int], decides: list[int]) -> Outcomes:
+    """Outcomes of which nothing else matters."""
+    count = len(rank)
+    columns = [np.array(values, np.int64) for values in (rank, first, [0] * count, [0] * count)]
+    return Outcomes(*columns, np.zeros((count, 3)), np.zeros(count), np.array(decides), np.ones(3) / 3)  # type: ignore[arg-type]
+
+
+def test_confusions_and_blame_count_failures() -> None:
+    outcomes = outcomes_of([0, 1, 4, 1, 2, -1, -1], [2, 1, 1, 0, 3, 3, -1], [2, 0, 1, 1, 1, -1, -1])
+    places, tiles = np.array([3, 3, 3, 2, 3, 9, 9]), np.array([1, 2, 3, 2])
+    found = breakdown.confusions(outcomes, places, tiles)
+    assert [(c.place, c.answered, c.count, c.queries.tolist(), c.tile) for c in found] == [
+        (3, 2, 3, [1, 2, 4], 1),
+        (2, 1, 1, [3], 0),
+        (9, 2, 1, [5], 3),
+    ]
+    assert breakdown.blame(outcomes).tolist() == [1, 3, 0]
+    chosen = np.array([4, 3, 0])
+    assert [c.count for c in breakdown.confusions(outcomes, places, tiles, chosen)] == [1, 1]
+    assert breakdown.blame(outcomes, chosen).tolist() == [0, 2, 0]
+    assert breakdown.confusions(outcomes, places, tiles, np.array([0])) == []
+
+
+def test_wilson_intervals_are_the_published_ones() -> None:
+    # Newcombe, Statistics in Medicine 17 (1998), Table I, method 3.
+    for hits, of, expected in [(81, 263, (0.2553, 0.3662)), (15, 148, (0.0624, 0.1605)), (0, 20, (0.0, 0.1611))]:
+        assert breakdown.wilson(hits, of) == pytest.approx(expected, abs=1e-4)
+    assert breakdown.wilson(29, 29) == pytest.approx((0.8830, 1.0), abs=1e-4)
+    with pytest.raises(InputError, match="3 hits of 2"):
+        breakdown.wilson(3, 2)
+
+
+def test_failure_rates_are_counted_in_quantile_bins() -> None:
+    rng = np.random.default_rng(0)
+    values = rng.permutation(100).astype(np.float64)
+    failed = values >= 60
+    values[values == 7] = np.nan
+    found = breakdown.rates(failed, number_column("altitude", values, "m"))
+    assert len(found) == 6
+    assert (sum(rate.queries for rate in found), sum(rate.failures for rate in found)) == (100, 40)
+    for rate in found[:-1]:
+        within = (values >= rate.low) & (values <= rate.high)
+        assert (rate.queries, rate.failures) == (within.sum(), failed[within].sum())
+        assert 18 <= rate.queries <= 21
+        assert rate.interval[0] <= rate.share <= rate.interval[1]
+    assert (found[-1].name, found[-1].queries) == ("not known", 1)
+    # Equal values stay together, and few values have a bin each.
+    tilt = np.repeat([-90.0, -50, -45], [5, 90, 5])
+    assert [r.name for r in breakdown.rates(failed, number_column("tilt", tilt, "°"))] == ["-90°", "-50°", "-45°"]
+    heavy = np.concatenate([np.zeros(80), np.arange(1, 21)])
+    assert [r.queries for r in breakdown.rates(failed, number_column("x", heavy))] == [80, 20]
+    chosen = np.arange(10)
+    assert sum(r.queries for r in breakdown.rates(failed, number_column("x", heavy), rows=chosen)) == 10
+
+
+def test_failure_rates_by_text_come_with_the_highest_first() -> None:
+    failed = np.array([True, False, True, True, False])
+    found = breakdown.rates(failed, text_column("district", ["a", "a", "b", "", "a"]))
+    assert [(r.name, r.queries, r.failures) for r in found] == [("b", 1, 1), ("a", 3, 1), ("not known", 1, 1)]
+    with pytest.raises(InputError, match="one value for each"):
+        breakdown.rates(failed, text_column("district", ["a"]))
+
+
+def test_descriptors_that_came_with_a_data_set_are_taken(tmp_path: Path, model_file: Path) -> None:
+    root, model = worlds.make_dataset(tmp_path / "places", train=0, test=3), lpn.load(model_file)
+    queries = open_dataset(root).queries("drone")
+    folder = root / "test" / "query_drone"
+    store = describe(model, [q.path for q in queries], "drone", root / "descriptors" / "query_drone", root=folder)
+    marked = np.lib.format.open_memmap(root / "descriptors" / "query_drone" / "descriptors.npy", mode="r+")
+    marked[0] = marked[1]
+    marked.flush()
+    taken = known_descriptors(model, queries, "drone", root, "query")
+    np.testing.assert_array_equal(taken[0], taken[1])
+    (root / "descriptors" / "query_drone" / "manifest.json").unlink()
+    fresh = known_descriptors(model, queries, "drone", root, "query")
+    assert np.abs(fresh[0] - fresh[1]).max() > 1e-3
+    assert store.manifest.view == "drone"
+
+
+def test_the_command_lists_failures_and_writes_them(
+    known: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = tmp_path / "mine.csv"
+    queries, _, outcomes = described(known, model_file)
+    first = queries[3].path.relative_to(known).as_posix()
+    notes.set_note(own, first, "odd", "-1 for the roof")
+    common = ["failures", "--data", str(known), "--model", str(model_file), "--notes", str(own)]
+    out = tmp_path / "out" / "failures.csv"
+    chosen = ["--where", "district = 'no'", "--csv", str(out)]
+    assert cli.main([*common, *chosen]) == 0
+    assert "0 of 14 queries" in capsys.readouterr().out
+    assert cli.main([*common, "--csv", str(out), "--top", "3"]) == 0
+    said = capsys.readouterr().out
+    for words in ("14 of 14 queries, 3 listed", "Failures by district", "1 centre", " taken for ", "Dock 1"):
+        assert words in said
+    rows = list(csv.DictReader(io.StringIO(out.read_text())))
+    margins = [float(row["margin"]) for row in rows]
+    assert margins == sorted(margins)
+    np.testing.assert_allclose(margins, np.sort(outcomes.margin), atol=1e-6)
+    by_path = {row["path"]: row for row in rows}
+    assert (by_path[first]["tags"], by_path[first]["note"]) == ("odd", "'-1 for the roof")
+    assert by_path[first]["weather"] in ("rain", "'=sun", "")
+    wrong = [["--where", "hue > 1"], ["--sort", "hue"], ["--task", "street-to-satellite"], ["--top", "0"]]
+    for options, words in zip(wrong, ["'hue'", "'hue'", "drone-to-satellite", "1 or more"], strict=True):
+        assert cli.main([*common, *options]) == 2
+        said = capsys.readouterr().err
+        assert words in said
+        assert said.count("\n") == 1
