@@ -10,16 +10,18 @@ import tyro
 
 import lpn
 from lpn.commands.making import Export, Reproduce, Train, World, parse_train
+from lpn.commands.sweep import Sweep
 from lpn.commands.using import Describe, Doctor, Evaluate, Explore
 from lpn.errors import LPNError, MissingPackageError
 
-COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe | Doctor | World | Reproduce]] = {
+COMMANDS: dict[str, type[Explore | Evaluate | Train | Export | Describe | Doctor | Sweep | World | Reproduce]] = {
     "explore": Explore,
     "train": Train,
     "evaluate": Evaluate,
     "export": Export,
     "describe": Describe,
     "doctor": Doctor,
+    "sweep": Sweep,
     "world": World,
     "reproduce": Reproduce,
 }

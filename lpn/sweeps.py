@@ -41,6 +41,7 @@ class Point:
         change: what was done to it.
         tile: gallery position of what is followed: the nearest true match, a chosen tile, or where neither is known the top
             match.
+        true: whether that tile shows the query's place; None when that is not known.
         score: of that tile, the weighted mean cosine, -1 .. 1.
         rank: of that tile, 1 for the nearest.
         cosines: of each part with that tile, (n,).
@@ -50,6 +51,7 @@ class Point:
 
     change: Change
     tile: int
+    true: bool | None
     score: float
     rank: int
     cosines: FloatArray
@@ -93,7 +95,7 @@ def profile(
             raise InputError(f"Gallery picture {follow} is not in the ranking; choose one that is.")
         top = ranking.match(0)
         tile = (ranking.truth() or top) if follow is None else ranking.find(follow)
-        yield Point(change, tile.index, tile.score, tile.rank, tile.cosines, top.index, top.score)
+        yield Point(change, tile.index, tile.true, tile.score, tile.rank, tile.cosines, top.index, top.score)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,11 @@ class Profile:
 
     def heading(self) -> float | None:
         """Estimate of the direction of the picture's top in degrees clockwise from north, 0 .. 360, without knowing the
-        truth; None for other sweeps than rotation. It supposes a north-up gallery and is of the precision of the steps."""
+        truth; None for other sweeps than rotation. It supposes a north-up gallery and is of the precision of the steps.
+
+        A guess: on the demo, in steps of 15 degrees, the median error is 12 degrees for pictures from straight above, of which
+        one in ten is taken for its opposite, and 33 for tilted ones, of which four in ten are; by chance it would be 90.
+        """
         return -self.best_blind.change.rotate % 360 if self.over == "rotation" else None
 
     def rows(self) -> list[dict[str, Any]]:
@@ -148,6 +154,7 @@ class Profile:
                 "rank": point.rank,
                 **{f"cosine {part}": float(cosine) for part, cosine in enumerate(point.cosines, 1)},
                 "tile": point.tile,
+                "true": point.true,
                 "top": point.top,
                 "top score": point.top_score,
             }
