@@ -13,6 +13,8 @@ from lpn.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from lpn.datasets import Dataset
+    from lpn.model import Model
     from lpn.sweeps import Point, Profile
 
 _BAR = 24
@@ -44,14 +46,10 @@ class Sweep:
     """File to draw the curves to; needs matplotlib, of the extra train."""
 
     def run(self) -> None:
-        import numpy as np
         from rich.console import Console
-        from rich.progress import track
 
-        from lpn import explain, features, images, sweeps
         from lpn.datasets import open_dataset
         from lpn.files import check_writable, write_whole
-        from lpn.spec import views_of
 
         for file in filter(None, (self.csv, self.png)):
             check_writable(file)
@@ -64,9 +62,28 @@ class Sweep:
             raise InputError(
                 f"The task is {task!r}; {dataset.root.name} offers {', '.join(tasks) or 'none'} in its test split."
             )
+        console = Console(width=max(120, Console().width))
+        found = self._swept(model, dataset, task, console)
+        title = f"{self.query} ({task}, {model.spec.describe()})"
+        _print(found, title, console)
+        if self.csv is not None:
+            write_whole(self.csv, found.to_csv())
+        if self.png is not None:
+            write_whole(self.png, _drawn(found, title))
+
+    def _swept(self, model: Model, dataset: Dataset, task: str, console: Console) -> Profile:
+        import numpy as np
+        from rich.progress import track
+
+        from lpn import explain, features, images, sweeps
+        from lpn.spec import views_of
+
         query_view, gallery_view = views_of(task)
         for view in (query_view, gallery_view):
             model.check_view(view)
+        side = model.input_size[0 if self.over == "shift-down" else 1]
+        changes = sweeps.changes_over(self.over, self.step, self.reach, side)
+        weights = explain.part_weights(model.n_parts, _weights(self.weights))
         queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
         names = [entry.name for entry in queries]
         if self.query not in names:
@@ -74,34 +91,15 @@ class Sweep:
                 f"{dataset.root.name} has no {query_view} query {self.query}; its names are such as {names[0]}."
             )
         position = names.index(self.query)
-        entry = queries[position]
-        side = model.input_size[0 if self.over == "shift-down" else 1]
-        changes = sweeps.changes_over(self.over, self.step, self.reach, side)
-        weights = explain.part_weights(model.n_parts, _weights(self.weights))
-        truth = dataset.truth(task)
+        entry, truth = queries[position], dataset.truth(task)
         picture = images.load_picture(entry.path)
         picture = picture if entry.box is None else images.crop(picture, entry.box, entry.name)
         tiles = features.cached_descriptors(model, gallery, gallery_view)
-        points = sweeps.profile(
-            model,
-            picture,
-            query_view,
-            tiles,
-            weights,
-            changes,
-            np.array([tile.label for tile in gallery], np.int64),
-            entry.label,
-            None if truth is None else truth[position],
-        )
-        console = Console(width=max(120, Console().width))
-        done = track(points, f"Describing {entry.name}", len(changes), console=console, transient=True)
-        found = sweeps.Profile(self.over, tuple(done))
-        title = f"{entry.name} ({task}, {model.spec.describe()})"
-        _print(found, title, console)
-        if self.csv is not None:
-            write_whole(self.csv, found.to_csv())
-        if self.png is not None:
-            write_whole(self.png, _drawn(found, title))
+        labels = np.array([tile.label for tile in gallery], np.int64)
+        listed = None if truth is None else truth[position]
+        points = sweeps.profile(model, picture, query_view, tiles, weights, changes, labels, entry.label, listed)
+        seen = track(points, f"Describing {self.query}", len(changes), console=console, transient=True)
+        return sweeps.Profile(self.over, tuple(seen))
 
 
 def _weights(text: str | None) -> list[float] | None:
