@@ -127,6 +127,12 @@ class Profile:
         return self._highest([point.top_score for point in self.points])
 
     @property
+    def best_rank(self) -> Point:
+        """Where what is followed has its best rank; of equals, where its score is highest."""
+        # Scores differ by at most 2, so a rank counts for more.
+        return self._highest([4.0 * -point.rank + point.score for point in self.points])
+
+    @property
     def unchanged(self) -> Point | None:
         """The query as it is; None where it is not among the points (yet)."""
         return next((point for point in self.points if not point.change), None)

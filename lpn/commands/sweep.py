@@ -148,7 +148,10 @@ def _said(profile: Profile) -> list[str]:
     lines = []
     if profile.points[0].true:
         lines.append(_sentence("The true match scores highest", profile, profile.best))
-    lines.append(_sentence("Any tile scores highest", profile, profile.best_blind))
+        lines.append(_sentence("It ranks best", profile, profile.best_rank))
+    lines.append(
+        _sentence("The top score, which is seen without knowing the truth, is highest", profile, profile.best_blind)
+    )
     heading = profile.heading()
     if heading is not None:
         lines.append(
@@ -158,13 +161,14 @@ def _said(profile: Profile) -> list[str]:
 
 
 def _sentence(begin: str, profile: Profile, point: Point) -> str:
-    gain = profile.gain(point)
-    what = point.change.describe() or "with the query as it is"
-    if gain is None or not point.change:
-        return f"{begin} {what}: rank {point.rank}, score {point.score:.3f}."
+    gain, changed = profile.gain(point), point.change.describe()
+    when = f"when {changed}" if changed else "with the query as it is"
+    who = "the true match has" if point.true else "the top match has"
+    if gain is None or not changed:
+        return f"{begin} {when}: {who} rank {point.rank}, score {point.score:.3f}."
     ranks, score = gain
     before = f"instead of {point.rank + ranks}" if ranks else "as before"
-    return f"{begin} when {what}: rank {point.rank} {before}, score {point.score:.3f} ({score:+.3f})."
+    return f"{begin} {when}: {who} rank {point.rank} {before}, score {point.score:.3f} ({score:+.3f})."
 
 
 def _drawn(profile: Profile, title: str) -> bytes:
@@ -182,10 +186,11 @@ def _drawn(profile: Profile, title: str) -> bytes:
     above.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1, 1))
     below.plot(along, [point.rank for point in profile.points], color="black", marker=".")
     below.set(ylabel="its rank", xlabel=f"{profile.over} ({UNITS[profile.over].strip()})")
-    if max(point.rank for point in profile.points) > 10:
-        below.set_yscale("log")
-    else:
-        below.set(ylim=(0.5, 10.5), yticks=(1, 5, 10))
-    below.invert_yaxis()
+    last = max(10, *(point.rank for point in profile.points))
+    ticks = [tick * 10**power for power in range(7) for tick in (1, 2, 5) if tick * 10**power <= last]
+    below.set_yscale("log")
+    below.minorticks_off()
+    below.set_yticks(ticks, [str(tick) for tick in ticks])
+    below.set_ylim(last * 1.2, 0.8)
     figure.tight_layout()
     return png(figure, dpi=120)

@@ -135,6 +135,7 @@ def test_a_profile_tells_the_best_change_and_what_it_gains() -> None:
     assert [round(sweeps.value("rotation", p.change)) for p in turned.points] == [0, 90, 180, 270]
     assert turned.best.change.rotate == 90
     assert turned.best_blind.change.rotate == 90
+    assert Profile("rotation", tuple(points[:3])).best_rank.change.rotate == -90
     assert turned.gain(turned.best) == (5, pytest.approx(0.1))
     assert turned.heading() == 270
     rows = list(csv.DictReader(io.StringIO(turned.to_csv().decode())))
