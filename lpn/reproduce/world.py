@@ -73,7 +73,7 @@ def _places(world: Path, streets: list[Picture], out: Path) -> None:
         name = file.relative_to(world).as_posix()
         _link(file, made / moved.get(name, name))
     if (world / "geo.csv").is_file():
-        with (world / "geo.csv").open(newline="") as source:
+        with (world / "geo.csv").open(encoding="utf-8-sig", newline="") as source:
             rows = list(csv.DictReader(source))
         text = io.StringIO()
         writer = csv.DictWriter(text, list(rows[0]))
