@@ -274,10 +274,10 @@ METHODS: dict[str, dict[str, Any]] = {
     "safa": {**_SAFA, "n_parts": 1},
     "safa-lpn": {**_SAFA, "n_parts": 8},
 }
-"""What the paper compares, each as what it changes in a recipe; each says all of its loss, whatever the recipe has. lpn: square rings. instance: the baseline with global average
-pooling. contrastive, triplet-*, soft-margin: the baseline trained by distances over the batch instead. lpn-cvusa: the
-released rings against rows. lpn-strips: columns of panorama and unrolled tile. safa, safa-lpn: Shi et al. 2019, alone and by
-strips."""
+"""What the paper compares, each as what it changes in a recipe; each states all of its loss, whatever the recipe has. lpn: square
+rings. instance: the baseline with global average pooling. contrastive, triplet-*, soft-margin: the baseline trained by distances
+over the batch instead. lpn-cvusa: the released rings against rows. lpn-strips: columns of panorama and unrolled tile. safa,
+safa-lpn: Shi et al. 2019, alone and by strips."""
 
 
 def method(name: str, recipe: Recipe) -> Recipe:
