@@ -35,9 +35,15 @@ def protocol(rows: Mapping[str, str]) -> str:
     if not held:
         return "Nothing was measured."
     shared = [clause for clause, labels in held.items() if len(labels) == len(rows)]
-    others = [f"{clause} ({', '.join(labels)})" for clause, labels in held.items() if len(labels) < len(rows)]
+    others = [f"{clause} ({_rows(labels, list(rows))})" for clause, labels in held.items() if len(labels) < len(rows)]
     apart = f" Not in every row: {'; '.join(others)}." if others else ""
     return f"Protocol: {'; '.join(shared)}.{apart}"
+
+
+def _rows(labels: Sequence[str], every: Sequence[str]) -> str:
+    """Some rows of a table, or the others where these are fewer."""
+    others = [label for label in every if label not in labels]
+    return " / ".join(labels) if len(labels) <= len(others) else f"all but {' / '.join(others)}"
 
 
 def about(table: Table, data: Sequence[Source]) -> list[str]:

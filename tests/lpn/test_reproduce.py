@@ -362,7 +362,7 @@ def test_clauses_that_differ_are_said_with_the_rows_they_hold_for() -> None:
         "LPN": "Protocol: mirror added; ranked.",
         "SAFA": "Protocol: as it is; ranked.",
     }
-    assert foot.protocol(rows) == ("Protocol: ranked. Not in every row: mirror added (Baseline, LPN); as it is (SAFA).")
+    assert foot.protocol(rows) == ("Protocol: ranked. Not in every row: mirror added (all but SAFA); as it is (SAFA).")
     assert foot.protocol({"LPN": rows["LPN"]}) == rows["LPN"]
 
 
