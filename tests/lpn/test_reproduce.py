@@ -254,11 +254,17 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, tm
     assert not (out / "runs").exists()
 
 
-def two_views(folder: Path) -> Path:
+def two_views(folder: Path, n_parts: int = 4) -> Path:
     """A network of satellite and street."""
     torch.manual_seed(0)
     spec = ModelSpec(
-        "resnet18", "layer3", views=("satellite", "street"), shared=False, classes=4, input_size=(64, 64), embedding=32
+        "resnet18",
+        "layer3",
+        views=("satellite", "street"),
+        shared=False,
+        n_parts=n_parts,
+        classes=4,
+        input_size=(64, 64),
     )
     save(LPN(spec), folder / "two.safetensors")
     return folder / "two.safetensors"
@@ -356,6 +362,16 @@ def test_a_world_whose_pictures_are_not_all_there_is_refused(tmp_path: Path) -> 
         reproduction(root, tmp_path / "out", **options).run(["table5"])
 
 
+def test_the_title_names_the_data_that_were_measured(places: Path, tmp_path: Path) -> None:
+    options = {"data": [str(layouts.cvact(tmp_path / "canberra"))], "train": False}
+    reproduction(places, tmp_path / "out", models={"panorama-instance": two_views(tmp_path, 1)}, **options).run(
+        ["table2"]
+    )
+    text = (tmp_path / "out" / "table2.md").read_text(encoding="utf-8")
+    assert text.startswith("### Table II: ground to satellite, on CVACT\n")
+    assert "CVUSA" not in text
+
+
 def test_clauses_that_differ_are_said_with_the_rows_they_hold_for() -> None:
     rows = {
         "Baseline": "Protocol: mirror added; ranked.",
@@ -427,6 +443,8 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
         "--seeds",
         "0",
         "1",
+        "--batch",
+        "8",
     ]
     assert main(["reproduce", "table1", "table4", *given, "--out", str(tmp_path)]) == 0
     assert seen[0].data == (str(places), "b")
@@ -436,5 +454,6 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
         assert main(["reproduce", "table5", "--data", str(places), *models]) == 2
         assert "two files as lpn, x.onnx and y.onnx" in capsys.readouterr().err
     assert (seen[0].seeds, seen[0].scale.name) == ((0, 1), "paper")
+    assert seen[0].changes == {"batch": 8}
     assert main(["reproduce", "--data", str(places)]) == 2
     assert "Say what to reproduce" in capsys.readouterr().err
