@@ -47,7 +47,7 @@ class Visitor:
                 dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233)
             )
             self._panels = Panels(client, exhibit, self._state, self.change, Random())
-            self._reasons = Reasons(client, exhibit, self.change)
+            self._reasons = Reasons(client, exhibit, self.change, self._failed)
             Bridge(client.gui, self._reasons.handlers())
             self._stage = Stage(client, exhibit, self._selected)
             self._worker = Worker(self._work, self._failed)
@@ -71,6 +71,7 @@ class Visitor:
 
     def leave(self) -> None:
         """The browser is gone: stop its worker."""
+        self._reasons.leave()
         self._worker.stop()
 
     def _work(self) -> None:

@@ -185,6 +185,8 @@ class Answer:
     truth: Match | None
     off: geo.FloatArray | None
     """Metres from what the query shows to each tile, (G,); None where that is not known."""
+    source: Picture
+    """The query's picture before it is turned, shifted, or zoomed."""
     reasons: Reasons | None
     """Of the compared pair; None where nobody looks at them, or no network is at hand."""
     seconds: float
@@ -232,7 +234,9 @@ class Analyst:
         off = None if task.places is None or state.upload else task.places.off(state.query)
         reasons = self._reasons(state, weights, tile)
         seconds = time.perf_counter() - started
-        return Answer(state, task, name, self._query, ranking, matches, chosen, tile, truth, off, reasons, seconds)
+        return Answer(
+            state, task, name, self._query, ranking, matches, chosen, tile, truth, off, self._picture, reasons, seconds
+        )
 
     def _searched(self, state: State) -> FloatArray:
         """What is searched by: the query's descriptor, or that of its painted cells alone."""

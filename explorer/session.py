@@ -106,6 +106,34 @@ def number(value: Any, low: float, high: float, default: float) -> float:
     return min(max(float(value), low), high)
 
 
+def whole(value: Any, low: int, high: int) -> int | None:
+    """A value from the page as a whole number within low .. high, or None when it is none."""
+    known = isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+    return value if known else None
+
+
+def painted(value: Any, cells: int) -> tuple[int, ...] | None:
+    """A list of cells from the page, in order and each once, or None when it is no such list."""
+    if not isinstance(value, list) or len(value) > cells:
+        return None
+    found = [whole(cell, 0, cells - 1) for cell in value]
+    return None if None in found else tuple(sorted({cell for cell in found if cell is not None}))
+
+
+def taken(state: State, value: Any, size: tuple[int, int]) -> State:
+    """The query turned, shifted, and zoomed as a point of a profile says: [degrees, right, down, factor]."""
+    if not isinstance(value, list) or len(value) != 4:
+        return state
+    height, width = size
+    return replace(
+        state,
+        angle=wrap(number(value[0], -360, 360, state.angle)),
+        shift=round(number(value[1], -width // 2, width // 2, state.shift)),
+        down=round(number(value[2], -height // 2, height // 2, state.down)),
+        zoom=number(value[3], 1 / MAX_ZOOM, MAX_ZOOM, state.zoom),
+    )
+
+
 def wrap(angle: float) -> float:
     """The same direction within -180 .. 180 degrees (exclusive of -180)."""
     turned = angle % 360.0

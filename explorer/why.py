@@ -56,7 +56,7 @@ def page(answer: Answer, exhibit: Exhibit) -> str:
         else ""
     )
     return (
-        f"<div class='lpn' id='lpn-why'><div class='said'>{escape(said)}</div>{region}"
+        f"<div class='lpn' id='lpn-why'><div class='said headline'>{escape(said)}</div>{region}"
         f"<div class='lpn-pair{stacked}' data-hint='{escape(HINT)}'>{blocks}</div>"
         f"<div class='lpn-read num dim'>{escape(HINT)}</div>"
         f"{_chips(exhibit.part_names, part)}{_bars(found, exhibit.part_names)}{_legend(limit)}<div class='dim'>{NOTE}</div></div>"
@@ -159,6 +159,9 @@ def _legend(limit: float) -> str:
 
 STYLE = """<style>
 .lpn .said{font-size:14px;margin:.2em 0 .5em}
+.lpn .close{position:absolute;right:14px;z-index:2;cursor:pointer;padding:0 .5em;font-size:15px;border-radius:4px}
+.lpn .close:hover{background:rgba(128,128,128,.3)}
+.lpn .headline{padding-right:2em}
 .lpn-pair{display:flex;gap:10px;justify-content:center}
 .lpn-pair.stacked{flex-direction:column}
 .lpn-map{position:relative;flex:1;cursor:crosshair;user-select:none;line-height:0;max-width:520px}
