@@ -109,8 +109,8 @@ def _charts(profile: Profile, state: State, names: Sequence[str]) -> str:
         return _LEFT + (place(number) - low) / span * (_WIDTH - _LEFT - _RIGHT)
 
     worst = max(*(point.rank for point in points), 2)
-    scores = [point.score for point in points] + [point.top_score for point in points]
-    cosines = [float(c) for point in points for c in point.cosines]
+    scores = _bounds([point.score for point in points] + [point.top_score for point in points])
+    cosines = _bounds([float(c) for point in points for c in point.cosines])
     parts = [
         _chart(
             "rank", 110, x, numbers, here, points, [([math.log(p.rank) for p in points], "currentColor", "")],
@@ -119,7 +119,7 @@ def _charts(profile: Profile, state: State, names: Sequence[str]) -> str:
         _chart(
             "score", 120, x, numbers, here, points,
             [([p.top_score for p in points], _BRIGHT, "5 4"), ([p.score for p in points], "currentColor", "")],
-            (min(scores), max(scores)), _ticks(min(scores), max(scores)),
+            scores, _ticks(*scores),
         ),
         _chart(
             "part cosines", 130, x, numbers, here, None,
@@ -127,7 +127,7 @@ def _charts(profile: Profile, state: State, names: Sequence[str]) -> str:
                 ([float(p.cosines[i]) for p in points], overlays.css(overlays.part_colour(i)), "")
                 for i in range(len(names))
             ],
-            (min(cosines), max(cosines)), _ticks(min(cosines), max(cosines)),
+            cosines, _ticks(*cosines),
         ),
     ]  # fmt: skip
     labels = "".join(f"<text x='{x(n):.0f}' y='12'>{n:.3g}{UNITS[over]}</text>" for n in _spread(numbers))
@@ -182,9 +182,16 @@ def _ranks(worst: int) -> list[int]:
     return [rank for rank in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 10_000, 100_000) if rank <= worst]
 
 
+def _bounds(values: Sequence[float]) -> tuple[float, float]:
+    """Lowest and highest, a little apart where they are the same."""
+    low, high = min(values), max(values)
+    spare = max(0.01 - (high - low), 0) / 2
+    return low - spare, high + spare
+
+
 def _ticks(low: float, high: float) -> list[tuple[float, str]]:
     """Three or four round numbers between two."""
-    step = 10 ** math.floor(math.log10(max(high - low, 1e-6)))
+    step = 10 ** math.floor(math.log10(high - low))
     step = next(s for s in (step, step / 2, step / 4, step / 5) if (high - low) / s >= 2.5)
     first = math.ceil(low / step)
     return [(i * step, f"{i * step:.3g}") for i in range(first, math.floor(high / step) + 1)]
