@@ -135,6 +135,9 @@ def test_a_region_ranks_by_what_its_cells_add(exhibit: Exhibit) -> None:
     cells.reshape(-1)[[5, 6, 9]] = True
     added = [explain.side(whole.query.trace, tile).cells.mean(axis=0)[cells].sum() for tile in whole.task.descriptors]
     assert [match.index for match in part.matches] == np.argsort(-np.array(added), kind="stable")[:10].tolist()
+    for match in part.matches:
+        assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-5)
+        assert match.shares.min() >= -1e-6
     assert "3 of 16 cells" in region.page(part, exhibit)
     assert "whole query" in why.page(part, exhibit)
     np.testing.assert_array_equal(analyst.answer(state, 10).ranking.scores, whole.ranking.scores)
