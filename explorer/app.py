@@ -126,13 +126,23 @@ class App:
             visitor.leave()
 
 
-def run(data: Path, model: Path, query: str | None = None, host: str = "127.0.0.1", port: int = 8080) -> None:
+def run(
+    data: Path,
+    model: Path,
+    query: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    beside: Path | None = None,
+) -> None:
     """Open a model and a data set, serve the explorer, print its address, and return when interrupted.
+
+    Args:
+        beside: another model to compare it with.
 
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
-    _serve(lambda: open_model(data, model, query), host, port)
+    _serve(lambda: open_model(data, model, query, beside), host, port)
 
 
 def run_saved(

@@ -96,6 +96,8 @@ class Exhibit:
         self.spec, self.map_sizes, self.model, self.city = spec, map_sizes, model, city
         self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else spec.describe()
         self.first = 0
+        self.beside: Exhibit | None = None
+        """Another model on the same data, to compare with."""
         self.part_names = self._part_names()
         self._tile = lru_cache(maxsize=TILES)(self._describe_tile)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)

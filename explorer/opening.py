@@ -29,10 +29,11 @@ SAVED_MAP = (16, 16)
 """Cells by which rings are drawn where no network says them: those of a ResNet-50 at 256 pixels."""
 
 
-def open_model(data: Path, model: Path, query: str | None = None) -> Exhibit:
+def open_model(data: Path, model: Path, query: str | None = None, beside: Path | None = None) -> Exhibit:
     """A model and all tasks of a data set that it knows the views of.
 
     Args:
+        beside: another model to compare it with on the same data.
         query: name of the query of the first task that a browser shows first; without it, that task's first.
 
     Raises:
@@ -59,6 +60,8 @@ def open_model(data: Path, model: Path, query: str | None = None) -> Exhibit:
     city = None if where is None else _city(data)
     exhibited = Exhibit(printable(model.name), data_name, tasks, opened.spec, map_sizes, opened, city)
     exhibited.open_with(query)
+    if beside is not None:
+        exhibited.beside = open_model(data, beside)
     return exhibited
 
 

@@ -10,8 +10,9 @@ from typing import Any
 
 import viser
 
-from explorer import against, profiles, region, session, why
+from explorer import against, beside, profiles, region, session, why
 from explorer.against import Contest
+from explorer.beside import Beside
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
@@ -56,17 +57,22 @@ class Reasons:
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
         pages: list[Html] = []
-        for name, icon, style in (
+        tabs = [
             ("Why", viser.Icon.ZOOM_QUESTION, why.STYLE),
             ("True or wrong", viser.Icon.SCALE, against.STYLE),
             ("Turn, shift, zoom", viser.Icon.CHART_LINE, profiles.STYLE),
             ("Search by a region", viser.Icon.BRUSH, region.STYLE),
-        ):
+        ]
+        self._other = None if exhibit.beside is None else Beside(exhibit.beside)
+        if self._other is not None:
+            tabs.append(("Two models", viser.Icon.COLUMNS_2, beside.STYLE))
+        for name, icon, style in tabs:
             with self._panel.add_tab(name, icon):
                 gui.add_html(style)
                 gui.add_html(CLOSE)
                 pages.append(Html(gui))
-        self._why, self._versus, self._profile, self._region = pages
+        self._why, self._versus, self._profile, self._region = pages[:4]
+        self._beside = pages[-1]
         self._worker = Worker(self._work, failed)
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
@@ -75,6 +81,7 @@ class Reasons:
             "close": lambda _: self._change(lambda state: replace(state, why=False)),
             "part": self._part,
             "compare": self._compare,
+            "query": self._query,
             "weigh": self._weigh,
             "effect": lambda _: self._ask("effect"),
             "sweep": self._sweep,
@@ -111,6 +118,8 @@ class Reasons:
         self._draw_versus(answer)
         self._draw_profile(answer)
         self._region.show(region.page(answer, self._exhibit))
+        if self._other is not None:
+            self._beside.show(self._other.page(answer, self._exhibit))
 
     def _draw_versus(self, answer: Answer) -> None:
         busy = self._asked == "effect"
@@ -196,6 +205,14 @@ class Reasons:
         index = session.whole(value, 0, len(answer.task.gallery) - 1) if answer else None
         if answer is not None and index is not None:
             self._change(lambda state: session.compare(state, answer.state, index))
+
+    def _query(self, value: Any) -> None:
+        def chosen(state: State) -> State:
+            queries = len(self._exhibit.tasks[state.task].queries)
+            query = session.whole(value, 0, queries - 1)
+            return state if query is None else session.choose(state, query, queries)
+
+        self._change(chosen)
 
     def _weigh(self, _: Any) -> None:
         contest = self._contest
