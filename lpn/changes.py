@@ -22,29 +22,33 @@ class Change:
         shift: pixels of the network's input it is moved to the right, black at its left, as the released test does by padding
             and cropping; a negative number moves it to the left.
         scale: zoom about its centre on its own canvas; above 1 it is magnified and cropped, below 1 it has black around it.
+        down: pixels of the network's input it is moved down, likewise; a negative number moves it up.
 
     Raises:
-        InputError: when a number is not finite, the shift not whole, or the scale outside 1/16 .. 16.
+        InputError: when a number is not finite, a shift not whole, or the scale outside 1/16 .. 16.
     """
 
     rotate: float = 0.0
     shift: int = 0
     scale: float = 1.0
+    down: int = 0
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.rotate):
             raise InputError(f"The rotation is {self.rotate}; expected degrees.")
-        if self.shift != int(self.shift):
-            raise InputError(f"The shift is {self.shift}; expected a whole number of pixels.")
+        for pixels in (self.shift, self.down):
+            if not np.isfinite(pixels) or pixels != int(pixels):
+                raise InputError(f"The shift is {pixels}; expected a whole number of pixels.")
         if not 1 / MAX_SCALE <= self.scale <= MAX_SCALE:
             raise InputError(f"The scale is {self.scale:g}; expected a factor from 1/{MAX_SCALE:g} to {MAX_SCALE:g}.")
         object.__setattr__(self, "rotate", float(self.rotate))
         object.__setattr__(self, "shift", int(self.shift))
         object.__setattr__(self, "scale", float(self.scale))
+        object.__setattr__(self, "down", int(self.down))
 
     def __bool__(self) -> bool:
         """Whether anything is changed."""
-        return bool(self.rotate or self.shift or self.scale != 1)
+        return bool(self.rotate or self.shift or self.scale != 1 or self.down)
 
     def apply(self, picture: Picture) -> Picture:
         """Turn and zoom a picture at its own resolution: (H, W, 3) uint8 to the same shape."""
@@ -52,21 +56,29 @@ class Change:
 
     def move(self, shaped: Picture) -> Picture:
         """Shift a picture that has the network's input size: (height, width, 3) uint8 to the same shape; see `check`."""
-        self.check(shaped.shape[1])
-        return images.shift(shaped, self.shift)
+        height, width = shaped.shape[:2]
+        self.check((height, width))
+        return images.shift(shaped, self.shift, self.down)
 
-    def check(self, width: int) -> None:
-        """Raise InputError when nothing of a network's input of that width would be left."""
-        if abs(self.shift) >= width:
-            raise InputError(
-                f"The shift is {self.shift} pixels; the network's input is {width} wide, so shift by fewer than that."
-            )
+    def show(self, applied: Picture, size: tuple[int, int]) -> Picture:
+        """Shift a picture of any resolution by as much of its sides as `move` shifts one of the network's (height, width)."""
+        height, width = applied.shape[:2]
+        return images.shift(applied, round(self.shift * width / size[1]), round(self.down * height / size[0]))
+
+    def check(self, size: tuple[int, int]) -> None:
+        """Raise InputError when nothing of a network's input of that (height, width) would be left."""
+        for pixels, side, said in ((self.down, size[0], "high"), (self.shift, size[1], "wide")):
+            if abs(pixels) >= side:
+                raise InputError(
+                    f"The shift is {pixels} pixels; the network's input is {side} {said}, so shift by fewer than that."
+                )
 
     def describe(self) -> str:
         """The changes in words, such as "turned 30°, scaled by 1.2"; empty without any."""
         said = [f"turned {self.rotate:g}°"] if self.rotate else []
         said += [f"scaled by {self.scale:g}"] if self.scale != 1 else []
         said += [f"shifted {abs(self.shift)} px to the {'right' if self.shift > 0 else 'left'}"] if self.shift else []
+        said += [f"shifted {abs(self.down)} px {'down' if self.down > 0 else 'up'}"] if self.down else []
         return ", ".join(said)
 
 

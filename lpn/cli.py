@@ -12,6 +12,7 @@ import lpn
 from lpn.commands.failures import Failures
 from lpn.commands.making import Export, Reproduce, Train, World, parse_train
 from lpn.commands.reasons import Explain
+from lpn.commands.sweep import Sweep
 from lpn.commands.using import Describe, Doctor, Evaluate, Explore
 from lpn.errors import LPNError, MissingPackageError
 
@@ -23,6 +24,7 @@ COMMANDS: dict[str, type[Any]] = {
     "export": Export,
     "describe": Describe,
     "doctor": Doctor,
+    "sweep": Sweep,
     "world": World,
     "reproduce": Reproduce,
     "failures": Failures,

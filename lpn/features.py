@@ -70,6 +70,7 @@ class Manifest:
         precision: of the numbers on disk.
         shift: pixels of the network's input they were moved to the right.
         scale: factor they were zoomed by.
+        down: pixels of the network's input they were moved down; written only where they were.
     """
 
     fingerprint: str
@@ -81,12 +82,13 @@ class Manifest:
     precision: Precision = "float32"
     shift: int = 0
     scale: float = 1.0
+    down: int = 0
     format: str = FORMAT
 
     @property
     def change(self) -> Change:
         """What was done to the pictures."""
-        return Change(self.rotate, self.shift, self.scale)
+        return Change(self.rotate, self.shift, self.scale, self.down)
 
     @property
     def cropped(self) -> bool:
@@ -96,6 +98,8 @@ class Manifest:
     def to_json(self) -> bytes:
         """The manifest as a JSON file."""
         values = asdict(self)
+        if not self.down:
+            del values["down"]
         for row in values["rows"]:
             if row["box"] is None:
                 del row["box"]
@@ -204,7 +208,7 @@ def describe(
         StoreError: when `out` cannot be written, or holds descriptors of another model, view, change, or precision.
     """
     model.check_view(view)
-    change.check(model.input_size[1])
+    change.check(model.input_size)
     out = Path(out)
     rows = tuple(_row(file, root, box) for file, box in zip(files, boxes or [None] * len(files), strict=True))
     manifest = Manifest(
@@ -217,6 +221,7 @@ def describe(
         precision,
         change.shift,
         change.scale,
+        change.down,
     )
     before = _usable(out, manifest)
     if before is not None and before.manifest == manifest:
@@ -267,6 +272,7 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ch
     # Only what differs from a picture as it is, so that caches from before there were such changes are still found.
     identity += [f"shift {change.shift}"] if change.shift else []
     identity += [f"scale {change.scale}"] if change.scale != 1 else []
+    identity += [f"down {change.down}"] if change.down else []
     identity += ["cropped"] if any(boxes) else []
     folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
     title = ", ".join(filter(None, (f"Describing {view}", change.describe())))
@@ -325,8 +331,17 @@ def _held(
     rows = {row: position for position, row in enumerate(store.manifest.rows)}
     wanted = [rows.get(_row(file, None, box)) for file, box in zip(files, boxes, strict=True)]
     asked = Manifest(
-        model.fingerprint, view, change.rotate, model.n_parts, model.spec.embedding, (), "float32", change.shift, change.scale
-    )  # fmt: skip
+        model.fingerprint,
+        view,
+        change.rotate,
+        model.n_parts,
+        model.spec.embedding,
+        (),
+        "float32",
+        change.shift,
+        change.scale,
+        change.down,
+    )
     if None in wanted or not asked.comparable(store.manifest):
         return None
     whole = wanted == list(range(len(rows)))

@@ -113,15 +113,16 @@ def zoom(picture: Picture, scale: float) -> Picture:
     return canvas
 
 
-def shift(picture: Picture, pixels: int) -> Picture:
-    """Move a picture to the right (to the left when negative) on its own canvas, black where it was: same shape."""
-    if pixels == 0:
+def shift(picture: Picture, right: int, down: int = 0) -> Picture:
+    """Move a picture to the right and down (to the left and up when negative) on its own canvas, black where it was: same
+    shape."""
+    if right == 0 and down == 0:
         return picture
+    height, width = picture.shape[:2]
     moved = np.zeros_like(picture)
-    if pixels > 0:
-        moved[:, pixels:] = picture[:, :-pixels]
-    else:
-        moved[:, :pixels] = picture[:, -pixels:]
+    moved[max(down, 0) : height + down, max(right, 0) : width + right] = picture[
+        max(-down, 0) : height - down, max(-right, 0) : width - right
+    ]
     return moved
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import explain, images
+from lpn.changes import UNCHANGED, Change
 from lpn.datasets import Truth
 from lpn.explain import Trace
 from lpn.images import Picture
@@ -21,7 +22,8 @@ class Described:
     """A picture as the network sees it.
 
     Attributes:
-        picture: the turned picture, (H, W, 3) uint8.
+        picture: the picture turned, zoomed, and shifted, at its own resolution, (H, W, 3) uint8; a view that is unrolled
+            (SAFA) is shifted only after that, which is not shown.
         descriptor: parts of norm 1/sqrt(n), (n, D).
         activation: channel sum of the last feature map, (h, w), 0 .. 1; None where no network was at hand.
         trace: what accounts for the descriptor cell by cell; None where no network was at hand.
@@ -110,13 +112,22 @@ class Ranking:
         return self.match(int(np.argmax(self.relevant[self.order])))
 
 
-def describe_picture(model: Model, picture: Picture, view: View, angle: float = 0.0) -> Described:
-    """Turn a picture by `angle` degrees counter-clockwise and describe it, with its mirror in one batch of two."""
-    turned = images.rotate(picture, angle)
-    prepared = model.prepare(turned, view)
+def describe_picture(model: Model, picture: Picture, view: View, change: Change | float = UNCHANGED) -> Described:
+    """Change a picture and describe it, with its mirror in one batch of two.
+
+    Args:
+        change: what is done to it first; a number is degrees counter-clockwise that it is turned.
+
+    Raises:
+        InputError: when the change would leave nothing of the picture.
+    """
+    change = change if isinstance(change, Change) else Change(rotate=change)
+    turned = change.apply(picture)
+    prepared = images.normalise(change.move(model.shape(turned, view)))
     batch = [prepared, prepared[..., ::-1]] if model.spec.mirrored else [prepared]
     trace = Trace.of(model, model.run(np.stack(batch), view), view)
-    return Described(turned, normalise(trace.embedding), explain.activation(trace.features[0]), trace)
+    shown = turned if model.spec.unrolled(view) else change.show(turned, model.input_size)
+    return Described(shown, normalise(trace.embedding), explain.activation(trace.features[0]), trace)
 
 
 def rank(

@@ -18,9 +18,27 @@ def test_a_shift_pads_one_side_with_black_and_crops_the_other() -> None:
     assert not left[:, -10:].any()
 
 
+def test_a_shift_down_or_up_does_the_same_with_the_rows() -> None:
+    picture = worlds.place(1)
+    down, both = Change(down=10).move(picture), Change(shift=-4, down=-10).move(picture)
+    np.testing.assert_array_equal(down[10:], picture[:-10])
+    np.testing.assert_array_equal(both[:-10, :-4], picture[10:, 4:])
+    assert not down[:10].any()
+    assert not both[-10:].any()
+    assert not both[:, -4:].any()
+
+
+def test_a_shift_is_shown_at_any_resolution_by_as_much_of_its_sides() -> None:
+    picture = worlds.place(1)
+    shown = Change(shift=16, down=-8).show(picture, (32, 64))
+    np.testing.assert_array_equal(shown, images.shift(picture, 24, -24))
+
+
 def test_a_shift_of_everything_is_refused() -> None:
     with pytest.raises(InputError, match="96 wide"):
         Change(shift=worlds.SIZE).move(worlds.place(1))
+    with pytest.raises(InputError, match="96 high"):
+        Change(down=-worlds.SIZE).move(worlds.place(1))
 
 
 @pytest.mark.parametrize("shape", [(96, 96), (61, 40)])
@@ -49,6 +67,8 @@ def test_turning_comes_before_zooming_and_nothing_changes_nothing() -> None:
     assert UNCHANGED.apply(picture) is picture
     assert UNCHANGED.move(picture) is picture
     assert UNCHANGED.describe() == ""
+    assert Change(down=-3)
+    assert Change(down=-3).describe() == "shifted 3 px up"
     change = Change(30, 5, 0.8)
     assert change.describe() == "turned 30°, scaled by 0.8, shifted 5 px to the right"
     np.testing.assert_array_equal(change.apply(picture), images.zoom(images.rotate(picture, 30), 0.8))
@@ -59,6 +79,8 @@ def test_turning_comes_before_zooming_and_nothing_changes_nothing() -> None:
     [
         ({"rotate": float("nan")}, "rotation is nan"),
         ({"shift": 1.5}, "shift is 1.5"),
+        ({"down": 0.5}, "shift is 0.5"),
+        ({"shift": float("inf")}, "shift is inf"),
         ({"scale": 0}, "scale is 0"),
         ({"scale": float("inf")}, "scale is inf"),
         ({"scale": float("nan")}, "scale is nan"),

@@ -306,22 +306,26 @@ def test_cache_is_keyed_by_every_change_and_box(
     pictures = [Picture(file, 1, file.stem) for file in features.pictures_below(folder)[:5]]
     boxed = [replace(picture, box=(0.0, 10.0, 50.5, 60.0)) for picture in pictures]
     count = Counting(model, monkeypatch)
-    asked = [(pictures, Change()), (pictures, Change(shift=4)), (pictures, Change(scale=2)), (boxed, Change())]
+    asked = [(pictures, Change(**given)) for given in ({}, {"shift": 4}, {"scale": 2}, {"down": 4})]
+    asked.append((boxed, Change()))
     made = [features.cached_descriptors(model, given, "drone", change) for given, change in asked]
-    assert count.described == 20
+    assert count.described == 25
     again = [features.cached_descriptors(model, given, "drone", change) for given, change in asked]
-    assert count.described == 20
+    assert count.described == 25
     np.testing.assert_array_equal(made, again)
-    assert len({array.tobytes() for array in made}) == 4
+    assert len({array.tobytes() for array in made}) == 5
     manifests = [
         features.Manifest.from_json(p.read_bytes(), p.name) for p in (tmp_path / "cache").rglob("manifest.json")
     ]
-    assert sorted((m.shift, m.scale, m.cropped) for m in manifests) == [
-        (0, 1, False),
-        (0, 1, True),
-        (0, 2, False),
-        (4, 1, False),
+    assert sorted((m.shift, m.scale, m.down, m.cropped) for m in manifests) == [
+        (0, 1, 0, False),
+        (0, 1, 0, True),
+        (0, 1, 4, False),
+        (0, 2, 0, False),
+        (4, 1, 0, False),
     ]
+    written = [json.loads(p.read_text()) for p in (tmp_path / "cache").rglob("manifest.json")]
+    assert [m["down"] for m in written if "down" in m] == [4]
     moved = [*boxed[:4], replace(boxed[4], box=(1.0, 10.0, 50.5, 60.0))]
     features.cached_descriptors(model, moved, "drone")
-    assert count.described == 21
+    assert count.described == 26

@@ -1,0 +1,196 @@
+"""The command that turns, shifts, or zooms one query and says what becomes of its retrieval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import lpn
+from lpn.commands.using import TaskName
+from lpn.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lpn.datasets import Dataset
+    from lpn.model import Model
+    from lpn.sweeps import Point, Profile
+
+_BAR = 24
+
+
+@dataclass
+class Sweep:
+    """Turn, shift, or zoom one query step by step: score and rank of its true match, and each part's cosine."""
+
+    data: Path
+    """Data set in any layout of docs/data.md."""
+    model: Path
+    """Trained LPN: .onnx, .safetensors, or .pth."""
+    query: str
+    """Name of the query, as the explorer's picker shows it, such as 0005/01."""
+    task: TaskName | None = None
+    """Which view is the query and which the gallery; by default the first that the data set offers."""
+    over: Literal["rotation", "shift", "shift-down", "zoom"] = "rotation"
+    """What is changed: degrees counter-clockwise, pixels of the network's input to the right or down, or a factor."""
+    step: float | None = None
+    """Degrees (15), pixels (a 32nd of the input), or the factor between zooms (1.1)."""
+    reach: float | None = None
+    """How far to shift (a quarter of the input) or to zoom in and out (2); a rotation goes once around."""
+    weights: str | None = None
+    """Weight of each part, such as 1,1,1,0; equal by default."""
+    csv: Path | None = None
+    """File to write the table to."""
+    png: Path | None = None
+    """File to draw the curves to; needs matplotlib, of the extra train."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from lpn.datasets import open_dataset
+        from lpn.files import check_writable, write_whole
+
+        for file in filter(None, (self.csv, self.png)):
+            check_writable(file)
+        if self.png is not None:
+            import matplotlib  # noqa: F401 (found missing before the long part)
+        model, dataset = lpn.load(self.model), open_dataset(self.data)
+        tasks = dataset.tasks()
+        task = self.task or (tasks[0] if tasks else "none")
+        if task not in tasks:
+            raise InputError(
+                f"The task is {task!r}; {dataset.root.name} offers {', '.join(tasks) or 'none'} in its test split."
+            )
+        console = Console(width=max(120, Console().width))
+        found = self._swept(model, dataset, task, console)
+        title = f"{self.query} ({task}, {model.spec.describe()})"
+        _print(found, title, console)
+        if self.csv is not None:
+            write_whole(self.csv, found.to_csv())
+        if self.png is not None:
+            write_whole(self.png, _drawn(found, title))
+
+    def _swept(self, model: Model, dataset: Dataset, task: str, console: Console) -> Profile:
+        import numpy as np
+        from rich.progress import track
+
+        from lpn import explain, features, images, sweeps
+        from lpn.spec import views_of
+
+        query_view, gallery_view = views_of(task)
+        for view in (query_view, gallery_view):
+            model.check_view(view)
+        side = model.input_size[0 if self.over == "shift-down" else 1]
+        changes = sweeps.changes_over(self.over, self.step, self.reach, side)
+        weights = explain.part_weights(model.n_parts, _weights(self.weights))
+        queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
+        names = [entry.name for entry in queries]
+        if self.query not in names:
+            raise InputError(
+                f"{dataset.root.name} has no {query_view} query {self.query}; its names are such as {names[0]}."
+            )
+        position = names.index(self.query)
+        entry, truth = queries[position], dataset.truth(task)
+        picture = images.load_picture(entry.path)
+        picture = picture if entry.box is None else images.crop(picture, entry.box, entry.name)
+        tiles = features.cached_descriptors(model, gallery, gallery_view)
+        labels = np.array([tile.label for tile in gallery], np.int64)
+        listed = None if truth is None else truth[position]
+        points = sweeps.profile(model, picture, query_view, tiles, weights, changes, labels, entry.label, listed)
+        seen = track(points, f"Describing {self.query}", len(changes), console=console, transient=True)
+        return sweeps.Profile(self.over, tuple(seen))
+
+
+def _weights(text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        return [float(item) for item in text.split(",")]
+    except ValueError as error:
+        raise InputError(f"The part weights are {text!r}; expected a number for each part, such as 1,1,1,0.") from error
+
+
+def _followed(profile: Profile) -> str:
+    """What scores and ranks are of."""
+    return "the nearest true match" if profile.points[0].true else "the top match, as there is no true match"
+
+
+def _print(profile: Profile, title: str, console: Console) -> None:
+    """A table with a row for each change and its score as a bar, and what the best change gains."""
+    from rich.table import Table
+
+    from lpn.sweeps import UNITS, value
+
+    blocks = str(console.encoding).lower().startswith("utf")
+    scores = [point.score for point in profile.points]
+    low, span = min(scores), (max(scores) - min(scores)) or 1.0
+    table = Table(title=title, caption=f"Score and rank of {_followed(profile)}; * the highest score.")
+    for name in (profile.over, "", "rank", "score"):
+        table.add_column(name, justify="right")
+    table.add_column(f"from {low:.3f} to {max(scores):.3f}", min_width=_BAR)
+    for part in range(1, len(profile.points[0].cosines) + 1):
+        table.add_column(f"cos {part}", justify="right")
+    table.add_column("top score", justify="right")
+    for point in profile.points:
+        number = f"{value(profile.over, point.change):.4g}{UNITS[profile.over]}"
+        bar = ("█" if blocks else "#") * (1 + round((point.score - low) / span * (_BAR - 1)))
+        cosines = [f"{cosine:.3f}" for cosine in point.cosines]
+        mark = "*" if point is profile.best else ""
+        table.add_row(number, mark, str(point.rank), f"{point.score:.3f}", bar, *cosines, f"{point.top_score:.3f}")
+    console.print(table)
+    for line in _said(profile):
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def _said(profile: Profile) -> list[str]:
+    """The best change in words, with and without knowledge of the truth."""
+    lines = []
+    if profile.points[0].true:
+        lines.append(_sentence("The true match scores highest", profile, profile.best))
+        lines.append(_sentence("It ranks best", profile, profile.best_rank))
+    lines.append(
+        _sentence("The top score, which is seen without knowing the truth, is highest", profile, profile.best_blind)
+    )
+    heading = profile.heading()
+    if heading is not None:
+        lines.append(
+            f"By that, the top of the picture points {heading:.4g}° clockwise from north, a rough guess, if tiles are north-up."
+        )
+    return lines
+
+
+def _sentence(begin: str, profile: Profile, point: Point) -> str:
+    gain, changed = profile.gain(point), point.change.describe()
+    when = f"when {changed}" if changed else "with the query as it is"
+    who = "the true match has" if point.true else "the top match has"
+    if gain is None or not changed:
+        return f"{begin} {when}: {who} rank {point.rank}, score {point.score:.3f}."
+    ranks, score = gain
+    before = f"instead of {point.rank + ranks}" if ranks else "as before"
+    return f"{begin} {when}: {who} rank {point.rank} {before}, score {point.score:.3f} ({score:+.3f})."
+
+
+def _drawn(profile: Profile, title: str) -> bytes:
+    """Scores, part cosines, and rank over the change as a PNG file."""
+    from lpn.reproduce.plots import png, pyplot
+    from lpn.sweeps import UNITS, value
+
+    figure, (above, below) = pyplot().subplots(2, 1, figsize=(8, 6), sharex=True, height_ratios=(2, 1))
+    along = [value(profile.over, point.change) for point in profile.points]
+    for part, cosines in enumerate(zip(*(point.cosines for point in profile.points), strict=True), 1):
+        above.plot(along, cosines, linewidth=1, label=f"cosine of part {part}")
+    above.plot(along, [point.score for point in profile.points], color="black", linewidth=2.5, label="score")
+    above.plot(along, [point.top_score for point in profile.points], color="grey", linestyle=":", label="top score")
+    above.set(title=title, ylabel=f"score of\n{_followed(profile)}")
+    above.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1, 1))
+    below.plot(along, [point.rank for point in profile.points], color="black", marker=".")
+    below.set(ylabel="its rank", xlabel=f"{profile.over} ({UNITS[profile.over].strip()})")
+    last = max(10, *(point.rank for point in profile.points))
+    ticks = [tick * 10**power for power in range(7) for tick in (1, 2, 5) if tick * 10**power <= last]
+    below.set_yscale("log")
+    below.minorticks_off()
+    below.set_yticks(ticks, [str(tick) for tick in ticks])
+    below.set_ylim(last * 1.2, 0.8)
+    figure.tight_layout()
+    return png(figure, dpi=120)

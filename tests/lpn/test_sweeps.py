@@ -1,0 +1,218 @@
+from __future__ import annotations
+
+import csv
+import io
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lpn
+from lpn import cli, explain, features, images, retrieval, sweeps
+from lpn.changes import Change
+from lpn.commands.using import DEMO
+from lpn.datasets import Truth, open_dataset
+from lpn.errors import InputError
+from lpn.geo import Positions
+from lpn.model import FloatArray, Model
+from lpn.sweeps import Point, Profile, changes_over, profile
+from tests import worlds
+
+
+@pytest.fixture(scope="module")
+def model(model_file: Path) -> Model:
+    return lpn.load(model_file)
+
+
+@pytest.fixture(scope="module")
+def tiles(model: Model) -> FloatArray:
+    """Descriptors of places 0 to 5."""
+    prepared = np.stack([model.prepare(worlds.place(label), "satellite") for label in range(6)])
+    return model.descriptors(prepared, "satellite")
+
+
+def test_a_rotation_shows_its_shape_early_and_goes_once_around() -> None:
+    angles = [change.rotate for change in changes_over("rotation")]
+    assert angles[:5] == [0, 180, 90, 270, 45]
+    assert sorted(angles) == [15 * i for i in range(24)]
+    assert sorted(change.rotate for change in changes_over("rotation", 100)) == [0, 100, 200, 300]
+
+
+def test_shifts_and_zooms_go_both_ways_from_the_query_as_it_is() -> None:
+    shifts = [change.shift for change in changes_over("shift", 10, 35, 64)]
+    assert shifts[:3] == [0, -30, 30]
+    assert sorted(shifts) == [-30, -20, -10, 0, 10, 20, 30]
+    assert sorted(change.down for change in changes_over("shift-down", side=64)) == list(range(-16, 17, 2))
+    zooms = [change.scale for change in changes_over("zoom", 2**0.5, 2)]
+    assert zooms[0] == 1
+    np.testing.assert_allclose(sorted(zooms), [0.5, 0.5**0.5, 1, 2**0.5, 2])
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("tilt",), "expected one of rotation, shift, shift-down, zoom"),
+        (("rotation", 0), "step is 0"),
+        (("rotation", float("nan")), "step is nan"),
+        (("rotation", 0.01), "36000 points"),
+        (("rotation", 15, 90), "leave its reach out"),
+        (("shift", 1.5), "expected whole pixels"),
+        (("shift", 8, 64, 64), "reach is 64"),
+        (("zoom", 1.0), "step is 1"),
+        (("zoom", 1.1, 99), "reach is 99"),
+    ],
+)
+def test_sweeps_that_mean_nothing_are_refused(given: tuple[object, ...], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        changes_over(*given)  # type: ignore[arg-type]
+
+
+def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: FloatArray) -> None:
+    picture, weights = worlds.from_drone(worlds.place(2), 3), explain.part_weights(4, [1, 2, 1, 0])
+    labels = np.array([5, 9, 2, 2, -1, 7])
+    changes = [Change(rotate=90), Change(shift=9), Change(down=-7), Change(scale=1.5)]
+    points = list(profile(model, picture, "drone", tiles, weights, changes, labels, 2))
+    by_list = profile(model, picture, "drone", tiles, weights, changes, truth=Truth(np.array([2, 3]), np.array([4])))
+    for change, point, listed in zip(changes, points, by_list, strict=True):
+        shaped = change.move(model.shape(change.apply(picture), "drone"))
+        direct = model.descriptors(images.normalise(shaped)[None], "drone")[0]
+        ranking = retrieval.rank(explain.part_cosines(direct, tiles), weights, labels, 2)
+        truth, top = ranking.truth(), ranking.match(0)
+        assert truth is not None
+        assert point.change == change
+        assert (point.tile, point.rank, point.true, point.top) == (truth.index, truth.rank, True, top.index)
+        assert (listed.tile, listed.rank, listed.top) == (point.tile, point.rank, point.top)
+        assert point.score == pytest.approx(truth.score, abs=1e-5)
+        assert point.top_score == pytest.approx(top.score, abs=1e-5)
+        np.testing.assert_allclose(point.cosines, truth.cosines, atol=1e-5)
+        assert point.cosines @ weights == pytest.approx(point.score, abs=1e-6)
+
+
+def test_without_a_truth_a_chosen_tile_or_the_top_match_is_followed(model: Model, tiles: FloatArray) -> None:
+    given = (model, worlds.place(1), "satellite", tiles, explain.part_weights(4), [Change(), Change(rotate=180)])
+    chosen, top = list(profile(*given, follow=3)), list(profile(*given))  # type: ignore[arg-type]
+    assert [(point.tile, point.true) for point in chosen] == [(3, None)] * 2
+    assert [point.tile for point in top] == [point.top for point in top]
+    assert {point.rank for point in top} == {1}
+    assert (top[0].top, top[0].score) == (1, pytest.approx(1, abs=1e-5))
+    with pytest.raises(InputError, match="Gallery picture 6 is not in the ranking"):
+        next(profile(*given, follow=6))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="no tile to rank"):
+        next(profile(*given, labels=np.full(6, -1)))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="no 'street' view"):
+        next(profile(model, worlds.place(1), "street", *given[3:]))  # type: ignore[arg-type]
+
+
+def test_a_sweep_computes_no_further_than_it_is_asked(
+    model: Model, tiles: FloatArray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Change] = []
+    describe = retrieval.describe_picture
+
+    def counted(model: Model, picture: images.Picture, view: lpn.View, change: Change) -> retrieval.Described:
+        asked.append(change)
+        return describe(model, picture, view, change)
+
+    monkeypatch.setattr(retrieval, "describe_picture", counted)
+    changes = changes_over("rotation", 30)
+    points = profile(model, worlds.place(1), "drone", tiles, explain.part_weights(4), changes)
+    assert [point.change for point in islice(points, 3)] == changes[:3] == asked
+
+
+def point(change: Change, score: float, rank: int, top_score: float) -> Point:
+    return Point(change, 4, True, score, rank, np.array([score, score], np.float32), 5, top_score)
+
+
+def test_a_profile_tells_the_best_change_and_what_it_gains() -> None:
+    points = [
+        point(Change(rotate=180), 0.5, 3, 0.9),
+        point(Change(rotate=-90), 0.7, 2, 0.8),
+        point(Change(), 0.6, 6, 0.65),
+        point(Change(rotate=90), 0.7, 1, 0.9),
+    ]
+    turned = Profile("rotation", tuple(points))
+    assert [round(sweeps.value("rotation", p.change)) for p in turned.points] == [0, 90, 180, 270]
+    assert turned.best.change.rotate == 90
+    assert turned.best_blind.change.rotate == 90
+    assert Profile("rotation", tuple(points[:3])).best_rank.change.rotate == -90
+    assert turned.gain(turned.best) == (5, pytest.approx(0.1))
+    assert turned.heading() == 270
+    rows = list(csv.DictReader(io.StringIO(turned.to_csv().decode())))
+    assert [row["rank"] for row in rows] == ["6", "1", "3", "2"]
+    assert list(rows[0]) == [
+        *("rotation", "score", "rank", "cosine 1", "cosine 2"),
+        *("tile", "true", "top", "top score"),
+    ]
+    so_far = Profile("rotation", tuple(points[:2]))
+    assert so_far.unchanged is None
+    assert so_far.gain(so_far.best) is None
+    zoomed = Profile("zoom", (point(Change(scale=2), 0.8, 1, 0.8), point(Change(scale=0.8), 0.8, 1, 0.8)))
+    assert zoomed.best.change.scale == 0.8
+    assert zoomed.heading() is None
+    with pytest.raises(InputError, match="at least one point"):
+        Profile("shift", ())
+
+
+def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model: Model, tiles: FloatArray) -> None:
+    # Flying east, what lies east is at the top: the north-up tile is turned counter-clockwise by its heading.
+    seen = images.rotate(worlds.place(3), 90)
+    labels = np.arange(6)
+    turned = changes_over("rotation", 90)
+    points = tuple(profile(model, seen, "satellite", tiles, explain.part_weights(4), turned, labels, 3))
+    found = Profile("rotation", points)
+    assert found.heading() == 90
+    assert found.best.score == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.skipif(not DEMO.is_dir(), reason="the demo is not part of this installation")
+def test_the_demo_s_headings_are_found_more_often_than_by_chance() -> None:
+    model, dataset = lpn.load(DEMO / "lpn.onnx"), open_dataset(DEMO)
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    known = Positions(DEMO).of(queries)
+    tiles = features.shipped_descriptors(model, gallery, "satellite", DEMO / "descriptors" / "gallery_satellite")
+    assert tiles is not None
+    # Straight down: only those pictures' headings differ from north and south by much.
+    downward = [i for i, place in enumerate(known) if place.tilt == -90][::20]
+    errors = []
+    for i in downward:
+        picture, angles = images.load_picture(queries[i].path), changes_over("rotation", 45)
+        points = tuple(profile(model, picture, "drone", tiles, explain.part_weights(4), angles))
+        heading = Profile("rotation", points).heading()
+        assert heading is not None
+        errors.append(abs((heading - (known[i].heading or 0.0) + 180) % 360 - 180))
+    assert np.median(errors) <= 45  # 90 by chance
+
+
+def test_the_command_prints_a_table_and_writes_csv_and_png(
+    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, curve = tmp_path / "out" / "sweep.csv", tmp_path / "sweep.png"
+    common = ["sweep", "--data", str(data), "--model", str(model_file), "--query", "0009"]
+    files = ["--csv", str(table), "--png", str(curve)]
+    assert cli.main([*common, "--over", "zoom", "--step", "1.4", "--weights", "1,1,0,0", *files]) == 0
+    rows = list(csv.DictReader(io.StringIO(table.read_text())))
+    assert [float(row["zoom"]) for row in rows] == sorted(1.4**power for power in range(-2, 3))
+    assert images.load_picture(curve).shape[1] > 500
+    said = capsys.readouterr().out
+    assert "The true match scores highest" in said
+    assert all(row["rank"] in said for row in rows)
+    assert cli.main([*common, "--step", "90"]) == 0
+    assert "clockwise from north" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--query", "nowhere"], "no drone query nowhere; its names are such as 0007"),
+        (["--query", "0009", "--task", "street-to-drone"], "offers drone-to-satellite"),
+        (["--query", "0009", "--weights", "1,x"], "expected a number for each part"),
+        (["--query", "0009", "--weights", "1,1"], "expected 4 numbers"),
+        (["--query", "0009", "--step", "-5"], "step is -5"),
+    ],
+)
+def test_the_command_refuses_in_one_sentence(
+    data: Path, model_file: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str
+) -> None:
+    assert cli.main(["sweep", "--data", str(data), "--model", str(model_file), *more]) == 2
+    assert said in capsys.readouterr().err

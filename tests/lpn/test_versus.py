@@ -1,0 +1,236 @@
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog, minimize
+
+from lpn import explain, metrics, retrieval, versus
+from lpn.datasets import Truth
+from lpn.errors import InputError
+from lpn.least_distance import shortest
+from lpn.model import FloatArray, normalise
+from lpn.retrieval import Ranking
+
+
+def ranked(cosines: object, weights: object = None, true: tuple[int, ...] = (0,)) -> Ranking:
+    """A ranking of given part cosines (G, n) in which some tiles are true."""
+    array = np.array(cosines, np.float32)
+    labels = np.ones(len(array), np.int64)
+    labels[list(true)] = 7
+    return retrieval.rank(array, explain.part_weights(array.shape[1], weights), labels, 7)  # type: ignore[arg-type]
+
+
+def random_case(seed: int) -> tuple[Ranking, np.ndarray]:
+    """A ranking with one to three true tiles, sometimes with junk, equal tiles, or few different cosines; and its labels."""
+    rng = np.random.default_rng(seed)
+    n, tiles = int(rng.integers(1, 13)), int(rng.integers(2, 40))
+    cosines = rng.uniform(0, 1, (tiles, n))
+    if seed % 4 == 1:
+        cosines = rng.integers(0, 4, (tiles, n)) / 4
+    if seed % 4 == 2:
+        cosines = 0.7 + 0.01 * rng.standard_normal((tiles, n))
+    if seed % 4 == 3:
+        cosines[1] = cosines[0]
+    labels = np.full(tiles, 5)
+    labels[rng.choice(tiles, min(int(rng.integers(1, 4)), tiles - 1), replace=False)] = 7
+    if seed % 5 == 0:
+        labels[np.flatnonzero(labels == 5)[0]] = metrics.JUNK
+    weights = explain.part_weights(n, rng.uniform(0, 1, n) * (rng.random(n) < 0.8) + 0.01)
+    return retrieval.rank(cosines.astype(np.float32), weights, labels, 7), labels
+
+
+def described(seed: int, count: int, n: int) -> FloatArray:
+    return normalise(np.random.default_rng(seed).standard_normal((count, n, 16)).astype(np.float32))
+
+
+def test_the_parts_of_a_margin_sum_to_the_difference_of_scores_and_distances() -> None:
+    query, gallery = described(1, 1, 4)[0], described(2, 30, 4)
+    ranking = retrieval.rank(explain.part_cosines(query, gallery), explain.part_weights(4, [2, 1, 0, 0.5]))
+    for a, b in ((3, 8), (8, 3)):
+        found = versus.margin(ranking, a, b)
+        one, other = ranking.find(a), ranking.find(b)
+        assert found.parts.shape == (4,)
+        assert found.score == pytest.approx(one.score - other.score, abs=1e-6)
+        assert found.distance2.sum() == pytest.approx(other.distance2 - one.distance2, abs=1e-6)
+        np.testing.assert_allclose(found.distance2, other.shares - one.shares, atol=1e-6)
+        assert found.parts[2] == 0
+    with pytest.raises(InputError, match="no gallery picture 30"):
+        versus.margin(ranking, 3, 30)
+
+
+@pytest.mark.parametrize("seed", range(0, 40, 3))
+def test_without_and_alone_are_the_ranks_of_those_weights(seed: int) -> None:
+    ranking, labels = random_case(seed)
+    found = versus.without(ranking)
+    assert found is not None
+    n = len(ranking.weights)
+    for part, standing in enumerate((*found.without, *found.alone)):
+        left = np.where(np.arange(n) == part, 0, ranking.weights) if part < n else np.eye(n)[part - n]
+        if standing is None:
+            assert not left.any()
+            continue
+        direct = retrieval.rank(ranking.cosines, explain.part_weights(n, left), labels, 7)
+        truth = direct.truth()
+        assert truth is not None
+        assert standing.rank == truth.rank
+        wrong = [index for index in direct.order if labels[index] != 7]
+        if wrong:
+            assert standing.lead == pytest.approx(truth.score - float(direct.scores[wrong[0]]), abs=1e-6)
+    now = ranking.truth()
+    assert now is not None
+    assert found.now.rank == now.rank
+
+
+def test_the_part_without_which_the_truth_would_be_first() -> None:
+    cosines = [[0.2, 0.9, 0.75], [0.9, 0.7, 0.7], [0.8, 0.8, 0.6]]
+    found = versus.without(ranked(cosines))
+    assert found is not None
+    assert (found.now.rank, found.cure, found.best_alone) == (3, 0, 1)
+    first = versus.without(ranked(cosines, [0, 1, 1]))
+    assert first is not None
+    assert first.cure is None
+    never = versus.without(ranked([[0.1, 0.1], [0.2, 0.2]]))
+    assert never is not None
+    assert (never.cure, never.best_alone) == (None, None)
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_the_smallest_change_is_what_a_fine_grid_finds(n: int) -> None:
+    steps = 400 if n == 2 else 120
+    grid = np.array([w for w in itertools.product(range(steps + 1), repeat=n) if sum(w) == steps]) / steps
+    compared = 0
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        ranking = ranked(rng.uniform(0, 1, (6, n)), rng.uniform(0.1, 1, n))
+        first = ((ranking.cosines[:1] - ranking.cosines[1:]).astype(float) @ grid.T >= versus.LEAD).all(axis=0)
+        found = versus.smallest_change(ranking)
+        if found is None:
+            assert not first.any()
+        elif found.distance > 0 and first.any():
+            nearest = float(np.linalg.norm(grid[first] - ranking.weights, axis=1).min())
+            assert found.distance <= nearest + 1e-6
+            assert nearest <= found.distance + 2.5 / steps
+            compared += 1
+    assert compared > 5
+
+
+def test_the_smallest_change_is_what_a_general_solver_finds() -> None:
+    told = {"none": 0, "found": 0}
+    for seed in range(150):
+        ranking, labels = random_case(seed)
+        found = versus.smallest_change(ranking)
+        best = _by_scipy(ranking, labels)
+        now = ranking.truth()
+        if now is not None and now.rank == 1:
+            assert found is not None
+            assert (found.distance, found.tile) == (0, now.index)
+            continue
+        assert (found is None) == (best is None), seed
+        told["none" if found is None else "found"] += 1
+        if found is not None:
+            assert found.distance == pytest.approx(best, abs=1e-6)
+            assert found.weights.sum() == pytest.approx(1, abs=1e-6)
+            assert (found.weights >= 0).all()
+            np.testing.assert_allclose(ranking.weights + found.change, found.weights, atol=1e-7)
+            assert np.linalg.norm(found.change) == pytest.approx(found.distance, abs=1e-6)
+            then = retrieval.rank(ranking.cosines, found.weights, labels, 7).match(0)
+            assert (then.index, then.true) == (found.tile, True)
+    assert min(told.values()) > 20
+
+
+def _by_scipy(ranking: Ranking, labels: np.ndarray) -> float | None:
+    n = len(ranking.weights)
+    now = ranking.weights.astype(float) / ranking.weights.sum(dtype=float)
+    cosines, found = ranking.cosines.astype(float), []
+    for index in np.flatnonzero(labels == 7):
+        ahead = cosines[index] - cosines[labels == 5]
+        lead, one = np.full(len(ahead), versus.LEAD), np.ones(n)
+        inside = linprog(np.zeros(n), A_ub=-ahead, b_ub=-lead, A_eq=one[None], b_eq=[1], bounds=[(0, 1)] * n)
+        if inside.status != 0:
+            continue
+        rules = [
+            {"type": "eq", "fun": lambda w: w.sum() - 1, "jac": lambda w: np.ones(len(w))},
+            {"type": "ineq", "fun": lambda w, a=ahead: a @ w - versus.LEAD, "jac": lambda _, a=ahead: a},
+        ]
+        solved = minimize(
+            lambda w: ((w - now) ** 2).sum() / 2,
+            inside.x,
+            jac=lambda w: w - now,
+            method="SLSQP",
+            bounds=[(0, 1)] * n,
+            constraints=rules,
+            options={"maxiter": 500, "ftol": 1e-14},
+        )
+        assert solved.status == 0
+        found.append(float(np.linalg.norm(solved.x - now)))
+    return min(found, default=None)
+
+
+def test_no_weighting_helps_where_a_wrong_tile_is_better_or_equal_in_every_part() -> None:
+    assert versus.smallest_change(ranked([[0.5, 0.5], [0.6, 0.5]])) is None
+    assert versus.smallest_change(ranked([[0.5], [0.6]])) is None
+    assert versus.smallest_change(ranked([[0.9, 0.1], [0.9, 0.1]], true=(1,))) is None
+    # No tile is better everywhere, but of any weighting one of the two is.
+    assert versus.smallest_change(ranked([[0.5, 0.5], [0.9, 0.2], [0.2, 0.9]])) is None
+    found = versus.smallest_change(ranked([[0.5, 0.5], [0.9, 0.2], [0.2, 0.7]]))
+    assert found is not None
+    assert found.weights[1] == pytest.approx(4 / 7, abs=1e-3)
+
+
+def test_a_chosen_tile_can_be_put_first_and_an_unknown_truth_cannot() -> None:
+    cosines = [[0.9, 0.1], [0.8, 0.7], [0.1, 0.8]]
+    ranking = retrieval.rank(np.array(cosines, np.float32), explain.part_weights(2))
+    assert versus.smallest_change(ranking) is None
+    assert versus.without(ranking) is None
+    found = versus.smallest_change(ranking, tile=2)
+    assert found is not None
+    assert retrieval.rank(ranking.cosines, found.weights).order[0] == 2
+    standings = versus.without(ranking, tile=0)
+    assert standings is not None
+    assert standings.cure == 1
+    with pytest.raises(InputError, match="Gallery picture 9 is not in the ranking"):
+        versus.smallest_change(ranking, tile=9)
+
+
+def test_the_least_distance_to_half_spaces() -> None:
+    rows, least = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]), np.array([1.0, -5.0, 3.0])
+    np.testing.assert_allclose(shortest(rows, least, 10.0), [1.5, 1.5], atol=1e-12)
+    np.testing.assert_array_equal(shortest(rows, -np.ones(3), 1.0), [0, 0])
+    assert shortest(rows, least, 2.0) is None
+    assert shortest(np.array([[1.0], [-1.0]]), np.array([1.0, 1.0]), 1e3) is None
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_the_effect_on_a_data_set_is_that_of_each_query_ranked(listed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics, "_BLOCK_BYTES", 8 * 30 * 4)  # several blocks
+    rng = np.random.default_rng(3)
+    gallery = described(4, 30, 3)
+    labels, of_query = rng.integers(-1, 12, 30), rng.integers(0, 12, 25)
+    mates = [np.flatnonzero(labels == label) for label in of_query]
+    query = normalise(np.stack([gallery[m[0] if len(m) else 0] for m in mates]) + 3 * described(5, 25, 3))
+    truth = [Truth(m, np.flatnonzero(labels == metrics.JUNK)) for m in mates] if listed else None
+    before, after = [2, 0.1, 0.4], [0.1, 2, 0.5]
+    args = (None, None, truth) if listed else (of_query, labels, None)
+    found = versus.effect(query, gallery, before, after, *args)
+    hits = []
+    for weights in (before, after):
+        tops = [
+            retrieval.rank(
+                explain.part_cosines(q, gallery), explain.part_weights(3, weights), labels, int(label)
+            ).match(0)
+            for q, label in zip(query, of_query, strict=True)
+        ]
+        hits.append(np.array([top.true for top in tops]))
+    assert (found.before, found.after) == pytest.approx(tuple(100 * h.mean() for h in hits))
+    np.testing.assert_array_equal(found.gained, np.flatnonzero(hits[1] & ~hits[0]))
+    np.testing.assert_array_equal(found.lost, np.flatnonzero(hits[0] & ~hits[1]))
+    assert len(found.gained) > 0
+    assert len(found.lost) > 0
+    assert found.helps == (found.after > found.before)
+    known = metrics.retrieve(versus.folded(query, before), of_query, gallery, labels).first
+    again = versus.effect(query, gallery, None, after, *args, first=known)
+    np.testing.assert_array_equal(again.lost, found.lost)
+    with pytest.raises(InputError, match="3 known ranks for 25 queries"):
+        versus.effect(query, gallery, None, after, *args, first=known[:3])
