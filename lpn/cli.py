@@ -12,6 +12,7 @@ import lpn
 from lpn.commands.failures import Failures
 from lpn.commands.making import Export, Reproduce, Train, World, parse_train
 from lpn.commands.reasons import Explain
+from lpn.commands.report import Report
 from lpn.commands.sweep import Sweep
 from lpn.commands.using import Describe, Doctor, Evaluate, Explore
 from lpn.errors import LPNError, MissingPackageError
@@ -28,6 +29,7 @@ COMMANDS: dict[str, type[Any]] = {
     "world": World,
     "reproduce": Reproduce,
     "failures": Failures,
+    "report": Report,
 }
 
 
