@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from lpn.failures import Outcomes
 from lpn.files import printable
 from lpn.metrics import IntArray
 from lpn.model import FloatArray, Model
+from lpn.notes import Note
 from lpn.retrieval import Ranking
 from lpn.spec import ModelSpec, View, views_of
 from lpn.tables import Table
@@ -37,7 +38,7 @@ class Study:
         truth: true matches and junk of each query where labels do not say them, else None.
         asked, tiles: descriptors of the queries as they are and of the gallery, (Q, n, D) and (G, n, D).
         weights: of the parts, see `explain.part_weights`; None for equal ones.
-        notes: file of tags and notes, None for the one in the data set's folder.
+        notes: a person's tags and notes by the query's path, see `lpn.notes`.
     """
 
     model: Model | None
@@ -55,7 +56,7 @@ class Study:
     asked: FloatArray
     tiles: FloatArray
     weights: npt.ArrayLike | None = None
-    notes: Path | None = None
+    notes: Mapping[str, Note] = field(default_factory=dict)
 
     @property
     def views(self) -> tuple[View, View]:
@@ -81,7 +82,7 @@ class Study:
     def table(self) -> Table:
         """One row for each query: outcome, metadata, tags, and notes; see `failures.table` for what is raised."""
         made = failures.table(self.root, self.queries, self.gallery, self.outcomes, self.part_names)
-        return made.plus(notes.columns(notes.read_notes(self.notes or self.root / notes.NAME), made.paths))
+        return made.plus(notes.columns(dict(self.notes), made.paths))
 
     @cached_property
     def figures(self) -> dict[str, float]:
@@ -108,18 +109,17 @@ def open_study(
     """Describe both sides of a task, or read what was described before.
 
     Args:
-        task: by default the first that the data set offers and the model knows the views of.
+        model_name: how it is called.
+        task: see `task_of`.
+        weights: of the parts, see `explain.part_weights`.
+        notes_file: tags and notes, by default those in the data set's folder.
 
     Raises:
         InputError: when the two do not offer the task together, or the weights are none.
-        LPNError: when pictures, truth, or stores cannot be read.
+        LPNError: when notes, pictures, truth, or stores cannot be read.
     """
-    known = [name for name in dataset.tasks() if set(views_of(name)) <= set(model.views)]
-    task = task or (known[0] if known else "")
-    if task not in known:
-        raise InputError(
-            f"The task is {task or 'none'}; {dataset.root.name} and this model offer {', '.join(known) or 'none'} together."
-        )
+    task = task_of(model, dataset, task)
+    read = notes.read_notes(notes_file or dataset.root / notes.NAME)
     explain.part_weights(model.n_parts, weights)
     views = views_of(task)
     queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
@@ -139,5 +139,20 @@ def open_study(
         features.known_descriptors(model, queries, views[0], dataset.root, "query"),
         features.known_descriptors(model, gallery, views[1], dataset.root, "gallery"),
         weights,
-        notes_file,
+        read,
     )
+
+
+def task_of(model: Model, dataset: Dataset, task: str | None = None) -> str:
+    """The task asked for, or the first that the data set offers and the model knows the views of.
+
+    Raises:
+        InputError: when the two do not offer it together.
+    """
+    known = [name for name in dataset.tasks() if set(views_of(name)) <= set(model.views)]
+    task = task or (known[0] if known else "")
+    if task not in known:
+        raise InputError(
+            f"The task is {task or 'none'}; {dataset.root.name} and this model offer {', '.join(known) or 'none'} together."
+        )
+    return task

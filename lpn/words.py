@@ -108,9 +108,11 @@ def left_out(found: Without, part_names: Sequence[str]) -> str:
         return f"Without part {part_names[found.cure]} the true tile would be first."
     ranks = {i: one.rank for i, one in enumerate(found.without) if one is not None}
     said = "No single part is to blame alone"
-    if ranks:
-        best = min(ranks, key=ranks.__getitem__)
+    best = min(ranks, key=ranks.__getitem__, default=0)
+    if ranks and ranks[best] < found.now.rank:
         said += f": at best, without part {part_names[best]}, the true tile would be {ordinal(ranks[best])}"
+    elif ranks:
+        said += ": the true tile ranks no better without any one of them"
     if found.best_alone is not None:
         said += f"; part {part_names[found.best_alone]} alone puts it first"
     return f"{said}."
@@ -119,7 +121,7 @@ def left_out(found: Without, part_names: Sequence[str]) -> str:
 def reweighted(change: Reweighting | None, effect: Effect | None) -> str:
     """One sentence on the smallest change of part weights that puts the truth first, and what it does to all queries."""
     if change is None:
-        return "No part weights put the true tile first."
+        return "No choice of part weights would put the true tile first."
     shares = " : ".join(f"{100 * weight:.0f}" for weight in change.weights)
     said = f"The smallest change of part weights that puts the true tile first is {shares} %"
     if effect is None:

@@ -14,6 +14,7 @@ from lpn.errors import InputError
 from lpn.files import printable
 
 if TYPE_CHECKING:
+    from lpn.datasets import Picture
     from lpn.study import Study
 
 
@@ -57,7 +58,8 @@ class Report:
         from lpn.commands.reasons import part_values
         from lpn.datasets import open_dataset
         from lpn.files import check_writable, write_whole
-        from lpn.study import open_study
+        from lpn.spec import views_of
+        from lpn.study import open_study, task_of
 
         if self.query and (self.failures is not None or self.where):
             raise InputError("Queries are named, and --failures or --where chooses others; leave one of them out.")
@@ -66,13 +68,16 @@ class Report:
         options = report.Options(self.matches, self.profile, self.step, Change(rotate=self.rotate))
         check_writable(self.out)
         model, dataset = lpn.load(self.model), open_dataset(self.data)
-        study = open_study(model, self.model.name, dataset, self.task, part_values(self.weights), self.notes)
-        chosen, said = _named(study, self.query) if self.query else self._chosen(study)
+        task = task_of(model, dataset, self.task)
+        # Before pictures are described, which may take long.
+        named = _named(self.query, dataset.queries(views_of(task)[0]), dataset.root.name)
+        study = open_study(model, self.model.name, dataset, task, part_values(self.weights), self.notes)
+        chosen, said = (named, "chosen by name") if named else self._chosen(study)
         options = report.Options(self.matches, self.profile, self.step, Change(rotate=self.rotate), chosen=said)
         console = Console()
         with Progress(console=console, transient=True) as bar:
-            task = bar.add_task("Reporting", total=None)
-            page = report.build(study, chosen, options, lambda done, of: bar.update(task, completed=done, total=of))
+            shown = bar.add_task("Reporting", total=None)
+            page = report.build(study, chosen, options, lambda done, of: bar.update(shown, completed=done, total=of))
         write_whole(self.out, page)
         count = f"{len(chosen)} {'query' if len(chosen) == 1 else 'queries'}"
         console.print(f"{self.out}: {count}, {len(page) / 1e6:.1f} MB", highlight=False, markup=False, soft_wrap=True)
@@ -89,8 +94,8 @@ class Report:
                 raise InputError(f"No query is one with {self.where}; change --where.")
             if len(rows) > MOST:
                 raise InputError(
-                    f"{len(rows)} queries are ones with {self.where}; a report holds {MOST}, so narrow it, or take the worst with "
-                    "--failures 20."
+                    f"{len(rows)} queries are ones with {self.where}; a report holds {MOST}, so narrow it, or take the worst "
+                    "with --failures 20."
                 )
             return rows.tolist(), f"all with {self.where}, lowest margin first"
         failed = rows[study.outcomes.failed[rows]]
@@ -102,15 +107,13 @@ class Report:
         return worst.tolist(), f"the worst of {len(failed):,} failures{among}, lowest margin first"
 
 
-def _named(study: Study, names: Sequence[str]) -> tuple[list[int], str]:
-    """Positions of queries by their names."""
-    known = [entry.name for entry in study.queries]
-    places = {name: place for place, name in reversed(list(enumerate(known)))}
+def _named(names: Sequence[str], queries: Sequence[Picture], data: str) -> list[int]:
+    """Positions of queries by their names, each once."""
+    places = {entry.name: place for place, entry in reversed(list(enumerate(queries)))}
     for name in names:
         if name not in places:
-            near = get_close_matches(name, known, 3, 0.5) or known[:1]
+            near = get_close_matches(name, places, 3, 0.5) or [queries[0].name]
             raise InputError(
-                f"{study.data_name} has no {study.views[0]} query {printable(name)}; did you mean "
-                f"{' or '.join(printable(one) for one in near)}?"
+                f"{printable(data)} has no query {printable(name)}; did you mean {' or '.join(map(printable, near))}?"
             )
-    return [places[name] for name in dict.fromkeys(names)], "chosen by name"
+    return [places[name] for name in dict.fromkeys(names)]

@@ -48,16 +48,15 @@ def evidence_span(found: Sequence[Evidence]) -> tuple[float, float]:
     """The least and the largest number that `evidence_bars` draws for some pairs, so that all are to one scale."""
     low = high = 0.0
     for one in found:
-        gains, losses, constants = _sums(one)
-        low = min(low, float(losses.min()), float(constants.min()))
-        high = max(high, float(gains.max()), float(constants.max()))
+        drawn = np.concatenate([*_sums(one), one.contributions])
+        low, high = min(low, float(drawn.min())), max(high, float(drawn.max()))
     return low, max(high, low + 1e-9)
 
 
 def evidence_bars(found: Evidence, names: Sequence[str], span: tuple[float, float]) -> str:
     """For each part what its cells add and take, below it the constant, and their sum as a mark, on the query's side."""
     gains, losses, constants = _sums(found)
-    left, right, row, top = 78.0, 372.0, 30, 4
+    left, right, row, top = 78.0, 366.0, 30, 4
     low, high = span
     scale = (right - left) / (high - low)
     zero = left - low * scale
@@ -99,7 +98,7 @@ def waterfall(margin: Margin) -> list[str]:
     steps = margin.distance2
     ends = np.concatenate([[0.0], np.cumsum(steps)])
     low, high = float(ends.min()), float(ends.max())
-    width, room = 300.0, 46.0
+    width, room = 400.0, 52.0
     scale = (width - 2 * room) / max(high - low, 1e-9)
     zero = room - low * scale
     drawn = []
@@ -117,7 +116,7 @@ def _step(begin: float, end: float, fill: str, value: float, zero: float, joined
     left, right = min(begin, end), max(begin, end)
     at, anchor = (right + 4, "start") if value >= 0 else (left - 4, "end")
     return _svg(
-        300,
+        400,
         26,
         f"{value:+.3f}",
         [
@@ -132,7 +131,7 @@ def profile(found: Profile, names: Sequence[str]) -> str:
     """Score and cosines, and below them the rank, of what is followed while the query is turned once around."""
     points = [*found.points, found.points[0]]
     angles = [point.change.rotate % 360 for point in found.points] + [360.0]
-    left, right, top, middle, below, bottom = 44.0, 690.0, 10.0, 170.0, 190.0, 250.0
+    left, right, top, middle, below, bottom = 52.0, 920.0, 8.0, 176.0, 192.0, 262.0
     values = [v for p in points for v in (p.score, p.top_score, *map(float, p.cosines))]
     low, high = np.floor(10 * min(values)) / 10, np.ceil(10 * max(values)) / 10 + 1e-9
 
@@ -168,11 +167,10 @@ def profile(found: Profile, names: Sequence[str]) -> str:
     best = found.best_rank
     spot = x(best.change.rotate % 360), below + (bottom - below) * np.log(best.rank) / depth
     drawn.append(f'<circle cx="{spot[0]:.1f}" cy="{spot[1]:.1f}" r="5" class="best"/>')
-    drawn += [
-        f'<text x="12" y="{(top + middle) / 2}" text-anchor="middle" transform="rotate(-90 12 {(top + middle) / 2})">score</text>',
-        f'<text x="12" y="{(below + bottom) / 2}" text-anchor="middle" transform="rotate(-90 12 {(below + bottom) / 2})">rank</text>',
-    ]
-    return _svg(700, bottom + 20, "score and rank against the angle", drawn)
+    for name, middle_of in (("score", (top + middle) / 2), ("rank", (below + bottom) / 2)):
+        turned = f'transform="rotate(-90 12 {middle_of:g})"'
+        drawn.append(f'<text x="12" y="{middle_of:g}" text-anchor="middle" {turned}>{name}</text>')
+    return _svg(940, bottom + 18, "score and rank against the angle", drawn)
 
 
 def _ticks(low: float, high: float) -> list[float]:

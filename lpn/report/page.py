@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from datetime import datetime
 
@@ -54,18 +55,21 @@ def build(
         if progress is not None:
             progress(done, steps)
 
-    lines, sections = [], []
+    lines, sections, decided = [], [], []
     for number, query in enumerate(queries, 1):
         case = cases.make(query, tick)
         # A case holds pictures and a whole ranking; only its html is kept.
-        lines.append(_line(case, study, query, number))
+        decided.append(_decides(case, study))
+        lines.append(_line(case, study, query, number, decided[-1]))
         sections.append(section(case, study, number))
     head = _head(study, options, len(queries), made or datetime.now().astimezone())
-    contents = _contents(lines)
+    contents = _contents(lines, decided)
     title = f"{study.data_name}, {study.task}: {len(queries)} queries"
     page = (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}"><title>{text(title)}</title><style>{STYLE}</style></head>\n'
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
+        f"<title>{text(title)}</title><style>{STYLE}</style></head>\n"
         f'<body id="top">{head}{contents}\n{chr(10).join(sections)}\n</body></html>\n'
     )
     return page.encode()
@@ -74,8 +78,13 @@ def build(
 def _head(study: Study, options: Options, count: int, made: datetime) -> str:
     figures = study.figures
     tiles = "".join(
-        f"<div><b>{figures[key]:.1f} %</b>{name}</div>"
-        for name, key in (("R@1", "recall@1"), ("R@5", "recall@5"), ("R@10", "recall@10"), ("AP", "ap"))
+        f"<div><b>{figures[key]:.1f} %</b>{name}<small>{meant}</small></div>"
+        for name, key, meant in (
+            ("R@1", "recall@1", "true tile first"),
+            ("R@5", "recall@5", "among the first 5"),
+            ("R@10", "recall@10", "among the first 10"),
+            ("AP", "ap", "mean average precision"),
+        )
     )
     mirrored = "descriptors of picture and mirror added, " if study.spec.mirrored else ""
     clauses = ["descriptors as saved"] if study.model is None else [f"{mirrored}each part normalised"]
@@ -99,7 +108,7 @@ def _head(study: Study, options: Options, count: int, made: datetime) -> str:
     ]
     listed = "".join(f"<dt>{text(name)}</dt><dd>{text(value)}</dd>" for name, value in facts)
     return (
-        f'<h1>Why these matches?</h1><p class="dim">{text(study.data_name)}, {text(study.task)}</p>'
+        f'<h1>Retrieval report</h1><p class="dim">{text(study.data_name)}, {text(study.task)}</p>'
         f'<div class="figures num" aria-label="of all queries">{tiles}</div><dl class="facts">{listed}</dl>{_how(study)}'
     )
 
@@ -116,7 +125,7 @@ def _how(study: Study) -> str:
     )
 
 
-def _line(case: Case, study: Study, query: int | Own, number: int) -> str:
+def _line(case: Case, study: Study, query: int | Own, number: int, part: str) -> str:
     """One line of the table of contents."""
     picture = query.picture if isinstance(query, Own) else shown(study.queries[query])
     first, truth = case.matches[0], case.truth
@@ -129,20 +138,28 @@ def _line(case: Case, study: Study, query: int | Own, number: int) -> str:
     cells += ["<td></td><td></td>"] * (2 - len(tiles))
     rank = "–" if truth is None else f"{truth.rank:,}"
     margin = "–" if case.margin is None else f"{case.margin.distance2.sum():+.3f}"
-    part = "–"
-    if case.margin is not None:
-        steps = case.margin.parts
-        part = study.part_names[int(steps.argmax() if case.margin.score >= 0 else steps.argmin())]
     return (
         f'<tr><td class="r">{number}</td><td>{thumbnail(picture)}</td><td class="{KINDS[case.verdict]}">{sign(case.verdict)} '
         f'<a href="#q{number}" title="{text(said(case, study)[0])}">{text(case.name)}</a></td>{"".join(cells)}'
-        f'<td class="r">{rank}</td><td class="r">{margin}</td><td>{text(part)}</td></tr>'
+        f'<td class="r">{rank}</td><td class="r">{margin}</td><td>{text(part or "–")}</td></tr>'
     )
 
 
-def _contents(lines: Sequence[str]) -> str:
+def _decides(case: Case, study: Study) -> str:
+    """The part that costs the truth most, or where it is nearer, that helps it most; "–" without a margin."""
+    if case.margin is None:
+        return "–"
+    steps = case.margin.parts
+    return study.part_names[int(steps.argmax() if case.margin.score >= 0 else steps.argmin())]
+
+
+def _contents(lines: Sequence[str], decided: Sequence[str]) -> str:
+    counts = Counter(decided).most_common()
+    counted = ", ".join(f"{part} in {count}" for part, count in counts if part != "–")
+    summary = f'<p class="note">Part that decides: {text(counted)}.</p>' if len(lines) > 1 and counted else ""
     return (
-        '<h3>Contents</h3><div class="wide"><table class="contents"><thead><tr><th class="r"></th><th></th><th>query</th><th></th>'
-        '<th>top match</th><th></th><th>true tile, if another</th><th class="r">its rank</th><th class="r">margin, d²</th>'
-        f"<th>part that decides</th></tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
+        '<h3>Contents</h3><div class="wide"><table class="contents"><thead><tr><th></th><th></th><th>query</th>'
+        '<th></th><th>top match</th><th></th><th>true tile, if another</th><th class="r">its rank</th>'
+        '<th class="r">margin, d²</th><th>part that decides</th></tr></thead>'
+        f"<tbody>{''.join(lines)}</tbody></table></div>{summary}"
     )

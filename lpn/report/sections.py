@@ -15,7 +15,7 @@ from lpn.study import Study
 
 SIGNS: dict[bool | None, str] = {True: "✓", False: "✗", None: "?"}
 KINDS: dict[bool | None, str] = {True: "true", False: "false", None: "unknown"}
-_LARGE, _MAP, _SMALL = 300, 230, 64
+_LARGE, _MAP, _SMALL = 280, 220, 60
 """Width of pictures in pixels."""
 NOTE = (
     "Exact: the cells and the constant add up to each part's share of the score, on the side of the query and on that of the "
@@ -113,7 +113,7 @@ def _ringed(picture: Picture, study: Study, side: int) -> str:
     height = _height(study, _LARGE)
     shown = images.resize(picture, height, _LARGE)
     shown = overlays.with_rings(shown, study.spec.partition(view), study.map_sizes[view])
-    return f'<img src="{overlays.data_uri(shown, 82)}" alt="{view} picture with its parts">'
+    return f'<img src="{overlays.data_uri(shown, 76)}" alt="{view} picture with its parts">'
 
 
 def _height(study: Study, width: int) -> int:
@@ -177,7 +177,7 @@ def _evidence(case: Case, study: Study) -> str:
 def _mapped(picture: Picture, cells: figures.Numbers, limit: float, study: Study, side: int) -> str:
     shown = overlays.with_evidence(images.resize(picture, _height(study, _MAP), _MAP), cells, limit)
     view = study.views[side]
-    return overlays.data_uri(overlays.with_rings(shown, study.spec.partition(view), cells.shape, 1), 78)
+    return overlays.data_uri(overlays.with_rings(shown, study.spec.partition(view), cells.shape), 72)
 
 
 def _margin(case: Case, study: Study) -> str:
@@ -188,14 +188,10 @@ def _margin(case: Case, study: Study) -> str:
     falls = figures.waterfall(case.margin)
     rows = []
     for part, name in enumerate(study.part_names):
-        others = ""
-        if case.without is not None:
-            left = case.without.without[part]
-            others = f'<td class="r">{"–" if left is None else f"{left.rank:,}"}</td><td class="r">{case.without.alone[part].rank:,}</td>'
         rows.append(
             f'<tr><td><span class="swatch" style="background:{colour(part)}"></span>{text(name)}</td>'
             f'<td class="r">{cosines[0][part]:.3f}</td><td class="r">{cosines[1][part]:.3f}</td>'
-            f'<td class="fall">{falls[part]}</td>{others}</tr>'
+            f'<td class="fall">{falls[part]}</td>{_ranks_without(case, part)}</tr>'
         )
     scores = (case.ranking.scores[case.margin.true], case.ranking.scores[case.margin.wrong])
     others = "" if case.without is None else f'<td class="r">{case.without.now.rank:,}</td><td class="r"></td>'
@@ -204,17 +200,23 @@ def _margin(case: Case, study: Study) -> str:
         f'<td class="fall">{falls[-1]}</td>{others}</tr>'
     )
     names = [text(study.gallery[index].name) for index in (case.margin.true, case.margin.wrong)]
-    ranks = (
-        ""
-        if case.without is None
-        else '<th class="r">true tile\'s rank<br>without the part</th><th class="r">by the part<br>alone</th>'
-    )
+    ranks = '<th class="r">its rank<br>without the part</th><th class="r">its rank by<br>the part alone</th>'
+    direction = f"← {sign(False)} nearer &nbsp; difference of d² &nbsp; {sign(True)} nearer →"
     return (
-        f'<div class="keep"><h3>True tile {names[0]} against wrong tile {names[1]}</h3><div class="wide"><table class="falls"><thead>'
-        f'<tr><th>part</th><th class="r">cosine {sign(True)}</th><th class="r">cosine {sign(False)}</th>'
-        f"<th style='text-align:center'>← {sign(False)} nearer &nbsp; difference of d² &nbsp; {sign(True)} nearer →</th>{ranks}</tr></thead>"
-        f"<tbody>{''.join(rows)}{total}</tbody></table></div></div>"
+        f'<div class="keep"><h3>True tile {names[0]} against wrong tile {names[1]}</h3><div class="wide">'
+        f'<table class="falls"><thead><tr><th>part</th><th class="r">cosine {sign(True)}</th>'
+        f'<th class="r">cosine {sign(False)}</th><th class="fall">{direction}</th>'
+        f"{'' if case.without is None else ranks}</tr></thead><tbody>{''.join(rows)}{total}</tbody></table></div></div>"
     )
+
+
+def _ranks_without(case: Case, part: int) -> str:
+    """Two cells: the nearest true tile's rank without a part, and by it alone."""
+    if case.without is None:
+        return ""
+    left = case.without.without[part]
+    rank = "–" if left is None else f"{left.rank:,}"
+    return f'<td class="r">{rank}</td><td class="r">{case.without.alone[part].rank:,}</td>'
 
 
 def _profile(case: Case, study: Study) -> str:
