@@ -113,7 +113,7 @@ def _ringed(picture: Picture, study: Study, side: int) -> str:
     height = _height(study, _LARGE)
     shown = images.resize(picture, height, _LARGE)
     shown = overlays.with_rings(shown, study.spec.partition(view), study.map_sizes[view])
-    return f'<img src="{overlays.data_uri(shown, 76)}" alt="{view} picture with its parts">'
+    return f'<img src="{overlays.data_uri(shown, 70)}" alt="{view} picture with its parts">'
 
 
 def _height(study: Study, width: int) -> int:
@@ -177,7 +177,7 @@ def _evidence(case: Case, study: Study) -> str:
 def _mapped(picture: Picture, cells: figures.Numbers, limit: float, study: Study, side: int) -> str:
     shown = overlays.with_evidence(images.resize(picture, _height(study, _MAP), _MAP), cells, limit)
     view = study.views[side]
-    return overlays.data_uri(overlays.with_rings(shown, study.spec.partition(view), cells.shape), 72)
+    return overlays.data_uri(overlays.with_rings(shown, study.spec.partition(view), cells.shape), 66)
 
 
 def _margin(case: Case, study: Study) -> str:
@@ -230,7 +230,7 @@ def _profile(case: Case, study: Study) -> str:
     )
     legend = (
         f'<div class="legend"><span><i class="line"></i>{who}</span><span><i class="line dash"></i>best score of any tile</span>'
-        "<span>colours: cosine of each part</span><span>ring: best rank</span></div>"
+        "<span>colours: cosine of each part</span><span>circle: best rank</span></div>"
     )
     return (
         '<div class="keep"><h3>The query turned once around, counter-clockwise</h3>'
