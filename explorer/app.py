@@ -17,9 +17,11 @@ from typing import Any
 import viser
 
 from explorer import session
+from explorer.bridge import Bridge
 from explorer.exhibit import Analyst, Exhibit
 from explorer.opening import open_model, open_saved
 from explorer.panels import THUMBS, Change, Panels
+from explorer.reasons import Reasons
 from explorer.session import State
 from explorer.stage import SHOWN, Stage
 from explorer.worker import Worker
@@ -45,6 +47,8 @@ class Visitor:
                 dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233)
             )
             self._panels = Panels(client, exhibit, self._state, self.change, Random())
+            self._reasons = Reasons(client, exhibit, self.change, self._failed)
+            Bridge(client.gui, self._reasons.handlers())
             self._stage = Stage(client, exhibit, self._selected)
             self._worker = Worker(self._work, self._failed)
         self._worker.wake()
@@ -67,6 +71,7 @@ class Visitor:
 
     def leave(self) -> None:
         """The browser is gone: stop its worker."""
+        self._reasons.leave()
         self._worker.stop()
 
     def _work(self) -> None:
@@ -74,6 +79,7 @@ class Visitor:
         self._sequence += 1
         started = time.perf_counter()
         self._stage.show(answer)
+        self._reasons.show(answer)
         self._panels.show(answer, self._sequence, started)
 
     def _failed(self, error: Exception) -> None:

@@ -11,7 +11,7 @@ from threading import Lock
 import numpy as np
 import numpy.typing as npt
 
-from explorer import chart
+from explorer import chart, session
 from explorer.chart import Places
 from explorer.layout import layout_for
 from explorer.session import TRUTH, State
@@ -20,10 +20,14 @@ from lpn.city import CityModel
 from lpn.datasets import Picture as Entry
 from lpn.datasets import Truth
 from lpn.errors import InputError
+from lpn.explain import Evidence, Mates
 from lpn.images import Picture
 from lpn.model import FloatArray, Model
 from lpn.retrieval import Described, Match, Ranking
 from lpn.spec import ModelSpec, View
+
+TILES = 48
+"""Described tiles that are kept: with their feature maps, a large network's are 4 MB each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +95,7 @@ class Exhibit:
         self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else spec.describe()
         self.first = 0
         self.part_names = self._part_names()
-        self._tile = lru_cache(maxsize=256)(self._describe_tile)
+        self._tile = lru_cache(maxsize=TILES)(self._describe_tile)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._mosaics: dict[str, Picture] = {}
         self._mosaic_lock = Lock()
@@ -107,7 +111,11 @@ class Exhibit:
 
     def possible(self, state: State) -> State:
         """The state without what needs a network, where there is none: turning, heatmaps, and pictures of one's own."""
-        return state if self.model is not None else replace(state, angle=0.0, heat=False, upload=None)
+        return state if self.model is not None else replace(session.upright(state), heat=False, upload=None, why=False)
+
+    def sizes(self, task: Task) -> tuple[int, int]:
+        """(h, w) of the feature map of the task's queries."""
+        return self.map_sizes[task.query_view]
 
     def tile(self, task: Task, index: int) -> Described:
         """A gallery picture as the network sees it; kept, because many queries share their tiles."""
@@ -150,6 +158,19 @@ class Exhibit:
 
 
 @dataclass(frozen=True, eq=False)
+class Reasons:
+    """Why the compared pair has its score: exact evidence, and which cells agree.
+
+    Attributes:
+        evidence: cell by cell, under the state's part weights.
+        mates: of the query's cells and of the tile's.
+    """
+
+    evidence: Evidence
+    mates: tuple[Mates, Mates]
+
+
+@dataclass(frozen=True, eq=False)
 class Answer:
     """Everything the views draw for one state."""
 
@@ -164,6 +185,10 @@ class Answer:
     truth: Match | None
     off: geo.FloatArray | None
     """Metres from what the query shows to each tile, (G,); None where that is not known."""
+    source: Picture
+    """The query's picture before it is turned, shifted, or zoomed."""
+    reasons: Reasons | None
+    """Of the compared pair; None where nobody looks at them, or no network is at hand."""
     seconds: float
 
 
@@ -176,6 +201,7 @@ class Analyst:
         self._picture: Picture
         self._query_key: object = None
         self._query: Described
+        self._searched_key: object = None
         self._cosines: FloatArray
 
     def answer(self, state: State, k: int) -> Answer:
@@ -187,10 +213,13 @@ class Analyst:
         if self._picture_key != source:
             self._picture = state.upload.picture if state.upload else self._shown(entry)
             self._picture_key = source
-        if self._query_key != (source, task.name, state.query, state.angle):
+        key = (source, task.name, state.query, state.change)
+        if self._query_key != key:
             self._query = self._described(task, state)
-            self._cosines = explain.part_cosines(self._query.descriptor, task.descriptors)
-            self._query_key = (source, task.name, state.query, state.angle)
+            self._query_key, self._searched_key = key, None
+        if self._searched_key != (key, state.region):
+            self._cosines = explain.part_cosines(self._searched(state), task.descriptors)
+            self._searched_key = (key, state.region)
         weights = explain.part_weights(state.n_parts, state.part_values())
         ranking = task.rank(None if state.upload else state.query, self._cosines, weights)
         matches = ranking.top(k)
@@ -203,8 +232,27 @@ class Analyst:
         tile = self._exhibit.tile(task, chosen.index)
         name = state.upload.name if state.upload else entry.name
         off = None if task.places is None or state.upload else task.places.off(state.query)
+        reasons = self._reasons(state, weights, tile)
         seconds = time.perf_counter() - started
-        return Answer(state, task, name, self._query, ranking, matches, chosen, tile, truth, off, seconds)
+        return Answer(
+            state, task, name, self._query, ranking, matches, chosen, tile, truth, off, self._picture, reasons, seconds
+        )
+
+    def _searched(self, state: State) -> FloatArray:
+        """What is searched by: the query's descriptor, or that of its painted cells alone."""
+        trace = self._query.trace
+        if not state.region or trace is None:
+            return self._query.descriptor
+        painted = np.zeros(trace.size[0] * trace.size[1], bool)
+        painted[[cell for cell in state.region if cell < len(painted)]] = True
+        return trace.region(painted.reshape(trace.size))
+
+    def _reasons(self, state: State, weights: FloatArray, tile: Described) -> Reasons | None:
+        one, other = self._query.trace, tile.trace
+        if one is None or other is None or not (state.why or (state.heat and state.heat_kind == "evidence")):
+            return None
+        mates = explain.counterparts(one, other, weights)
+        return Reasons(explain.evidence(one, other, weights), mates)
 
     def _shown(self, entry: Entry) -> Picture:
         """What is meant of a query's picture."""
@@ -215,4 +263,4 @@ class Analyst:
         model = self._exhibit.model
         if model is None:
             return Described(self._picture, task.asked[state.query], None, None)
-        return retrieval.describe_picture(model, self._picture, task.query_view, state.angle)
+        return retrieval.describe_picture(model, self._picture, task.query_view, state.change)

@@ -183,13 +183,14 @@ def _sign(task: Task, query: int) -> str:
 
 KEYS = (
     "<div class='lpn dim' style='margin-top:.3em'><kbd>N</kbd> <kbd>P</kbd> next, previous · <kbd>R</kbd> random · <kbd>F</kbd> failure · "
-    "<kbd>J</kbd> <kbd>L</kbd> turn 5° · <kbd>K</kbd> upright · <kbd>H</kbd> heatmap · <kbd>G</kbd> rings · <kbd>X</kbd> take apart · <kbd>M</kbd> map, <kbd>C</kbd> its city · "
+    "<kbd>J</kbd> <kbd>L</kbd> turn 5° · <kbd>K</kbd> upright · <kbd>H</kbd> heatmap, <kbd>E</kbd> of evidence · <kbd>W</kbd> why · <kbd>G</kbd> rings · <kbd>X</kbd> take apart · <kbd>M</kbd> map, <kbd>C</kbd> its city · "
     "<kbd>1</kbd>…<kbd>9</kbd> compare · <kbd>T</kbd> the true tile</div>"
 )
 HEAT_NOTE = (
-    "<div class='lpn dim'>Heatmap: channel sum of the last feature map. It belongs to one picture, not to the pair; "
-    "a single part is scaled to itself.</div>"
+    "<div class='lpn dim'>Activation (channel sum of the last feature map) belongs to one picture. Evidence belongs to the pair: "
+    "orange adds to its score, violet takes.</div>"
 )
+SHIFT_NOTE = "<div class='lpn dim'>In pixels of the network's input, after turning. LPN assumes that the target is in the middle.</div>"
 SAVED_NOTE = (
     "<div class='lpn dim' id='lpn-saved'>A saved result without its network: queries cannot be turned or replaced by your own, "
     "and there are no heatmaps. Rings are drawn as published.</div>"

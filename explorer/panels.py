@@ -12,6 +12,7 @@ import viser
 
 from explorer import pages, session
 from explorer.exhibit import Answer, Exhibit
+from explorer.html import Html
 from explorer.session import State, Upload
 from explorer.stage import SHOWN
 from lpn import images
@@ -23,22 +24,9 @@ MAX_UPLOAD = 30_000_000
 LARGEST_SIDE = 1600
 """Uploads are shrunk to this many pixels a side, so that turning them stays quick."""
 ALL_PARTS = "All parts"
+HEAT: dict[str, session.HeatKind] = {"Activation": "activation", "Evidence": "evidence"}
 
 Change = Callable[[State], State | None]
-
-
-class Html:
-    """An html element that is sent again only when its text changed."""
-
-    def __init__(self, gui: viser.GuiApi, content: str = "") -> None:
-        self._handle = gui.add_html(content)
-        self._content = content
-
-    def show(self, content: str) -> None:
-        """Put html into the element."""
-        if content != self._content:
-            self._content = content
-            self._handle.content = content
 
 
 class Panels:
@@ -84,6 +72,12 @@ class Panels:
         walk.on_click(lambda _: self._change(moves.get(walk.value, lambda s: s)))
         live = exhibit.model is not None
         self._angle = gui.add_slider("Rotate", -180, 180, 1, state.angle, visible=live)
+        self._reach = exhibit.spec.input_size[1] // 2, exhibit.spec.input_size[0] // 2
+        with gui.add_folder("Shift and zoom", expand_by_default=False, visible=live):
+            self._shift = gui.add_slider("Shift right", -self._reach[0], self._reach[0], 1, state.shift)
+            self._down = gui.add_slider("Shift down", -self._reach[1], self._reach[1], 1, state.down)
+            self._zoom = gui.add_slider("Zoom", 1 / session.MAX_ZOOM, session.MAX_ZOOM, 0.05, state.zoom)
+            gui.add_html(pages.SHIFT_NOTE)
         if live:  # a hidden upload button would still be shown
             self._upload = gui.add_upload_button(
                 "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
@@ -96,6 +90,7 @@ class Panels:
             self._map = gui.add_checkbox("Map", state.map, visible=mapped)
             self._city = gui.add_checkbox("City", state.city, visible=False)
             self._heat = gui.add_checkbox("Heatmap", state.heat, visible=live)
+            self._kind = gui.add_dropdown("Shows", tuple(HEAT), visible=live, initial_value=next(iter(HEAT)))
             choices = (ALL_PARTS, *exhibit.part_names)
             self._heat_part = gui.add_dropdown("Heat of", choices, visible=live, initial_value=ALL_PARTS)
             self._opacity = gui.add_slider("Opacity", 0.0, 1.0, 0.05, state.opacity, visible=live)
@@ -112,7 +107,7 @@ class Panels:
             self._picker_buttons = [_uuid(button) for button in bridges]
             gui.add_html(pages.hidden(self._picker_buttons))
         self._watch(self._task, self._angle, self._rings, self._exploded, self._heat, self._heat_part, self._opacity)
-        self._watch(self._find, self._map, self._city)
+        self._watch(self._find, self._map, self._city, self._shift, self._down, self._zoom, self._kind)
 
     def _build_parts(self, gui: viser.GuiApi, state: State) -> None:
         gui.add_html(pages.PARTS_NOTE)
@@ -141,6 +136,10 @@ class Panels:
             gui.add_html(pages.hidden(self._match_buttons))
         with gui.add_folder("Compared pair"):
             self._table = Html(gui)
+            why = gui.add_button(
+                "Why this tile?", icon=viser.Icon.ZOOM_QUESTION, visible=self._exhibit.model is not None
+            )
+            why.on_click(lambda _: self._change(self.flip_why))
         gui.add_html(pages.KEYS)
 
     def _add_keys(self, gui: viser.GuiApi) -> None:
@@ -151,12 +150,14 @@ class Panels:
             ("Random failure", "F", self.failure),
             ("Turn left 5°", "J", lambda s: session.turn(s, 5)),
             ("Turn right 5°", "L", lambda s: session.turn(s, -5)),
-            ("Upright", "K", lambda s: replace(s, angle=0.0)),
+            ("Upright and whole", "K", session.upright),
             ("Heatmap on or off", "H", lambda s: replace(s, heat=not s.heat)),
             ("Rings on or off", "G", lambda s: replace(s, rings=not s.rings)),
             ("Compare the true tile", "T", lambda s: replace(s, selected=session.TRUTH)),
             ("Take the rings apart", "X", lambda s: replace(s, exploded=not s.exploded)),
             ("Map or pair", "M", self.flip_map),
+            ("Why: evidence for the compared pair", "W", self.flip_why),
+            ("Heatmap: activation or evidence", "E", self.flip_kind),
             ("City on the map or tiles", "C", self.flip_city),
         ]
         for label, key, change in commands:
@@ -174,6 +175,10 @@ class Panels:
         read = replace(
             state,
             angle=session.number(self._angle.value, -180, 180, state.angle),
+            shift=round(session.number(self._shift.value, -self._reach[0], self._reach[0], state.shift)),
+            down=round(session.number(self._down.value, -self._reach[1], self._reach[1], state.down)),
+            zoom=session.number(self._zoom.value, 1 / session.MAX_ZOOM, session.MAX_ZOOM, state.zoom),
+            heat_kind=HEAT.get(self._kind.value, state.heat_kind),
             rings=bool(self._rings.value),
             exploded=bool(self._exploded.value),
             map=bool(self._map.value),
@@ -203,6 +208,11 @@ class Panels:
             (self._map, state.map),
             (self._city, state.city),
             (self._heat, state.heat),
+            (self._shift, state.shift),
+            (self._down, state.down),
+            (self._zoom, state.zoom),
+            (self._kind, next(name for name, kind in HEAT.items() if kind == state.heat_kind)),
+            (self._heat_part, ALL_PARTS if state.heat_part is None else self._exhibit.part_names[state.heat_part]),
             *zip(self._enabled, state.enabled, strict=True),
             *zip(self._weights, state.weights, strict=True),
         ]
@@ -251,6 +261,14 @@ class Panels:
     def flip_map(self, state: State) -> State:
         """Map in place of pair, or back, where positions are known."""
         return replace(state, map=not state.map and self._exhibit.tasks[state.task].places is not None)
+
+    def flip_why(self, state: State) -> State:
+        """The window of reasons, open or closed."""
+        return replace(state, why=not state.why)
+
+    def flip_kind(self, state: State) -> State:
+        """What heatmaps show: one, then the other."""
+        return replace(state, heat=True, heat_kind="evidence" if state.heat_kind == "activation" else "activation")
 
     def flip_city(self, state: State) -> State:
         """The city in three dimensions or the tiles, where the map is shown and has both."""
@@ -310,7 +328,7 @@ class Panels:
         except LPNError as error:
             self.say("Picture not taken", str(error))
             return
-        self._change(lambda s: replace(s, upload=upload, angle=0.0, selected=None))
+        self._change(lambda s: replace(session.upright(s), upload=upload, selected=None))
 
     def _watch(self, *handles: Any) -> None:
         """Any control that changes makes all be read: the page may have merged two changes into one."""

@@ -8,10 +8,13 @@ from dataclasses import dataclass, replace
 from random import Random
 from typing import Any, Final, Literal
 
+from lpn.changes import Change
 from lpn.images import Picture
 
 MAX_WEIGHT = 2.0
 TRUTH: Final = "truth"
+HeatKind = Literal["activation", "evidence"]
+MAX_ZOOM = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +38,12 @@ class State:
         enabled: which parts are switched on.
         selected: what the query is compared with: a gallery position, TRUTH for its nearest true tile, or None for
             the top match; the last two are followed as the ranking changes.
+        shift, down: pixels of the network's input the query is moved to the right and down, after it is turned.
+        zoom: factor the query is zoomed by, after it is turned.
+        region: cells of the query's feature map, row by row, that the search is by alone; empty for all of it.
+        why: whether the window of reasons is open.
         heat: whether heatmaps are drawn.
+        heat_kind: what they show: what the network responds to in one picture, or the evidence of the compared pair.
         heat_part: the part whose heatmap is drawn, None for all together.
         opacity: of the heatmap, 0 .. 1.
         rings: whether part boundaries are drawn.
@@ -54,7 +62,13 @@ class State:
     weights: tuple[float, ...] = ()
     enabled: tuple[bool, ...] = ()
     selected: int | Literal["truth"] | None = None
+    shift: int = 0
+    down: int = 0
+    zoom: float = 1.0
+    region: tuple[int, ...] = ()
+    why: bool = False
     heat: bool = True
+    heat_kind: HeatKind = "activation"
     heat_part: int | None = None
     opacity: float = 0.6
     rings: bool = True
@@ -75,6 +89,11 @@ class State:
         values = tuple(w if on else 0.0 for w, on in zip(self.weights, self.enabled, strict=True))
         return values if any(values) else (1.0,) * self.n_parts
 
+    @property
+    def change(self) -> Change:
+        """What is done to the query before it is described."""
+        return Change(self.angle, self.shift, self.zoom, self.down)
+
     def parts_left(self) -> bool:
         """Whether any part is on with a weight above 0."""
         return any(w > 0 and on for w, on in zip(self.weights, self.enabled, strict=True))
@@ -87,6 +106,34 @@ def number(value: Any, low: float, high: float, default: float) -> float:
     return min(max(float(value), low), high)
 
 
+def whole(value: Any, low: int, high: int) -> int | None:
+    """A value from the page as a whole number within low .. high, or None when it is none."""
+    known = isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+    return value if known else None
+
+
+def painted(value: Any, cells: int) -> tuple[int, ...] | None:
+    """A list of cells from the page, in order and each once, or None when it is no such list."""
+    if not isinstance(value, list) or len(value) > cells:
+        return None
+    found = [whole(cell, 0, cells - 1) for cell in value]
+    return None if None in found else tuple(sorted({cell for cell in found if cell is not None}))
+
+
+def taken(state: State, value: Any, size: tuple[int, int]) -> State:
+    """The query turned, shifted, and zoomed as a point of a profile says: [degrees, right, down, factor]."""
+    if not isinstance(value, list) or len(value) != 4:
+        return state
+    height, width = size
+    return replace(
+        state,
+        angle=wrap(number(value[0], -360, 360, state.angle)),
+        shift=round(number(value[1], -width // 2, width // 2, state.shift)),
+        down=round(number(value[2], -height // 2, height // 2, state.down)),
+        zoom=number(value[3], 1 / MAX_ZOOM, MAX_ZOOM, state.zoom),
+    )
+
+
 def wrap(angle: float) -> float:
     """The same direction within -180 .. 180 degrees (exclusive of -180)."""
     turned = angle % 360.0
@@ -97,7 +144,12 @@ def choose(state: State, query: int, queries: int) -> State:
     """Take another query: its own picture, not turned, compared with its top match."""
     if not 0 <= query < queries:
         return state
-    return replace(state, query=query, upload=None, angle=0.0, selected=None)
+    return replace(upright(state), query=query, upload=None, selected=None)
+
+
+def upright(state: State) -> State:
+    """The whole query as it was taken: not turned, shifted, or zoomed, and no region painted."""
+    return replace(state, angle=0.0, shift=0, down=0, zoom=1.0, region=())
 
 
 def compare(state: State, shown: State, index: int) -> State:

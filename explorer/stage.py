@@ -11,6 +11,7 @@ import numpy.typing as npt
 import viser
 from PIL.ImageDraw import ImageDraw
 
+from explorer import why
 from explorer.exhibit import Answer, Exhibit
 from explorer.gallery_map import GalleryMap
 from explorer.layout import CAPTION, Layout, Point
@@ -194,8 +195,8 @@ class Stage:
             self._aim()
         if viewpoint is not None:
             return
-        left = self._decorated(answer, answer.query, task.query_view)
-        right = self._decorated(answer, answer.tile, task.gallery_view)
+        left = self._decorated(answer, 0, answer.query, task.query_view)
+        right = self._decorated(answer, 1, answer.tile, task.gallery_view)
         right = overlays.framed(right, overlays.verdict_colour(answer.chosen.true), 6)
         with self._client.atomic():
             self._query.show(left, self._query_caption(answer), task.query_view, state.exploded, 1.0)
@@ -206,10 +207,13 @@ class Stage:
             self._links.colors = _link_colours(answer.ranking.weights)
             self._show_cards(answer)
 
-    def _decorated(self, answer: Answer, described: Described, view: View) -> Picture:
+    def _decorated(self, answer: Answer, side: int, described: Described, view: View) -> Picture:
         state = answer.state
         picture = images.resize(self._exhibit.cut(described.picture, view), *self._layout.pixels)
-        if state.heat and described.activation is not None:
+        if state.heat and state.heat_kind == "evidence" and answer.reasons is not None:
+            cells, limit = why.maps(answer.reasons.evidence, state.heat_part)
+            picture = overlays.with_evidence(picture, cells[side], limit, state.opacity)
+        elif state.heat and described.activation is not None:
             picture = overlays.with_heat(
                 picture, described.activation, self._exhibit.masks(view), state.heat_part, state.opacity
             )
@@ -218,9 +222,9 @@ class Stage:
         return picture
 
     def _query_caption(self, answer: Answer) -> Picture:
-        turned = f", turned {answer.state.angle:g}°" if answer.state.angle else ""
+        changed = answer.state.change.describe()
         source = "your picture" if answer.state.upload else answer.task.query_view
-        return title("QUERY", f"{source} {answer.name}{turned}", None)
+        return title("QUERY", f"{source} {answer.name}{', ' if changed else ''}{changed}", None)
 
     def _tile_caption(self, answer: Answer) -> Picture:
         chosen = answer.chosen

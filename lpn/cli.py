@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -22,19 +23,23 @@ COMMANDS: dict[str, type[Any]] = {
     "train": Train,
     "evaluate": Evaluate,
     "explain": Explain,
+    "sweep": Sweep,
+    "failures": Failures,
+    "report": Report,
     "export": Export,
     "describe": Describe,
     "doctor": Doctor,
-    "sweep": Sweep,
     "world": World,
     "reproduce": Reproduce,
-    "failures": Failures,
-    "report": Report,
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0, 1 where doctor found damage, or 2 after an error the user can mend."""
+    for stream in (sys.stdout, sys.stderr):
+        # Arrows, degrees, and ticks end nothing on a terminal that has no sign for them.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     given = list(sys.argv[1:] if arguments is None else arguments)
     if not given or given[0] in ("-h", "--help"):
         print(_help())

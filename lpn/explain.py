@@ -273,19 +273,45 @@ def links(query: Trace, tile: Trace, part: int) -> FloatArray:
     return cast(FloatArray, query.vectors(part) @ tile.vectors(part).T / np.float32(max(norms, 1e-12)))
 
 
-def counterparts(query: Trace, tile: Trace) -> list[npt.NDArray[np.int64]]:
-    """For each part the cell of the tile that agrees most with each cell of the query, row by row: n times (h w,).
+@dataclass(frozen=True, eq=False)
+class Mates:
+    """For each cell of one picture, row by row, the cell of the other that it shares most of the score with.
 
-    -1 for cells of the query outside of the part.
+    Attributes:
+        cells: the other picture's cell, (h w,); -1 for a cell that belongs to no part that counts.
+        shares: what the two add to the score together, (h w,).
     """
-    found = []
-    for part in range(len(query.embedding)):
-        shared = links(query, tile, part)
-        shared[:, ~_within(tile, part)] = -np.inf
-        best = shared.argmax(axis=1)
-        best[~_within(query, part)] = -1
-        found.append(best)
-    return found
+
+    cells: npt.NDArray[np.int64]
+    shares: FloatArray
+
+
+def counterparts(query: Trace, tile: Trace, weights: FloatArray) -> tuple[Mates, Mates]:
+    """The mates of the query's cells and those of the tile's, among cells of the same part.
+
+    Args:
+        weights: part weights that sum to one, (n,); a part of weight 0 does not count.
+    """
+    found = [_no_mates(trace) for trace in (query, tile)]
+    for part in np.flatnonzero(weights):
+        inside = [_within(trace, int(part)) for trace in (query, tile)]
+        shared = links(query, tile, int(part)) * weights[part]
+        for mates, values, own, other in (
+            (found[0], shared, *inside),
+            (found[1], shared.T, *reversed(inside)),
+        ):
+            candidates = np.where(other, values, -np.inf)
+            best = candidates.argmax(axis=1)
+            shares = candidates[np.arange(len(best)), best]
+            # A cell of several parts has its mate in the one where they share most.
+            better = own & ((mates.cells < 0) | (shares > mates.shares))
+            mates.cells[better], mates.shares[better] = best[better], shares[better]
+    return found[0], found[1]
+
+
+def _no_mates(trace: Trace) -> Mates:
+    cells = trace.size[0] * trace.size[1]
+    return Mates(np.full(cells, -1, np.int64), np.zeros(cells, np.float32))
 
 
 def _within(trace: Trace, part: int) -> npt.NDArray[np.bool_]:

@@ -82,6 +82,11 @@ class Positions:
         self._root = root
         self._by_path = _read(root / NAME)
 
+    @property
+    def paths(self) -> list[str]:
+        """The pictures that have one, relative to the data set's folder, with forward slashes, in the file's order."""
+        return list(self._by_path)
+
     def of(self, pictures: Sequence[Picture]) -> list[Position]:
         """The position of each picture.
 

@@ -247,8 +247,9 @@ RECIPES: dict[str, Recipe] = {
 places, from an ImageNet backbone, where drone pictures share a heading. world: the same where each has its own, as around a
 rendered city's buildings."""
 
-_BASELINE: dict[str, Any] = {"n_parts": 1, "layout": "university", "pooling": "average", "polar": False}
-_DISTANCES: dict[str, Any] = {**_BASELINE, "instance": 0.0, "infonce": 0.0}
+_PARTS: dict[str, Any] = {"pooling": "average", "polar": False, "instance": 1.0, "infonce": 0.0, "metric": "none"}
+_BASELINE: dict[str, Any] = {**_PARTS, "n_parts": 1, "layout": "university"}
+_DISTANCES: dict[str, Any] = {**_BASELINE, "instance": 0.0}
 _SAFA: dict[str, Any] = {
     "layout": "university",
     "pooling": "safa",
@@ -262,21 +263,21 @@ _SAFA: dict[str, Any] = {
 }
 
 METHODS: dict[str, dict[str, Any]] = {
-    "lpn": {"layout": "university", "pooling": "average", "polar": False},
+    "lpn": {**_PARTS, "layout": "university"},
     "instance": _BASELINE,
     "contrastive": {**_DISTANCES, "metric": "contrastive", "margin": 1.0},
     "triplet-0.3": {**_DISTANCES, "metric": "triplet", "margin": 0.3},
     "triplet-0.5": {**_DISTANCES, "metric": "triplet", "margin": 0.5},
     "soft-margin": {**_DISTANCES, "metric": "soft_margin"},
-    "lpn-cvusa": {"layout": "cvusa", "n_parts": 8, "shared": False},
-    "lpn-strips": {"layout": "strips", "n_parts": 8, "shared": False, "polar": True},
+    "lpn-cvusa": {**_PARTS, "layout": "cvusa", "n_parts": 8, "shared": False},
+    "lpn-strips": {**_PARTS, "layout": "strips", "n_parts": 8, "shared": False, "polar": True},
     "safa": {**_SAFA, "n_parts": 1},
     "safa-lpn": {**_SAFA, "n_parts": 8},
 }
-"""What the paper compares, each as what it changes in a recipe. lpn: square rings. instance: the baseline with global average
-pooling. contrastive, triplet-*, soft-margin: the baseline trained by distances over the batch instead. lpn-cvusa: the
-released rings against rows. lpn-strips: columns of panorama and unrolled tile. safa, safa-lpn: Shi et al. 2019, alone and by
-strips."""
+"""What the paper compares, each as what it changes in a recipe; each states all of its loss, whatever the recipe has. lpn: square
+rings. instance: the baseline with global average pooling. contrastive, triplet-*, soft-margin: the baseline trained by distances
+over the batch instead. lpn-cvusa: the released rings against rows. lpn-strips: columns of panorama and unrolled tile. safa,
+safa-lpn: Shi et al. 2019, alone and by strips."""
 
 
 def method(name: str, recipe: Recipe) -> Recipe:

@@ -104,7 +104,8 @@ def load_saved(path: str | Path, n_parts: int = 1) -> Saved:
     """Read a `pytorch_result.mat`; needs the extra `data`.
 
     Args:
-        n_parts: the parts the descriptors consist of; 1 leaves them whole, which changes no figure of all parts.
+        n_parts: the parts the descriptors consist of; 1 leaves them whole, which changes no figure of all parts but those of
+            averaged queries, since each part of an average is normalised.
 
     Raises:
         DataError: when the file is missing, is no MATLAB file, or lacks entries.

@@ -47,8 +47,8 @@ def why(found: Evidence, names: Sequence[str], query_view: View, tile_view: View
     most = int(np.argmax(added))
     here, there = where(found.query.cells[most], query_view), where(found.tile.cells[most], tile_view)
     around = here == there == "all around"
-    places = "all of it" if around else f"{_of('query', here)} with {_of('tile', there)}"
-    said = f"Part {names[most]} adds most to the score ({added[most]:+.3f} of {found.score:.3f}): {places}."
+    places = "all over it" if around else f"where {_of('query', here)} agrees with {_of('tile', there)}"
+    said = f"Part {names[most]} adds most to the score ({added[most]:+.3f} of {found.score:.3f}), {places}."
     least = int(np.argmin(added))
     if added[least] < 0:
         said += f" Part {names[least]} speaks against the pair ({added[least]:+.3f})."

@@ -160,6 +160,8 @@ class Reproduce:
     """Epochs of every training, where the scale's are not wanted."""
     backbone: Literal["resnet18", "resnet50", "vgg16_bn"] | None = None
     """Backbone of every training, where the scale's is not wanted."""
+    batch: int | None = None
+    """Places a step of every training, where the scale's are not wanted: more than there are to train on cannot be."""
     train: bool = True
     """Train what is missing; otherwise such rows are left out."""
     queries: tuple[str, ...] = ()
@@ -182,14 +184,30 @@ class Reproduce:
                 "--data names a rendered world and others; say with --scale whether it is paper or reduced."
             )
         scale = SCALES[self.scale if self.scale != "auto" else "reduced" if True in rendered else "paper"]
-        changes: dict[str, Any] = {} if self.epochs is None else {"epochs": self.epochs}
+        numbers = {"epochs": self.epochs, "batch": self.batch}
+        changes: dict[str, Any] = {name: value for name, value in numbers.items() if value is not None}
         if self.backbone:
             changes |= {"backbone": self.backbone, "last_layer": "layer4"}
-        models = {name if rest else "": Path(rest or name) for name, _, rest in (m.partition("=") for m in self.model)}
         made = Reproduction(
-            self.data, self.out, models, self.init, self.seeds, scale, changes, self.train, self.queries
+            self.data, self.out, _by_name(self.model), self.init, self.seeds, scale, changes, self.train, self.queries
         ).run(keys)
         print(f"Wrote {', '.join(file.name for file in made)} to {self.out}.")
+
+
+def _by_name(given: Sequence[str]) -> dict[str, Path]:
+    """The files given with --model by the network they stand for.
+
+    Raises:
+        InputError: when two stand for one.
+    """
+    found: dict[str, Path] = {}
+    for text in given:
+        name, _, file = text.partition("=")
+        name, file = (name, file) if file else ("lpn", name)
+        if name in found:
+            raise InputError(f"--model gives two files as {name}, {found[name]} and {file}; give one of them.")
+        found[name] = Path(file)
+    return found
 
 
 def parse_train(arguments: list[str], program: str) -> Train:

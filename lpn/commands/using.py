@@ -82,7 +82,7 @@ class Evaluate:
     saved: Path | None = None
     """Result of the published test code, pytorch_result.mat, in place of --data and --model."""
     n_parts: int | None = None
-    """Parts that the descriptors in --saved consist of; 1 by default, and needed only with --parts."""
+    """Parts that the descriptors in --saved consist of; needed with --parts and --average-queries, else 1 will do."""
     task: TaskName | None = None
     """Which view is the query and which the gallery; by default the first that the data set offers."""
     rotate: float = 0.0
@@ -128,6 +128,11 @@ class Evaluate:
 
         if self.data is not None or self.model is not None or self.task is not None:
             raise InputError("A saved result is evaluated alone; leave --data, --model, and --task out.")
+        if protocol.average and self.n_parts is None:
+            raise InputError(
+                "Each part of averaged queries is normalised, and a saved result does not say of how many its descriptors "
+                "consist; give their number with --n-parts (1 for a baseline)."
+            )
         opened = load_saved(saved, _parts_of(self.n_parts))
         return opened.name, evaluate_saved(opened, protocol)
 

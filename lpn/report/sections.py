@@ -16,7 +16,9 @@ from lpn.study import Study
 SIGNS: dict[bool | None, str] = {True: "✓", False: "✗", None: "?"}
 KINDS: dict[bool | None, str] = {True: "true", False: "false", None: "unknown"}
 _LARGE, _MAP, _SMALL = 280, 220, 60
-"""Width of pictures in pixels."""
+"""Width of pictures in pixels; panoramas, which stand one below the other, are twice as wide."""
+_PANORAMA = 2.0
+"""Width of a picture as a multiple of its height from which on it is one."""
 NOTE = (
     "Exact: the cells and the constant add up to each part's share of the score, on the side of the query and on that of the "
     "tile. They account for the score; they do not say what it would be were a cell not there. Bars: the query's side."
@@ -29,7 +31,8 @@ def section(case: Case, study: Study, number: int) -> str:
     if all(pair.evidence is not None for pair in case.pairs):
         parts.append(_evidence(case, study))
     parts += [_margin(case, study), _profile(case, study)]
-    return f'<section class="case" id="q{number}">{"".join(parts)}</section>'
+    look = "case wide-pictures" if _wide(study) else "case"
+    return f'<section class="{look}" id="q{number}">{"".join(parts)}</section>'
 
 
 def said(case: Case, study: Study) -> tuple[str, str]:
@@ -110,14 +113,21 @@ def _role(case: Case, pair: Pair) -> str:
 
 def _ringed(picture: Picture, study: Study, side: int) -> str:
     view = study.views[side]
-    height = _height(study, _LARGE)
-    shown = images.resize(picture, height, _LARGE)
+    shown = images.resize(picture, *_size(study, _LARGE))
     shown = overlays.with_rings(shown, study.spec.partition(view), study.map_sizes[view])
     return f'<img src="{overlays.data_uri(shown, 70)}" alt="{view} picture with its parts">'
 
 
-def _height(study: Study, width: int) -> int:
-    return max(1, round(width * study.spec.input_size[0] / study.spec.input_size[1]))
+def _size(study: Study, width: int) -> tuple[int, int]:
+    """Height and width at which a picture is shown."""
+    height, across = study.spec.input_size
+    width = 2 * width if _wide(study) else width
+    return max(1, round(width * height / across)), width
+
+
+def _wide(study: Study) -> bool:
+    height, width = study.spec.input_size
+    return width >= _PANORAMA * height
 
 
 def _ranked(case: Case, study: Study) -> str:
@@ -175,7 +185,7 @@ def _evidence(case: Case, study: Study) -> str:
 
 
 def _mapped(picture: Picture, cells: figures.Numbers, limit: float, study: Study, side: int) -> str:
-    shown = overlays.with_evidence(images.resize(picture, _height(study, _MAP), _MAP), cells, limit)
+    shown = overlays.with_evidence(images.resize(picture, *_size(study, _MAP)), cells, limit)
     view = study.views[side]
     return overlays.data_uri(overlays.with_rings(shown, study.spec.partition(view), cells.shape), 66)
 

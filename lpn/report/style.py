@@ -53,6 +53,7 @@ figcaption b{font-size:14px}.pair figcaption{font-size:12px;color:var(--dim)}
 .falls tbody tr{border:0}.falls .fall{width:42%;text-align:center}
 .falls tr.sum td{font-weight:650;border-top:1px solid var(--line)}
 .swatch{display:inline-block;width:10px;height:10px;margin-right:6px}
+.wide-pictures .three,.wide-pictures .pair{grid-template-columns:1fr}.wide-pictures .three{max-width:640px}
 @page{size:A4;margin:11mm 12mm}
 @media print{
 body{max-width:none;padding:0;font-size:12px}h1{font-size:23px}h2{font-size:19px}

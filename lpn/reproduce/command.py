@@ -14,30 +14,17 @@ import lpn
 from lpn.errors import InputError
 from lpn.files import alone, check_writable, write_whole
 from lpn.model import Model
-from lpn.reproduce import pictures, report, runs, starts
-from lpn.reproduce.measure import Notebook, shared_protocol
+from lpn.recipes import Recipe
+from lpn.reproduce import checks, foot, pictures, report, runs, starts
+from lpn.reproduce.checks import Use
+from lpn.reproduce.measure import Notebook
 from lpn.reproduce.paper import LANDMARKS, Values
 from lpn.reproduce.report import Column
-from lpn.reproduce.sources import TASKS, Sources, open_sources
+from lpn.reproduce.sources import Sources, open_sources
 from lpn.reproduce.tables import SCALES, Row, Scale, Table, Training, find, tables
-from lpn.spec import views_of
 
 _SHOWN = {"figure7": ("instance", "lpn"), "figure8": ("lpn",)}
 """The trainings of Table I that each drawn figure shows."""
-_APART = {
-    "table1": (
-        "Losses on distances compare satellites with drone and with street pictures, both ways; pairs and triplets are mined in "
-        "the batch: each place's own pictures are true, all others of the batch are wrong.",
-    ),
-    "table2": ("SAFA and SAFA + LPN are described without their mirror.",),
-    "table4": ("Queries are turned counter-clockwise by the degrees named, on their own canvas, corners black.",),
-    "table5": ("The parts named, counted from the centre, are compared and no others.",),
-    "table6": (
-        "Both sides are described by the branch named; ImageNet alone: the mean over the last feature map. Baseline and LPN are "
-        "trained alike, both without google.",
-    ),
-}
-"""What a reader of one table must know."""
 KEYS = (*tables(SCALES["paper"]), *_SHOWN)
 """Everything that can be reproduced."""
 
@@ -49,7 +36,7 @@ class Reproduction:
     Args:
         data: data set folders, or "world".
         out: folder for runs, measurements, and tables.
-        models: networks given, by the name of the training they stand for; "" is the LPN.
+        models: networks given, by the name of the training they stand for.
         init: files of weights the backbones start from, one for each backbone.
         seeds: a training of each is made, and their mean is reported.
         scale: of `SCALES`.
@@ -88,33 +75,50 @@ class Reproduction:
     def _run(self, wanted: Sequence[Table], drawn: Sequence[str]) -> list[Path]:
         self._sources: Sources = open_sources(self.data, self.out)
         self._starts = starts.by_backbone(self.init)
-        self._given = self._load(wanted)
+        uses = self._uses(wanted, drawn)
+        self._given = self._load(uses)
         self._check(wanted, drawn)
-        self._jobs = self._planned(wanted, drawn)
+        self._jobs = self._planned(uses)
+        ours = {job.recipe.backbone for job in self._jobs}
+        alone = [self._alone.backbone for table in wanted for row in table.rows if row.training is None]
+        checks.check_starts(self._starts, ours.union(alone))
         for job in self._jobs:
             job.check_same()
+        to_come = [job for job in self._jobs if self.train and not job.diverged]
+        checks.check_trainings([job for job in self._jobs if job.done or job in to_come], uses)
+        self._say_ahead([job for job in to_come if not job.done], drawn)
         if self.train:
             runs.train(self._jobs, self.console)
-        written: list[Path] = []
-        for table in wanted:
-            files = self._table(table)
-            self.console.print(files[0].read_text(), markup=False)
-            written += files
-        return written + [self._figure(key) for key in drawn]
+        written = [self._table(table) for table in wanted]
+        figures = [file for key in drawn if (file := self._figure(key)) is not None]
+        # Last, so that nothing a terminal does can keep a file from being written.
+        for files in written:
+            self.console.print(files[0].read_text(encoding="utf-8"), markup=False)
+        return [file for files in written for file in files] + figures
 
-    def _load(self, wanted: Sequence[Table]) -> dict[str, Model]:
-        """The networks given, by training; each is opened, and fits the rows it is for."""
+    def _uses(self, wanted: Sequence[Table], drawn: Sequence[str]) -> list[Use]:
+        """The networks that the tables and figures ask for."""
+        of_name = {training.name: training for training in find("table1", self.scale).trainings}
+        uses = [Use.of_figure(key, of_name[name]) for key in drawn for name in _SHOWN[key]]
+        return uses + [
+            Use.of_row(table, row, row.training)
+            for table in wanted
+            for row in table.rows
+            if row.training and not self._is_copy(table, row.training)
+        ]
+
+    def _load(self, uses: Sequence[Use]) -> dict[str, Model]:
+        """The networks given, by training; each is opened, is used, and is what it stands for."""
         known = {training.name for table in tables(self.scale).values() for training in table.trainings}
-        found: dict[str, Model] = {}
-        for name, file in self.models.items():
-            training = name or "lpn"
-            if training not in known:
+        for name in self.models:
+            if name not in known:
                 raise InputError(f"--model names {name!r}; the networks are called {', '.join(sorted(known))}.")
-            model = found[training] = lpn.load(file)
-            for table in wanted:
-                for row in table.rows:
-                    if row.training and row.training.name == training:
-                        _check_fits(model, file, table, row)
+        checks.check_used(self.models, uses)
+        found = {name: lpn.load(file) for name, file in self.models.items()}
+        for use in uses:
+            if use.training.name in found:
+                recipe = self.scale.recipe(use.training, 0, self.changes)
+                checks.check_fits(found[use.training.name], self.models[use.training.name], use, recipe)
         return found
 
     def _check(self, wanted: Sequence[Table], drawn: Sequence[str]) -> None:
@@ -127,14 +131,11 @@ class Reproduction:
             places.check("both ways")
             pictures.named(places.dataset, self.queries)
 
-    def _planned(self, wanted: Sequence[Table], drawn: Sequence[str]) -> list[runs.Job]:
+    def _planned(self, uses: Sequence[Use]) -> list[runs.Job]:
         """The trainings that no given network stands for."""
-        names = {name for key in drawn for name in _SHOWN[key]}
-        needed = [training for training in find("table1", self.scale).trainings if training.name in names]
-        needed += [training for table in wanted for training in table.trainings if not self._is_copy(table, training)]
         jobs = []
         for seed in self.seeds:
-            for training in {training.name: training for training in needed}.values():
+            for training in {use.training.name: use.training for use in uses}.values():
                 if training.name not in self._given:
                     recipe = self.scale.recipe(training, seed, self.changes)
                     folder = self.out / "runs" / f"{training.name}-seed{seed}"
@@ -142,18 +143,41 @@ class Reproduction:
                     jobs.append(runs.Job(training, seed, recipe, folder, source, start))
         return jobs
 
+    def _say_ahead(self, to_come: Sequence[runs.Job], drawn: Sequence[str]) -> None:
+        """What is to be trained starts from, and what cannot be drawn."""
+        for backbone, start in {job.recipe.backbone: job.start for job in to_come}.items():
+            self.console.print(
+                f"{backbone} starts from {start.name if start else 'random weights'}.", markup=False, soft_wrap=True
+            )
+        if not self.train:
+            there = {*self._given, *(job.training.name for job in self._jobs if job.done)}
+            for key in drawn:
+                self._say_lacking(key, [name for name in _SHOWN[key] if name not in there])
+
+    def _say_lacking(self, key: str, lacking: Sequence[str]) -> None:
+        if lacking:
+            how = "not drawn" if len(lacking) == len(_SHOWN[key]) else "drawn with the others"
+            self.console.print(
+                f"{key} {how}: there is no network {' or '.join(lacking)}; give it as --model {lacking[0]}=FILE, or train it.",
+                markup=False, soft_wrap=True,
+            )  # fmt: skip
+
+    @property
+    def _alone(self) -> Recipe:
+        """The recipe whose backbone is measured without any training."""
+        return replace(self.scale.places, **self.changes)
+
     def _is_copy(self, table: Table, training: Training) -> bool:
         """Whether a row of Table I would be the one above it again: there is no google to train with."""
-        known = training.name == "lpn" and training.name not in self._given
-        return table.key == "table1" and known and not self._sources.role("places").has_google
+        ours = training.name == "lpn" and training.name not in self.models
+        return table.key == "table1" and ours and not self._sources.role("places").has_google
 
     def _models(self, table: Table, row: Row) -> dict[str, Model]:
         """The networks of a row by seed, or the one given."""
         training = row.training
         if training is None:
-            recipe = replace(self.scale.places, **self.changes)
-            start = self._starts.get(recipe.backbone)
-            return {} if start is None else {"given": starts.features_alone(recipe, start)}
+            start = self._starts.get(self._alone.backbone)
+            return {} if start is None else {"given": starts.features_alone(self._alone, start)}
         return {} if self._is_copy(table, training) else self._networks(training.name)
 
     def _networks(self, name: str) -> dict[str, Model]:
@@ -167,7 +191,7 @@ class Reproduction:
         notebook = Notebook(self.out / "measured.json")
         data = self._sources.of(table.measure)
         measured: dict[str, dict[str, Values]] = {}
-        protocols: list[str] = []
+        protocols: dict[str, str] = {}
         for row in table.rows:
             found = {
                 name: notebook.figures(row, table.measure, model, data)
@@ -175,9 +199,11 @@ class Reproduction:
             }
             if found:
                 measured[row.label] = {name: figures.values for name, figures in found.items()}
-                protocols += [figures.protocol for figures in found.values()]
-        foot = [shared_protocol(protocols), *_APART.get(table.key, ()), *self._foot(table)]
-        return report.write(table, measured, self._columns(table), foot, self.out)
+                protocols[row.label] = next(iter(found.values())).protocol
+        if table.measure != "landmarks":
+            table = replace(table, title=f"{table.title}, on {data[0].kind}")
+        said = [foot.protocol(protocols), *foot.about(table, data), *self._of_networks(table)]
+        return report.write(table, measured, self._columns(table), said, self.out)
 
     def _columns(self, table: Table) -> list[Column]:
         """What is measured, and which of the paper's columns stands beside it."""
@@ -189,46 +215,25 @@ class Reproduction:
         of_kind = {"Oxford5k": LANDMARKS.index("Oxford mAP"), "Paris6k": LANDMARKS.index("Paris mAP")}
         return [Column(f"{source.name} mAP", of_kind.get(source.dataset.kind)) for source in data]
 
-    def _foot(self, table: Table) -> list[str]:
-        """What a reader must know of how the figures came about."""
-        said: list[str] = []
-        data = self._sources.of(table.measure)
-        if any(source.rendered for source in data):
-            said.append(
-                "**Data: the rendered world, not the paper's data sets**; its figures compare with one another only."
-            )
-        else:
-            said.append(f"Data: {', '.join(f'{source.name} ({source.dataset.kind})' for source in data)}.")
+    def _of_networks(self, table: Table) -> list[str]:
+        """How the table's networks came about."""
         names = {row.training.name for row in table.rows if row.training}
-        given = sorted(f"{name} = {self.models.get(name) or self.models['']}" for name in names & set(self._given))
-        if given:
-            said.append(f"Networks given: {', '.join(given)}.")
+        given = [f"{n} = {self.models[n]} ({self._given[n].spec.describe()})" for n in sorted(names & set(self._given))]
+        said = [f"Networks given: {', '.join(given)}."] if given else []
         own = [job for job in self._jobs if job.training.name in names]
-        if any(job.done for job in own):
-            said.append(self.scale.said)
-            of = {job.recipe.backbone: job.start for job in own}
-            begin = [f"{name} from {start.name if start else 'random weights'}" for name, start in of.items()]
-            said.append(f"Before training: {', '.join(begin)}.")
-            if self.changes:
-                said.append(f"Changed: {', '.join(f'{name} = {value}' for name, value in self.changes.items())}.")
-            if len(self.seeds) > 1:
-                said.append(
-                    "Mean of the seeds trained so far, ± half of the distance between the lowest and the highest."
-                )
-        if lost := [job.name for job in own if job.diverged]:
-            said.append(f"Diverged, and given up: {', '.join(lost)}.")
+        said += foot.networks(own, self.scale, self.changes, self.seeds)
         own_lpn = table.measure == "both ways" and "lpn" in names and "lpn" not in self._given
         if own_lpn and not self._sources.role("places").has_google:
             said.append("There is no train/google, so LPN is trained without it.")
         return said
 
-    def _figure(self, key: str) -> Path:
-        of = {name: self._networks(name) for name in _SHOWN[key]}
-        missing = [name for name, networks in of.items() if not networks]
-        if missing:
-            raise InputError(
-                f"{key} needs the network {missing[0]}; give it with --model {missing[0]}=FILE, or train it."
-            )
+    def _figure(self, key: str) -> Path | None:
+        """The file of a drawn figure, with the networks that there are; None without any."""
+        of = {name: networks for name in _SHOWN[key] if (networks := self._networks(name))}
+        if self.train:
+            self._say_lacking(key, [name for name in _SHOWN[key] if name not in of])
+        if not of:
+            return None
         places = self._sources.role("places").dataset
         shown = [(name, next(iter(networks.values()))) for name, networks in of.items()]
         if key == "figure7":
@@ -237,17 +242,3 @@ class Reproduction:
             data = pictures.retrievals(shown[0][1], places, self.queries)
         write_whole(self.out / f"{key}.png", data)
         return self.out / f"{key}.png"
-
-
-def _check_fits(model: Model, file: Path, table: Table, row: Row) -> None:
-    """Raise InputError where a given network cannot be measured for a row."""
-    needed = {row.branch} if row.branch else {view for task in TASKS[table.measure] for view in views_of(task)}
-    lacking = sorted(str(view) for view in needed - set(model.views))
-    if lacking:
-        raise InputError(
-            f"{table.title} needs the view {lacking[0]} for {row.label}; {file.name} has {', '.join(model.views)}."
-        )
-    if row.parts and max(row.parts) > model.n_parts:
-        raise InputError(
-            f"{table.title} needs {max(row.parts)} parts for {row.label}; {file.name} has {model.n_parts}."
-        )

@@ -66,13 +66,6 @@ def _values(result: Result, measure: Measure) -> Values:
     return tuple(result.recall[key] for key in ("1", "5", "10", "1%")) if measure == "ground" else (result.ap,)
 
 
-def shared_protocol(protocols: Sequence[str]) -> str:
-    """What the protocols of a table's rows have in common, as one sentence."""
-    lists = [sentence.removeprefix("Protocol: ").removesuffix(".").split("; ") for sentence in protocols]
-    shared = [clause for clause in lists[0] if all(clause in other for other in lists)] if lists else []
-    return f"Protocol: {'; '.join(shared)}." if shared else "Nothing was measured."
-
-
 def spread(values: Sequence[float]) -> tuple[float, float]:
     """Mean of some seeds' values, and half of the distance between the lowest and the highest."""
     return sum(values) / len(values), (max(values) - min(values)) / 2

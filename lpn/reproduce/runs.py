@@ -71,7 +71,7 @@ class Job:
         """Of its epochs on disk."""
         if not (self.folder / "log.csv").is_file():
             return []
-        with (self.folder / "log.csv").open(newline="") as file:
+        with (self.folder / "log.csv").open(encoding="utf-8", newline="") as file:
             return [float(row["seconds"]) for row in csv.DictReader(file)]
 
     def identity(self) -> dict[str, Any]:

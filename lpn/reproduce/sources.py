@@ -10,11 +10,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from rich.console import Console
+
 from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.errors import InputError
 from lpn.evaluate import check_test_split, lists_of
+from lpn.places import Places
 from lpn.reproduce import world
 from lpn.reproduce.tables import Measure, Role
+from lpn.spec import views_of
 
 TASKS: dict[Measure, tuple[str, ...]] = {
     "both ways": ("drone-to-satellite", "satellite-to-drone"),
@@ -31,16 +35,45 @@ class Source:
     dataset: Dataset
     rendered: bool
     _digests: dict[str, str] = field(default_factory=dict, init=False)
+    _places: dict[bool, Places] = field(default_factory=dict, init=False)
 
     @property
     def name(self) -> str:
         """How a table calls it."""
         return "World" if self.rendered else self.dataset.root.resolve().name
 
+    @property
+    def kind(self) -> str:
+        """What a table's title says it is of."""
+        return "a rendered world" if self.rendered else self.dataset.kind
+
     @cached_property
     def has_google(self) -> bool:
         """Whether there are pictures of the ground from elsewhere to train with."""
         return bool(self.dataset.train("google"))
+
+    def places(self, google: bool) -> Places:
+        """The places there are to train on, looked through once.
+
+        Raises:
+            DataError: when there are none.
+        """
+        if google not in self._places:
+            self._places[google] = Places(self.dataset, Console(quiet=True), google)
+        return self._places[google]
+
+    def sizes(self, measure: Measure) -> str:
+        """How many queries and gallery pictures each task has, and of how many where the complete data set's are known."""
+        said = []
+        for task in TASKS[measure]:
+            query, gallery = views_of(task)
+            lists = {"query": (query, self.dataset.queries(query)), "gallery": (gallery, self.dataset.gallery(gallery))}
+            counts = []
+            for role, (view, pictures) in lists.items():
+                full = self.dataset.full.get(f"test/{role}_{view}") or self.dataset.full.get(f"test/{view}")
+                counts.append(counted(len(pictures), full.pictures if full else None))
+            said.append(f"{task} {counts[0]} queries, {counts[1]} pictures in the gallery")
+        return ", ".join(said)
 
     def training_digest(self, google: bool) -> str:
         """What identifies the pictures to train on: a network that is there is used for the same only."""
@@ -57,7 +90,9 @@ class Source:
             listed = {
                 task: [[t.good.tolist(), t.junk.tolist()] for t in found] for task, found in truth.items() if found
             }
-            self._digests[measure] = _digest(self.dataset.root, lists_of(self.dataset, TASKS[measure]), listed)
+            # The same for any order in which the lists come.
+            lists = dict(sorted(lists_of(self.dataset, TASKS[measure]).items()))
+            self._digests[measure] = _digest(self.dataset.root, lists, dict(sorted(listed.items())))
         return self._digests[measure]
 
     def check(self, measure: Measure) -> None:
@@ -118,6 +153,11 @@ class Sources:
         self.roles[role] = source
 
 
+def counted(found: int, full: int | None) -> str:
+    """A number of pictures or places, and of how many where that is known."""
+    return f"{found:,}" if full is None else f"{found:,} of {full:,}"
+
+
 def is_rendered(given: str) -> bool:
     """Whether what was given with --data is a rendered world, or its panoramas."""
     root = Path(given)
@@ -129,7 +169,7 @@ def open_sources(data: Sequence[str], out: Path) -> Sources:
     """Open what was given with --data; a world is laid out in `out`/data, and "world" is rendered in `out`/world.
 
     Raises:
-        LPNError: when something is no data set, or two are of one role.
+        LPNError: when something is no data set, two are of one role, or a world is not rendered to its end.
     """
     found = Sources()
     for given in data:
@@ -137,6 +177,7 @@ def open_sources(data: Sequence[str], out: Path) -> Sources:
         if given == "world" and not root.is_dir():
             root = _rendered(out)
         if world.is_world(root):
+            world.check_finished(root)
             made = world.prepare(root, out / "data")
             found.add("places", Source(open_dataset(made["places"]), True))
             if "panoramas" in made:
@@ -144,6 +185,8 @@ def open_sources(data: Sequence[str], out: Path) -> Sources:
             if "landmarks" in made:
                 found.landmarks.append(Source(open_dataset(made["landmarks"]), True))
             continue
+        if is_rendered(given):
+            world.check_finished(root)
         source = Source(open_dataset(root), is_rendered(given))
         if "street-to-street" in source.dataset.tasks():
             found.landmarks.append(source)

@@ -59,7 +59,7 @@ class Table:
 
     Attributes:
         key: such as "table1".
-        title: what it compares.
+        title: what it compares, without the data set it is measured on.
         measure: what its columns are.
         columns: their names.
     """
@@ -158,14 +158,14 @@ def tables(scale: Scale) -> dict[str, Table]:
         for table in (
             Table(
                 "table1",
-                "Table I: losses and LPN on University-1652",
+                "Table I: losses and LPN",
                 "both ways",
                 paper.BOTH_WAYS,
                 tuple(Row(label, training, paper.TABLE1[label]) for label, training in of_table1),
             ),
             Table(
                 "table2",
-                "Table II: ground to satellite on CVUSA",
+                "Table II: ground to satellite",
                 "ground",
                 paper.GROUND,
                 tuple(Row(label, training, paper.TABLE2.get(label, ())) for label, training in of_table2),

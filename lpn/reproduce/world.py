@@ -9,7 +9,9 @@ import os
 import shutil
 from pathlib import Path
 
+from lpn import geo
 from lpn.datasets import Picture, open_dataset
+from lpn.errors import DataError
 from lpn.files import write_whole
 from lpn.images import load_picture
 
@@ -20,6 +22,19 @@ _REGION = 0.8
 def is_world(root: Path) -> bool:
     """Whether a folder is one that `lpn world` rendered."""
     return (root / "world.json").is_file()
+
+
+def check_finished(root: Path) -> None:
+    """Raise DataError where a world, or its panoramas, lacks pictures that its `geo.csv` names: rendering has not ended."""
+    for folder in (root, root / "cvusa"):
+        where = geo.positions(folder)
+        names = [] if where is None else where.paths
+        missing = [name for name in names if not (folder / name).is_file()]
+        if missing:
+            raise DataError(
+                f"{folder} is not rendered to its end: {len(missing)} of the {len(names)} pictures in its {geo.NAME} are "
+                f"not there, the first being {missing[0]}; let lpn world end with the same settings first."
+            )
 
 
 def prepare(world: Path, out: Path) -> dict[str, Path]:
@@ -73,7 +88,7 @@ def _places(world: Path, streets: list[Picture], out: Path) -> None:
         name = file.relative_to(world).as_posix()
         _link(file, made / moved.get(name, name))
     if (world / "geo.csv").is_file():
-        with (world / "geo.csv").open(newline="") as source:
+        with (world / "geo.csv").open(encoding="utf-8-sig", newline="") as source:
             rows = list(csv.DictReader(source))
         text = io.StringIO()
         writer = csv.DictWriter(text, list(rows[0]))

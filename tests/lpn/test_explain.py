@@ -111,18 +111,23 @@ def test_links_add_up_to_each_cell_and_turn_around_with_the_pair(name: str) -> N
         np.testing.assert_allclose(shared.sum(axis=1) + rest, found.query.cells[part].reshape(-1), atol=1e-5)
 
 
-def test_a_counterpart_is_the_tile_s_cell_of_the_same_part_that_agrees_most() -> None:
+def test_a_counterpart_is_the_other_picture_s_cell_of_the_same_part_that_agrees_most() -> None:
     model = TorchModel(network(replace(SPECS["rings"], n_parts=2)))
     query, tile = pair(model)
     assert query.trace is not None
     assert tile.trace is not None
     labels = model.spec.partition("drone").labels(4, 4).reshape(-1)
-    for part, best in enumerate(explain.counterparts(query.trace, tile.trace)):
-        np.testing.assert_array_equal(best == -1, labels != part)
-        assert (labels[best[best >= 0]] == part).all()
-        shared = explain.links(query.trace, tile.trace, part)
-        for cell in np.flatnonzero(best >= 0):
-            assert shared[cell, best[cell]] == shared[cell, labels == part].max()
+    weights = explain.part_weights(2, [1, 3])
+    forth, back = explain.counterparts(query.trace, tile.trace, weights)
+    for cell in range(16):
+        part = labels[cell]
+        shared = explain.links(query.trace, tile.trace, part) * weights[part]
+        assert labels[forth.cells[cell]] == labels[back.cells[cell]] == part
+        assert forth.shares[cell] == pytest.approx(shared[cell, labels == part].max())
+        assert back.shares[cell] == pytest.approx(shared[labels == part, cell].max())
+        assert forth.shares[cell] == pytest.approx(shared[cell, forth.cells[cell]])
+    forth, _ = explain.counterparts(query.trace, tile.trace, explain.part_weights(2, [0, 1]))
+    np.testing.assert_array_equal(forth.cells == -1, labels == 0)
 
 
 @pytest.mark.parametrize("name", ["rings", "leaky", "safa"])

@@ -126,6 +126,28 @@ def test_every_method_has_the_loss_it_is_named_after() -> None:
     assert set(METHODS) >= set(expected)
 
 
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_a_method_is_the_same_network_and_loss_in_every_recipe(recipe: str) -> None:
+    baseline, safa = ("average", "university", False, 1), ("safa", "university", True)
+    expected: dict[str, tuple[tuple[object, ...], tuple[float, str]]] = {
+        "lpn": (("average", "university", False, RECIPES[recipe].n_parts), (1.0, "none")),
+        "instance": (baseline, (1.0, "none")),
+        "contrastive": (baseline, (0.0, "contrastive")),
+        "triplet-0.3": (baseline, (0.0, "triplet")),
+        "triplet-0.5": (baseline, (0.0, "triplet")),
+        "soft-margin": (baseline, (0.0, "soft_margin")),
+        "lpn-cvusa": (("average", "cvusa", False, 8), (1.0, "none")),
+        "lpn-strips": (("average", "strips", True, 8), (1.0, "none")),
+        "safa": ((*safa, 1), (0.0, "soft_margin")),
+        "safa-lpn": ((*safa, 8), (0.0, "soft_margin")),
+    }
+    assert set(expected) == set(METHODS)
+    for name, (network, loss) in expected.items():
+        made = method(name, RECIPES[recipe])
+        assert (made.pooling, made.layout, made.polar, made.n_parts) == network, name
+        assert (made.instance, made.metric, made.infonce) == (*loss, 0.0), name
+
+
 def test_a_recipe_that_cannot_be_trained_is_refused() -> None:
     with pytest.raises(InputError, match="no loss"):
         replace(RECIPES["university1652"], instance=0.0)

@@ -95,7 +95,7 @@ def test_the_sentence_names_the_part_that_adds_most_and_one_that_speaks_against(
     side = Side(cells, np.zeros(2))
     found = Evidence(np.array([-0.2, 0.8]), part_weights(2), side, side)
     said = words.why(found, ["1 centre", "2 outer"], "drone", "satellite")
-    assert said.startswith(
-        "Part 2 outer adds most to the score (+0.400 of 0.300): the query's upper right with the tile's"
+    assert said == (
+        "Part 2 outer adds most to the score (+0.400 of 0.300), where the query's upper right agrees with the tile's "
+        "north-east. Part 1 centre speaks against the pair (-0.100)."
     )
-    assert "north-east. Part 1 centre speaks against the pair (-0.100)." in said

@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import io
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,16 @@ from safetensors.torch import save_file
 
 from lpn.checkpoints import save
 from lpn.cli import main
-from lpn.errors import DivergedError, InputError, LPNError, ModelFileError
+from lpn.datasets import open_dataset
+from lpn.errors import DataError, DivergedError, InputError, LPNError, ModelFileError
+from lpn.network import LPN
 from lpn.recipes import METHODS
-from lpn.reproduce import paper, report
+from lpn.reproduce import foot, paper, report, sources
 from lpn.reproduce.command import KEYS, Reproduction
+from lpn.reproduce.sources import Source
 from lpn.reproduce.starts import features_alone
 from lpn.reproduce.tables import SCALES, find, tables
+from lpn.spec import ModelSpec
 from lpn.train import Trainer
 from tests import layouts, worlds
 
@@ -177,13 +182,19 @@ def test_an_unfinished_run_goes_on_only_as_it_began(
 
 
 def test_given_models_stand_for_trainings(places: Path, tmp_path: Path) -> None:
-    model = worlds.make_model(tmp_path)
-    made = reproduction(places, tmp_path / "out", models={"": model, "instance": model}, train=False)
+    model, baseline = (worlds.make_model(tmp_path / str(n), n) for n in (4, 1))
+    made = reproduction(places, tmp_path / "out", models={"lpn": model, "instance": baseline}, train=False)
     made.run(["table1", "table4", "figure7", "figure8"])
     text = (tmp_path / "out" / "table1.md").read_text()
     assert text.count("| not run |") == 5 * 4
     assert "not known; " in text
-    assert f"Networks given: instance = {model}, lpn = {model}" in text
+    assert (
+        f"Networks given: instance = {baseline} (Baseline resnet18/layer3, n = 1, 64 x 64), lpn = {model} (LPN" in text
+    )
+    assert "# Table I: losses and LPN, on University-1652\n" in text
+    assert (
+        "drone-to-satellite 6 of 37,855 queries, 6 of 951 pictures in the gallery, satellite-to-drone 6 of 701" in text
+    )
     assert not (tmp_path / "out" / "runs").exists()
     assert (tmp_path / "out" / "figure7.png").is_file()
 
@@ -202,6 +213,32 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, tm
             ["table6"],
             "needs the view street",
         ),
+        # A view that a row wants and a network would be trained without, and a batch that would never be full.
+        (
+            {"data": [str(places), str(landmarks(tmp_path))]},
+            ["table6"],
+            "needs the view street; places, on which instance",
+        ),
+        (
+            {"data": [str(places), str(worlds.make_cvusa(tmp_path / "three", 3))]},
+            ["table5", "table2"],
+            "has 3 to train on",
+        ),
+        ({"models": {"lpn": two_views(tmp_path)}}, ["figure7"], "figure7 needs the view drone"),
+        # A network that is not what it would be called, and one that nothing would be measured on.
+        ({"models": {"lpn-2-parts": model}}, ["figure5"], "has n_parts 4, and lpn-2-parts stands for n_parts 2"),
+        (
+            {"models": {"lpn": start}, "changes": {}},
+            ["table4"],
+            "has input size 64 x 64, and lpn stands for input size 256 x",
+        ),
+        ({"models": {"lpn": strips(tmp_path)}}, ["table5"], "has layout strips, and lpn stands for layout university"),
+        ({"models": {"lpn": model}}, ["figure5"], "as lpn, which no row of what is asked for uses"),
+        (
+            {"init": [start], "changes": {**QUICK, "backbone": "resnet50", "last_layer": "layer4"}},
+            ["table5"],
+            "a resnet18, and no",
+        ),
         ({"queries": ["nope"]}, ["figure8"], "no query nope"),
         ({"data": [str(places), str(places)]}, ["table4"], "two data sets of places"),
         ({"init": [start, start]}, ["table4"], "both hold a resnet18"),
@@ -215,6 +252,29 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, tm
     with pytest.raises(LPNError, match=r"1 of .* test pictures .* cannot be described: .*0007\.png"):
         reproduction(tmp_path / "broken", out).run(["table4"])
     assert not (out / "runs").exists()
+
+
+def two_views(folder: Path, n_parts: int = 4) -> Path:
+    """A network of satellite and street."""
+    torch.manual_seed(0)
+    spec = ModelSpec(
+        "resnet18",
+        "layer3",
+        views=("satellite", "street"),
+        shared=False,
+        n_parts=n_parts,
+        classes=4,
+        input_size=(64, 64),
+    )
+    save(LPN(spec), folder / "two.safetensors")
+    return folder / "two.safetensors"
+
+
+def strips(folder: Path) -> Path:
+    """A network of four columns."""
+    network = LPN(replace(worlds.make_network().spec, layout="strips"))
+    save(network, folder / "strips.safetensors")
+    return folder / "strips.safetensors"
 
 
 def landmarks(folder: Path) -> Path:
@@ -264,6 +324,86 @@ def test_a_world_becomes_places_with_google_panoramas_and_landmarks(tmp_path: Pa
     assert "mined in the batch" in (tmp_path / "out" / "table1.md").read_text()
 
 
+def test_figures_are_drawn_with_the_networks_there_are(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def explode(*_: Any) -> Any:
+        raise DivergedError("The loss became nan in epoch 1, step 1; start again.")
+
+    monkeypatch.setattr(Trainer, "_epoch", explode)
+    model = worlds.make_model(tmp_path)
+    made = reproduction(places, tmp_path / "one", models={"lpn": model})
+    assert [file.name for file in made.run(["figure7", "figure8"])] == ["figure7.png", "figure8.png"]
+    assert "figure7 drawn with the others: there is no network instance" in said(made)
+    made = reproduction(places, tmp_path / "none", train=False)
+    assert made.run(["figure7", "figure8"]) == []
+    assert "figure7 not drawn: there is no network instance or lpn; give it as --model instance=FILE" in said(made)
+    assert said(made).count("figure8 not drawn") == 1
+
+
+def test_what_backbones_start_from_is_said_before_training(places: Path, tmp_path: Path) -> None:
+    start = tmp_path / "start.safetensors"
+    save(worlds.make_network(), start)
+    made = reproduction(places, tmp_path / "out", init=[start])
+    made.run(["table5"])
+    assert said(made).index("resnet18 starts from start.safetensors.") < said(made).index("1 of 1 trainings")
+    assert "Trained on 4 of 701 places." in (tmp_path / "out" / "table5.md").read_text(encoding="utf-8")
+
+
+def test_a_world_whose_pictures_are_not_all_there_is_refused(tmp_path: Path) -> None:
+    root = worlds.map_dataset(worlds.make_dataset(tmp_path / "half", train=4, test=3))
+    (root / "world.json").write_text("{}")
+    options = {"data": [str(root)], "models": {"lpn": worlds.make_model(tmp_path)}, "train": False}
+    reproduction(root, tmp_path / "whole", **options).run(["table5"])
+    shutil.rmtree(root / "test" / "query_drone" / "0006")
+    with pytest.raises(
+        DataError, match=r"half is not rendered to its end: 1 of the 12 pictures .* test/query_drone/0006"
+    ):
+        reproduction(root, tmp_path / "out", **options).run(["table5"])
+
+
+def test_the_title_names_the_data_that_were_measured(places: Path, tmp_path: Path) -> None:
+    options = {"data": [str(layouts.cvact(tmp_path / "canberra"))], "train": False}
+    reproduction(places, tmp_path / "out", models={"panorama-instance": two_views(tmp_path, 1)}, **options).run(
+        ["table2"]
+    )
+    text = (tmp_path / "out" / "table2.md").read_text(encoding="utf-8")
+    assert text.startswith("### Table II: ground to satellite, on CVACT\n")
+    assert "CVUSA" not in text
+
+
+def test_clauses_that_differ_are_said_with_the_rows_they_hold_for() -> None:
+    rows = {
+        "Baseline": "Protocol: mirror added; ranked.",
+        "LPN": "Protocol: mirror added; ranked.",
+        "SAFA": "Protocol: as it is; ranked.",
+    }
+    assert foot.protocol(rows) == ("Protocol: ranked. Not in every row: mirror added (all but SAFA); as it is (SAFA).")
+    assert foot.protocol({"LPN": rows["LPN"]}) == rows["LPN"]
+
+
+def test_a_terminal_of_ascii_does_not_end_a_reproduction(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = worlds.make_model(tmp_path, size=256)
+    shown = io.BytesIO()
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(shown, "ascii", write_through=True))
+    out = tmp_path / "out"
+    given = ["--data", str(places), "--model", str(model), "--no-train", "--out", str(out)]
+    assert main(["reproduce", "table5", "figure8", *given]) == 0
+    assert b"drone ? satellite R@1" in shown.getvalue()
+    assert (out / "figure8.png").is_file()
+
+
+def test_the_digest_of_a_test_split_is_the_same_for_lists_in_any_order(
+    places: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = Source(open_dataset(places), False).test_digest("both ways")
+    listed = sources.lists_of
+    monkeypatch.setattr(sources, "lists_of", lambda *given: dict(reversed(listed(*given).items())))
+    assert Source(open_dataset(places), False).test_digest("both ways") == before
+
+
 def test_claims_are_judged_by_the_figures_and_the_seeds_spread() -> None:
     table = find("table1", SCALES["paper"])
     columns = [report.Column(title, index) for index, title in enumerate(table.columns)]
@@ -303,10 +443,17 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
         "--seeds",
         "0",
         "1",
+        "--batch",
+        "8",
     ]
     assert main(["reproduce", "table1", "table4", *given, "--out", str(tmp_path)]) == 0
     assert seen[0].data == (str(places), "b")
-    assert seen[0].models == {"": Path("x.onnx"), "instance": Path("y.onnx")}
+    assert seen[0].models == {"lpn": Path("x.onnx"), "instance": Path("y.onnx")}
+    for two in (["x.onnx", "y.onnx"], ["x.onnx", "lpn=y.onnx"]):
+        models = [argument for file in two for argument in ("--model", file)]
+        assert main(["reproduce", "table5", "--data", str(places), *models]) == 2
+        assert "two files as lpn, x.onnx and y.onnx" in capsys.readouterr().err
     assert (seen[0].seeds, seen[0].scale.name) == ((0, 1), "paper")
+    assert seen[0].changes == {"batch": 8}
     assert main(["reproduce", "--data", str(places)]) == 2
     assert "Say what to reproduce" in capsys.readouterr().err

@@ -61,6 +61,16 @@ def test_the_command_reads_it_without_model_and_data(data: Path, model_file: Pat
     assert figures[0]["ap"] == pytest.approx(figures[1]["ap"], abs=1e-9)
 
 
+def test_queries_of_a_saved_result_are_averaged_part_by_part_only(
+    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    savemat(tmp_path / "r.mat", contents(data, model_file))
+    arguments = ["evaluate", "--saved", str(tmp_path / "r.mat"), "--average-queries"]
+    assert cli.main(arguments) == 2
+    assert "--n-parts" in capsys.readouterr().err
+    assert cli.main([*arguments, "--n-parts", "4"]) == 0
+
+
 def test_its_pictures_are_found_by_path_or_by_label(data: Path, model_file: Path, tmp_path: Path) -> None:
     values, dataset = contents(data, model_file), open_dataset(data)
     savemat(tmp_path / "r.mat", values)

@@ -1,0 +1,110 @@
+"""What would stop a reproduction at its end, or make its figures others than they are called, found out at its start."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lpn.errors import InputError
+from lpn.model import Model
+from lpn.recipes import Recipe
+from lpn.reproduce.runs import Job
+from lpn.reproduce.sources import TASKS
+from lpn.reproduce.tables import Row, Table, Training
+from lpn.spec import View, views_of
+
+
+@dataclass(frozen=True)
+class Use:
+    """A network that is asked for, by a row of a table or by a drawn figure.
+
+    Attributes:
+        training: the network.
+        said: what asks for it.
+        views: the views it must describe.
+    """
+
+    training: Training
+    said: str
+    views: frozenset[View]
+
+    @staticmethod
+    def of_row(table: Table, row: Row, training: Training) -> Use:
+        """That of a row."""
+        views = {row.branch} if row.branch else {view for task in TASKS[table.measure] for view in views_of(task)}
+        return Use(training, f"{table.title}, {row.label}", frozenset(views))
+
+    @staticmethod
+    def of_figure(key: str, training: Training) -> Use:
+        """That of a drawn figure."""
+        return Use(training, key, frozenset(("drone", "satellite")))
+
+    def check_views(self, there: Collection[View], said: str) -> None:
+        """Raise InputError where a view is not there, in `said`."""
+        lacking = sorted(self.views - set(there))
+        if lacking:
+            raise InputError(f"{self.said} needs the view {lacking[0]}; {said} has {', '.join(there)}.")
+
+
+def check_fits(model: Model, file: Path, use: Use, recipe: Recipe) -> None:
+    """Raise InputError where a given network is not what it is to stand for; backbone and weights are its own."""
+    use.check_views(model.views, file.name)
+    spec, name = model.spec, use.training.name
+    compared = {
+        "n_parts": (spec.n_parts, recipe.n_parts),
+        "input size": tuple(" x ".join(map(str, size)) for size in (spec.input_size, recipe.input_size)),
+        "pooling": (spec.pooling, recipe.pooling),
+        "polar": (spec.polar, recipe.polar),
+    }
+    if recipe.n_parts > 1 and recipe.pooling == "average":
+        compared["layout"] = (spec.layout, recipe.layout)
+    for what, (found, expected) in compared.items():
+        if found != expected:
+            read = what == "input size" and file.suffix == ".pth" and not file.with_name("opts.yaml").is_file()
+            hint = " (no opts.yaml is beside it, and without one a .pth is read as 256 x 256)" if read else ""
+            raise InputError(
+                f"{file.name} has {what} {found}{hint}, and {name} stands for {what} {expected} in {use.said}; give it by the "
+                "name of a network of its own kind, or leave it out."
+            )
+
+
+def check_used(models: Mapping[str, Path], uses: Sequence[Use]) -> None:
+    """Raise InputError where a given network is one that nothing asks for."""
+    asked = sorted({use.training.name for use in uses})
+    for name, file in models.items():
+        if name not in asked:
+            raise InputError(
+                f"--model gives {file.name} as {name}, which no row of what is asked for uses; these use "
+                f"{', '.join(asked) or 'no network'}, so name one of them, or leave it out."
+            )
+
+
+def check_starts(starts: Mapping[str, Path], backbones: Collection[str]) -> None:
+    """Raise InputError where nothing that is asked for starts from some of the weights given."""
+    for backbone, file in starts.items():
+        if backbone not in backbones:
+            rather = f"the backbones are {', '.join(sorted(backbones))}" if backbones else "nothing is left to train"
+            raise InputError(
+                f"--init gives {file.name}, which holds a {backbone}, and no row of what is asked for starts from one: {rather}; "
+                "leave it out, or give the weights of another."
+            )
+
+
+def check_trainings(jobs: Sequence[Job], uses: Sequence[Use]) -> None:
+    """Find out what would stop trainings, or the measuring of their networks.
+
+    Raises:
+        DataError: when there is nothing to train on.
+        InputError: when there are fewer places than a step takes, or a view that is measured is not trained.
+    """
+    for job in jobs:
+        places, batch = job.source.places(job.recipe.google), job.recipe.batch
+        if not job.done and len(places) < batch:
+            raise InputError(
+                f"{job.training.name} takes {batch} places a step, and {job.source.name} has {len(places)} to train on; give "
+                "more places, or at most as many with --batch."
+            )
+        for use in uses:
+            if use.training.name == job.training.name:
+                use.check_views(places.views, f"{job.source.name}, on which {job.training.name} is trained,")

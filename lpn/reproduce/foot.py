@@ -1,0 +1,87 @@
+"""What stands under a table: how, on what, and with which networks its figures came about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from lpn.reproduce.runs import Job
+from lpn.reproduce.sources import Source, counted
+from lpn.reproduce.tables import Scale, Table
+
+_APART = {
+    "table1": (
+        "Losses on distances compare satellites with drone and with street pictures, both ways; pairs and triplets are mined in "
+        "the batch: each place's own pictures are true, all others of the batch are wrong.",
+    ),
+    "table2": ("SAFA and SAFA + LPN are described without their mirror.",),
+    "table4": ("Queries are turned counter-clockwise by the degrees named, on their own canvas, corners black.",),
+    "table5": ("The parts named, counted from the centre, are compared and no others.",),
+    "table6": (
+        "Both sides are described by the branch named; ImageNet alone: the mean over the last feature map. Baseline and LPN are "
+        "trained alike, both without google.",
+    ),
+}
+"""What a reader of one table must know."""
+
+
+def protocol(rows: Mapping[str, str]) -> str:
+    """The protocols of a table's rows, by label, as one: the clauses they share, and for each other one its rows."""
+    clauses = {label: text.removeprefix("Protocol: ").removesuffix(".").split("; ") for label, text in rows.items()}
+    held: dict[str, list[str]] = {}
+    for label, of_row in clauses.items():
+        for clause in of_row:
+            held.setdefault(clause, []).append(label)
+    if not held:
+        return "Nothing was measured."
+    shared = [clause for clause, labels in held.items() if len(labels) == len(rows)]
+    others = [f"{clause} ({_rows(labels, list(rows))})" for clause, labels in held.items() if len(labels) < len(rows)]
+    apart = f" Not in every row: {'; '.join(others)}." if others else ""
+    return f"Protocol: {'; '.join(shared)}.{apart}"
+
+
+def _rows(labels: Sequence[str], every: Sequence[str]) -> str:
+    """Some rows of a table, or the others where these are fewer."""
+    others = [label for label in every if label not in labels]
+    return " / ".join(labels) if len(labels) <= len(others) else f"all but {' / '.join(others)}"
+
+
+def about(table: Table, data: Sequence[Source]) -> list[str]:
+    """What must be known of a table, and of the pictures it was measured on."""
+    said = [*_APART.get(table.key, ())]
+    if any(source.rendered for source in data):
+        said.append(
+            "**Data: the rendered world, not the paper's data sets**; its figures compare with one another only."
+        )
+    else:
+        said.append(f"Data: {', '.join(f'{source.name} ({source.dataset.kind})' for source in data)}.")
+    said.append(f"Measured on {'; '.join(f'{source.name}: {source.sizes(table.measure)}' for source in data)}.")
+    return said
+
+
+def networks(own: Sequence[Job], scale: Scale, changes: Mapping[str, Any], seeds: Sequence[int]) -> list[str]:
+    """How the networks were trained that were not given."""
+    said: list[str] = []
+    done = [job for job in own if job.done]
+    if done:
+        said += [scale.said, f"Trained on {_places(done)}."]
+        of = {job.recipe.backbone: job.start for job in done}
+        begin = [f"{name} from {start.name if start else 'random weights'}" for name, start in of.items()]
+        said.append(f"Before training: {', '.join(begin)}.")
+        if changes:
+            said.append(f"Changed: {', '.join(f'{name} = {value}' for name, value in changes.items())}.")
+        if len(seeds) > 1:
+            said.append("Mean of the seeds trained so far, ± half of the distance between the lowest and the highest.")
+    if lost := [job.name for job in own if job.diverged]:
+        said.append(f"Diverged, and given up: {', '.join(lost)}.")
+    return said
+
+
+def _places(jobs: Sequence[Job]) -> str:
+    """How many places networks were trained on; which, where that differs."""
+    of: dict[str, dict[str, None]] = {}
+    for job in jobs:
+        full = job.source.dataset.full.get("train/satellite")
+        count = counted(len(job.source.places(job.recipe.google)), full.places if full else None)
+        of.setdefault(f"{count} places", {})[job.training.name] = None
+    return "; ".join(f"{said} ({', '.join(names)})" if len(of) > 1 else said for said, names in of.items())
