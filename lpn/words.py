@@ -133,8 +133,12 @@ def reweighted(change: Reweighting | None, effect: Effect | None) -> str:
     )
 
 
-def turned(profile: Profile) -> str:
-    """Two sentences on what turning the query would change: where what is followed ranks best, and what the top score says."""
+def turned(profile: Profile, north_up: bool) -> str:
+    """What turning the query would change: where what is followed ranks best, and what the top score says.
+
+    Args:
+        north_up: whether tiles are, so that the top score's angle is a guess of where the picture's top points.
+    """
     best = profile.best_rank
     who = "The true tile" if best.true else "The tile"
     now = profile.unchanged
@@ -143,7 +147,7 @@ def turned(profile: Profile) -> str:
     else:
         before = "" if now is None else f" instead of {ordinal(now.rank)}"
         said = f"{who} ranks best when the query is turned {best.change.rotate:g}°: {ordinal(best.rank)}{before}."
-    heading = profile.heading()
+    heading = profile.heading() if north_up else None
     if heading is None:
         return said
     blind = profile.best_blind

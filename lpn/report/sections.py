@@ -73,7 +73,7 @@ def _head(case: Case, study: Study, number: int) -> str:
     if case.truth is not None and case.truth.rank > 1:
         spoken.append(words.reweighted(case.change, case.effect))
     if case.profile is not None:
-        spoken.append(words.turned(case.profile))
+        spoken.append(words.turned(case.profile, study.views == ("drone", "satellite")))
     more = "".join(f"<p>{text(sentence)}</p>" for sentence in spoken)
     return (
         f'<div class="head"><h2>{sign(true)} Query {text(case.name)}</h2>'
