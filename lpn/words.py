@@ -46,9 +46,18 @@ def why(found: Evidence, names: Sequence[str], query_view: View, tile_view: View
     added = found.contributions
     most = int(np.argmax(added))
     here, there = where(found.query.cells[most], query_view), where(found.tile.cells[most], tile_view)
+    constant = float(found.query.constants[most])
     around = here == there == "all around"
     places = "all over it" if around else f"where {_of('query', here)} agrees with {_of('tile', there)}"
+    if constant > found.cosines[most] / 2:
+        places = "most of it by a constant that comes from no cell"
     said = f"Part {names[most]} adds most to the score ({added[most]:+.3f} of {found.score:.3f}), {places}."
+    constants = float(found.query.constants @ found.weights)
+    if constants > found.score / 2 > 0:
+        said += (
+            f" Of the whole score {constants:+.3f} is constants: what the network takes both pictures for, rather than what they "
+            "show."
+        )
     least = int(np.argmin(added))
     if added[least] < 0:
         said += f" Part {names[least]} speaks against the pair ({added[least]:+.3f})."
