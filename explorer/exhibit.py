@@ -271,4 +271,6 @@ class Analyst:
         model = self._exhibit.model
         if model is None:
             return Described(self._picture, task.asked[state.query], None, None)
-        return retrieval.describe_picture(model, self._picture, task.query_view, state.change)
+        # A picture of one's own is what the task's queries are.
+        change = state.change.of(task.queries[state.query])
+        return retrieval.describe_picture(model, self._picture, task.query_view, change)

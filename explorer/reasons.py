@@ -173,7 +173,8 @@ class Reasons:
         exhibit, task, state = self._exhibit, answer.task, answer.state
         assert exhibit.model is not None
         height, width = exhibit.spec.input_size
-        changes = sweeps.changes_over(over, side=height if over == "shift-down" else width)
+        entry, side = task.queries[state.query], height if over == "shift-down" else width
+        changes = [change.of(entry) for change in sweeps.changes_over(over, side=side)]
         self._over, self._points, self._of = over, [], len(changes)
         known = None if state.upload else state.query
         steps = sweeps.profile(

@@ -82,7 +82,6 @@ class Sweep:
         for view in (query_view, gallery_view):
             model.check_view(view)
         side = model.input_size[0 if self.over == "shift-down" else 1]
-        changes = sweeps.changes_over(self.over, self.step, self.reach, side)
         weights = explain.part_weights(model.n_parts, _weights(self.weights))
         queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
         names = [entry.name for entry in queries]
@@ -94,6 +93,7 @@ class Sweep:
         entry, truth = queries[position], dataset.truth(task)
         picture = images.load_picture(entry.path)
         picture = picture if entry.box is None else images.crop(picture, entry.box, entry.name)
+        changes = [change.of(entry) for change in sweeps.changes_over(self.over, self.step, self.reach, side)]
         tiles = features.cached_descriptors(model, gallery, gallery_view)
         labels = np.array([tile.label for tile in gallery], np.int64)
         listed = None if truth is None else truth[position]

@@ -197,7 +197,8 @@ class Cases:
                     f"{study.model_name} holds descriptors without their network; choose a query of its own."
                 )
             return Described(picture, study.asked[index], None, None)
-        return retrieval.describe_picture(study.model, picture, study.views[0], self._options.change)
+        change = self._options.change.of(study.queries[index or 0])
+        return retrieval.describe_picture(study.model, picture, study.views[0], change)
 
     def _describe_tile(self, index: int) -> Described:
         study = self._study
@@ -254,7 +255,8 @@ class Cases:
         if not self.turns or study.model is None:
             return None
         change = options.change
-        turns = [Change(turn.rotate, change.shift, change.scale, change.down) for turn in self.turns]
+        entry = study.queries[index or 0]
+        turns = [Change(turn.rotate, change.shift, change.scale, change.down).of(entry) for turn in self.turns]
         label = None if index is None else int(study.query_labels[index])
         truth = None if index is None or study.truth is None else study.truth[index]
         follow = first.index if index is None else None
