@@ -11,7 +11,7 @@ import numpy as np
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.pages import SIGNS
-from lpn import overlays, versus
+from lpn import overlays, versus, words
 from lpn.retrieval import Match
 from lpn.versus import Effect, Reweighting, Without
 from lpn.words import ordinal
@@ -121,14 +121,7 @@ def _left_out(contest: Contest, names: Sequence[str], ahead: Match) -> str:
     found = contest.without
     if found is None:
         return ""
-    said = ""
-    who = "the true tile" if ahead.true else "this tile"
-    if ahead.rank > 1:
-        said = (
-            f"Without part {names[found.cure]} {who} would be first."
-            if found.cure is not None
-            else f"Leaving out one part does not put {who} first."
-        )
+    said = words.left_out(found, names, "the true tile" if ahead.true else "this tile")
     cells = "".join(
         f"<tr><td style='color:{overlays.css(overlays.part_colour(i))}'>{escape(name)}</td>"
         f"<td>{_rank(found.without[i])}</td><td>{_rank(found.alone[i])}</td></tr>"

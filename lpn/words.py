@@ -102,26 +102,26 @@ def verdict(
     )
 
 
-def left_out(found: Without, part_names: Sequence[str]) -> str:
-    """One sentence on which part, were it left out, would change the truth's place most."""
+def left_out(found: Without, part_names: Sequence[str], who: str = "the true tile") -> str:
+    """One sentence on which part, were it left out, would change the place of the truth, or of who is followed, most."""
     if found.now.rank == 1:
         lost = [i for i, one in enumerate(found.without) if one is not None and one.rank > 1]
         if not lost:
-            return "No single part is needed: without any one of them the true tile stays first."
+            return f"No single part is needed: without any one of them {who} stays first."
         worst = max(lost, key=lambda i: found.without[i].rank)  # type: ignore[union-attr]
         standing = found.without[worst]
         assert standing is not None
         more = f" ({len(lost)} of {len(found.without)} parts are needed)" if len(lost) > 1 else ""
-        return f"Without part {part_names[worst]} the true tile would fall to {ordinal(standing.rank)}{more}."
+        return f"Without part {part_names[worst]} {who} would fall to {ordinal(standing.rank)}{more}."
     if found.cure is not None:
-        return f"Without part {part_names[found.cure]} the true tile would be first."
+        return f"Without part {part_names[found.cure]} {who} would be first."
     ranks = {i: one.rank for i, one in enumerate(found.without) if one is not None}
     said = "No single part is to blame alone"
     best = min(ranks, key=ranks.__getitem__, default=0)
     if ranks and ranks[best] < found.now.rank:
-        said += f": at best, without part {part_names[best]}, the true tile would be {ordinal(ranks[best])}"
+        said += f": at best, without part {part_names[best]}, {who} would be {ordinal(ranks[best])}"
     elif ranks:
-        said += ": the true tile ranks no better without any one of them"
+        said += f": {who} ranks no better without any one of them"
     if found.best_alone is not None:
         said += f"; part {part_names[found.best_alone]} alone puts it first"
     return f"{said}."

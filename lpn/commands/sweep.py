@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import lpn
+from lpn.commands.reasons import part_values
 from lpn.commands.using import TaskName
 from lpn.errors import InputError
 
@@ -82,7 +83,7 @@ class Sweep:
         for view in (query_view, gallery_view):
             model.check_view(view)
         side = model.input_size[0 if self.over == "shift-down" else 1]
-        weights = explain.part_weights(model.n_parts, _weights(self.weights))
+        weights = explain.part_weights(model.n_parts, part_values(self.weights))
         queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
         names = [entry.name for entry in queries]
         if self.query not in names:
@@ -100,15 +101,6 @@ class Sweep:
         points = sweeps.profile(model, picture, query_view, tiles, weights, changes, labels, entry.label, listed)
         seen = track(points, f"Describing {self.query}", len(changes), console=console, transient=True)
         return sweeps.Profile(self.over, tuple(seen))
-
-
-def _weights(text: str | None) -> list[float] | None:
-    if text is None:
-        return None
-    try:
-        return [float(item) for item in text.split(",")]
-    except ValueError as error:
-        raise InputError(f"The part weights are {text!r}; expected a number for each part, such as 1,1,1,0.") from error
 
 
 def _followed(profile: Profile) -> str:
