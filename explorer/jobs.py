@@ -15,10 +15,10 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 Progress = Callable[[int, int], None]
-"""Told how much is done, and of how much; (0, 0) where that cannot be said. Raises `Ended` when nobody waits."""
+"""Told how much is done, and of how much; (0, 0) where that cannot be said. Raises `GivenUpError` when nobody waits."""
 
 
-class Ended(Exception):
+class GivenUpError(Exception):
     """Nobody waits for the work any longer."""
 
 
@@ -33,7 +33,7 @@ class Job(Generic[T]):
 
     def __init__(self, work: Callable[[Progress], T], who: object) -> None:
         self._work, self._waiting, self._lock = work, {id(who)}, threading.Lock()
-        self._finished = threading.Event()
+        self._finished, self._given_up = threading.Event(), False
         self.done, self.total = 0, 0
         self.value: T | None = None
         self.flaw: str | None = None
@@ -46,25 +46,25 @@ class Job(Generic[T]):
     def join(self, who: object) -> bool:
         """Wait for it too; False when it has been given up."""
         with self._lock:
-            if self._waiting or self._finished.is_set():
+            if not self._given_up:
                 self._waiting.add(id(who))
-                return True
-            return False
+            return not self._given_up
 
     def leave(self, who: object) -> None:
         """Wait for it no longer."""
         with self._lock:
             self._waiting.discard(id(who))
+            self._given_up = not self._waiting and not self._finished.is_set()
 
     def _progress(self, done: int, total: int) -> None:
         self.done, self.total = done, total
-        if not self._waiting:
-            raise Ended
+        if self._given_up:
+            raise GivenUpError
 
     def _run(self) -> None:
         try:
             self.value = self._work(self._progress)
-        except Ended:
+        except GivenUpError:
             self.flaw = "It was cancelled."
         except LPNError as error:
             self.flaw = str(error)

@@ -17,6 +17,7 @@ from lpn.errors import LPNError
 from lpn.failures import Outcomes
 from lpn.geo import FloatArray
 from lpn.images import Picture
+from lpn.metadata import NOTE, TAGS
 from lpn.notes import Note
 from lpn.tables import Table
 
@@ -44,7 +45,7 @@ class Findings:
 
     def note(self, row: int) -> Note:
         """What a person said of a query."""
-        tags, text = (str(self.table.columns[name].values[row]) for name in (notes.TAGS, notes.NOTE))
+        tags, text = (str(self.table.columns[name].values[row]) for name in (TAGS, NOTE))
         return Note(tuple(tags.split()), text)
 
 
@@ -54,13 +55,13 @@ class Points:
 
     Attributes:
         queries, tiles: (Q, 2) and (G, 2), y upwards.
-        axes: what the two axes are, in words; may be empty.
+        axes: what the axes are, in words; may be empty.
         ground: a picture of what lies under them and its west, south, east, and north border; None for embeddings.
     """
 
     queries: FloatArray
     tiles: FloatArray
-    axes: tuple[str, str] = ("", "")
+    axes: str = ""
     ground: tuple[Picture, tuple[float, float, float, float]] | None = None
 
 
@@ -87,7 +88,9 @@ class Laboratory:
 
     def points(self, kind: MapKind, task: str, who: object) -> Job[Points]:
         """Make a map of a task; `ground` only where the task has places."""
-        return self._jobs.ask((kind, task), who, lambda progress: self._points(kind, self._exhibit.tasks[task], progress))
+        return self._jobs.ask(
+            (kind, task), who, lambda progress: self._points(kind, self._exhibit.tasks[task], progress)
+        )
 
     def again(self, task: str, kind: MapKind | None = None) -> None:
         """Forget that a table or map could not be made."""
@@ -130,12 +133,12 @@ class Laboratory:
             assert task.places is not None
             queries = geo.on_plane(task.places.queries, task.places.origin)
             ground = self._exhibit.mosaic(task), task.places.bounds()
-            return Points(queries, task.places.ground, ("metres east", "metres north"), ground)
+            return Points(queries, task.places.ground, ground=ground)
         if kind == "umap":
             found = in_process(progress, projection.umap, np.asarray(task.asked), np.asarray(task.descriptors))
-            return Points(found.queries, found.tiles)
+            return Points(found.queries, found.tiles, "neighbours are alike; distances between groups mean little")
         found = projection.pca(task.asked, task.descriptors)
         assert found.variance is not None
-        first, second = (f"{name} axis, {100 * share:.0f} % of the variance" for name, share in
-                         zip(("first", "second"), found.variance, strict=True))
-        return Points(found.queries, found.tiles, (first, second))
+        first, second = 100 * found.variance
+        axes = f"{first:.0f} % of the variance across, {second:.0f} % upwards"
+        return Points(found.queries, found.tiles, axes)

@@ -22,7 +22,7 @@ MAPS: Final[tuple[MapKind, ...]] = ("pca", "umap", "ground")
 ALWAYS = ("name", "rank", "margin", "part", "answer", "distance")
 """Columns that are always shown, where they are there."""
 _FIRST = ("altitude", "district", "tags")
-"""Columns that are shown until others are chosen."""
+"""Columns that are shown until others are chosen, where anything is known in them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ def extra_columns(lab: LabState, table: Table) -> list[str]:
     """Names of the columns that are shown beside those of `ALWAYS`."""
     if lab.columns is not None:
         return [name for name in lab.columns if name in table.columns]
-    return [name for name in _FIRST if name in table.columns]
+    return [name for name in _FIRST if name in table.columns and table.columns[name].known.any()]
 
 
 def select(found: Findings, lab: LabState, without: str = "", whatever: bool = False) -> IntArray:
