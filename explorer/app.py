@@ -19,6 +19,8 @@ import viser
 from explorer import session
 from explorer.bridge import Bridge
 from explorer.exhibit import Analyst, Exhibit
+from explorer.lab import Lab
+from explorer.laboratory import Laboratory
 from explorer.opening import open_model, open_saved
 from explorer.panels import THUMBS, Change, Panels
 from explorer.reasons import Reasons
@@ -34,7 +36,7 @@ log = logging.getLogger(__name__)
 class Visitor:
     """One connected browser. Its state belongs to it alone."""
 
-    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit) -> None:
+    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory) -> None:
         self._exhibit = exhibit
         self._lock = threading.RLock()
         self._sequence = 0
@@ -48,7 +50,9 @@ class Visitor:
             )
             self._panels = Panels(client, exhibit, self._state, self.change, Random())
             self._reasons = Reasons(client, exhibit, self.change, self._failed)
-            Bridge(client.gui, self._reasons.handlers())
+            self._lab = Lab(client, exhibit, laboratory, self.change)
+            self._panels.order = self._lab.order
+            Bridge(client.gui, self._reasons.handlers() | self._lab.handlers())
             self._stage = Stage(client, exhibit, self._selected)
             self._worker = Worker(self._work, self._failed)
         self._worker.wake()
@@ -73,6 +77,7 @@ class Visitor:
         """The browser is gone: stop its worker."""
         self._reasons.leave()
         self._worker.stop()
+        self._lab.leave()
 
     def _work(self) -> None:
         answer = self._analyst.answer(self._state, SHOWN)
@@ -80,6 +85,7 @@ class Visitor:
         started = time.perf_counter()
         self._stage.show(answer)
         self._reasons.show(answer)
+        self._lab.show(answer)
         self._panels.show(answer, self._sequence, started)
 
     def _failed(self, error: Exception) -> None:
@@ -106,7 +112,8 @@ class App:
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False
         self._visitors: dict[int, Visitor] = {}
-        self.server.on_client_connect(lambda client: self._connected(client, exhibit))
+        laboratory = Laboratory(exhibit)
+        self.server.on_client_connect(lambda client: self._connected(client, exhibit, laboratory))
         self.server.on_client_disconnect(self._disconnected)
 
     def close(self) -> None:
@@ -115,8 +122,8 @@ class App:
             visitor.leave()
         self.server.stop()
 
-    def _connected(self, client: viser.ClientHandle, exhibit: Exhibit) -> None:
-        self._visitors[client.client_id] = Visitor(client, exhibit)
+    def _connected(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory) -> None:
+        self._visitors[client.client_id] = Visitor(client, exhibit, laboratory)
         if client.client_id not in self.server.get_clients():  # gone while its page was being built
             self._disconnected(client)
 

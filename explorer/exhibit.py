@@ -79,6 +79,7 @@ class Exhibit:
         map_sizes: (h, w) of the feature map that is divided, for each view.
         model: None where descriptors were saved by another program: then queries are seen as they were saved only.
         city: the 3-D model for the map.
+        root: the data set's folder.
     """
 
     def __init__(
@@ -90,7 +91,9 @@ class Exhibit:
         map_sizes: dict[View, tuple[int, int]],
         model: Model | None,
         city: CityModel | None,
+        root: Path,
     ) -> None:
+        self.root = root
         self.model_name, self.data_name = model_name, data_name
         self.tasks = {task.name: task for task in tasks}
         self.spec, self.map_sizes, self.model, self.city = spec, map_sizes, model, city

@@ -58,7 +58,7 @@ def open_model(data: Path, model: Path, query: str | None = None, beside: Path |
         tasks.append(_task(dataset, where, views, queries, gallery, described, tiles))
     map_sizes = {view: opened.map_size(view) for view in opened.views}
     city = None if where is None else _city(data)
-    exhibited = Exhibit(printable(model.name), data_name, tasks, opened.spec, map_sizes, opened, city)
+    exhibited = Exhibit(printable(model.name), data_name, tasks, opened.spec, map_sizes, opened, city, dataset.root)
     exhibited.open_with(query)
     if beside is not None:
         exhibited.beside = open_model(data, beside)
@@ -83,7 +83,7 @@ def open_saved(data: Path, saved: Saved, query: str | None = None) -> Exhibit:
     spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)
     map_sizes = dict.fromkeys(spec.views, SAVED_MAP)
     city = None if where is None else _city(data)
-    exhibited = Exhibit(saved.name, printable(data.resolve().name), [task], spec, map_sizes, None, city)
+    exhibited = Exhibit(saved.name, printable(data.resolve().name), [task], spec, map_sizes, None, city, dataset.root)
     exhibited.open_with(query)
     return exhibited
 

@@ -5,7 +5,7 @@
   let count = 0;
   const lpn = (window.lpn = {});
 
-  lpn.send = (kind, value) => {
+  const write = (kind, value) => {
     const label = document.querySelector('label[for="' + lpn.bridge + '"]');
     let row = label;
     while (row && !row.querySelector("input")) row = row.parentElement;
@@ -14,6 +14,16 @@
     const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
     set.call(input, JSON.stringify({ kind: kind, value: value, count: ++count }));
     input.dispatchEvent(new Event("input", { bubbles: true }));
+  };
+
+  // viser sends what changed last every 50 ms: messages that follow each other sooner wait for their turn.
+  let free = 0;
+  lpn.send = (kind, value) => {
+    const now = performance.now();
+    const wait = Math.max(free - now, 0);
+    free = now + wait + 60;
+    if (wait) setTimeout(write, wait, kind, value);
+    else write(kind, value);
   };
 
   const sized = (map) => map.dataset.size.split(",").map(Number);
@@ -93,5 +103,57 @@
     map._painted[map._erase ? "delete" : "add"](cell);
     map.querySelectorAll(".paint").forEach((box) => (box.style.opacity = map._painted.has(+box.dataset.cell) ? 1 : 0));
     event.preventDefault();
+  };
+
+  // A text box is sent when typing pauses.
+  lpn.typed = (box, kind) => {
+    clearTimeout(box._timer);
+    box._timer = setTimeout(() => lpn.send(kind, box.value), 250);
+  };
+
+  lpn.note = (element) => {
+    const row = element.closest(".lab-note");
+    const said = [...row.querySelectorAll("input, textarea")].map((box) => box.value);
+    lpn.send("lab-note", [row.dataset.path, ...said]);
+  };
+
+  // A map of queries: a drag is a rectangle, a click a point; where the mouse rests, the server says what is there.
+  const tips = () => document.querySelectorAll(".lab-tip").forEach((tip) => (tip.style.display = "none"));
+  lpn.map = (map, event) => {
+    const box = map.getBoundingClientRect();
+    const part = (value, length) => Math.min(Math.max(value / length, 0), 1);
+    const at = [part(event.clientX - box.left, box.width), part(event.clientY - box.top, box.height)];
+    const drawn = map.querySelector(".drawn");
+    clearTimeout(map._rest);
+    tips();
+    if (event.type === "pointerdown") {
+      map.setPointerCapture(event.pointerId);
+      map._from = at;
+    } else if (map._from && event.type === "pointermove") {
+      const low = [0, 1].map((axis) => Math.min(at[axis], map._from[axis]));
+      const far = [0, 1].map((axis) => Math.abs(at[axis] - map._from[axis]));
+      const shown = { display: "block", left: low[0], top: low[1], width: far[0], height: far[1] };
+      for (const [name, value] of Object.entries(shown)) drawn.style[name] = value === "block" ? value : 100 * value + "%";
+    } else if (map._from) {
+      const from = map._from;
+      map._from = null;
+      drawn.style.display = "none";
+      if (event.type !== "pointerup") return;
+      const far = Math.hypot((at[0] - from[0]) * box.width, (at[1] - from[1]) * box.height);
+      if (far > 5) lpn.send("lab-rect", [map.dataset.map, from, at]);
+      else lpn.send("lab-point", [map.dataset.map, at]);
+    } else if (event.type === "pointermove") {
+      lpn.mouse = [event.clientX, event.clientY];
+      map._rest = setTimeout(() => lpn.send("lab-tip", [map.dataset.map, at]), 120);
+    }
+  };
+
+  lpn.tip = (tip) => {
+    tip.style.display = "flex";
+    const origin = tip.offsetParent.getBoundingClientRect();
+    const left = Math.min(lpn.mouse[0] - origin.left + 14, tip.offsetParent.clientWidth - tip.offsetWidth - 4);
+    const above = lpn.mouse[1] - origin.top - tip.offsetHeight - 10;
+    tip.style.left = Math.max(left, 0) + "px";
+    tip.style.top = (above < 0 ? lpn.mouse[1] - origin.top + 18 : above) + "px";
   };
 })();

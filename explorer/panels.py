@@ -18,6 +18,7 @@ from explorer.stage import SHOWN
 from lpn import images
 from lpn.errors import LPNError, PictureError
 from lpn.files import printable
+from lpn.metrics import IntArray
 
 THUMBS = 12
 MAX_UPLOAD = 30_000_000
@@ -42,6 +43,8 @@ class Panels:
         self._shown: list[int] = []
         self._shown_of: tuple[str, str] | None = None
         self._answer: Answer | None = None
+        self.order: Callable[[State], IntArray | None] = lambda _: None
+        """The queries that next and previous go through; None for all of them."""
         gui = client.gui
         left = gui.add_panel()
         with left.add_tab("Query", viser.Icon.DRONE):
@@ -70,6 +73,7 @@ class Panels:
             "Failure": self.failure,
         }
         walk.on_click(lambda _: self._change(moves.get(walk.value, lambda s: s)))
+        gui.add_button("Failure laboratory", icon=viser.Icon.FLASK).on_click(lambda _: self._change(self.flip_lab))
         live = exhibit.model is not None
         self._angle = gui.add_slider("Rotate", -180, 180, 1, state.angle, visible=live)
         self._reach = exhibit.spec.input_size[1] // 2, exhibit.spec.input_size[0] // 2
@@ -157,6 +161,7 @@ class Panels:
             ("Take the rings apart", "X", lambda s: replace(s, exploded=not s.exploded)),
             ("Map or pair", "M", self.flip_map),
             ("Why: evidence for the compared pair", "W", self.flip_why),
+            ("Failure laboratory: all queries", "B", self.flip_lab),
             ("Heatmap: activation or evidence", "E", self.flip_kind),
             ("City on the map or tiles", "C", self.flip_city),
         ]
@@ -241,11 +246,16 @@ class Panels:
 
     def next(self, state: State) -> State:
         """The next query."""
-        return session.step(state, 1, self._queries(state))
+        return self._step(state, 1)
 
     def previous(self, state: State) -> State:
         """The previous query."""
-        return session.step(state, -1, self._queries(state))
+        return self._step(state, -1)
+
+    def _step(self, state: State, by: int) -> State:
+        order = self.order(state)
+        queries = self._queries(state)
+        return session.step(state, by, queries) if order is None else session.walk(state, by, order, queries)
 
     def random(self, state: State) -> State:
         """Any other query."""
@@ -265,6 +275,10 @@ class Panels:
     def flip_why(self, state: State) -> State:
         """The window of reasons, open or closed."""
         return replace(state, why=not state.why)
+
+    def flip_lab(self, state: State) -> State:
+        """The failure laboratory, open or closed."""
+        return replace(state, lab=not state.lab)
 
     def flip_kind(self, state: State) -> State:
         """What heatmaps show: one, then the other."""

@@ -8,8 +8,11 @@ from dataclasses import dataclass, replace
 from random import Random
 from typing import Any, Final, Literal
 
+import numpy as np
+
 from lpn.changes import Change
 from lpn.images import Picture
+from lpn.metrics import IntArray
 
 MAX_WEIGHT = 2.0
 TRUTH: Final = "truth"
@@ -42,6 +45,7 @@ class State:
         zoom: factor the query is zoomed by, after it is turned.
         region: cells of the query's feature map, row by row, that the search is by alone; empty for all of it.
         why: whether the window of reasons is open.
+        lab: whether the failure laboratory is open.
         heat: whether heatmaps are drawn.
         heat_kind: what they show: what the network responds to in one picture, or the evidence of the compared pair.
         heat_part: the part whose heatmap is drawn, None for all together.
@@ -67,6 +71,7 @@ class State:
     zoom: float = 1.0
     region: tuple[int, ...] = ()
     why: bool = False
+    lab: bool = False
     heat: bool = True
     heat_kind: HeatKind = "activation"
     heat_part: int | None = None
@@ -161,6 +166,15 @@ def compare(state: State, shown: State, index: int) -> State:
 def step(state: State, by: int, queries: int) -> State:
     """The next or previous query, around the end."""
     return choose(state, (state.query + by) % queries, queries)
+
+
+def walk(state: State, by: int, order: IntArray, queries: int) -> State:
+    """The next or previous query in an order, around the end; from outside of it, its first or its last."""
+    if not len(order):
+        return state
+    places = np.flatnonzero(order == state.query)
+    at = int(places[0]) + by if len(places) else (0 if by > 0 else -1)
+    return choose(state, int(order[at % len(order)]), queries)
 
 
 def random_query(state: State, queries: int, rng: Random) -> State:

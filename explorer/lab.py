@@ -1,0 +1,332 @@
+"""The window of the failure laboratory: one browser's view of all queries, over the lower half of the stage."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import viser
+
+from explorer import labcharts, labmap, labmessages, labpages, labstate, session
+from explorer.exhibit import Answer, Exhibit
+from explorer.html import Html
+from explorer.labmap import Drawn
+from explorer.laboratory import Findings, Laboratory
+from explorer.labstate import LabState
+from explorer.labstyle import STYLE
+from explorer.session import State
+from explorer.worker import Worker
+from lpn.errors import LPNError
+from lpn.metrics import IntArray
+from lpn.notes import Note
+
+Change = Callable[[State], State | None]
+_EDGE = 6
+_UPPER = 0.49
+"""Share of the stage, from its top, that the compared pair takes."""
+_ROW = 27
+"""Height of a row of the table, in pixels."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What the rest of the page shows."""
+
+    task: str
+    query: int | None
+    open: bool
+
+
+class Lab:
+    """One browser's laboratory; it works on a thread of its own, so that neither the stage nor the server waits for it."""
+
+    def __init__(
+        self, client: viser.ClientHandle, exhibit: Exhibit, shared: Laboratory, change: Callable[[Change], None]
+    ) -> None:
+        self._client, self._exhibit, self._shared, self._change = client, exhibit, shared, change
+        self._lock = threading.RLock()
+        task = next(iter(exhibit.tasks))
+        self._lab, self._view = LabState(task), View(task, None, False)
+        self._seen: int | None = None
+        self._selection: tuple[object, IntArray] = ((), np.zeros(0, np.int64))
+        self._drawn: tuple[object, Drawn | None] = ((), None)
+        self._placed: bool | None = None
+        self._size = (760, 400)
+        self._noted: tuple[str, Note] | None = None
+        self._opened = self._tips = 0
+        self._panel = client.gui.add_panel(visible=False)
+        with self._panel.add_tab("Failure laboratory", viser.Icon.FLASK):
+            client.gui.add_html(STYLE)
+            self._bar, self._boxes, self._said = Html(client.gui), Html(client.gui), Html(client.gui)
+            self._columns, self._body = Html(client.gui), Html(client.gui)
+            self._note, self._message, self._tip = Html(client.gui), Html(client.gui), Html(client.gui)
+        self._worker = Worker(self._work, self._failed)
+
+    def handlers(self) -> dict[str, Callable[[Any], None]]:
+        """What the window's html may ask for."""
+
+        def changing(change: Callable[..., LabState | None]) -> Callable[[Any], None]:
+            return lambda value: self._update(lambda lab, found: None if found is None else change(lab, found, value))
+
+        parts = self._exhibit.part_names
+        return {
+            **{kind: changing(change) for kind, change in labmessages.WITH_TABLE.items()},
+            "lab-part": changing(lambda lab, found, value: labmessages.part(lab, found, value, parts)),
+            "lab-rect": changing(lambda lab, _, value: labmessages.rectangle(lab, value, self._drawn[1])),
+            "lab-page": self._turn,
+            "lab-tall": lambda _: self._update(lambda lab, _: replace(lab, tall=not lab.tall)),
+            "lab-stop": lambda value: self._update(lambda lab, found: labmessages.stop(lab, found, value)),
+            "lab-go": self._go,
+            "lab-open": self._open,
+            "lab-point": self._open_at,
+            "lab-tip": self._show_tip,
+            "lab-note": self._say,
+            "lab-csv": self._download,
+            "lab-close": lambda _: self._change(lambda state: replace(state, lab=False)),
+        }
+
+    def show(self, answer: Answer) -> None:
+        """Open or close the window, and follow the query that the page shows."""
+        state = answer.state
+        query = None if state.upload else state.query
+        with self._lock:
+            self._lab = labstate.of_task(self._lab, state.task)
+            self._view = View(state.task, query, state.lab)
+        self._worker.wake()
+
+    def order(self, state: State) -> IntArray | None:
+        """The queries that next and previous go through while the window is open: the chosen ones in the table's order."""
+        with self._lock:
+            found = self._shared.findings(state.task)
+            if not state.lab or found is None or self._lab.task != state.task:
+                return None
+            return self._rows(found, self._lab)
+
+    def leave(self) -> None:
+        """The browser is gone."""
+        self._worker.stop()
+        self._shared.leave(self)
+
+    def _update(self, change: Callable[[LabState, Findings | None], LabState | None]) -> None:
+        with self._lock:
+            changed = change(self._lab, self._shared.findings(self._lab.task))
+            if changed is None or changed == self._lab:
+                return
+            self._lab = changed
+        self._worker.wake()
+
+    def _rows(self, found: Findings, lab: LabState) -> IntArray:
+        """The chosen queries in the table's order; kept for turning pages."""
+        key = (found, lab.outcome, lab.where, lab.find, lab.picks, lab.sort, lab.descending)
+        with self._lock:
+            if self._selection[0] != key:
+                self._selection = key, labstate.order(found, lab, labstate.select(found, lab))
+            return self._selection[1]
+
+    def _work(self) -> None:
+        with self._lock:
+            lab, view = self._lab, self._view
+        if not view.open:
+            self._shared.leave(self)
+            self._place(None)
+            return
+        self._place(lab.tall)
+        found = self._shared.findings(lab.task)
+        if found is None:
+            self._wait_for_table(lab)
+            return
+        rows = self._rows(found, lab)
+        if lab.tab == "table":
+            lab = self._paged(lab, view, rows)
+        first = lab.page * self._count
+        shown = rows[first : first + self._count]
+        self._bar.show(labpages.bar(found, lab))
+        self._boxes.show(labpages.boxes(found, lab))
+        self._said.show(labpages.said(found, lab, rows, (first, self._count)))
+        self._columns.show(labpages.columns(found, lab) if lab.choosing and lab.tab == "table" else "")
+        if lab.tab == "table":
+            self._body.show(labpages.table(found, lab, self._exhibit, shown, view.query))
+        elif lab.tab == "breakdown":
+            self._body.show(labcharts.page(found, lab, self._exhibit))
+        else:
+            self._show_map(found, lab, view, rows)
+        self._tip.show("")
+        self._show_note(found, view.query if lab.tab == "table" else None)
+
+    def _wait_for_table(self, lab: LabState) -> None:
+        stopped = "table" in lab.stopped
+        job = None
+        if stopped:
+            self._shared.leave(self, lab.task)
+        else:
+            job = self._shared.build(lab.task, self)
+            if job.wait(0.4) and job.flaw is None:
+                self._worker.wake()
+                return
+        for part in (self._bar, self._boxes, self._said, self._columns, self._note, self._message):
+            part.show("")
+        queries = len(self._exhibit.tasks[lab.task].queries)
+        self._body.show(labpages.waiting(job, f"Ranking {queries:,} queries", stopped, "table"))
+        if job is not None and job.flaw is None:
+            self._worker.wake()
+
+    def _paged(self, lab: LabState, view: View, rows: IntArray) -> LabState:
+        """The table's page: that of the query when another one has been taken, and none beyond the last."""
+        page = min(max(lab.page, 0), max(-(-len(rows) // self._count) - 1, 0))
+        if view.query != self._seen:
+            places = np.flatnonzero(rows == view.query)
+            if self._seen is not None and len(places):
+                page = int(places[0]) // self._count
+            self._seen = view.query
+        with self._lock:
+            if self._lab is lab:
+                self._lab = replace(lab, page=page)
+        return replace(lab, page=page)
+
+    @property
+    def _count(self) -> int:
+        """Rows on a page."""
+        return min(max((self._size[1] - 185) // _ROW, 5), 25)
+
+    def _show_map(self, found: Findings, lab: LabState, view: View, rows: IntArray) -> None:
+        stopped = lab.map in lab.stopped
+        job = None if stopped else self._shared.points(lab.map, lab.task, self)
+        if stopped:
+            self._shared.leave(self, lab.task, lab.map)
+        if job is None or not job.wait(0.4) or job.flaw is not None:
+            choice = f"<div class='lpn'>{labcharts.map_choice(found, lab, self._shared.umap)}</div>"
+            self._body.show(choice + labpages.waiting(job, "The map", stopped, lab.map))
+            if job is not None and job.flaw is None:
+                self._worker.wake()
+            return
+        points = job.value
+        assert points is not None
+        around = (210 if lab.tall else 190) + (30 if self._size[0] < 700 else 0)
+        size = (max(self._size[0] - 34, 280), max(self._size[1] - around, 180))
+        key = (points, self._selection[0], lab.fit, size, view.query)
+        if self._drawn[0] != key:
+            chosen = np.zeros(len(found.table), bool)
+            chosen[rows] = True
+            outcomes, query = found.outcomes, view.query
+            truth = -1 if query is None else int(outcomes.true[query])
+            drawn = labmap.draw(points, outcomes.failed, chosen, outcomes.first, size, lab.fit, query, truth)
+            self._drawn = key, drawn
+        assert self._drawn[1] is not None
+        self._body.show(labcharts.map_page(found, lab, self._drawn[1], points.axes, self._shared.umap))
+
+    def _show_note(self, found: Findings, query: int | None) -> None:
+        """The note of the current query; what is being typed stays until another query or another note comes."""
+        if query is None:
+            self._noted = None
+            self._note.show("")
+            self._message.show("")
+            return
+        stored = found.table.paths[query], found.note(query)
+        if stored != self._noted:
+            if self._noted is None or self._noted[0] != stored[0]:
+                self._message.show("")
+            self._noted = stored
+            self._opened += 1
+            self._note.show(labpages.note(found, query, stored[1], self._opened))
+
+    def _place(self, tall: bool | None) -> None:
+        """Over the lower half of the stage, or all of it; None hides the window."""
+        if tall == self._placed:
+            return
+        if tall is not None:
+            across, down = self._client.camera.image_width, self._client.camera.image_height
+            width = max(across - 2 * _EDGE, 320)
+            height = max(round(down * (1 - (0 if tall else _UPPER))) - 2 * _EDGE, 300)
+            self._size = width, height
+            self._panel.float(x=_EDGE, y=-_EDGE, width=width, height=height)
+            self._panel.expand()
+        self._panel.visible = tall is not None
+        self._placed = tall
+
+    def _turn(self, value: Any) -> None:
+        by = labmessages.integer(value, -1, 1)
+        if by is not None:
+            self._update(lambda lab, _: replace(lab, page=max(lab.page + by, 0)))
+
+    def _go(self, value: Any) -> None:
+        if value == "table":
+            self._shared.again(self._lab.task)
+        elif value in labstate.MAPS:
+            self._shared.again(self._lab.task, value)
+        self._update(lambda lab, found: labmessages.go(lab, found, value))
+        self._worker.wake()
+
+    def _open(self, value: Any) -> None:
+        task = self._lab.task
+        queries = len(self._exhibit.tasks[task].queries)
+        row = labmessages.integer(value, 0, queries - 1)
+        if row is not None:
+            self._change(lambda state: session.choose(state, row, queries) if state.task == task else state)
+
+    def _open_at(self, value: Any) -> None:
+        rows = self._at(value)
+        if rows is not None:
+            self._open(int(rows[0]))
+
+    def _at(self, value: Any) -> IntArray | None:
+        """The queries at a point of the map that is shown, [map, fractions], the lowest margin first; None without any."""
+        drawn = self._drawn[1]
+        if drawn is None or not isinstance(value, list) or len(value) != 2 or value[0] != self._lab.map:
+            return None
+        place = labmessages.point(value[1])
+        found = self._shared.findings(self._lab.task)
+        if place is None or found is None:
+            return None
+        rows = drawn.near(*place)
+        return found.table.sort(rows, "margin") if len(rows) else None
+
+    def _show_tip(self, value: Any) -> None:
+        found, rows = self._shared.findings(self._lab.task), self._at(value)
+        if found is not None:
+            self._tips += 1
+            self._tip.show("" if rows is None else labpages.tip(found, self._exhibit, rows, self._tips))
+
+    def _say(self, value: Any) -> None:
+        found = self._shared.findings(self._lab.task)
+        if (
+            not isinstance(value, list)
+            or len(value) != 3
+            or not all(isinstance(v, str) for v in value)
+            or found is None
+        ):
+            return
+        path, tags, text = value
+        row = found.rows.get(path)
+        if row is None:
+            return
+        try:
+            self._shared.say(path, tags[:2000], text[:4000])
+        except LPNError as error:
+            self._message.show(labpages.message(f"Not saved. {error}", False))
+            return
+        with self._lock:
+            newest = self._shared.findings(self._lab.task)
+            if newest is not None and self._noted is not None and self._noted[0] == path:
+                self._noted = path, newest.note(row)
+        self._message.show(labpages.message(f"Saved in {self._shared.notes.name}, beside the data.", True))
+        self._worker.wake()
+
+    def _download(self, _: Any) -> None:
+        found = self._shared.findings(self._lab.task)
+        if found is None:
+            return
+        rows = self._rows(found, self._lab)
+        name = re.sub(r"[^\w-]+", "-", f"{self._exhibit.data_name}-{found.task.name}-{len(rows)}-queries")
+        self._client.send_file_download(f"{name}.csv", found.table.to_csv(rows), save_immediately=True)
+
+    def _failed(self, error: Exception) -> None:
+        text = (
+            str(error)
+            if isinstance(error, LPNError)
+            else f"{type(error).__name__}: the details are in the server's log."
+        )
+        self._body.show(f"<div class='lpn'>{labpages.message(text, False)}</div>")

@@ -1,0 +1,144 @@
+"""What the failure laboratory looks at, made once for all browsers: a table of each task, its maps, and people's notes."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib.util import find_spec
+from typing import Literal
+
+import numpy as np
+
+from explorer.exhibit import Exhibit, Task
+from explorer.jobs import Job, Jobs, Progress, in_process
+from lpn import failures, geo, notes, projection
+from lpn.errors import LPNError
+from lpn.failures import Outcomes
+from lpn.geo import FloatArray
+from lpn.images import Picture
+from lpn.metadata import NOTE, TAGS
+from lpn.notes import Note
+from lpn.tables import Table
+
+MapKind = Literal["pca", "umap", "ground"]
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What became of all queries of a task, under equal part weights.
+
+    Attributes:
+        table: see `failures.table`, with the columns of `notes`.
+        flaw: why notes cannot be used, in one sentence; empty where they can.
+    """
+
+    task: Task
+    outcomes: Outcomes
+    table: Table
+    flaw: str
+
+    @cached_property
+    def rows(self) -> dict[str, int]:
+        """The row of each path."""
+        return {path: row for row, path in enumerate(self.table.paths)}
+
+    def note(self, row: int) -> Note:
+        """What a person said of a query."""
+        tags, text = (str(self.table.columns[name].values[row]) for name in (TAGS, NOTE))
+        return Note(tuple(tags.split()), text)
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Queries and tiles on a plane.
+
+    Attributes:
+        queries, tiles: (Q, 2) and (G, 2), y upwards.
+        axes: what the axes are, in words; may be empty.
+        ground: a picture of what lies under them and its west, south, east, and north border; None for embeddings.
+    """
+
+    queries: FloatArray
+    tiles: FloatArray
+    axes: str = ""
+    ground: tuple[Picture, tuple[float, float, float, float]] | None = None
+
+
+class Laboratory:
+    """Tables and maps of an exhibit's tasks; thread-safe."""
+
+    def __init__(self, exhibit: Exhibit) -> None:
+        self._exhibit, self._jobs, self._lock = exhibit, Jobs(), threading.Lock()
+        self._findings: dict[str, Findings] = {}
+        self.notes = exhibit.root / notes.NAME
+
+    @property
+    def umap(self) -> bool:
+        """Whether the extra for UMAP is installed."""
+        return find_spec("umap") is not None
+
+    def findings(self, task: str) -> Findings | None:
+        """A task's table with the newest notes, None before it is made."""
+        return self._findings.get(task)
+
+    def build(self, task: str, who: object) -> Job[None]:
+        """Make a task's table."""
+        return self._jobs.ask(task, who, lambda progress: self._build(self._exhibit.tasks[task], progress))
+
+    def points(self, kind: MapKind, task: str, who: object) -> Job[Points]:
+        """Make a map of a task; `ground` only where the task has places."""
+        return self._jobs.ask(
+            (kind, task), who, lambda progress: self._points(kind, self._exhibit.tasks[task], progress)
+        )
+
+    def again(self, task: str, kind: MapKind | None = None) -> None:
+        """Forget that a table or map could not be made."""
+        self._jobs.forget(task if kind is None else (kind, task))
+
+    def leave(self, who: object, task: str | None = None, kind: MapKind | None = None) -> None:
+        """Wait no longer for a table or map, or for anything; work that nobody waits for ends."""
+        self._jobs.leave(who, None if task is None else task if kind is None else (kind, task))
+
+    def say(self, path: str, tags: str, text: str) -> None:
+        """Keep what a person says of a query, for all browsers and on disk.
+
+        Raises:
+            LPNError: as `notes.set_note`; then nothing has changed.
+        """
+        said = notes.set_note(self.notes, path, tags, text)
+        with self._lock:
+            for name, found in self._findings.items():
+                table = found.table.plus(notes.columns(said, found.table.paths))
+                self._findings[name] = replace(found, table=table, flaw="")
+
+    def _build(self, task: Task, progress: Progress) -> None:
+        outcomes = failures.build(
+            task.asked, task.descriptors, task.query_labels, task.labels, task.truth, progress=progress
+        )
+        made = failures.table(self._exhibit.root, task.queries, task.gallery, outcomes, self._exhibit.part_names)
+        with self._lock:
+            said, flaw = self._said()
+            table = made.plus(notes.columns(said, made.paths))
+            self._findings[task.name] = Findings(task, outcomes, table, flaw)
+
+    def _said(self) -> tuple[dict[str, Note], str]:
+        try:
+            return notes.read_notes(self.notes), ""
+        except LPNError as error:  # no reason to show no table
+            return {}, str(error)
+
+    def _points(self, kind: MapKind, task: Task, progress: Progress) -> Points:
+        if kind == "ground":
+            assert task.places is not None
+            queries = geo.on_plane(task.places.queries, task.places.origin)
+            ground = self._exhibit.mosaic(task), task.places.bounds()
+            return Points(queries, task.places.ground, ground=ground)
+        if kind == "umap":
+            found = in_process(progress, projection.umap, np.asarray(task.asked), np.asarray(task.descriptors))
+            return Points(found.queries, found.tiles, "neighbours are alike; distances between groups mean little")
+        found = projection.pca(task.asked, task.descriptors)
+        assert found.variance is not None
+        first, second = 100 * found.variance
+        axes = f"{first:.0f} % of the variance across, {second:.0f} % upwards"
+        return Points(found.queries, found.tiles, axes)
