@@ -10,7 +10,7 @@ from typing import Any
 
 import viser
 
-from explorer import against, beside, profiles, region, session, why
+from explorer import against, beside, profiles, region, reporting, session, why
 from explorer.against import Contest
 from explorer.beside import Beside
 from explorer.bridge import send
@@ -84,6 +84,7 @@ class Reasons:
             "query": self._query,
             "weigh": self._weigh,
             "effect": lambda _: self._ask("effect"),
+            "report": lambda _: self._ask("report"),
             "sweep": self._sweep,
             "cancel": lambda _: self._cancelled.set(),
             "take": self._take,
@@ -150,6 +151,8 @@ class Reasons:
         try:
             if answer is not None and asked == "effect":
                 self._measure(answer)
+            elif answer is not None and asked == "report":
+                self._report(answer)
             elif answer is not None and asked in profiles.CHOICES:
                 self._profiled(answer, asked)
         finally:
@@ -168,6 +171,15 @@ class Reasons:
         if self._contest is contest and self._answer is not None:
             self._effect, self._asked = found, None
             self._draw_versus(self._answer)
+
+    def _report(self, answer: Answer) -> None:
+        self._why.show(why.page(answer, self._exhibit, True))
+        try:
+            name, contents = reporting.of_answer(self._exhibit, answer)
+            self._client.send_file_download(name, contents, save_immediately=True)
+        finally:
+            self._asked = None
+            self._why.show(why.page(self._answer or answer, self._exhibit))
 
     def _profiled(self, answer: Answer, over: Over) -> None:
         exhibit, task, state = self._exhibit, answer.task, answer.state

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Locator, expect
+from playwright.sync_api import BrowserContext, Locator, expect
 
 from lpn import datasets, explain, images, load, retrieval, sweeps
 from tests.e2e.conftest import Explorer, Running
@@ -150,3 +152,31 @@ def test_nonsense_from_a_page_changes_nothing(explorer: Explorer, message: str) 
     assert explorer.sequence() == before
     explorer.key("n")
     explorer.expect_status("name", "0008")
+
+
+def test_a_report_of_the_pair_is_saved(
+    explorer: Explorer, contexts: Callable[[], BrowserContext], tmp_path: Path
+) -> None:
+    open_window(explorer)
+    with explorer.page.expect_download(timeout=30_000) as download:
+        explorer.page.locator("#lpn-why a", has_text="Save as a report").click()
+    assert download.value.suggested_filename == "0007.html"
+    download.value.save_as(tmp_path / "report.html")
+    page = contexts().new_page()
+    page.goto((tmp_path / "report.html").as_uri())
+    expect(page.locator("body")).to_contain_text("Query 0007")
+    expect(page.locator("body")).to_contain_text("model.onnx")
+
+
+def test_two_models_answer_the_same_query(two_models: Running, contexts: Callable[[], BrowserContext]) -> None:
+    explorer = Explorer(contexts().new_page())
+    explorer.open(two_models.url)
+    open_window(explorer)
+    explorer.page.get_by_role("tab", name="Two models").click()
+    shown = explorer.page.locator("#lpn-beside")
+    for said in ("model.onnx", "whole.onnx", "n = 4", "n = 1", "alone finds"):
+        expect(shown).to_contain_text(said)
+    row = shown.locator(".row").first
+    query = row.get_attribute("data-query")
+    row.click()
+    explorer.expect_status("query", query or "")
