@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 
 from lpn.changes import Change
 from lpn.images import Picture
+from lpn.overlays import DARK, LIGHT, Palette
 
 MAX_WEIGHT = 2.0
 TRUTH: Final = "truth"
@@ -52,6 +53,7 @@ class State:
         city: whether the map shows the 3-D model of the city, where there is one, in place of its tiles.
         find: text that picture names must contain in the picker.
         page: page of the picker.
+        dark: whether the page is light on dark.
     """
 
     task: str
@@ -77,6 +79,7 @@ class State:
     city: bool = True
     find: str = ""
     page: int = 0
+    dark: bool = True
 
     def __post_init__(self) -> None:
         if not self.weights:
@@ -93,6 +96,11 @@ class State:
     def change(self) -> Change:
         """What is done to the query before it is described."""
         return Change(self.angle, self.shift, self.zoom, self.down)
+
+    @property
+    def palette(self) -> Palette:
+        """What captions are drawn with."""
+        return DARK if self.dark else LIGHT
 
     def parts_left(self) -> bool:
         """Whether any part is on with a weight above 0."""
