@@ -6,9 +6,7 @@
   const opened = performance.getEntriesByType("navigation")[0];
   let asked = new URL(opened ? opened.name : location.href).search;
   let greeting = 0;
-
-  lpn.small = matchMedia("(max-width: 1100px)");
-  lpn.small.addEventListener("change", () => lpn.send("small", lpn.small.matches));
+  let ready = false;
 
   // Until the server answers: the page may not be listening yet.
   lpn.greet = () => {
@@ -24,20 +22,9 @@
     const others = new URLSearchParams(foreign).toString();
     asked = "?" + [query, others].filter(Boolean).join("&");
     history.replaceState(history.state, "", location.pathname + asked + location.hash);
-    lpn.ready?.();
-  };
-
-  lpn.say = (text) => {
-    let said = document.getElementById("lpn-said");
-    if (!said) {
-      said = document.body.appendChild(document.createElement("div"));
-      said.id = "lpn-said";
-      said.setAttribute("role", "status");
-    }
-    said.textContent = text;
-    said.classList.add("shown");
-    clearTimeout(said.hiding);
-    said.hiding = setTimeout(() => said.classList.remove("shown"), 4000);
+    lpn.watch();
+    if (!ready) lpn.welcome();
+    ready = true;
   };
 
   // Without https there is no clipboard but the old way.
@@ -60,19 +47,8 @@
     } catch {
       done = copied(location.href);
     }
-    if (!done) lpn.say("The browser does not let pages copy; copy the address from its address bar.");
+    if (!done) lpn.say("This browser does not let pages copy: take the link from the address bar.");
     else if (own) lpn.say("Link copied. Your own picture is not in it: it stays in this browser.");
     else lpn.say("Link copied: it opens what you see.");
-  };
-
-  lpn.palette = () => {
-    const key = { key: "k", code: "KeyK", ctrlKey: true, bubbles: true };
-    document.documentElement.dispatchEvent(new KeyboardEvent("keydown", key));
-  };
-
-  lpn.upload = () => document.querySelector('input[type="file"]')?.click();
-  lpn.find = () => {
-    const field = document.querySelector('label[for="' + lpn.finder + '"]');
-    (field && document.getElementById(lpn.finder))?.focus();
   };
 })();

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,9 @@ log = logging.getLogger(__name__)
 
 LONGEST = 60_000
 """Characters of a message: a region of a large feature map fits."""
-_SCRIPT = ";".join((Path(__file__).parent / name).read_text("utf-8") for name in ("page.js", "address.js", "tour.js"))
+_SCRIPT = ";".join(
+    (Path(__file__).parent / name).read_text("utf-8") for name in ("page.js", "fit.js", "tour.js", "address.js")
+)
 _PIXEL = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"
 
 
@@ -26,15 +28,20 @@ class Bridge:
 
     Args:
         handlers: for each kind of message, what is called with its value, which may be anything that JSON can say.
+        told: what the script knows from the start, as properties of `lpn`.
+        styles: html of styles that must hold in every panel, whichever are folded.
     """
 
-    def __init__(self, gui: viser.GuiApi, handlers: dict[str, Callable[[Any], None]]) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, handlers: dict[str, Callable[[Any], None]], told: Mapping[str, object], styles: str
+    ) -> None:
         self._handlers = handlers
         self._text = gui.add_text("page", "")
         self._text.on_update(lambda _: self.receive(self._text.value))
         uuid = str(self._text._impl.uuid)
         hide = f'div:has(>div>p>label[for="{uuid}"]){{display:none!important}}'
-        run = f"{_SCRIPT};lpn.bridge={json.dumps(uuid)};lpn.greet()"
+        known = json.dumps({**told, "bridge": uuid})
+        run = f"{_SCRIPT};Object.assign(lpn,{known});{_call('head', styles)};lpn.greet()"
         gui.add_html(f"<style>{hide}</style>{_running(run)}")
         self._address, self._order = Html(gui), Html(gui)
         self._orders = 0
@@ -67,8 +74,12 @@ def _call(function: str, *arguments: object) -> str:
 
 
 def _running(script: str) -> str:
-    """Html that runs a script: an image's onload is the one way in, for scripts in html put into a page do not run."""
-    return f"<img src='{_PIXEL}' style='display:none' alt='' onload=\"{escape(script)}\">"
+    """Html that runs a script: an image's onload is the one way in, for scripts in html put into a page do not run.
+
+    As a function's body it sees the page's names, not those of image and document (`URL` is one) first.
+    """
+    body = escape(f"Function({json.dumps(script)})()")
+    return f"<img src='{_PIXEL}' style='display:none' alt='' onload=\"{body}\">"
 
 
 def send(kind: str, value: object = None) -> str:

@@ -53,7 +53,13 @@ class GalleryMap:
         for slot, tile in enumerate(self._tiles):
             tile.handle.on_click(self._clicked(slot, on_select))
         self._camera: viser.CameraFrustumHandle = scene.add_camera_frustum(
-            "/map/camera", fov=0.7, aspect=1.0, scale=0.5, color=overlays.UNKNOWN_COLOUR, visible=False, cast_shadow=False
+            "/map/camera",
+            fov=0.7,
+            aspect=1.0,
+            scale=0.5,
+            color=overlays.UNKNOWN_COLOUR,
+            visible=False,
+            cast_shadow=False,
         )
 
     def show(self, answer: Answer) -> Viewpoint:

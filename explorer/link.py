@@ -20,7 +20,7 @@ OWN = "own"
 _NUMBER = re.compile(r"-?\d{1,9}(\.\d{1,12})?(e-\d{1,2})?")
 
 
-class Unusable(Exception):
+class UnusableError(Exception):
     """A value of an address that says nothing here; its text says what is wrong with it."""
 
 
@@ -90,13 +90,13 @@ class Links:
                 continue
             try:
                 state = kind.read(state, value)
-            except Unusable as problem:
+            except UnusableError as problem:
                 said.append(f"{kind.key}={printable(value[:60])}: {problem}")
         return state, said
 
     def _task(self, state: State, value: str) -> State:
         if value not in self._exhibit.tasks:
-            raise Unusable(f"this data set offers {', '.join(self._exhibit.tasks)}.")
+            raise UnusableError(f"this data set offers {', '.join(self._exhibit.tasks)}.")
         return state if value == state.task else replace(state, task=value, query=0)
 
     def _written_query(self, state: State) -> str:
@@ -108,9 +108,9 @@ class Links:
         task = self._exhibit.tasks[state.task]
         query = self._position(state, "query", len(task.queries), value)
         if query is None and value == OWN:
-            raise Unusable("a picture of somebody's own is in their browser only; ask them for the file.")
+            raise UnusableError("a picture of somebody's own is in their browser only; ask them for the file.")
         if query is None:
-            raise Unusable(f"there is no such query; names are such as {task.queries[0].name}.")
+            raise UnusableError(f"there is no such query; names are such as {task.queries[0].name}.")
         return replace(state, query=query)
 
     def _written_tile(self, state: State) -> str | None:
@@ -125,7 +125,7 @@ class Links:
             return replace(state, selected=tile)
         if value == TRUTH:
             return replace(state, selected=TRUTH)
-        raise Unusable(f"there is no such tile; names are such as {gallery[0].name}.")
+        raise UnusableError(f"there is no such tile; names are such as {gallery[0].name}.")
 
     def _name(self, state: State, side: str, entries: Sequence[Any], index: int) -> str:
         """A picture's name, or its position where the name alone would be taken for something else."""
@@ -156,13 +156,13 @@ def ranges(numbers: Sequence[int]) -> str:
 
 
 def cells(text: str, count: int) -> tuple[int, ...]:
-    """The numbers of "3-5,8", all below `count`; Unusable otherwise."""
+    """The numbers of "3-5,8", all below `count`; UnusableError otherwise."""
     found: set[int] = set()
     for piece in text.split(","):
         match = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", piece)
         low, high = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if not low <= high < count:
-            raise Unusable(f"expected cells 0 to {count - 1}, such as 3-5,8.")
+            raise UnusableError(f"expected cells 0 to {count - 1}, such as 3-5,8.")
         found.update(range(low, high + 1))
     return tuple(sorted(found))
 
@@ -181,8 +181,12 @@ def _shown(value: float) -> str:
 def _parsed(text: str, low: float, high: float) -> float:
     value = float(text) if _NUMBER.fullmatch(text) else low - 1
     if not low <= value <= high:
-        raise Unusable(f"expected a number from {low:g} to {high:g}.")
+        raise UnusableError(f"expected a number from {low:g} to {high:g}.")
     return value
+
+
+def _with(state: State, name: str, value: Any) -> State:
+    return replace(state, **{name: value})
 
 
 def _default(name: str) -> Any:
@@ -192,7 +196,7 @@ def _default(name: str) -> Any:
 def _number(name: str, low: float, high: float, whole: bool = False) -> _Kind:
     def read(state: State, text: str) -> State:
         value = _parsed(text, low, high)
-        return replace(state, **{name: round(value) if whole else value})
+        return _with(state, name, round(value) if whole else value)
 
     return _Kind(name, lambda s: None if getattr(s, name) == _default(name) else _shown(getattr(s, name)), read)
 
@@ -204,8 +208,8 @@ def _choice(name: str, values: dict[str, Any], key: str | None = None) -> _Kind:
 
     def read(state: State, text: str) -> State:
         if text not in values:
-            raise Unusable(f"expected {' or '.join(values)}.")
-        return replace(state, **{name: values[text]})
+            raise UnusableError(f"expected {' or '.join(values)}.")
+        return _with(state, name, values[text])
 
     return _Kind(key or name, write, read)
 
@@ -221,7 +225,7 @@ def _written_weights(state: State) -> str | None:
 def _weights(state: State, text: str) -> State:
     pieces = text.split(",")
     if len(pieces) != state.n_parts:
-        raise Unusable(f"expected {state.n_parts} weights, one for each part.")
+        raise UnusableError(f"expected {state.n_parts} weights, one for each part.")
     return replace(state, weights=tuple(_parsed(piece, 0, session.MAX_WEIGHT) for piece in pieces))
 
 

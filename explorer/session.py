@@ -127,6 +127,13 @@ def choose(state: State, query: int, queries: int) -> State:
     return replace(upright(state), query=query, upload=None, selected=None)
 
 
+def take_task(state: State, task: str) -> State:
+    """Turn to another task: its first query, compared with its top match."""
+    if task == state.task:
+        return state
+    return replace(state, task=task, query=0, upload=None, selected=None, region=(), page=0)
+
+
 def upright(state: State) -> State:
     """The whole query as it was taken: not turned, shifted, or zoomed, and no region painted."""
     return replace(state, angle=0.0, shift=0, down=0, zoom=1.0, region=())
@@ -161,6 +168,11 @@ def random_failure(state: State, ranks: Sequence[int], rng: Random) -> State | N
 def turn(state: State, by: float) -> State:
     """Turn the query further, around the circle."""
     return replace(state, angle=wrap(state.angle + by))
+
+
+def flip_dark(state: State) -> State:
+    """Light on dark, or dark on light."""
+    return replace(state, dark=not state.dark)
 
 
 def found(names: Sequence[str], text: str) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from threading import RLock
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,8 @@ _FOV = 0.45
 _HEIGHT = 8.1
 _WIDTH = 8.3
 _MIDDLE = (0.0, 0.36)
+SCENE = {"width": _WIDTH, "height": _HEIGHT, "middle": _MIDDLE}
+"""What of the stage is in view at least, and its middle, in stage units."""
 
 
 class Exhibited:
@@ -154,6 +157,7 @@ class Stage:
             for plane in (photo, label):
                 plane.handle.on_click(self._clicked(slot, on_select))
         self._aspect, self._on_select = 0.0, on_select
+        self._framing = RLock()
         self._viewpoint: Viewpoint | None = None
         self._map: GalleryMap | None = None
         client.camera.on_update(lambda _: self.fit())
@@ -161,11 +165,11 @@ class Stage:
 
     def fit(self) -> None:
         """Frame the content, whatever the width the panels leave; a person's own orbit is kept until it changes."""
-        camera = self._client.camera
-        aspect = camera.aspect
-        if math.isfinite(aspect) and aspect > 0 and abs(aspect - self._aspect) >= 0.01:
-            self._aspect = aspect
-            self._aim()
+        with self._framing:  # a window that is being resized calls from several threads, and the last aspect must win
+            aspect = self._client.camera.aspect
+            if math.isfinite(aspect) and aspect > 0 and abs(aspect - self._aspect) >= 0.01:
+                self._aspect = aspect
+                self._aim()
 
     def _aim(self) -> None:
         """Point the camera at the pair and its matches, or at the map."""
@@ -192,9 +196,10 @@ class Stage:
             self._map = self._map or GalleryMap(self._client, self._exhibit, SHOWN, self._on_select)
             with self._client.atomic():
                 viewpoint = self._map.show(answer)
-        if viewpoint != self._viewpoint:
-            self._viewpoint = viewpoint
-            self._aim()
+        with self._framing:
+            if viewpoint != self._viewpoint:
+                self._viewpoint = viewpoint
+                self._aim()
         if viewpoint is not None:
             return
         left = self._decorated(answer, 0, answer.query, task.query_view)
