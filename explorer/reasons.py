@@ -24,7 +24,7 @@ from lpn.versus import Effect
 
 Change = Callable[[State], State | None]
 _WIDTH, _HEIGHT, _EDGE = 1000, 900, 6
-CLOSE = f"<div class='lpn'><a class='close' {send('close')} title='Close (W)'>✕</a></div>"
+CLOSE = f"<div class='lpn'><a class='close' {send('close')} title='Close (Y)'>✕</a></div>"
 _OFTEN = 0.15
 """Seconds between two drawings of a profile that is being computed."""
 

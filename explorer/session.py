@@ -13,6 +13,7 @@ import numpy as np
 from lpn.changes import Change
 from lpn.images import Picture
 from lpn.metrics import IntArray
+from lpn.overlays import DARK, LIGHT, Palette
 
 MAX_WEIGHT = 2.0
 TRUTH: Final = "truth"
@@ -56,6 +57,7 @@ class State:
         city: whether the map shows the 3-D model of the city, where there is one, in place of its tiles.
         find: text that picture names must contain in the picker.
         page: page of the picker.
+        dark: whether the page is light on dark.
     """
 
     task: str
@@ -82,6 +84,7 @@ class State:
     city: bool = True
     find: str = ""
     page: int = 0
+    dark: bool = True
 
     def __post_init__(self) -> None:
         if not self.weights:
@@ -98,6 +101,11 @@ class State:
     def change(self) -> Change:
         """What is done to the query before it is described."""
         return Change(self.angle, self.shift, self.zoom, self.down)
+
+    @property
+    def palette(self) -> Palette:
+        """What captions are drawn with."""
+        return DARK if self.dark else LIGHT
 
     def parts_left(self) -> bool:
         """Whether any part is on with a weight above 0."""
@@ -152,6 +160,13 @@ def choose(state: State, query: int, queries: int) -> State:
     return replace(upright(state), query=query, upload=None, selected=None)
 
 
+def take_task(state: State, task: str) -> State:
+    """Turn to another task: its first query, compared with its top match."""
+    if task == state.task:
+        return state
+    return replace(state, task=task, query=0, upload=None, selected=None, region=(), page=0)
+
+
 def upright(state: State) -> State:
     """The whole query as it was taken: not turned, shifted, or zoomed, and no region painted."""
     return replace(state, angle=0.0, shift=0, down=0, zoom=1.0, region=())
@@ -195,6 +210,11 @@ def random_failure(state: State, ranks: Sequence[int], rng: Random) -> State | N
 def turn(state: State, by: float) -> State:
     """Turn the query further, around the circle."""
     return replace(state, angle=wrap(state.angle + by))
+
+
+def flip_dark(state: State) -> State:
+    """Light on dark, or dark on light."""
+    return replace(state, dark=not state.dark)
 
 
 def found(names: Sequence[str], text: str) -> list[int]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
+from explorer.style import part_ink
 from lpn import images, overlays, words
 from lpn.explain import Evidence, Exact, Mates
 from lpn.model import FloatArray
@@ -98,7 +99,7 @@ def _rounded(values: Exact | FloatArray) -> list[float]:
 def _chips(names: Sequence[str], part: int | None) -> str:
     chips = [
         ("All parts", None, "inherit"),
-        *((name, i, overlays.css(overlays.part_colour(i))) for i, name in enumerate(names)),
+        *((name, i, part_ink(i)) for i, name in enumerate(names)),
     ]
     return (
         "<div class='chips'>Show "
@@ -136,7 +137,7 @@ def _bars(found: Evidence, names: Sequence[str]) -> str:
         added = float(found.contributions[part])
         pieces.append(f"<b style='left:{(added - low) * scale:.2f}%' title='together {added:+.4f}'></b>")
         rows.append(
-            f"<tr><td style='color:{overlays.css(overlays.part_colour(part))}'>{escape(name)}</td>"
+            f"<tr><td style='color:{part_ink(part)}'>{escape(name)}</td>"
             f"<td>{found.cosines[part]:+.3f}</td><td>{100 * found.weights[part]:.0f} %</td>"
             f"<td class='wide'><div class='sum'>{''.join(pieces)}<u style='left:{-low * scale:.2f}%'></u></div></td>"
             f"<td>{added:+.3f}</td></tr>"

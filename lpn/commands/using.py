@@ -40,7 +40,7 @@ class Explore:
     model: Path | None = None
     """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth; by default the demo's, for the demo."""
     beside: Path | None = None
-    """Another trained LPN, to compare with on every query (W, then Two models): of other parts, or before more training."""
+    """Another trained LPN, to compare with on every query (Y, then Two models): of other parts, or before more training."""
     saved: Path | None = None
     """Result of the published test code, pytorch_result.mat, to explore in place of a model's; needs --data."""
     n_parts: int | None = None

@@ -17,8 +17,8 @@ from tests.e2e.test_explorer import assert_shows, expected
 
 
 def open_window(explorer: Explorer) -> Locator:
-    """Press W and wait for the evidence."""
-    explorer.key("w")
+    """Press Y and wait for the evidence."""
+    explorer.key("y")
     found = explorer.page.locator("#lpn-why .lpn-map")
     expect(found).to_have_count(2)
     explorer.page.wait_for_timeout(300)
@@ -56,7 +56,7 @@ def test_evidence_of_the_compared_pair_is_exact_and_its_cursor_linked(explorer: 
     explorer.page.mouse.click(*middle(maps.first, 0.3, 0.6))
     explorer.page.mouse.move(*middle(maps.first, 0.9, 0.9))
     expect(read).to_contain_text("query, row 3, column 2")
-    explorer.key("w")
+    explorer.key("y")
     expect(explorer.page.locator("#lpn-why .lpn-map").first).to_be_hidden()
 
 
@@ -73,7 +73,7 @@ def test_evidence_follows_the_chosen_tile_and_part(explorer: Explorer) -> None:
 
 def test_the_stage_shows_evidence_in_place_of_activation(explorer: Explorer) -> None:
     before = explorer.stage()
-    explorer.key("e")
+    explorer.key("v")
     explorer.page.wait_for_timeout(600)
     assert explorer.stage() != before
     expect(explorer.page.get_by_label("Shows", exact=True)).to_have_value("Evidence")
