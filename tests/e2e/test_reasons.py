@@ -80,7 +80,7 @@ def test_the_stage_shows_evidence_in_place_of_activation(explorer: Explorer) -> 
 
 
 def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: Explorer) -> None:
-    explorer.page.get_by_role("button", name="Failure").click()
+    explorer.page.get_by_role("button", name="Failure", exact=True).click()
     expect(explorer.verdict).to_contain_text("Wrong")
     open_window(explorer)
     explorer.page.get_by_role("tab", name="True or wrong").click()
