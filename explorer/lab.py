@@ -11,18 +11,17 @@ from typing import Any
 import numpy as np
 import viser
 
-from explorer import labcharts, labmap, labmessages, labpages, labstate, session
+from explorer import labcharts, labmessages, labpages, labstate, session
 from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
-from explorer.labmap import Drawn
 from explorer.laboratory import Findings, Laboratory
 from explorer.labstate import LabState
 from explorer.labstyle import STYLE
+from explorer.labviews import MapView, NoteView
 from explorer.session import State
 from explorer.worker import Worker
 from lpn.errors import LPNError
 from lpn.metrics import IntArray
-from lpn.notes import Note
 
 Change = Callable[[State], State | None]
 _EDGE = 6
@@ -53,17 +52,17 @@ class Lab:
         self._lab, self._view = LabState(task), View(task, None, False)
         self._seen: int | None = None
         self._selection: tuple[object, IntArray] = ((), np.zeros(0, np.int64))
-        self._drawn: tuple[object, Drawn | None] = ((), None)
         self._placed: bool | None = None
         self._size = (760, 400)
-        self._noted: tuple[str, Note] | None = None
-        self._opened = self._tips = 0
+        self._tips = 0
+        self._map = MapView(shared, self)
         self._panel = client.gui.add_panel(visible=False)
         with self._panel.add_tab("Failure laboratory", viser.Icon.FLASK):
             client.gui.add_html(STYLE)
             self._bar, self._boxes, self._said = Html(client.gui), Html(client.gui), Html(client.gui)
             self._columns, self._body = Html(client.gui), Html(client.gui)
-            self._note, self._message, self._tip = Html(client.gui), Html(client.gui), Html(client.gui)
+            self._notes = NoteView(client.gui, shared)
+            self._tip = Html(client.gui)
         self._worker = Worker(self._work, self._failed)
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
@@ -76,7 +75,7 @@ class Lab:
         return {
             **{kind: changing(change) for kind, change in labmessages.WITH_TABLE.items()},
             "lab-part": changing(lambda lab, found, value: labmessages.part(lab, found, value, parts)),
-            "lab-rect": changing(lambda lab, _, value: labmessages.rectangle(lab, value, self._drawn[1])),
+            "lab-rect": changing(lambda lab, _, value: labmessages.rectangle(lab, value, self._map.drawn)),
             "lab-page": self._turn,
             "lab-tall": lambda _: self._update(lambda lab, _: replace(lab, tall=not lab.tall)),
             "lab-stop": lambda value: self._update(lambda lab, found: labmessages.stop(lab, found, value)),
@@ -153,9 +152,12 @@ class Lab:
         elif lab.tab == "breakdown":
             self._body.show(labcharts.page(found, lab, self._exhibit))
         else:
-            self._show_map(found, lab, view, rows)
+            shown_map, ready = self._map.page(found, lab, view.query, rows, self._size)
+            self._body.show(shown_map)
+            if not ready:
+                self._worker.wake()
         self._tip.show("")
-        self._show_note(found, view.query if lab.tab == "table" else None)
+        self._notes.show(found, view.query if lab.tab == "table" else None)
 
     def _wait_for_table(self, lab: LabState) -> None:
         stopped = "table" in lab.stopped
@@ -167,8 +169,9 @@ class Lab:
             if job.wait(0.4) and job.flaw is None:
                 self._worker.wake()
                 return
-        for part in (self._bar, self._boxes, self._said, self._columns, self._note, self._message):
+        for part in (self._bar, self._boxes, self._said, self._columns):
             part.show("")
+        self._notes.show(None, None)
         queries = len(self._exhibit.tasks[lab.task].queries)
         self._body.show(labpages.waiting(job, f"Ranking {queries:,} queries", stopped, "table"))
         if job is not None and job.flaw is None:
@@ -191,47 +194,6 @@ class Lab:
     def _count(self) -> int:
         """Rows on a page."""
         return min(max((self._size[1] - 185) // _ROW, 5), 25)
-
-    def _show_map(self, found: Findings, lab: LabState, view: View, rows: IntArray) -> None:
-        stopped = lab.map in lab.stopped
-        job = None if stopped else self._shared.points(lab.map, lab.task, self)
-        if stopped:
-            self._shared.leave(self, lab.task, lab.map)
-        if job is None or not job.wait(0.4) or job.flaw is not None:
-            choice = f"<div class='lpn'>{labcharts.map_choice(found, lab, self._shared.umap)}</div>"
-            self._body.show(choice + labpages.waiting(job, "The map", stopped, lab.map))
-            if job is not None and job.flaw is None:
-                self._worker.wake()
-            return
-        points = job.value
-        assert points is not None
-        around = (210 if lab.tall else 190) + (30 if self._size[0] < 700 else 0)
-        size = (max(self._size[0] - 34, 280), max(self._size[1] - around, 180))
-        key = (points, self._selection[0], lab.fit, size, view.query)
-        if self._drawn[0] != key:
-            chosen = np.zeros(len(found.table), bool)
-            chosen[rows] = True
-            outcomes, query = found.outcomes, view.query
-            truth = -1 if query is None else int(outcomes.true[query])
-            drawn = labmap.draw(points, outcomes.failed, chosen, outcomes.first, size, lab.fit, query, truth)
-            self._drawn = key, drawn
-        assert self._drawn[1] is not None
-        self._body.show(labcharts.map_page(found, lab, self._drawn[1], points.axes, self._shared.umap))
-
-    def _show_note(self, found: Findings, query: int | None) -> None:
-        """The note of the current query; what is being typed stays until another query or another note comes."""
-        if query is None:
-            self._noted = None
-            self._note.show("")
-            self._message.show("")
-            return
-        stored = found.table.paths[query], found.note(query)
-        if stored != self._noted:
-            if self._noted is None or self._noted[0] != stored[0]:
-                self._message.show("")
-            self._noted = stored
-            self._opened += 1
-            self._note.show(labpages.note(found, query, stored[1], self._opened))
 
     def _place(self, tall: bool | None) -> None:
         """Over the lower half of the stage, or all of it; None hides the window."""
@@ -268,52 +230,22 @@ class Lab:
             self._change(lambda state: session.choose(state, row, queries) if state.task == task else state)
 
     def _open_at(self, value: Any) -> None:
-        rows = self._at(value)
+        found = self._shared.findings(self._lab.task)
+        rows = None if found is None else self._map.at(found, self._lab, value)
         if rows is not None:
             self._open(int(rows[0]))
 
-    def _at(self, value: Any) -> IntArray | None:
-        """The queries at a point of the map that is shown, [map, fractions], the lowest margin first; None without any."""
-        drawn = self._drawn[1]
-        if drawn is None or not isinstance(value, list) or len(value) != 2 or value[0] != self._lab.map:
-            return None
-        place = labmessages.point(value[1])
-        found = self._shared.findings(self._lab.task)
-        if place is None or found is None:
-            return None
-        rows = drawn.near(*place)
-        return found.table.sort(rows, "margin") if len(rows) else None
-
     def _show_tip(self, value: Any) -> None:
-        found, rows = self._shared.findings(self._lab.task), self._at(value)
+        found = self._shared.findings(self._lab.task)
         if found is not None:
+            rows = self._map.at(found, self._lab, value)
             self._tips += 1
             self._tip.show("" if rows is None else labpages.tip(found, self._exhibit, rows, self._tips))
 
     def _say(self, value: Any) -> None:
         found = self._shared.findings(self._lab.task)
-        if (
-            not isinstance(value, list)
-            or len(value) != 3
-            or not all(isinstance(v, str) for v in value)
-            or found is None
-        ):
-            return
-        path, tags, text = value
-        row = found.rows.get(path)
-        if row is None:
-            return
-        try:
-            self._shared.say(path, tags[:2000], text[:4000])
-        except LPNError as error:
-            self._message.show(labpages.message(f"Not saved. {error}", False))
-            return
-        with self._lock:
-            newest = self._shared.findings(self._lab.task)
-            if newest is not None and self._noted is not None and self._noted[0] == path:
-                self._noted = path, newest.note(row)
-        self._message.show(labpages.message(f"Saved in {self._shared.notes.name}, beside the data.", True))
-        self._worker.wake()
+        if found is not None and self._notes.say(found, value):
+            self._worker.wake()
 
     def _download(self, _: Any) -> None:
         found = self._shared.findings(self._lab.task)

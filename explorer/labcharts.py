@@ -78,8 +78,9 @@ def map_choice(found: Findings, lab: LabState, umap: bool) -> str:
         f"<a class='{'chosen' if kind == lab.map else ''}' {send('lab-map', kind)}>{words}</a>" for kind, words in kinds
     )
     fit = f"<a class='{'chosen' if lab.fit else ''}' {send('lab-fit')}>Zoom to the chosen</a>"
+    missing = "" if umap else "<span class='dim' title='pip install lpn-explorer[umap]'>UMAP is not installed</span>"
     hint = "<span class='dim'>Drag to choose a rectangle, click to open a query.</span>"
-    return f"<div class='lab-chips' id='lpn-lab-maps'>{chips}{fit}{hint}</div>"
+    return f"<div class='lab-chips' id='lpn-lab-maps'>{chips}{missing}{fit}{hint}</div>"
 
 
 def _blame(found: Findings, lab: LabState, exhibit: Exhibit, chosen: dict[str, str]) -> str:

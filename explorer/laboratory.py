@@ -113,6 +113,7 @@ class Laboratory:
                 self._findings[name] = replace(found, table=table, flaw="")
 
     def _build(self, task: Task, progress: Progress) -> None:
+        progress(0, len(task.queries))
         outcomes = failures.build(
             task.asked, task.descriptors, task.query_labels, task.labels, task.truth, progress=progress
         )

@@ -1,0 +1,386 @@
+"""The failure laboratory as a person uses it."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from playwright.sync_api import BrowserContext, Locator, expect
+
+import lpn
+from lpn import breakdown, datasets, failures, features
+from lpn.failures import Outcomes
+from lpn.tables import Table
+from tests import worlds
+from tests.e2e.conftest import Explorer, Running, started
+
+WEATHERS = ("rain", "sun", "<b>fog</b>")
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Drawn places with positions and weather."""
+    data = worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("lab") / "places", train=1, test=40))
+    files = sorted((data / "test" / "query_drone").rglob("*.png"))
+    lines = [f"{file.relative_to(data).as_posix()},{WEATHERS[i % 3]}" for i, file in enumerate(files)]
+    (data / "metadata.csv").write_text("\n".join(["path,weather", *lines]))
+    return data
+
+
+@pytest.fixture(scope="module")
+def lab_app(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """The app on those places."""
+    folder = tmp_path_factory.mktemp("run")
+    with started(places, worlds.make_model(folder), folder / "cache") as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def truth(lab_app: Running) -> tuple[Outcomes, Table]:
+    """The same table, made without the app."""
+    model, dataset = lpn.load(lab_app.model), datasets.open_dataset(lab_app.data)
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    described = [
+        features.passing_descriptors(model, entries, view)
+        for entries, view in ((queries, "drone"), (gallery, "satellite"))
+    ]
+    outcomes = failures.build(*described, failures.labels_of(queries), failures.labels_of(gallery))
+    names = model.spec.partition("drone").names()
+    return outcomes, failures.table(dataset.root, queries, gallery, outcomes, names)
+
+
+class LabPage(Explorer):
+    """A page of the app with the laboratory open."""
+
+    def enter(self, url: str) -> None:
+        """Load the page and open the laboratory."""
+        self.open(url)
+        self.key("b")
+        expect(self.rows_of_table.first).to_be_visible(timeout=30_000)
+        self.page.wait_for_timeout(300)
+
+    @property
+    def rows_of_table(self) -> Locator:
+        """The rows of the table's page."""
+        return self.page.locator("#lpn-lab-table tbody tr")
+
+    @property
+    def count(self) -> Locator:
+        """How many queries are chosen."""
+        return self.page.locator("#lpn-lab-count")
+
+    def shown(self) -> list[int]:
+        """The queries on the table's page."""
+        return [int(row.get_attribute("data-row") or -1) for row in self.rows_of_table.all()]
+
+    def head(self, column: str) -> None:
+        """Click on the head of a column."""
+        self.page.locator("#lpn-lab-table th").filter(has_text=re.compile(f"^{column}\\b")).click()
+
+    def choose(self, tab: str) -> None:
+        """Show a tab of the laboratory."""
+        self.page.locator(".lab-bar .seg a", has_text=tab).click()
+
+
+@pytest.fixture
+def lab(lab_app: Running, contexts: Callable[[], BrowserContext]) -> LabPage:
+    """The laboratory in a fresh browser."""
+    page = LabPage(contexts().new_page())
+    page.enter(lab_app.url)
+    return page
+
+
+def expect_rows(lab: LabPage, rows: np.ndarray, start: int = 0) -> None:
+    """The page shows these queries, in order, from a position on."""
+    first = str(rows[start]) if len(rows) else ""
+    expect(lab.rows_of_table.first).to_have_attribute("data-row", first)
+    shown = lab.shown()
+    assert shown == rows[start : start + len(shown)].tolist()
+
+
+def test_all_queries_are_listed_worst_first_and_sorted_by_any_column(
+    lab: LabPage, truth: tuple[Outcomes, Table]
+) -> None:
+    _, table = truth
+    expect_rows(lab, table.sort(table.rows(), "margin"))
+    for descending in (False, True):
+        lab.head("name")
+        expect_rows(lab, table.sort(table.rows(), "name", descending))
+    head = lab.page.locator("#lpn-lab-table th[aria-sort='descending']")
+    expect(head).to_contain_text("name ▼")
+    first = lab.rows_of_table.first.inner_text()
+    row = lab.shown()[0]
+    assert table.columns["answer"].text(row) in first
+    assert f"{table.columns['margin'].values[row]:+.3f}" in first
+
+
+def test_pages_turn_and_end(lab: LabPage, truth: tuple[Outcomes, Table]) -> None:
+    _, table = truth
+    rows = table.sort(table.rows(), "margin")
+    size = len(lab.shown())
+    assert 5 <= size < 40
+    page = lab.page.locator("#lpn-lab-page")
+    lab.page.locator("a[title='Earlier rows']").click()
+    lab.page.locator("a[title='Later rows']").click()
+    expect(page).to_have_text(f"{size + 1}–{2 * size}")
+    expect_rows(lab, rows, size)
+    for _ in range(40 // size + 2):
+        lab.page.locator("a[title='Later rows']").click()
+        lab.page.wait_for_timeout(80)
+    expect(page).to_contain_text("–40")
+    assert lab.shown()[-1] == rows[-1]
+
+
+def test_a_filter_narrows_the_table_and_a_wrong_one_is_said_beside_it(
+    lab: LabPage, truth: tuple[Outcomes, Table]
+) -> None:
+    _, table = truth
+    rows = table.sort(table.filter(table.rows(), "weather = rain and altitude > 0"), "margin")
+    answers = lab.sequence()
+    box = lab.page.locator("#lpn-lab-where")
+    box.press_sequentially("weather = rain and altitude > 0", delay=15)
+    expect(lab.count).to_contain_text("14 of 40 queries")
+    expect_rows(lab, rows)
+    expect(box).to_be_focused()
+    assert lab.sequence() == answers  # no letter was a command
+    box.fill("wether = rain")
+    expect(lab.page.locator(".lab-said .flaw")).to_contain_text("There is no column 'wether'")
+    expect_rows(lab, rows)
+    expect(box).to_have_value("wether = rain")
+    lab.page.locator("#lpn-lab-find").fill("0005")
+    expect(lab.count).to_contain_text("1 of 40 queries" if "0005" in rows_names(table, rows) else "0 of 40 queries")
+    lab.page.get_by_text("show all").first.click()
+    expect(lab.count).to_contain_text("40 of 40 queries")
+    expect(box).to_have_value("")
+    expect(lab.page.locator("#lpn-lab-find")).to_have_value("")
+
+
+def rows_names(table: Table, rows: np.ndarray) -> list[str]:
+    """The names of some queries."""
+    return [table.columns["name"].text(row) for row in rows]
+
+
+def test_a_click_on_a_row_opens_the_query_and_next_follows_the_table(
+    lab: LabPage, truth: tuple[Outcomes, Table]
+) -> None:
+    outcomes, table = truth
+    lab.page.locator(".lab-bar .seg a", has_text="failed").click()
+    failed = table.sort(np.flatnonzero(outcomes.failed), "margin")
+    expect(lab.count).to_contain_text(f"{len(failed)} of 40")
+    expect_rows(lab, failed)
+    lab.rows_of_table.nth(2).click()
+    lab.expect_status("query", str(failed[2]))
+    expect(lab.page.locator("#lpn-lab-table tr.chosen")).to_have_attribute("data-row", str(failed[2]))
+    lab.key("n")
+    lab.expect_status("query", str(failed[3]))
+    lab.key("p")
+    lab.expect_status("query", str(failed[2]))
+    size = len(lab.shown())
+    for place in range(3, size + 1):
+        lab.key("n")
+        lab.expect_status("query", str(failed[place]))
+    expect(lab.page.locator("#lpn-lab-table tr.chosen")).to_have_attribute("data-row", str(failed[size]))
+    expect_rows(lab, failed, size)  # the page has been turned
+    lab.key("b")
+    expect(lab.rows_of_table.first).to_be_hidden()
+    lab.key("n")
+    lab.expect_status("query", str((failed[size] + 1) % 40))
+
+
+def test_clicks_in_the_breakdown_choose_what_they_count(
+    lab: LabPage, lab_app: Running, truth: tuple[Outcomes, Table]
+) -> None:
+    outcomes, table = truth
+    dataset = datasets.open_dataset(lab_app.data)
+    labels = [failures.labels_of(entries) for entries in (dataset.queries("drone"), dataset.gallery("satellite"))]
+    pair = breakdown.confusions(outcomes, *labels)[0]
+    lab.choose("Breakdown")
+    line = lab.page.locator(".card .line", has_text=f"{pair.place:04d} taken for")
+    line.click()
+    expect(lab.count).to_contain_text(f"{pair.count} of 40 queries, {pair.count} failed")
+    expect(lab.page.locator(".lab-said .pick")).to_contain_text(f"{pair.place:04d} taken for {pair.answered:04d}")
+    lab.page.locator(".lab-said .pick").click()
+    expect(lab.count).to_contain_text("40 of 40 queries")
+    rates = breakdown.rates(outcomes.failed, table.columns["weather"])
+    card = lab.page.locator(".card", has_text="Failures by weather")
+    expect(card.locator(".line")).to_have_count(3)
+    fog = next(rate for rate in rates if "fog" in rate.name)
+    expect(card.locator(".line", has_text="<b>fog</b>")).to_contain_text(f"{100 * fog.share:.0f} %")
+    card.locator(".line", has_text="<b>fog</b>").click()
+    expect(lab.count).to_contain_text(f"{fog.queries} of 40 queries, {fog.failures} failed")
+    expect(card.locator(".line.chosen")).to_have_count(1)
+    expect(card.locator(".line")).to_have_count(3)
+    counts = breakdown.blame(outcomes, np.flatnonzero(table.columns["weather"].values == fog.name))
+    lab.page.locator(".card", has_text="Part that costs most").locator(".line").nth(int(counts.argmax())).click()
+    expect(lab.count).to_contain_text(f"{counts.max()} of 40 queries")
+    lab.choose("Table")
+    assert len(lab.shown()) == min(counts.max(), len(lab.shown()))
+
+
+def drag(lab: LabPage, start: tuple[float, float], end: tuple[float, float]) -> None:
+    """Draw a rectangle on the map, in fractions of it."""
+    box = lab.page.locator(".lab-map").bounding_box()
+    assert box is not None
+    places = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in (start, end)]
+    lab.page.mouse.move(*places[0])
+    lab.page.mouse.down()
+    lab.page.mouse.move(*places[1], steps=4)
+    expect(lab.page.locator(".lab-map .drawn")).to_be_visible()
+    lab.page.mouse.up()
+
+
+def test_a_rectangle_on_a_map_chooses_queries_and_a_click_opens_one(
+    lab: LabPage, truth: tuple[Outcomes, Table]
+) -> None:
+    _, table = truth
+    lab.choose("Maps")
+    picture = lab.page.locator(".lab-map img")
+    expect(picture).to_be_visible()
+    everything = picture.get_attribute("src")
+    drag(lab, (0.0, 0.0), (1.0, 1.0))
+    expect(lab.count).to_contain_text("40 of 40 queries")
+    expect(lab.page.locator(".lab-said .pick")).to_contain_text("rectangle in the PCA")
+    drag(lab, (0.02, 0.02), (0.5, 0.98))
+    expect(lab.count).not_to_contain_text("40 of 40")
+    left = int((lab.count.inner_text()).split()[0])
+    assert 0 < left < 40
+    expect(picture).not_to_have_attribute("src", everything or "")
+    lab.page.locator("#lpn-lab-maps a", has_text="On the ground").click()
+    expect(lab.page.locator(".lab-map")).to_have_attribute("data-map", "ground")
+    lab.page.get_by_text("show all").first.click()
+    expect(lab.count).to_contain_text("40 of 40")
+    # The drawn places lie on a grid of four columns: the western two hold half of them.
+    drag(lab, (0.0, 0.0), (0.5, 1.0))
+    west = np.flatnonzero(table.columns["longitude"].values < 7.002)
+    expect(lab.count).to_contain_text(f"{len(west)} of 40 queries")
+    lab.choose("Table")
+    assert set(lab.shown()) <= set(west.tolist())
+    lab.choose("Maps")
+    lab.page.locator("#lpn-lab-maps a", has_text="Zoom").click()
+    expect(lab.page.locator("#lpn-lab-maps a", has_text="Zoom")).to_have_class("chosen")
+    box = lab.page.locator(".lab-map").bounding_box()
+    assert box is not None
+    place = first_dot(lab.page.locator(".lab-map").screenshot())
+    lab.page.mouse.move(box["x"] + place[0] + 3, box["y"] + place[1] + 3)
+    lab.page.mouse.move(box["x"] + place[0], box["y"] + place[1])
+    tip = lab.page.locator(".lab-tip")
+    expect(tip).to_be_visible()
+    row = tip.get_attribute("data-row") or ""
+    expect(tip).to_contain_text(table.columns["name"].text(int(row)))
+    lab.page.mouse.click(box["x"] + place[0], box["y"] + place[1])
+    lab.expect_status("query", row)
+    assert int(row) in west
+
+
+def first_dot(png: bytes) -> tuple[float, float]:
+    """The middle of some point on a screenshot of a map: the largest patch of blue or yellow."""
+    blue, green, red = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).astype(int).transpose(2, 0, 1)
+    marked = ((red > 200) & (green > 150) & (blue < 110)) | ((blue > 180) & (red < 110) & (green < 160))
+    _, _, figures, middles = cv2.connectedComponentsWithStats(marked.astype(np.uint8), connectivity=8)
+    largest = 1 + int(np.argmax(figures[1:, cv2.CC_STAT_AREA]))
+    return float(middles[largest][0]), float(middles[largest][1])
+
+
+def test_the_chosen_queries_are_saved_as_csv(lab: LabPage, truth: tuple[Outcomes, Table], tmp_path: Path) -> None:
+    _, table = truth
+    lab.page.locator("#lpn-lab-where").fill("weather = sun")
+    expect(lab.count).to_contain_text("13 of 40 queries")
+    with lab.page.expect_download() as download:
+        lab.page.locator(".acts a", has_text="CSV").click()
+    assert download.value.suggested_filename == "places-drone-to-satellite-13-queries.csv"
+    download.value.save_as(tmp_path / "saved.csv")
+    with (tmp_path / "saved.csv").open(newline="") as file:
+        saved = list(csv.DictReader(file))
+    rows = table.sort(table.filter(table.rows(), "weather = sun"), "margin")
+    assert [line["path"] for line in saved] == [table.paths[row] for row in rows]
+    assert [line["rank"] for line in saved] == [table.columns["rank"].text(row) for row in rows]
+    assert {line["weather"] for line in saved} == {"sun"}
+
+
+def test_columns_are_chosen(lab: LabPage) -> None:
+    heads = lab.page.locator("#lpn-lab-table thead")
+    expect(heads).not_to_contain_text("weather")
+    lab.page.locator(".lab-said a", has_text="Columns").click()
+    lab.page.locator("#lpn-lab-columns a", has_text="weather").click()
+    expect(heads).to_contain_text("weather")
+    assert "<b>fog</b>" in lab.page.locator("#lpn-lab-table").inner_text()
+    lab.page.locator("#lpn-lab-columns a", has_text="altitude").click()
+    expect(heads).not_to_contain_text("altitude")
+
+
+def test_tags_and_notes_survive_a_restart(
+    places: Path, lab_app: Running, contexts: Callable[[], BrowserContext], tmp_path: Path
+) -> None:
+    for visit in (1, 2):
+        with started(places, lab_app.model, tmp_path / "cache") as running:
+            lab = LabPage(contexts().new_page())
+            lab.enter(running.url)
+            lab.page.locator("tr[data-row]").nth(1).click()
+            expect(lab.page.locator("#lpn-lab-table tr.chosen")).to_have_count(1)
+            name = lab.page.locator(".lab-note b").inner_text()
+            tags, note = lab.page.locator("#lpn-lab-tags"), lab.page.locator("#lpn-lab-note")
+            if visit == 1:
+                tags.fill("night, blur")
+                note.fill("Looks like the twin <i>next door</i>.")
+                note.blur()
+                message = lab.page.locator("#lpn-lab-message")
+                expect(message).to_have_text("Saved in notes.csv, beside the data.")
+                tags.fill("what/ever")
+                tags.blur()
+                expect(message).to_contain_text("Not saved. The tag 'what/ever' is not a word")
+                expect(tags).to_have_value("what/ever")
+            expect(lab.rows_of_table.filter(has_text="night blur")).to_contain_text(name)
+    expect(tags).to_have_value("night blur")
+    expect(note).to_have_value("Looks like the twin <i>next door</i>.")
+    (places / "notes.csv").unlink()
+
+
+def test_the_laboratory_of_one_browser_is_not_that_of_another(
+    lab: LabPage, lab_app: Running, contexts: Callable[[], BrowserContext]
+) -> None:
+    other = LabPage(contexts().new_page())
+    other.enter(lab_app.url)
+    lab.page.locator("#lpn-lab-where").fill("weather = sun")
+    expect(lab.count).to_contain_text("13 of 40 queries")
+    other.page.wait_for_timeout(400)
+    expect(other.count).to_contain_text("40 of 40 queries")
+    # A note reaches both.
+    other.rows_of_table.first.click()
+    expect(other.page.locator("#lpn-lab-table tr.chosen")).to_have_count(1)
+    name = other.page.locator(".lab-note b").inner_text()
+    other.page.locator("#lpn-lab-tags").fill("shared")
+    other.page.locator(".lab-note a").click()
+    expect(other.page.locator("#lpn-lab-message")).to_contain_text("Saved")
+    lab.page.locator("#lpn-lab-where").fill("tags ~ shared")
+    expect(lab.count).to_contain_text("1 of 40 queries")
+    expect(lab.rows_of_table.first).to_contain_text(name)
+    (lab_app.data / "notes.csv").unlink()
+
+
+def test_messages_that_nobody_should_send_do_no_harm(lab: LabPage) -> None:
+    before = lab.shown()
+    for kind, value in (
+        ("lab-open", "1"),
+        ("lab-open", 99),
+        ("lab-open", -1),
+        ("lab-sort", ["name"]),
+        ("lab-page", 1e9),
+        ("lab-rect", ["pca", [0, 0], [1, 1]]),
+        ("lab-note", ["../../etc/passwd", "a", "b"]),
+        ("lab-map", {}),
+        ("lab-tip", None),
+        ("lab-stop", []),
+    ):
+        lab.page.evaluate("([kind, value]) => lpn.send(kind, value)", [kind, value])
+        lab.page.wait_for_timeout(80)
+    lab.head("name")
+    expect(lab.rows_of_table.first).to_have_attribute("data-row", "0")
+    lab.head("margin")
+    expect(lab.rows_of_table.first).to_have_attribute("data-row", str(before[0]))
+    assert lab.shown() == before
+    expect(lab.page.locator(".mantine-Notification-root")).to_have_count(0)

@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import math
+import os
+import threading
+import time
+
+import pytest
+
+from explorer import labpages
+from explorer.jobs import GivenUpError, Job, Jobs, Progress, in_process
+from lpn import notes
+from lpn.errors import InputError, LPNError
+
+
+def test_work_ends_when_the_last_one_leaves_and_begins_anew() -> None:
+    jobs, ended, begun = Jobs(), threading.Event(), []
+
+    def work(progress: Progress) -> int:
+        begun.append(1)
+        try:
+            while len(begun) == 1:
+                progress(3, 10)
+                time.sleep(0.005)
+        except GivenUpError:
+            ended.set()
+            raise
+        return 5
+
+    one, other = object(), object()
+    job = jobs.ask("k", one, work)
+    assert jobs.ask("k", other, work) is job
+    jobs.leave(one)
+    assert not ended.wait(0.1)
+    assert (job.done, job.total) == (3, 10)
+    jobs.leave(other)
+    assert ended.wait(5)
+    again = jobs.ask("k", one, work)
+    assert again is not job
+    assert again.wait(5)
+    assert again.value == 5
+    jobs.leave(one)
+    assert jobs.ask("k", one, work) is again
+
+
+def test_a_failure_is_one_sentence_and_is_tried_again_when_asked() -> None:
+    jobs = Jobs()
+
+    def work(_: Progress) -> int:
+        raise InputError("The file is damaged.")
+
+    job = jobs.ask("k", 1, work)
+    assert job.wait(5)
+    assert job.flaw == "The file is damaged."
+    assert jobs.ask("k", 1, work) is job
+    html = labpages.waiting(job, "The <map>", False, "pca")
+    assert "The &lt;map&gt; is not there: The file is damaged." in html
+    assert "lab-go" in html
+    jobs.forget("k")
+    assert jobs.ask("k", 1, lambda _: 3) is not job
+
+
+def test_progress_is_a_share_with_a_way_to_cancel() -> None:
+    release = threading.Event()
+
+    def work(progress: Progress) -> None:
+        progress(1000, 4000)
+        release.wait(10)
+
+    job = Job(work, "me")
+    while not job.total:
+        time.sleep(0.005)
+    html = labpages.waiting(job, "Ranking", False, "table")
+    assert "25 % (1,000 of 4,000 queries)" in html
+    assert "lab-stop" in html
+    assert "lab-go" in labpages.waiting(None, "Ranking", True, "table")
+    release.set()
+
+
+def test_another_process_gives_its_result_its_error_or_is_ended() -> None:
+    assert in_process(lambda *_: None, math.factorial, 5) == 120
+    with pytest.raises(InputError, match="no/word"):
+        in_process(lambda *_: None, notes.parse_tags, "no/word")
+    with pytest.raises(LPNError, match="memory"):
+        in_process(lambda *_: None, os._exit, 3)
+
+    def give_up(*_: int) -> None:
+        raise GivenUpError
+
+    started = time.monotonic()
+    with pytest.raises(GivenUpError):
+        in_process(give_up, time.sleep, 60)
+    assert time.monotonic() - started < 20
