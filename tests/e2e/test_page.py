@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import cv2
 import numpy as np
+import pytest
 from playwright.sync_api import Browser, BrowserContext, FloatRect, Locator, expect
 
+from bench.page import free_port
+from explorer.app import App
+from explorer.exhibit import Analyst, Answer
+from explorer.opening import open_model
+from explorer.session import State
 from tests import worlds
 from tests.e2e.conftest import Explorer, Running
 
@@ -232,3 +239,33 @@ def test_a_phone_held_sideways(app: Running, contexts: Callable[..., BrowserCont
     assert rows[-1] - rows[0] > 0.85 * picture.shape[0]
     explorer.rows.nth(1).tap()
     expect(explorer.rows.nth(1)).to_have_class(re.compile("chosen"))
+
+
+def test_a_slow_answer_is_said_to_be_on_its_way(
+    app: Running, contexts: Callable[..., BrowserContext], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = Analyst.answer
+
+    def slowly(analyst: Analyst, state: State, k: int) -> Answer:
+        time.sleep(2.0 if state.angle == 33 else 0)
+        if state.angle == 44:
+            time.sleep(0.7)
+            raise RuntimeError("on purpose")
+        return answer(analyst, state, k)
+
+    monkeypatch.setattr(Analyst, "answer", slowly)
+    monkeypatch.setenv("LPN_CACHE", str(app.model.parent / "cache"))
+    served = App(open_model(app.data, app.model), "127.0.0.1", free_port())
+    try:
+        explorer = Explorer(contexts().new_page())
+        explorer.open(f"http://127.0.0.1:{served.server.get_port()}")
+        explorer.fill("Rotate", "33")
+        expect(explorer.status).to_contain_text("computing", timeout=1900)
+        assert explorer.status.get_attribute("data-angle") == "0"
+        explorer.expect_status("angle", "33")
+        expect(explorer.status).to_contain_text("answered in")
+        explorer.fill("Rotate", "44")
+        expect(explorer.page.locator(".mantine-Notification-root", has_text="No answer")).to_contain_text("log has")
+        expect(explorer.status).to_contain_text("answered in")
+    finally:
+        served.close()
