@@ -18,9 +18,11 @@
 
   lpn.address = (query, keys) => {
     clearInterval(greeting);
-    const foreign = [...new URLSearchParams(location.search)].filter(([key]) => !keys.includes(key));
-    const others = new URLSearchParams(foreign).toString();
-    asked = "?" + [query, others].filter(Boolean).join("&");
+    const server = new URLSearchParams(location.search).get("websocket"); // viser's own, and it may change it
+    const others = new URLSearchParams(asked);
+    for (const key of [...keys, "websocket"]) others.delete(key);
+    if (server) others.set("websocket", server);
+    asked = "?" + [query, others.toString()].filter(Boolean).join("&");
     history.replaceState(history.state, "", location.pathname + asked + location.hash);
     lpn.watch();
     if (!ready) lpn.welcome();

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -225,12 +226,13 @@ class Explorer:
 
 
 @pytest.fixture
-def contexts(browser: Browser) -> Iterator[Callable[[], BrowserContext]]:
-    """Makes browser profiles that share nothing; all are closed at the end."""
+def contexts(browser: Browser) -> Iterator[Callable[..., BrowserContext]]:
+    """Makes browser profiles that share nothing and have seen the tour; all are closed at the end."""
     made: list[BrowserContext] = []
 
-    def make() -> BrowserContext:
-        made.append(browser.new_context(viewport={"width": 1456, "height": 835}))
+    def make(**options: Any) -> BrowserContext:
+        made.append(browser.new_context(**{"viewport": {"width": 1456, "height": 835}, **options}))
+        made[-1].add_init_script("localStorage.setItem('lpn-tour', 'seen')")
         return made[-1]
 
     yield make
