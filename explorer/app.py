@@ -17,7 +17,7 @@ from typing import Any
 
 import viser
 
-from explorer import commands, pages, session, style, tour
+from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, why
 from explorer.bridge import Bridge
 from explorer.exhibit import Analyst, Exhibit
 from explorer.lab import Lab
@@ -26,6 +26,7 @@ from explorer.link import Links
 from explorer.opening import open_model, open_saved
 from explorer.panels import THUMBS, Change, Panels
 from explorer.reasons import Reasons
+from explorer.room import Room
 from explorer.session import State
 from explorer.stage import SCENE, SHOWN, Stage
 from explorer.worker import Patience, Worker
@@ -34,6 +35,10 @@ from lpn.saved import load_saved
 
 log = logging.getLogger(__name__)
 
+STYLES = "".join(
+    (pages.STYLE, style.STYLE, why.STYLE, against.STYLE, profiles.STYLE, region.STYLE, beside.STYLE, labstyle.STYLE)
+)
+"""Of all panels, the later over the earlier."""
 GREETING = 3.0
 """Seconds that a page has to say what its address asks for, before it is shown what every page is."""
 SLOW = 0.5
@@ -55,13 +60,19 @@ class Visitor:
         with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
             self._dress(self._state)
             self._panels = Panels(client, exhibit, self._state, self.change, Random())
-            self._reasons = Reasons(client, exhibit, self.change, self._failed)
-            self._lab = Lab(client, exhibit, laboratory, self.change)
+            room = Room()
+            self._reasons = Reasons(client, exhibit, self.change, self._failed, room)
+            self._lab = Lab(client, exhibit, laboratory, self.change, room)
             self._panels.order = self._lab.order
-            handlers = {"hello": self._hello, "small": self._fit, "dark": lambda _: self.change(session.flip_dark)}
+            handlers = {
+                "room": room.take,
+                "hello": self._hello,
+                "small": self._fit,
+                "dark": lambda _: self.change(session.flip_dark),
+            }
             handlers |= self._reasons.handlers() | self._lab.handlers()
             told = {"steps": [asdict(step) for step in tour.steps(exhibit)], "scene": SCENE}
-            self._bridge = Bridge(client.gui, handlers, told, pages.STYLE + style.STYLE)
+            self._bridge = Bridge(client.gui, handlers, told, STYLES)
             commands.add(client.gui, exhibit, self._panels, self.change, self._bridge)
             self._stage = Stage(client, exhibit, self._selected)
             self._worker = Worker(self._work, self._failed)

@@ -45,8 +45,15 @@
     const height = entry.target.getBoundingClientRect().height;
     document.documentElement.style.setProperty("--lpn-sheet", height + "px");
   });
+  const room = new ResizeObserver(([entry]) => {
+    const { width, height } = entry.contentRect;
+    clearTimeout(room.telling);
+    room.telling = setTimeout(() => lpn.send("room", [Math.round(width), Math.round(height)]), 250);
+  });
   lpn.watch = () => {
-    document.querySelector("canvas[data-engine]")?.closest('div[style*="flex-grow: 1"]')?.classList.add("lpn-stage");
+    const canvas = document.querySelector("canvas[data-engine]");
+    if (canvas) room.observe(canvas);
+    canvas?.closest('div[style*="flex-grow: 1"]')?.classList.add("lpn-stage");
     sheet.disconnect();
     const panel = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]');
     if (panel) sheet.observe(panel);

@@ -58,6 +58,7 @@ class Links:
             _switch("map"),
             _switch("city"),
             _switch("why"),
+            _switch("lab"),
             _switch("exploded", "apart"),
             _switch("rings"),
             _switch("heat"),

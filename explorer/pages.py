@@ -57,8 +57,8 @@ def press(button: str) -> str:
 
 
 _ACTS = (
-    "<span class='acts'><a onclick='lpn.copy()' title='Copy the address that brings back what you see (Y)'>Link</a>"
-    f"<a {send('dark')} title='Light or dark (D)'><span class='when-dark'>Light</span><span class='when-light'>Dark</span></a>"
+    "<span class='tools'><a onclick='lpn.copy()' title='Copy the address that brings back what you see (I)'>Link</a>"
+    f"<a {send('dark')} title='Light or dark (O)'><span class='when-dark'>Light</span><span class='when-light'>Dark</span></a>"
     "<a onclick='lpn.tour()' title='Show the tour'>Tour</a></span>"
 )
 

@@ -10,12 +10,13 @@ from typing import Any
 
 import viser
 
-from explorer import against, beside, profiles, region, reporting, session, why
+from explorer import against, profiles, region, reporting, session, why
 from explorer.against import Contest
 from explorer.beside import Beside
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
+from explorer.room import EDGE, Room
 from explorer.session import State
 from explorer.worker import Worker
 from lpn import sweeps, versus
@@ -23,7 +24,7 @@ from lpn.sweeps import Over, Point, Profile
 from lpn.versus import Effect
 
 Change = Callable[[State], State | None]
-_WIDTH, _HEIGHT, _EDGE = 1000, 900, 6
+_WIDTH, _HEIGHT = 1000, 900
 CLOSE = f"<div class='lpn'><a class='close' {send('close')} title='Close (Y)'>✕</a></div>"
 _OFTEN = 0.15
 """Seconds between two drawings of a profile that is being computed."""
@@ -35,6 +36,7 @@ class Reasons:
     Args:
         change: replaces the browser's state by a function's result.
         failed: is told of what went wrong in long work.
+        room: that the stage has for the window.
     """
 
     def __init__(
@@ -43,8 +45,9 @@ class Reasons:
         exhibit: Exhibit,
         change: Callable[[Change], None],
         failed: Callable[[Exception], None],
+        room: Room,
     ) -> None:
-        self._client, self._exhibit, self._change = client, exhibit, change
+        self._client, self._exhibit, self._change, self._room = client, exhibit, change, room
         self._answer: Answer | None = None
         self._contest: Contest | None = None
         self._effect: Effect | None = None
@@ -58,17 +61,16 @@ class Reasons:
         self._panel = gui.add_panel(visible=False)
         pages: list[Html] = []
         tabs = [
-            ("Why", viser.Icon.ZOOM_QUESTION, why.STYLE),
-            ("True or wrong", viser.Icon.SCALE, against.STYLE),
-            ("Turn, shift, zoom", viser.Icon.CHART_LINE, profiles.STYLE),
-            ("Search by a region", viser.Icon.BRUSH, region.STYLE),
+            ("Why", viser.Icon.ZOOM_QUESTION),
+            ("True or wrong", viser.Icon.SCALE),
+            ("Turn, shift, zoom", viser.Icon.CHART_LINE),
+            ("Search by a region", viser.Icon.BRUSH),
         ]
         self._other = None if exhibit.beside is None else Beside(exhibit.beside)
         if self._other is not None:
-            tabs.append(("Two models", viser.Icon.COLUMNS_2, beside.STYLE))
-        for name, icon, style in tabs:
+            tabs.append(("Two models", viser.Icon.COLUMNS_2))
+        for name, icon in tabs:
             with self._panel.add_tab(name, icon):
-                gui.add_html(style)
                 gui.add_html(CLOSE)
                 pages.append(Html(gui))
         self._why, self._versus, self._profile, self._region = pages[:4]
@@ -133,10 +135,8 @@ class Reasons:
 
     def _place(self) -> None:
         """Over the stage, as large as it has room for."""
-        camera = self._client.camera
-        width = min(max(camera.image_width - 2 * _EDGE, 320), _WIDTH)
-        height = min(max(camera.image_height - 2 * _EDGE, 320), _HEIGHT)
-        self._panel.float(x=_EDGE, y=_EDGE, width=width, height=height)
+        width, height = self._room.window((_WIDTH, _HEIGHT))
+        self._panel.float(x=EDGE, y=EDGE, width=width, height=height)
         self._panel.expand()
 
     def _ask(self, what: str) -> None:

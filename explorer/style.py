@@ -29,9 +29,9 @@ _THEMES = f":root{{{_inks(overlays.DARK)}}}:root[data-mantine-color-scheme=light
 _RULES = """
 .lpn .top{display:flex;gap:.8em;align-items:baseline}
 .lpn .top h2{flex:1;min-width:0;overflow-wrap:anywhere}
-.lpn .acts{white-space:nowrap;font-size:12px}
-.lpn .acts a{cursor:pointer;margin-left:.7em;opacity:.75;text-decoration:underline;text-underline-offset:2px}
-.lpn .acts a:hover{opacity:1}
+.lpn .tools{white-space:nowrap;font-size:12px}
+.lpn .tools a{cursor:pointer;margin-left:.7em;opacity:.75;text-decoration:underline;text-underline-offset:2px}
+.lpn .tools a:hover{opacity:1}
 :root:not([data-mantine-color-scheme=light]) .lpn .when-light,:root[data-mantine-color-scheme=light] .lpn .when-dark{display:none}
 .lpn .busy{display:inline-block;width:.75em;height:.75em;margin-right:.5em;border:2px solid;border-top-color:transparent;
 border-radius:50%;animation:lpn-turn .8s linear infinite;vertical-align:-1px;box-sizing:border-box}

@@ -69,7 +69,7 @@ def steps(exhibit: Exhibit) -> list[Step]:
         f"Under <i>Look</i> you take the {whole} apart{' and see the map' if mapped else ''}. The list at the top has every "
         "command. <i>Link</i> copies an address that brings back what you see.",
         f"<kbd>X</kbd> {whole} apart{', <kbd>M</kbd> map' if mapped else ''}, <kbd>Ctrl K</kbd> every command.",
-        selectors=("#lpn-header .acts",),
+        selectors=("#lpn-header .tools",),
     )
     return [query, ring, ranked, why, more]
 

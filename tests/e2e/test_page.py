@@ -136,7 +136,7 @@ def test_the_link_is_copied_by_key(app: Running, contexts: Callable[..., Browser
     explorer.open(app.url)
     explorer.fill("Rotate", "25")
     wait_address(explorer, "angle", "25")
-    explorer.key("y")
+    explorer.key("i")
     expect(explorer.page.locator("#lpn-said")).to_contain_text("Link copied")
     assert explorer.page.evaluate("navigator.clipboard.readText()") == explorer.page.url
 
@@ -153,7 +153,7 @@ def test_light_and_dark(explorer: Explorer) -> None:
     light = picture()
     assert light[3, 3].min() > 240
     assert (light.min(axis=2) < 25).mean() < 0.1  # no caption stays on a dark patch
-    explorer.key("d")
+    explorer.key("o")
     expect(explorer.page.locator("html")).to_have_attribute("data-mantine-color-scheme", "dark")
     wait_address(explorer, "theme", None)
     assert (np.abs(picture() - dark).max(axis=2) > 25).mean() < 0.01  # and the key moved no camera

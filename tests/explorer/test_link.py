@@ -79,7 +79,9 @@ def test_names_that_are_shared_or_mean_something_else_are_called_by_position(exh
     task = exhibit.tasks["drone-to-satellite"]
     names = ["own", "twin", "twin", "~2", "a&b=c#d%20e", "häuser", "bad\udcff"]
     queries = [replace(task.queries[0], name=name) for name in names]
-    fake = Exhibit("m", "d", [replace(task, queries=queries)], exhibit.spec, exhibit.map_sizes, None, None)
+    fake = Exhibit(
+        "m", "d", [replace(task, queries=queries)], exhibit.spec, exhibit.map_sizes, None, None, exhibit.root
+    )
     own = Links(fake)
     state = State(task.name, 4)
     for query in range(len(names)):

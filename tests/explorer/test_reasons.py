@@ -17,6 +17,7 @@ from explorer.against import Contest
 from explorer.bridge import LONGEST, Bridge
 from explorer.exhibit import Analyst, Answer, Exhibit
 from explorer.opening import open_model
+from explorer.room import Room
 from explorer.session import State, Upload
 from lpn import explain, sweeps
 from lpn.changes import Change
@@ -179,20 +180,20 @@ class Gui:
             self.update = function
 
     def __init__(self) -> None:
-        self.text, self.html = Gui.Text(), ""
+        self.text, self.html = Gui.Text(), []
 
     def add_text(self, *_: Any) -> Gui.Text:
         return self.text
 
     def add_html(self, html: str) -> None:
-        self.html = html
+        self.html.append(html)
 
 
 def test_a_bridge_hands_on_messages_and_drops_everything_else() -> None:
     gui, got = Gui(), []
-    bridge = Bridge(gui, {"region": got.append})  # type: ignore[arg-type]
-    assert "the-uuid" in gui.html
-    assert "<script" not in gui.html
+    bridge = Bridge(gui, {"region": got.append}, {}, "")  # type: ignore[arg-type]
+    assert "the-uuid" in gui.html[0]
+    assert "<script" not in gui.html[0]
     deep = "[" * 50_000
     for message in (
         None, 3, "", "{", "[]", "null", '{"kind": []}', '{"kind": "other"}', '"region"', "x" * (LONGEST + 1), deep,
@@ -202,3 +203,13 @@ def test_a_bridge_hands_on_messages_and_drops_everything_else() -> None:
     assert got == []
     bridge.receive('{"kind": "region", "value": [1], "count": 1}')
     assert got == [[1]]
+
+
+def test_a_window_fits_the_room_that_the_page_tells() -> None:
+    room = Room()
+    room.take([700, 500])
+    assert room.window() == (688, 488)
+    assert room.window((600, 900), 0.5) == (588, 320)
+    for nonsense in (None, [1], [0, 5], ["a", 3], [10**9, 3], {"a": 1}):
+        room.take(nonsense)
+    assert (room.width, room.height) == (700, 500)
