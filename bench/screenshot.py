@@ -1,6 +1,6 @@
-"""Makes the pictures in `docs/`: `python -m bench.screenshot docs BASELINE.onnx`, the demo's three stories (docs/demo.md).
+"""Makes the pictures of docs/demo.md and docs/stories.md: `python -m bench.screenshot docs BASELINE.onnx [FILE ...]`.
 
-BASELINE is the demo's network with n = 1; without it, the picture that needs it is left as it is.
+BASELINE is the demo's network with n = 1; without it, the pictures that need it are left as they are.
 """
 
 from __future__ import annotations
@@ -25,12 +25,17 @@ QUALITY = 84
 
 @dataclass(frozen=True)
 class Shot:
-    """One picture: of which query, after which keys, and whether by the baseline."""
+    """One picture: of which query, after which keys, and whether by the baseline or with it beside; and which tab of the window
+    of reasons, with what chosen there and waited for."""
 
     file: str
     query: str
     keys: str = ""
     baseline: bool = False
+    beside: bool = False
+    tab: str | None = None
+    choose: str | None = None
+    wait: str | None = None
 
 
 SHOTS = (
@@ -39,6 +44,9 @@ SHOTS = (
     Shot("twin-n4.jpg", "0447/07"),
     Shot("failure.jpg", "0449/05"),
     Shot("failure-map.jpg", "0449/05", "m"),
+    Shot("story-context.jpg", "0445/05", "y", beside=True, tab="Two models"),
+    Shot("story-turn.jpg", "0334/08", "y", tab="Turn, shift, zoom", choose="Turn", wait="#lpn-profile[data-done='24']"),
+    Shot("story-constant.jpg", "0381/02", "y", tab="Why"),
 )
 
 
@@ -50,15 +58,18 @@ def main() -> None:
         browser = stack.enter_context(sync_playwright()).chromium.launch(
             executable_path=shutil.which("chromium"), args=QUIET
         )
+        wanted = [shot for shot in SHOTS if not sys.argv[3:] or shot.file in sys.argv[3:]]
+        beside = models[1][1] if len(models) > 1 else None
         for baseline, model in models:
-            for shot in SHOTS:
-                if shot.baseline == baseline:
-                    _take(browser, shot, model, out)
+            for shot in wanted:
+                if shot.baseline == baseline and (not shot.beside or beside):
+                    _take(browser, shot, model, out, beside)
         browser.close()
 
 
-def _take(browser: Browser, shot: Shot, model: Path, out: Path) -> None:
+def _take(browser: Browser, shot: Shot, model: Path, out: Path, beside: Path | None) -> None:
     command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(DEMO), "--model", str(model)]
+    command += ["--beside", str(beside)] if shot.beside else []
     with Process([*command, "--query", shot.query, "--port", str(free_port())], dict(os.environ)) as app:
         _open(browser, app.url, shot, out)
 
@@ -75,6 +86,14 @@ def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
     for key in shot.keys:
         page.keyboard.press(key)
         page.wait_for_timeout(6000)
+    if shot.tab is not None:
+        page.get_by_role("tab", name=shot.tab).click()
+        page.wait_for_timeout(1500)
+    if shot.choose is not None:
+        page.locator(".chips a", has_text=shot.choose).first.click()
+    if shot.wait is not None:
+        page.wait_for_selector(shot.wait, state="attached", timeout=120_000)
+        page.wait_for_timeout(500)
     with TemporaryDirectory() as folder:
         file = Path(folder) / "page.png"
         page.screenshot(path=str(file))
