@@ -65,6 +65,7 @@ def _take(browser: Browser, shot: Shot, model: Path, out: Path) -> None:
 
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
     page = browser.new_page(viewport={"width": 1456, "height": 835})
+    page.add_init_script("localStorage.setItem('lpn-tour', 'seen')")
     page.goto(url)
     page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
     page.wait_for_timeout(4000)

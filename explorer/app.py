@@ -10,52 +10,73 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import redirect_stdout
+from dataclasses import asdict, replace
 from pathlib import Path
 from random import Random
 from typing import Any
 
 import viser
 
-from explorer import session
+from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, why
 from explorer.bridge import Bridge
 from explorer.exhibit import Analyst, Exhibit
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
+from explorer.link import Links
 from explorer.opening import open_model, open_saved
 from explorer.panels import THUMBS, Change, Panels
 from explorer.reasons import Reasons
+from explorer.room import Room
 from explorer.session import State
-from explorer.stage import SHOWN, Stage
-from explorer.worker import Worker
+from explorer.stage import SCENE, SHOWN, Stage
+from explorer.worker import Patience, Worker
 from lpn.errors import InputError, LPNError
 from lpn.saved import load_saved
 
 log = logging.getLogger(__name__)
 
+STYLES = "".join(
+    (pages.STYLE, style.STYLE, why.STYLE, against.STYLE, profiles.STYLE, region.STYLE, beside.STYLE, labstyle.STYLE)
+)
+"""Of all panels, the later over the earlier."""
+GREETING = 3.0
+"""Seconds that a page has to say what its address asks for, before it is shown what every page is."""
+SLOW = 0.5
+"""Seconds that an answer may take before the page says that it is being computed."""
+
 
 class Visitor:
     """One connected browser. Its state belongs to it alone."""
 
-    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory) -> None:
-        self._exhibit = exhibit
+    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: Links) -> None:
+        self._client, self._exhibit, self._links = client, exhibit, links
         self._lock = threading.RLock()
+        self._greeted = self._small = False
         self._sequence = 0
         task = next(iter(exhibit.tasks))
         state = State(task, exhibit.spec.n_parts, query=exhibit.first, page=exhibit.first // THUMBS)
         self._state = exhibit.possible(state)
         self._analyst = Analyst(exhibit)
         with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
-            client.gui.configure_theme(
-                dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233)
-            )
+            self._dress(self._state)
             self._panels = Panels(client, exhibit, self._state, self.change, Random())
-            self._reasons = Reasons(client, exhibit, self.change)
-            self._lab = Lab(client, exhibit, laboratory, self.change)
+            room = Room()
+            self._reasons = Reasons(client, exhibit, self.change, self._failed, room)
+            self._lab = Lab(client, exhibit, laboratory, self.change, room)
             self._panels.order = self._lab.order
-            Bridge(client.gui, self._reasons.handlers() | self._lab.handlers())
+            handlers = {
+                "room": room.take,
+                "hello": self._hello,
+                "small": self._fit,
+                "dark": lambda _: self.change(session.flip_dark),
+            }
+            handlers |= self._reasons.handlers() | self._lab.handlers()
+            told = {"steps": [asdict(step) for step in tour.steps(exhibit)], "scene": SCENE}
+            self._bridge = Bridge(client.gui, handlers, told, STYLES)
+            commands.add(client.gui, exhibit, self._panels, self.change, self._bridge)
             self._stage = Stage(client, exhibit, self._selected)
             self._worker = Worker(self._work, self._failed)
-        self._worker.wake()
+            self._opening = Patience(GREETING, self._worker.wake)
 
     def change(self, change: Change) -> None:
         """Replace the state by a pure function's result, and ask for an answer when it differs."""
@@ -66,6 +87,8 @@ class Visitor:
             changed = self._exhibit.possible(changed)
             if changed == self._state:
                 return
+            if changed.dark != self._state.dark:
+                self._dress(changed)
             self._state = changed
             self._panels.write(changed)
         self._worker.wake()
@@ -75,25 +98,60 @@ class Visitor:
 
     def leave(self) -> None:
         """The browser is gone: stop its worker."""
+        self._opening.there()
+        self._reasons.leave()
         self._worker.stop()
         self._lab.leave()
 
+    def _hello(self, value: Any) -> None:
+        """The page says what its address asks for and how large it is; it repeats that until it is answered."""
+        search = value.get("search") if isinstance(value, dict) else None
+        with self._lock:
+            if self._greeted or not isinstance(search, str):
+                return
+            self._greeted = True
+            self._opening.there()
+            self._fit(value.get("small"))
+            asked, said = self._links.read(search, self._state)
+            self.change(lambda _: replace(asked, page=asked.query // THUMBS))
+        if said:
+            self._panels.say("Not all of the link can be shown", " ".join(said))
+        self._worker.wake()
+
+    def _fit(self, small: Any) -> None:
+        if small is True or self._small:
+            self._small = small is True
+            self._panels.fit(self._small)
+
+    def _dress(self, state: State) -> None:
+        self._client.gui.configure_theme(
+            dark_mode=state.dark,
+            show_logo=False,
+            show_share_button=False,
+            brand_color=(86, 180, 233) if state.dark else (0, 114, 178),
+        )
+
     def _work(self) -> None:
-        answer = self._analyst.answer(self._state, SHOWN)
-        self._sequence += 1
-        started = time.perf_counter()
-        self._stage.show(answer)
-        self._reasons.show(answer)
-        self._lab.show(answer)
+        slow = Patience(SLOW, self._panels.busy)
+        try:
+            answer = self._analyst.answer(self._state, SHOWN)
+            self._sequence += 1
+            started = time.perf_counter()
+            self._stage.show(answer)
+            self._reasons.show(answer)
+            self._lab.show(answer)
+        finally:
+            slow.there()
         self._panels.show(answer, self._sequence, started)
+        self._bridge.address(self._links.write(answer.state), self._links.keys)
 
     def _failed(self, error: Exception) -> None:
         text = (
             str(error)
             if isinstance(error, LPNError)
-            else f"{type(error).__name__}: the details are in the server's log."
+            else f"{type(error).__name__}: try another picture, or load the page again; the server's log has the details."
         )
-        self._panels.say("No answer", text)
+        self._panels.fail(text)
 
 
 class App:
@@ -111,8 +169,8 @@ class App:
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False
         self._visitors: dict[int, Visitor] = {}
-        laboratory = Laboratory(exhibit)
-        self.server.on_client_connect(lambda client: self._connected(client, exhibit, laboratory))
+        laboratory, links = Laboratory(exhibit), Links(exhibit)
+        self.server.on_client_connect(lambda client: self._connected(client, exhibit, laboratory, links))
         self.server.on_client_disconnect(self._disconnected)
 
     def close(self) -> None:
@@ -121,8 +179,8 @@ class App:
             visitor.leave()
         self.server.stop()
 
-    def _connected(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory) -> None:
-        self._visitors[client.client_id] = Visitor(client, exhibit, laboratory)
+    def _connected(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: Links) -> None:
+        self._visitors[client.client_id] = Visitor(client, exhibit, laboratory, links)
         if client.client_id not in self.server.get_clients():  # gone while its page was being built
             self._disconnected(client)
 
@@ -132,13 +190,23 @@ class App:
             visitor.leave()
 
 
-def run(data: Path, model: Path, query: str | None = None, host: str = "127.0.0.1", port: int = 8080) -> None:
+def run(
+    data: Path,
+    model: Path,
+    query: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    beside: Path | None = None,
+) -> None:
     """Open a model and a data set, serve the explorer, print its address, and return when interrupted.
+
+    Args:
+        beside: another model to compare it with.
 
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
-    _serve(lambda: open_model(data, model, query), host, port)
+    _serve(lambda: open_model(data, model, query, beside), host, port)
 
 
 def run_saved(

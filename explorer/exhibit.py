@@ -60,11 +60,13 @@ class Task:
     results: dict[str, float]
     places: Places | None
 
-    def rank(self, query: int | None, cosines: FloatArray, weights: FloatArray) -> Ranking:
+    def rank(
+        self, query: int | None, cosines: FloatArray, weights: FloatArray, lengths: FloatArray | None = None
+    ) -> Ranking:
         """Rank the gallery by its cosines (G, n) with a query, None for one whose place is not known."""
         label = None if query is None else int(self.query_labels[query])
         truth = None if query is None or self.truth is None else self.truth[query]
-        return retrieval.rank(cosines, weights, self.labels, label, truth)
+        return retrieval.rank(cosines, weights, self.labels, label, truth, lengths)
 
 
 class Exhibit:
@@ -97,6 +99,8 @@ class Exhibit:
         self.spec, self.map_sizes, self.model, self.city = spec, map_sizes, model, city
         self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else spec.describe()
         self.first = 0
+        self.beside: Exhibit | None = None
+        """Another model on the same data, to compare with."""
         self.part_names = self._part_names()
         self._tile = lru_cache(maxsize=TILES)(self._describe_tile)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
@@ -188,6 +192,8 @@ class Answer:
     truth: Match | None
     off: geo.FloatArray | None
     """Metres from what the query shows to each tile, (G,); None where that is not known."""
+    source: Picture
+    """The query's picture before it is turned, shifted, or zoomed."""
     reasons: Reasons | None
     """Of the compared pair; None where nobody looks at them, or no network is at hand."""
     seconds: float
@@ -203,6 +209,7 @@ class Analyst:
         self._query_key: object = None
         self._query: Described
         self._searched_key: object = None
+        self._lengths: FloatArray | None = None
         self._cosines: FloatArray
 
     def answer(self, state: State, k: int) -> Answer:
@@ -218,11 +225,14 @@ class Analyst:
         if self._query_key != key:
             self._query = self._described(task, state)
             self._query_key, self._searched_key = key, None
-        if self._searched_key != (key, state.region):
-            self._cosines = explain.part_cosines(self._searched(state), task.descriptors)
-            self._searched_key = (key, state.region)
         weights = explain.part_weights(state.n_parts, state.part_values())
-        ranking = task.rank(None if state.upload else state.query, self._cosines, weights)
+        searched = (key, state.region, state.part_values() if state.region else None)
+        if self._searched_key != searched:
+            descriptor = self._searched(state, weights)
+            self._cosines = explain.part_cosines(descriptor, task.descriptors)
+            self._lengths = state.n_parts * (descriptor**2).sum(axis=1) if state.region else None
+            self._searched_key = searched
+        ranking = task.rank(None if state.upload else state.query, self._cosines, weights, self._lengths)
         matches = ranking.top(k)
         truth = ranking.truth()
         chosen = matches[0]
@@ -235,16 +245,18 @@ class Analyst:
         off = None if task.places is None or state.upload else task.places.off(state.query)
         reasons = self._reasons(state, weights, tile)
         seconds = time.perf_counter() - started
-        return Answer(state, task, name, self._query, ranking, matches, chosen, tile, truth, off, reasons, seconds)
+        return Answer(
+            state, task, name, self._query, ranking, matches, chosen, tile, truth, off, self._picture, reasons, seconds
+        )
 
-    def _searched(self, state: State) -> FloatArray:
+    def _searched(self, state: State, weights: FloatArray) -> FloatArray:
         """What is searched by: the query's descriptor, or that of its painted cells alone."""
         trace = self._query.trace
         if not state.region or trace is None:
             return self._query.descriptor
         painted = np.zeros(trace.size[0] * trace.size[1], bool)
         painted[[cell for cell in state.region if cell < len(painted)]] = True
-        return trace.region(painted.reshape(trace.size))
+        return trace.region(painted.reshape(trace.size), weights)
 
     def _reasons(self, state: State, weights: FloatArray, tile: Described) -> Reasons | None:
         one, other = self._query.trace, tile.trace
@@ -262,4 +274,6 @@ class Analyst:
         model = self._exhibit.model
         if model is None:
             return Described(self._picture, task.asked[state.query], None, None)
-        return retrieval.describe_picture(model, self._picture, task.query_view, state.change)
+        # A picture of one's own is what the task's queries are.
+        change = state.change.of(task.queries[state.query])
+        return retrieval.describe_picture(model, self._picture, task.query_view, change)

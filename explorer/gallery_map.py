@@ -53,7 +53,13 @@ class GalleryMap:
         for slot, tile in enumerate(self._tiles):
             tile.handle.on_click(self._clicked(slot, on_select))
         self._camera: viser.CameraFrustumHandle = scene.add_camera_frustum(
-            "/map/camera", fov=0.7, aspect=1.0, scale=0.5, color=overlays.TEXT, visible=False, cast_shadow=False
+            "/map/camera",
+            fov=0.7,
+            aspect=1.0,
+            scale=0.5,
+            color=overlays.UNKNOWN_COLOUR,
+            visible=False,
+            cast_shadow=False,
         )
 
     def show(self, answer: Answer) -> Viewpoint:
@@ -71,7 +77,9 @@ class GalleryMap:
         viewpoint = self._over_city(answer, places, camera) if city else self._whole(places)
         self._camera.scale = 0.5 * viewpoint.ratio
         self._caption.show(self._words(answer))
-        self._query.show(overlays.framed(overlays.square(answer.query.picture, 256), overlays.TEXT, 4))
+        palette = answer.state.palette
+        self._camera.color = palette.text
+        self._query.show(overlays.framed(overlays.square(answer.query.picture, 256), palette.text, 4))
         colour = overlays.verdict_colour(answer.chosen.true)
         self._tile.show(overlays.framed(overlays.square(answer.tile.picture, 256), colour, 6))
         return viewpoint
@@ -197,25 +205,26 @@ class GalleryMap:
         """What the two pictures above the map are, and how far apart they lie."""
         chosen = answer.chosen
         name = answer.task.gallery[chosen.index].name
-        image, draw = overlays.caption(456, 252)
+        palette = answer.state.palette
+        image, draw = overlays.caption(456, 252, palette)
         source = "your picture" if answer.state.upload else answer.task.query_view
-        draw.text((18, 30), "‹", overlays.DIM, overlays.font(34), anchor="lm")
-        draw.text((44, 30), "QUERY", overlays.TEXT, overlays.font(30), anchor="lm")
+        draw.text((18, 30), "‹", palette.dim, overlays.font(34), anchor="lm")
+        draw.text((44, 30), "QUERY", palette.text, overlays.font(30), anchor="lm")
         draw.text(
             (44, 66),
             overlays.fitted(draw, f"{source} {answer.name}", 24, 394),
-            overlays.DIM,
+            palette.dim,
             overlays.font(24),
             anchor="lm",
         )
-        draw.text((438, 186), "›", overlays.DIM, overlays.font(34), anchor="rm")
-        draw.text((412, 186), f"RANK {chosen.rank}", overlays.TEXT, overlays.font(30), anchor="rm")
+        draw.text((438, 186), "›", palette.dim, overlays.font(34), anchor="rm")
+        draw.text((412, 186), f"RANK {chosen.rank}", palette.text, overlays.font(30), anchor="rm")
         left = 412 - draw.textlength(f"RANK {chosen.rank}", font=overlays.font(30))
-        overlays.draw_sign(draw, left - 40, 174, 24, chosen.true)
+        overlays.draw_sign(draw, left - 40, 174, 24, chosen.true, palette)
         tile = overlays.fitted(draw, f"{answer.task.gallery_view} {name}", 24, 394)
-        draw.text((412, 222), tile, overlays.DIM, overlays.font(24), anchor="rm")
+        draw.text((412, 222), tile, palette.dim, overlays.font(24), anchor="rm")
         if answer.off is not None:
-            colour = overlays.verdict_colour(chosen.true)
+            colour = palette.ink(overlays.verdict_colour(chosen.true))
             draw.text((228, 126), f"{answer.off[chosen.index]:,.0f} m off", colour, overlays.font(40), anchor="mm")
         return np.asarray(image)
 

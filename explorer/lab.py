@@ -16,15 +16,14 @@ from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
 from explorer.laboratory import Findings, Laboratory
 from explorer.labstate import LabState
-from explorer.labstyle import STYLE
 from explorer.labviews import MapView, NoteView
+from explorer.room import EDGE, Room
 from explorer.session import State
 from explorer.worker import Worker
 from lpn.errors import LPNError
 from lpn.metrics import IntArray
 
 Change = Callable[[State], State | None]
-_EDGE = 6
 _UPPER = 0.49
 """Share of the stage, from its top, that the compared pair takes."""
 _ROW = 27
@@ -44,9 +43,15 @@ class Lab:
     """One browser's laboratory; it works on a thread of its own, so that neither the stage nor the server waits for it."""
 
     def __init__(
-        self, client: viser.ClientHandle, exhibit: Exhibit, shared: Laboratory, change: Callable[[Change], None]
+        self,
+        client: viser.ClientHandle,
+        exhibit: Exhibit,
+        shared: Laboratory,
+        change: Callable[[Change], None],
+        room: Room,
     ) -> None:
         self._client, self._exhibit, self._shared, self._change = client, exhibit, shared, change
+        self._room = room
         self._lock = threading.RLock()
         task = next(iter(exhibit.tasks))
         self._lab, self._view = LabState(task), View(task, None, False)
@@ -59,7 +64,6 @@ class Lab:
         self._map = MapView(shared, self)
         self._panel = client.gui.add_panel(visible=False)
         with self._panel.add_tab("Failure laboratory", viser.Icon.FLASK):
-            client.gui.add_html(STYLE)
             self._bar, self._boxes, self._said = Html(client.gui), Html(client.gui), Html(client.gui)
             self._columns, self._body = Html(client.gui), Html(client.gui)
             self._notes = NoteView(client.gui, shared)
@@ -204,11 +208,8 @@ class Lab:
         if tall == self._placed:
             return
         if tall is not None:
-            across, down = self._client.camera.image_width, self._client.camera.image_height
-            width = max(across - 2 * _EDGE, 320)
-            height = max(round(down * (1 - (0 if tall else _UPPER))) - 2 * _EDGE, 300)
-            self._size = width, height
-            self._panel.float(x=_EDGE, y=-_EDGE, width=width, height=height)
+            width, height = self._size = self._room.window(share=1.0 if tall else 1 - _UPPER)
+            self._panel.float(x=EDGE, y=-EDGE, width=width, height=height)
             self._panel.expand()
         self._panel.visible = tall is not None
         self._placed = tall

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 
 import lpn
 from explorer import chart
@@ -29,18 +31,20 @@ SAVED_MAP = (16, 16)
 """Cells by which rings are drawn where no network says them: those of a ResNet-50 at 256 pixels."""
 
 
-def open_model(data: Path, model: Path, query: str | None = None) -> Exhibit:
+def open_model(data: Path, model: Path, query: str | None = None, beside: Path | None = None) -> Exhibit:
     """A model and all tasks of a data set that it knows the views of.
 
     Args:
+        beside: another model to compare it with on the same data.
         query: name of the query of the first task that a browser shows first; without it, that task's first.
 
     Raises:
         LPNError: when model or data set cannot be used, or there is no such query.
     """
-    opened = lpn.load(model)
     data_name = printable(data.resolve().name)
-    dataset = open_dataset(data)
+    with _saying(f"Opening {printable(model.name)} and {data_name}"):
+        opened = lpn.load(model)
+        dataset = open_dataset(data)
     pairs = [views_of(name) for name in dataset.tasks()]
     known = [pair for pair in pairs if set(pair) <= set(opened.views)]
     if not known:
@@ -59,6 +63,8 @@ def open_model(data: Path, model: Path, query: str | None = None) -> Exhibit:
     city = None if where is None else _city(data)
     exhibited = Exhibit(printable(model.name), data_name, tasks, opened.spec, map_sizes, opened, city, dataset.root)
     exhibited.open_with(query)
+    if beside is not None:
+        exhibited.beside = open_model(data, beside)
     return exhibited
 
 
@@ -101,7 +107,8 @@ def _task(
     own = tuple(np.array([entry.label for entry in entries], np.int64) for entries in (queries, gallery))
     query_labels, labels = given or own
     truth = None if given else dataset.truth(name)
-    found = metrics.retrieve(query, query_labels, tiles, labels, truth)
+    with _saying(f"Ranking {len(gallery):,} pictures for {len(queries):,} queries, {name}"):
+        found = metrics.retrieve(query, query_labels, tiles, labels, truth)
     near: dict[str, float] = {}
     if laid is not None:
         near = error_shares(geo.metres(laid.queries, [laid.tiles[index] for index in found.best]))
@@ -119,6 +126,11 @@ def _task(
         found.figures() | near,
         laid,
     )
+
+
+def _saying(text: str) -> AbstractContextManager[object]:
+    """What is going on, on a terminal, for as long as it goes on."""
+    return Console(stderr=True).status(f"{text} (Ctrl-C stops)")
 
 
 def _described(model: Model, shipped: Path, pictures: list[Entry], view: View) -> FloatArray:

@@ -5,12 +5,15 @@
   let count = 0;
   const lpn = (window.lpn = {});
 
-  const write = (kind, value) => {
-    const label = document.querySelector('label[for="' + lpn.bridge + '"]');
-    let row = label;
+  lpn.field = (uuid) => {
+    let row = document.querySelector('label[for="' + uuid + '"]');
     while (row && !row.querySelector("input")) row = row.parentElement;
-    const input = row && row.querySelector("input");
-    if (!input) return;
+    return row && row.querySelector("input");
+  };
+
+  const write = (kind, value) => {
+    const input = lpn.field(lpn.bridge);
+    if (!input) return ["hello", "small", "room"].includes(kind) || lpn.say("Unfold the panel on the right first.");
     const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
     set.call(input, JSON.stringify({ kind: kind, value: value, count: ++count }));
     input.dispatchEvent(new Event("input", { bubbles: true }));

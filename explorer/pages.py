@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from html import escape
 
 from explorer import words
+from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit, Task
+from explorer.style import part_ink, verdict_ink
 from lpn import overlays
 from lpn.retrieval import Match
 
 STYLE = """<style>
 .lpn{padding:0 .8em;font-size:13px;line-height:1.4}
-.lpn .dim{opacity:.65}
+.lpn.dim,.lpn .dim{opacity:.7}
 .lpn h2{font-size:15px;margin:.1em 0}
 .lpn .facts{display:flex;flex-wrap:wrap;align-items:baseline;gap:.1em .9em}
 .lpn .big{font-size:20px;font-weight:650}
@@ -54,12 +56,19 @@ def press(button: str) -> str:
     return f"onclick=\"document.getElementById('{escape(button)}').click()\""
 
 
+_ACTS = (
+    "<span class='tools'><a onclick='lpn.copy()' title='Copy the address that brings back what you see (I)'>Link</a>"
+    f"<a {send('dark')} title='Light or dark (O)'><span class='when-dark'>Light</span><span class='when-light'>Dark</span></a>"
+    "<a onclick='lpn.tour()' title='Show the tour'>Tour</a></span>"
+)
+
+
 def header(exhibit: Exhibit, task: Task) -> str:
     """Which model, data set, task, n, and how good it is on it."""
     results = task.results
     return (
-        f"<div class='lpn' id='lpn-header'><h2>{escape(exhibit.model_name)} "
-        f"<span class='dim'>on</span> {escape(exhibit.data_name)}</h2>"
+        f"<div class='lpn' id='lpn-header'><div class='top'><h2>{escape(exhibit.model_name)} "
+        f"<span class='dim'>on</span> {escape(exhibit.data_name)}</h2>{_ACTS}</div>"
         f"<div class='facts dim'><span>{escape(exhibit.description)}</span></div>"
         f"<div class='facts'><span>{escape(task.query_view)} → {escape(task.gallery_view)}</span>"
         f"<span class='num'>{len(task.queries):,} queries</span><span class='num'>{len(task.gallery):,} tiles</span></div>"
@@ -99,9 +108,20 @@ def status(answer: Answer, sequence: int, drawing: float) -> str:
     return (
         f"<div class='lpn dim num' id='lpn-status' data-seq='{sequence}' data-query='{state.query}' "
         f"data-name='{escape(answer.name)}' data-angle='{state.angle:g}' data-chosen='{answer.chosen.index}' "
-        f"data-top='{answer.matches[0].index}'>"
-        f"answered in {1000 * (answer.seconds + drawing):.0f} ms ({1000 * answer.seconds:.0f} computing, {1000 * drawing:.0f} drawing)</div>"
+        f"data-top='{answer.matches[0].index}'><span>answered in {1000 * (answer.seconds + drawing):.0f} ms ({1000 * answer.seconds:.0f} computing, {1000 * drawing:.0f} drawing)</span></div>"
     )
+
+
+_BUSY = "<span class='busy'></span>computing … the newest change counts"
+FIRST = (
+    "<div class='lpn dim' id='lpn-status' data-seq='0'><span class='busy'></span>describing the first picture …</div>"
+)
+
+
+def busy(status: str) -> str:
+    """The same status line while the next answer is being computed: it still says which state the page shows."""
+    before, between, _ = status.partition("<span>")
+    return f"{before}<span>{_BUSY}</span></div>" if between else status
 
 
 def matches(answer: Answer, exhibit: Exhibit, buttons: Sequence[str]) -> str:
@@ -136,7 +156,7 @@ def _row(answer: Answer, exhibit: Exhibit, match: Match, button: str, full: floa
     return (
         f"<div class='row{chosen}' data-index='{match.index}' {press(button)} title='Compare with the query'>"
         f"<img src='{exhibit.thumbnail(entry.path)}' style='border-color:{colour}' alt=''>"
-        f"<div class='what'><div class='line num'><b>{match.rank}</b><b style='color:{colour}'>{SIGNS[match.true]}</b>"
+        f"<div class='what'><div class='line num'><b>{match.rank}</b><b style='color:{verdict_ink(match.true)}'>{SIGNS[match.true]}</b>"
         f"<span class='name'>{escape(entry.name)} {off}</span><span>{match.distance2:.3f}</span>{gap}</div>"
         f"<div class='bar'>{segments}</div></div></div>"
     )
@@ -146,7 +166,7 @@ def parts_table(answer: Answer, exhibit: Exhibit) -> str:
     """The compared pair part by part; the shares add up to the distance."""
     chosen = answer.chosen
     rows = "".join(
-        f"<tr><td style='color:{overlays.css(overlays.part_colour(i))}'>{escape(name)}</td>"
+        f"<tr><td style='color:{part_ink(i)}'>{escape(name)}</td>"
         f"<td>{100 * answer.ranking.weights[i]:.0f} %</td><td>{chosen.cosines[i]:+.3f}</td><td>{chosen.shares[i]:.3f}</td></tr>"
         for i, name in enumerate(exhibit.part_names)
     )
@@ -178,17 +198,17 @@ def picker(
 
 def _sign(task: Task, query: int) -> str:
     true = bool(task.ranks[query] == 0)
-    return f"<b style='color:{overlays.css(overlays.verdict_colour(true))}'>{SIGNS[true]}</b>"
+    return f"<b style='color:{verdict_ink(true)}'>{SIGNS[true]}</b>"
 
 
 KEYS = (
     "<div class='lpn dim' style='margin-top:.3em'><kbd>N</kbd> <kbd>P</kbd> next, previous · <kbd>R</kbd> random · <kbd>F</kbd> failure · "
-    "<kbd>J</kbd> <kbd>L</kbd> turn 5° · <kbd>K</kbd> upright · <kbd>H</kbd> heatmap, <kbd>E</kbd> of evidence · <kbd>W</kbd> why · <kbd>B</kbd> all failures · <kbd>G</kbd> rings · <kbd>X</kbd> take apart · <kbd>M</kbd> map, <kbd>C</kbd> its city · "
+    "<kbd>J</kbd> <kbd>L</kbd> turn 5° · <kbd>K</kbd> upright · <kbd>H</kbd> heatmap, <kbd>V</kbd> of evidence · <kbd>Y</kbd> why · <kbd>B</kbd> all failures · <kbd>G</kbd> rings · <kbd>X</kbd> take apart · <kbd>M</kbd> map, <kbd>C</kbd> its city · "
     "<kbd>1</kbd>…<kbd>9</kbd> compare · <kbd>T</kbd> the true tile</div>"
 )
 HEAT_NOTE = (
-    "<div class='lpn dim'>Activation (channel sum of the last feature map) belongs to one picture. Evidence belongs to the pair: "
-    "orange adds to its score, violet takes.</div>"
+    "Activation (channel sum of the last feature map) belongs to one picture. Evidence belongs to the pair: "
+    "orange adds to its score, violet takes."
 )
 SHIFT_NOTE = "<div class='lpn dim'>In pixels of the network's input, after turning. LPN assumes that the target is in the middle.</div>"
 SAVED_NOTE = (

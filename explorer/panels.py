@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,6 +25,8 @@ THUMBS = 12
 MAX_UPLOAD = 30_000_000
 LARGEST_SIDE = 1600
 """Uploads are shrunk to this many pixels a side, so that turning them stays quick."""
+LEFT, RIGHT, NARROW = 290, 370, 330
+"""Pixels of the panels' widths; NARROW is the right one's where the left one is folded to a strip."""
 ALL_PARTS = "All parts"
 HEAT: dict[str, session.HeatKind] = {"Activation": "activation", "Evidence": "evidence"}
 
@@ -45,23 +48,23 @@ class Panels:
         self._answer: Answer | None = None
         self.order: Callable[[State], IntArray | None] = lambda _: None
         """The queries that next and previous go through; None for all of them."""
+        self._writer: int | None = None
         gui = client.gui
-        left = gui.add_panel()
+        self._left = left = gui.add_panel()
         with left.add_tab("Query", viser.Icon.DRONE):
             self._build_query(gui, state)
         with left.add_tab("Parts", viser.Icon.ADJUSTMENTS):
             self._build_parts(gui, state)
         left.dock_left()
-        left.set_width(290)
+        left.set_width(LEFT)
         gui.set_panel_label("LPN Explorer")
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(370)
+        gui.main_panel.set_width(RIGHT)
         self._build_answer(gui)
         self._add_keys(gui)
 
     def _build_query(self, gui: viser.GuiApi, state: State) -> None:
         exhibit = self._exhibit
-        gui.add_html(pages.STYLE)
         self._task = gui.add_dropdown(
             "Task", tuple(exhibit.tasks), initial_value=state.task, visible=len(exhibit.tasks) > 1
         )
@@ -87,18 +90,6 @@ class Panels:
                 "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
             )
             self._upload.on_upload(self._uploaded)
-        with gui.add_folder("Look"):
-            self._rings = gui.add_checkbox("Rings", state.rings)
-            self._exploded = gui.add_checkbox("Take apart", state.exploded)
-            mapped = any(task.places is not None for task in exhibit.tasks.values())
-            self._map = gui.add_checkbox("Map", state.map, visible=mapped)
-            self._city = gui.add_checkbox("City", state.city, visible=False)
-            self._heat = gui.add_checkbox("Heatmap", state.heat, visible=live)
-            self._kind = gui.add_dropdown("Shows", tuple(HEAT), visible=live, initial_value=next(iter(HEAT)))
-            choices = (ALL_PARTS, *exhibit.part_names)
-            self._heat_part = gui.add_dropdown("Heat of", choices, visible=live, initial_value=ALL_PARTS)
-            self._opacity = gui.add_slider("Opacity", 0.0, 1.0, 0.05, state.opacity, visible=live)
-            gui.add_html(pages.HEAT_NOTE if live else pages.SAVED_NOTE)
         with gui.add_folder("Pictures"):
             self._find = gui.add_text("Find name", state.find)
             self._picker = Html(gui)
@@ -110,6 +101,20 @@ class Panels:
             bridges[-1].on_click(lambda _: self._change(lambda s: replace(s, page=s.page + 1)))
             self._picker_buttons = [_uuid(button) for button in bridges]
             gui.add_html(pages.hidden(self._picker_buttons))
+        with gui.add_folder("Look"):
+            self._rings = gui.add_checkbox("Rings", state.rings)
+            self._exploded = gui.add_checkbox("Take apart", state.exploded)
+            mapped = any(task.places is not None for task in exhibit.tasks.values())
+            self._map = gui.add_checkbox("Map", state.map, visible=mapped)
+            self._city = gui.add_checkbox("City", state.city, visible=False)
+            self._heat = gui.add_checkbox("Heatmap", state.heat, visible=live)
+            first = next(iter(HEAT))
+            self._kind = gui.add_dropdown("Shows", tuple(HEAT), visible=live, initial_value=first, hint=pages.HEAT_NOTE)
+            choices = (ALL_PARTS, *exhibit.part_names)
+            self._heat_part = gui.add_dropdown("Heat of", choices, visible=live, initial_value=ALL_PARTS)
+            self._opacity = gui.add_slider("Opacity", 0.0, 1.0, 0.05, state.opacity, visible=live)
+            if not live:
+                gui.add_html(pages.SAVED_NOTE)
         self._watch(self._task, self._angle, self._rings, self._exploded, self._heat, self._heat_part, self._opacity)
         self._watch(self._find, self._map, self._city, self._shift, self._down, self._zoom, self._kind)
 
@@ -126,9 +131,8 @@ class Panels:
     def _build_answer(self, gui: viser.GuiApi) -> None:
         self._header = Html(gui)
         self._verdict = Html(gui)
-        self._status = Html(
-            gui, "<div class='lpn dim' id='lpn-status' data-seq='0'>describing the first picture …</div>"
-        )
+        self._said = pages.FIRST
+        self._status = Html(gui, self._said)
         with gui.add_folder("Matches"):
             self._matches = Html(gui)
             rows = [gui.add_button(f"match {i + 1}") for i in range(SHOWN)]
@@ -160,9 +164,9 @@ class Panels:
             ("Compare the true tile", "T", lambda s: replace(s, selected=session.TRUTH)),
             ("Take the rings apart", "X", lambda s: replace(s, exploded=not s.exploded)),
             ("Map or pair", "M", self.flip_map),
-            ("Why: evidence for the compared pair", "W", self.flip_why),
+            ("Why: evidence for the compared pair", "Y", self.flip_why),
             ("Failure laboratory: all queries", "B", self.flip_lab),
-            ("Heatmap: activation or evidence", "E", self.flip_kind),
+            ("Heatmap: activation or evidence", "V", self.flip_kind),
             ("City on the map or tiles", "C", self.flip_city),
         ]
         for label, key, change in commands:
@@ -200,14 +204,21 @@ class Panels:
         find = str(self._find.value)[:200]
         if find != state.find:
             read = self._searched(replace(read, find=find, page=0))
-        if task != state.task:
-            read = replace(read, task=task, query=0, upload=None, selected=None, page=0)
-        return read
+        return session.take_task(read, task)
 
     def write(self, state: State) -> None:
         """Put a state into the controls that differ from it."""
+        self._writer = threading.get_ident()  # viser calls back at once, when only some of them are written
+        try:
+            self._write(state)
+        finally:
+            self._writer = None
+
+    def _write(self, state: State) -> None:
         pairs: list[tuple[Any, Any]] = [
+            (self._task, state.task),
             (self._angle, state.angle),
+            (self._opacity, state.opacity),
             (self._rings, state.rings),
             (self._exploded, state.exploded),
             (self._map, state.map),
@@ -238,7 +249,27 @@ class Panels:
             self._matches.show(pages.matches(answer, exhibit, self._match_buttons))
             self._table.show(pages.parts_table(answer, exhibit))
             self._show_picker(answer)
-            self._status.show(pages.status(answer, sequence, time.perf_counter() - started))
+            self._said = pages.status(answer, sequence, time.perf_counter() - started)
+            self._status.show(self._said)
+
+    def busy(self) -> None:
+        """Show that the next answer is being computed; the one that is shown stays until then."""
+        self._status.show(pages.busy(self._said))
+
+    def fail(self, text: str) -> None:
+        """Say that there is no answer; the one before stays."""
+        self._status.show(self._said)
+        self.say("No answer", text)
+
+    @property
+    def finder(self) -> str:
+        """The id that the label of the field for a picture's name has in the page."""
+        return str(self._find._impl.uuid)
+
+    def fit(self, small: bool) -> None:
+        """Leave the stage its room: on a small screen the left panel is a strip, and unfolds when it is pressed."""
+        self._client.gui.main_panel.set_width(NARROW if small else RIGHT)
+        self._left.minimize() if small else self._left.expand()
 
     def say(self, title: str, text: str) -> None:
         """Show an error as a notification that stays until it is closed."""
@@ -347,7 +378,7 @@ class Panels:
     def _watch(self, *handles: Any) -> None:
         """Any control that changes makes all be read: the page may have merged two changes into one."""
         for handle in handles:
-            handle.on_update(lambda _: self._change(self.read))
+            handle.on_update(lambda _: None if self._writer == threading.get_ident() else self._change(self.read))
 
 
 def _uuid(button: viser.GuiButtonHandle) -> str:

@@ -10,6 +10,7 @@ import viser
 
 from lpn import overlays
 from lpn.images import Picture
+from lpn.overlays import Palette
 
 Rotation = tuple[float, float, float, float]
 UPRIGHT: Rotation = (0.0, 1.0, 0.0, 0.0)
@@ -50,16 +51,16 @@ class Plane:
             self.handle.image = picture
 
 
-def title(headline: str, text: str, true: bool | None, distance2: float | None = None) -> Picture:
+def title(headline: str, text: str, true: bool | None, palette: Palette, distance2: float | None = None) -> Picture:
     """A caption: headline, sign, a text shortened to fit, and on the right a distance."""
-    image, draw = overlays.caption(528, 58)
-    draw.text((2, 29), headline, overlays.TEXT, overlays.font(26), anchor="lm")
+    image, draw = overlays.caption(528, 58, palette)
+    draw.text((2, 29), headline, palette.text, overlays.font(26), anchor="lm")
     x = 2 + draw.textlength(headline, font=overlays.font(26)) + 14
     if true is not None:
-        overlays.draw_sign(draw, x, 18, 22, true)
+        overlays.draw_sign(draw, x, 18, 22, true, palette)
         x += 36
     right = 526.0
     if distance2 is not None:
-        right = overlays.draw_squared(draw, right, 29, f"{distance2:.3f}", 24, overlays.TEXT) - 14
-    draw.text((x, 30), overlays.fitted(draw, text, 22, right - x), overlays.DIM, overlays.font(22), anchor="lm")
+        right = overlays.draw_squared(draw, right, 29, f"{distance2:.3f}", 24, palette.text) - 14
+    draw.text((x, 30), overlays.fitted(draw, text, 22, right - x), palette.dim, overlays.font(22), anchor="lm")
     return np.asarray(image)

@@ -13,6 +13,7 @@ import numpy as np
 from lpn.changes import Change
 from lpn.images import Picture
 from lpn.metrics import IntArray
+from lpn.overlays import DARK, LIGHT, Palette
 
 MAX_WEIGHT = 2.0
 TRUTH: Final = "truth"
@@ -56,6 +57,7 @@ class State:
         city: whether the map shows the 3-D model of the city, where there is one, in place of its tiles.
         find: text that picture names must contain in the picker.
         page: page of the picker.
+        dark: whether the page is light on dark.
     """
 
     task: str
@@ -82,6 +84,7 @@ class State:
     city: bool = True
     find: str = ""
     page: int = 0
+    dark: bool = True
 
     def __post_init__(self) -> None:
         if not self.weights:
@@ -99,6 +102,11 @@ class State:
         """What is done to the query before it is described."""
         return Change(self.angle, self.shift, self.zoom, self.down)
 
+    @property
+    def palette(self) -> Palette:
+        """What captions are drawn with."""
+        return DARK if self.dark else LIGHT
+
     def parts_left(self) -> bool:
         """Whether any part is on with a weight above 0."""
         return any(w > 0 and on for w, on in zip(self.weights, self.enabled, strict=True))
@@ -109,6 +117,34 @@ def number(value: Any, low: float, high: float, default: float) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         return default
     return min(max(float(value), low), high)
+
+
+def whole(value: Any, low: int, high: int) -> int | None:
+    """A value from the page as a whole number within low .. high, or None when it is none."""
+    known = isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+    return value if known else None
+
+
+def painted(value: Any, cells: int) -> tuple[int, ...] | None:
+    """A list of cells from the page, in order and each once, or None when it is no such list."""
+    if not isinstance(value, list) or len(value) > cells:
+        return None
+    found = [whole(cell, 0, cells - 1) for cell in value]
+    return None if None in found else tuple(sorted({cell for cell in found if cell is not None}))
+
+
+def taken(state: State, value: Any, size: tuple[int, int]) -> State:
+    """The query turned, shifted, and zoomed as a point of a profile says: [degrees, right, down, factor]."""
+    if not isinstance(value, list) or len(value) != 4:
+        return state
+    height, width = size
+    return replace(
+        state,
+        angle=wrap(number(value[0], -360, 360, state.angle)),
+        shift=round(number(value[1], -width // 2, width // 2, state.shift)),
+        down=round(number(value[2], -height // 2, height // 2, state.down)),
+        zoom=number(value[3], 1 / MAX_ZOOM, MAX_ZOOM, state.zoom),
+    )
 
 
 def wrap(angle: float) -> float:
@@ -122,6 +158,13 @@ def choose(state: State, query: int, queries: int) -> State:
     if not 0 <= query < queries:
         return state
     return replace(upright(state), query=query, upload=None, selected=None)
+
+
+def take_task(state: State, task: str) -> State:
+    """Turn to another task: its first query, compared with its top match."""
+    if task == state.task:
+        return state
+    return replace(state, task=task, query=0, upload=None, selected=None, region=(), page=0)
 
 
 def upright(state: State) -> State:
@@ -167,6 +210,11 @@ def random_failure(state: State, ranks: Sequence[int], rng: Random) -> State | N
 def turn(state: State, by: float) -> State:
     """Turn the query further, around the circle."""
     return replace(state, angle=wrap(state.angle + by))
+
+
+def flip_dark(state: State) -> State:
+    """Light on dark, or dark on light."""
+    return replace(state, dark=not state.dark)
 
 
 def found(names: Sequence[str], text: str) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from threading import RLock
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from explorer.session import State
 from explorer.viewpoint import Viewpoint
 from lpn import images, overlays
 from lpn.images import Picture
+from lpn.overlays import Palette
 from lpn.retrieval import Described, Match
 from lpn.spec import View
 
@@ -33,6 +35,8 @@ _FOV = 0.45
 _HEIGHT = 8.1
 _WIDTH = 8.3
 _MIDDLE = (0.0, 0.36)
+SCENE = {"width": _WIDTH, "height": _HEIGHT, "middle": _MIDDLE}
+"""What of the stage is in view at least, and its middle, in stage units."""
 
 
 class Exhibited:
@@ -128,19 +132,20 @@ class Stage:
         self._links: viser.LineSegmentsHandle = scene.add_line_segments(
             "/links",
             np.zeros((2 * self._n, 2, 3), np.float32),
-            _link_colours(np.ones(self._n)),
+            _link_colours(np.ones(self._n), overlays.DARK),
             thickness=2.5,
             thickness_units="screen",
         )
         self._marker = scene.add_image(
             "/marker",
-            np.full((2, 2, 3), 235, np.uint8),
+            np.full((2, 2, 3), overlays.DARK.text, np.uint8),
             layout.card[0] + 0.08,
             sum(layout.card[1:]) + 0.09,
             cast_shadow=False,
             receive_shadow=False,
             wxyz=UPRIGHT,
         )
+        self._marked = overlays.DARK
         self._shown: Answer | None = None
         self._cards: list[tuple[Plane, Plane]] = []
         for slot in range(SHOWN):
@@ -152,6 +157,7 @@ class Stage:
             for plane in (photo, label):
                 plane.handle.on_click(self._clicked(slot, on_select))
         self._aspect, self._on_select = 0.0, on_select
+        self._framing = RLock()
         self._viewpoint: Viewpoint | None = None
         self._map: GalleryMap | None = None
         client.camera.on_update(lambda _: self.fit())
@@ -159,11 +165,11 @@ class Stage:
 
     def fit(self) -> None:
         """Frame the content, whatever the width the panels leave; a person's own orbit is kept until it changes."""
-        camera = self._client.camera
-        aspect = camera.aspect
-        if math.isfinite(aspect) and aspect > 0 and abs(aspect - self._aspect) >= 0.01:
-            self._aspect = aspect
-            self._aim()
+        with self._framing:  # a window that is being resized calls from several threads, and the last aspect must win
+            aspect = self._client.camera.aspect
+            if math.isfinite(aspect) and aspect > 0 and abs(aspect - self._aspect) >= 0.01:
+                self._aspect = aspect
+                self._aim()
 
     def _aim(self) -> None:
         """Point the camera at the pair and its matches, or at the map."""
@@ -190,9 +196,10 @@ class Stage:
             self._map = self._map or GalleryMap(self._client, self._exhibit, SHOWN, self._on_select)
             with self._client.atomic():
                 viewpoint = self._map.show(answer)
-        if viewpoint != self._viewpoint:
-            self._viewpoint = viewpoint
-            self._aim()
+        with self._framing:
+            if viewpoint != self._viewpoint:
+                self._viewpoint = viewpoint
+                self._aim()
         if viewpoint is not None:
             return
         left = self._decorated(answer, 0, answer.query, task.query_view)
@@ -202,9 +209,9 @@ class Stage:
             self._query.show(left, self._query_caption(answer), task.query_view, state.exploded, 1.0)
             self._tile.show(right, self._tile_caption(answer), task.gallery_view, state.exploded, -1.0)
             draw = self._gutter_row if self._layout.stacked else self._gutter_picture
-            self._gutter.show(draw(answer.chosen))
+            self._gutter.show(draw(answer.chosen, state.palette))
             self._links.points = self._link_points(answer)
-            self._links.colors = _link_colours(answer.ranking.weights)
+            self._links.colors = _link_colours(answer.ranking.weights, state.palette)
             self._show_cards(answer)
 
     def _decorated(self, answer: Answer, side: int, described: Described, view: View) -> Picture:
@@ -224,53 +231,63 @@ class Stage:
     def _query_caption(self, answer: Answer) -> Picture:
         changed = answer.state.change.describe()
         source = "your picture" if answer.state.upload else answer.task.query_view
-        return title("QUERY", f"{source} {answer.name}{', ' if changed else ''}{changed}", None)
+        return title("QUERY", f"{source} {answer.name}{', ' if changed else ''}{changed}", None, answer.state.palette)
 
     def _tile_caption(self, answer: Answer) -> Picture:
         chosen = answer.chosen
         name = answer.task.gallery[chosen.index].name
-        return title(f"RANK {chosen.rank}", f"{answer.task.gallery_view} {name}", chosen.true, chosen.distance2)
+        text, palette = f"{answer.task.gallery_view} {name}", answer.state.palette
+        return title(f"RANK {chosen.rank}", text, chosen.true, palette, chosen.distance2)
 
-    def _gutter_picture(self, chosen: Match) -> Picture:
+    def _gutter_picture(self, chosen: Match, palette: Palette) -> Picture:
         """For each part: its name, cosine, and share of the distance as a bar."""
-        image, draw = overlays.caption(260, 660)
+        image, draw = overlays.caption(260, 660, palette)
         rows = _row_heights(self._layout, self._n)
         size = 30 if self._n <= 6 else 22
         for part in range(self._n):
             y = (0.5 - rows[part] / self._layout.picture[1]) * 660
-            self._draw_part(draw, chosen, part, (10, 250), y, (size, size - 6))
+            self._draw_part(draw, palette, chosen, part, (10, 250), y, (size, size - 6))
         return np.asarray(image)
 
-    def _gutter_row(self, chosen: Match) -> Picture:
+    def _gutter_row(self, chosen: Match, palette: Palette) -> Picture:
         """The same one beside the other, each below the query's strip and above the tile's."""
-        image, draw = overlays.caption(1280, round(1280 * self._layout.gutter[1][1] / self._layout.gutter[1][0]))
+        width, height = self._layout.gutter[1]
+        image, draw = overlays.caption(1280, round(1280 * height / width), palette)
         room = 1280 / self._n
         size = 24 if self._n <= 6 else 19
         for part in range(self._n):
-            self._draw_part(draw, chosen, part, (part * room + 8, (part + 1) * room - 8), 37, (size, size - 4))
+            sides = (part * room + 8, (part + 1) * room - 8)
+            self._draw_part(draw, palette, chosen, part, sides, 37, (size, size - 4))
         return np.asarray(image)
 
     def _draw_part(
-        self, draw: ImageDraw, chosen: Match, part: int, sides: tuple[float, float], y: float, sizes: tuple[int, int]
+        self,
+        draw: ImageDraw,
+        palette: Palette,
+        chosen: Match,
+        part: int,
+        sides: tuple[float, float],
+        y: float,
+        sizes: tuple[int, int],
     ) -> None:
         """A part's share of the distance as a bar from the height `y` down, its name above, cosine and share below."""
         left, right = sides
         (size, small), middle = sizes, (left + right) / 2
         colour = overlays.part_colour(part)
         name = overlays.fitted(draw, self._exhibit.part_names[part], size, right - left)
-        draw.text((middle, y - 6), name, colour, overlays.font(size), anchor="mb")
-        draw.rectangle((left, y, right, y + 9), fill=(48, 48, 48))
+        draw.text((middle, y - 6), name, palette.ink(colour), overlays.font(size), anchor="mb")
+        draw.rectangle((left, y, right, y + 9), fill=palette.track)
         full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)
         length = (right - left) * float(chosen.shares[part]) / full
         if length >= 1:
             draw.rectangle((left, y, left + length, y + 9), fill=colour)
         below = y + 16 + small / 2
         if chosen.shares[part] == 0 and chosen.cosines[part] < 1:
-            draw.text((middle, below), "off", overlays.DIM, overlays.font(small), anchor="mm")
+            draw.text((middle, below), "off", palette.dim, overlays.font(small), anchor="mm")
         else:
             cosine = f"cos {chosen.cosines[part]:.2f}"
-            draw.text((left, below), cosine, overlays.DIM, overlays.font(small), anchor="lm")
-            overlays.draw_squared(draw, right, below, f"{chosen.shares[part]:.3f}", small, overlays.DIM)
+            draw.text((left, below), cosine, palette.dim, overlays.font(small), anchor="lm")
+            overlays.draw_squared(draw, right, below, f"{chosen.shares[part]:.3f}", small, palette.dim)
 
     def _link_points(self, answer: Answer) -> npt.NDArray[np.float32]:
         """Two segments per part: query ring to its place in the gutter, and from there to the tile's ring."""
@@ -294,6 +311,9 @@ class Stage:
         full = max(match.distance2 for match in answer.matches)
         partition = self._exhibit.spec.partition(task.gallery_view)
         self._marker.visible = answer.chosen.rank <= len(answer.matches)
+        if self._marked != state.palette:
+            self._marked = state.palette
+            self._marker.image = np.full((2, 2, 3), state.palette.text, np.uint8)
         for slot, (photo, label) in enumerate(self._cards):
             visible = slot < len(answer.matches)
             photo.handle.visible = label.handle.visible = visible
@@ -308,7 +328,7 @@ class Stage:
             if state.rings:
                 picture = overlays.with_rings(picture, partition, self._exhibit.map_sizes[task.gallery_view], 1)
             photo.show(overlays.framed(picture, overlays.verdict_colour(match.true), 7))
-            label.show(_card_label(self._layout, match, task.gallery[match.index].name, full))
+            label.show(_card_label(self._layout, match, task.gallery[match.index].name, full, state.palette))
 
     def _clicked(self, slot: int, on_select: Callable[[State, int], None]) -> Callable[[Any], None]:
         def clicked(_: Any) -> None:
@@ -324,9 +344,9 @@ def _row_heights(layout: Layout, n: int) -> list[float]:
     return [(0.5 - (part + 0.5) / n) * layout.picture[1] for part in range(n)]
 
 
-def _link_colours(weights: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """Each part's links in its colour, nearly black where the part counts nothing."""
-    colours = [overlays.part_colour(part) if weight > 0 else (55, 55, 55) for part, weight in enumerate(weights)]
+def _link_colours(weights: npt.NDArray[Any], palette: Palette) -> npt.NDArray[np.uint8]:
+    """Each part's links in its colour, nearly that of the ground where the part counts nothing."""
+    colours = [overlays.part_colour(part) if weight > 0 else palette.off for part, weight in enumerate(weights)]
     return np.repeat(np.array(colours, np.uint8), 2, axis=0)[:, None].repeat(2, axis=1)
 
 
@@ -338,17 +358,17 @@ def _about_x(angle: float) -> Rotation:
     return math.cos(angle / 2), math.sin(angle / 2), 0.0, 0.0
 
 
-def _card_label(layout: Layout, match: Match, name: str, full: float) -> Picture:
+def _card_label(layout: Layout, match: Match, name: str, full: float, palette: Palette) -> Picture:
     width = round(58 * layout.card[0] / layout.card[2])
-    image, draw = overlays.caption(width, 58)
-    draw.text((2, 20), str(match.rank), overlays.TEXT, overlays.font(26), anchor="lm")
+    image, draw = overlays.caption(width, 58, palette)
+    draw.text((2, 20), str(match.rank), palette.text, overlays.font(26), anchor="lm")
     x = 8 + draw.textlength(str(match.rank), font=overlays.font(26))
     if match.true is not None:
-        overlays.draw_sign(draw, x + 2, 11, 17, match.true)
+        overlays.draw_sign(draw, x + 2, 11, 17, match.true, palette)
         x += 28
     value = f"{match.distance2:.3f}"
-    draw.text((width - 2, 20), value, overlays.TEXT, overlays.font(22), anchor="rm")
+    draw.text((width - 2, 20), value, palette.text, overlays.font(22), anchor="rm")
     room = width - 2 - draw.textlength(value, font=overlays.font(22)) - x - 8
-    draw.text((x, 21), overlays.fitted(draw, name, 20, room), overlays.DIM, overlays.font(20), anchor="lm")
-    overlays.draw_shares(draw, (0, 40, width - 1, 52), match.shares, full)
+    draw.text((x, 21), overlays.fitted(draw, name, 20, room), palette.dim, overlays.font(20), anchor="lm")
+    overlays.draw_shares(draw, (0, 40, width - 1, 52), match.shares, full, palette)
     return np.asarray(image)

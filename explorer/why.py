@@ -10,6 +10,7 @@ import numpy as np
 
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
+from explorer.style import part_ink
 from lpn import images, overlays, words
 from lpn.explain import Evidence, Exact, Mates
 from lpn.model import FloatArray
@@ -34,8 +35,12 @@ def maps(found: Evidence, part: int | None) -> tuple[tuple[Exact, Exact], float]
     return shown, max(float(np.abs(cells).max()) for cells in shown) or 1e-9
 
 
-def page(answer: Answer, exhibit: Exhibit) -> str:
-    """The whole of the window's first tab; says what to do where there is no evidence."""
+def page(answer: Answer, exhibit: Exhibit, reporting: bool = False) -> str:
+    """The whole of the window's first tab; says what to do where there is no evidence.
+
+    Args:
+        reporting: a report is being made.
+    """
     if answer.reasons is None:
         return "<div class='lpn' id='lpn-why'>Evidence needs the network: open the data set with a model.</div>"
     found, task = answer.reasons.evidence, answer.task
@@ -55,11 +60,13 @@ def page(answer: Answer, exhibit: Exhibit) -> str:
         if answer.state.region
         else ""
     )
+    report = "making a report …" if reporting else f"<a {send('report')}>Save as a report (HTML)</a>"
     return (
-        f"<div class='lpn' id='lpn-why'><div class='said'>{escape(said)}</div>{region}"
+        f"<div class='lpn' id='lpn-why'><div class='said headline'>{escape(said)}</div>{region}"
         f"<div class='lpn-pair{stacked}' data-hint='{escape(HINT)}'>{blocks}</div>"
         f"<div class='lpn-read num dim'>{escape(HINT)}</div>"
-        f"{_chips(exhibit.part_names, part)}{_bars(found, exhibit.part_names)}{_legend(limit)}<div class='dim'>{NOTE}</div></div>"
+        f"{_chips(exhibit.part_names, part)}{_bars(found, exhibit.part_names)}{_legend(limit)}"
+        f"<div class='dim'>{NOTE}</div><div class='chips'>{report}</div></div>"
     )
 
 
@@ -92,7 +99,7 @@ def _rounded(values: Exact | FloatArray) -> list[float]:
 def _chips(names: Sequence[str], part: int | None) -> str:
     chips = [
         ("All parts", None, "inherit"),
-        *((name, i, overlays.css(overlays.part_colour(i))) for i, name in enumerate(names)),
+        *((name, i, part_ink(i)) for i, name in enumerate(names)),
     ]
     return (
         "<div class='chips'>Show "
@@ -130,7 +137,7 @@ def _bars(found: Evidence, names: Sequence[str]) -> str:
         added = float(found.contributions[part])
         pieces.append(f"<b style='left:{(added - low) * scale:.2f}%' title='together {added:+.4f}'></b>")
         rows.append(
-            f"<tr><td style='color:{overlays.css(overlays.part_colour(part))}'>{escape(name)}</td>"
+            f"<tr><td style='color:{part_ink(part)}'>{escape(name)}</td>"
             f"<td>{found.cosines[part]:+.3f}</td><td>{100 * found.weights[part]:.0f} %</td>"
             f"<td class='wide'><div class='sum'>{''.join(pieces)}<u style='left:{-low * scale:.2f}%'></u></div></td>"
             f"<td>{added:+.3f}</td></tr>"
@@ -159,6 +166,9 @@ def _legend(limit: float) -> str:
 
 STYLE = """<style>
 .lpn .said{font-size:14px;margin:.2em 0 .5em}
+.lpn .close{position:absolute;right:14px;z-index:2;cursor:pointer;padding:0 .5em;font-size:15px;border-radius:4px}
+.lpn .close:hover{background:rgba(128,128,128,.3)}
+.lpn .headline{padding-right:2em}
 .lpn-pair{display:flex;gap:10px;justify-content:center}
 .lpn-pair.stacked{flex-direction:column}
 .lpn-map{position:relative;flex:1;cursor:crosshair;user-select:none;line-height:0;max-width:520px}

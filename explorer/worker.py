@@ -9,6 +9,27 @@ from collections.abc import Callable
 log = logging.getLogger(__name__)
 
 
+class Patience:
+    """Calls `tell`, once, when it is not told within some seconds that what was waited for is there."""
+
+    def __init__(self, seconds: float, tell: Callable[[], None]) -> None:
+        self._tell, self._lock, self._there = tell, threading.Lock(), False
+        self._timer = threading.Timer(seconds, self._late)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def there(self) -> None:
+        """It is there: `tell` has been called by now, or never will be."""
+        self._timer.cancel()
+        with self._lock:
+            self._there = True
+
+    def _late(self) -> None:
+        with self._lock:
+            if not self._there:
+                self._tell()
+
+
 class Worker:
     """Runs `work` on a thread of its own after each `wake`, once for any number of wakes meanwhile.
 

@@ -42,8 +42,7 @@ def augment(
     if mirror or (recipe.flip == "picture" and rng.random() < 0.5):
         picture = cast(Picture, np.ascontiguousarray(picture[:, ::-1]))
     if panorama:
-        # Turned counter-clockwise, what was east is in the north: columns move to the left.
-        picture = images.resize(np.roll(picture, -round(angle / 360 * picture.shape[1]), axis=1), height, width)
+        picture = images.resize(images.roll(picture, angle), height, width)
     else:
         native = rng.random() < recipe.own_canvas
         if not native and not unrolled:

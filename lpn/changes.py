@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lpn import images
+from lpn.datasets import Picture as Entry
 from lpn.errors import InputError
 from lpn.images import Picture
 
@@ -23,6 +24,8 @@ class Change:
             and cropping; a negative number moves it to the left.
         scale: zoom about its centre on its own canvas; above 1 it is magnified and cropped, below 1 it has black around it.
         down: pixels of the network's input it is moved down, likewise; a negative number moves it up.
+        around: it is a panorama, which is turned by moving its columns around: turned counter-clockwise, what was in the east
+            is in the north, so they move to the left.
 
     Raises:
         InputError: when a number is not finite, a shift not whole, or the scale outside 1/16 .. 16.
@@ -32,6 +35,7 @@ class Change:
     shift: int = 0
     scale: float = 1.0
     down: int = 0
+    around: bool = False
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.rotate):
@@ -45,6 +49,8 @@ class Change:
         object.__setattr__(self, "shift", int(self.shift))
         object.__setattr__(self, "scale", float(self.scale))
         object.__setattr__(self, "down", int(self.down))
+        # Only what is turned is turned around, so that two ways of doing nothing are one.
+        object.__setattr__(self, "around", bool(self.around and self.rotate % 360))
 
     def __bool__(self) -> bool:
         """Whether anything is changed."""
@@ -52,7 +58,12 @@ class Change:
 
     def apply(self, picture: Picture) -> Picture:
         """Turn and zoom a picture at its own resolution: (H, W, 3) uint8 to the same shape."""
-        return images.zoom(images.rotate(picture, self.rotate), self.scale)
+        turned = images.roll(picture, self.rotate) if self.around else images.rotate(picture, self.rotate)
+        return images.zoom(turned, self.scale)
+
+    def of(self, entry: Entry) -> Change:
+        """The same as it is done to that picture, which may be a panorama."""
+        return replace(self, around=entry.panorama)
 
     def move(self, shaped: Picture) -> Picture:
         """Shift a picture that has the network's input size: (height, width, 3) uint8 to the same shape; see `check`."""
@@ -75,7 +86,8 @@ class Change:
 
     def describe(self) -> str:
         """The changes in words, such as "turned 30°, scaled by 1.2"; empty without any."""
-        said = [f"turned {self.rotate:g}°"] if self.rotate else []
+        how = " (columns moved around)" if self.around else ""
+        said = [f"turned {self.rotate:g}°{how}"] if self.rotate else []
         said += [f"scaled by {self.scale:g}"] if self.scale != 1 else []
         said += [f"shifted {abs(self.shift)} px to the {'right' if self.shift > 0 else 'left'}"] if self.shift else []
         said += [f"shifted {abs(self.down)} px {'down' if self.down > 0 else 'up'}"] if self.down else []

@@ -13,6 +13,7 @@ import lpn
 from lpn.commands.failures import Failures
 from lpn.commands.making import Export, Reproduce, Train, World, parse_train
 from lpn.commands.reasons import Explain
+from lpn.commands.report import Report
 from lpn.commands.sweep import Sweep
 from lpn.commands.using import Describe, Doctor, Evaluate, Explore
 from lpn.errors import LPNError, MissingPackageError
@@ -24,6 +25,7 @@ COMMANDS: dict[str, type[Any]] = {
     "explain": Explain,
     "sweep": Sweep,
     "failures": Failures,
+    "report": Report,
     "export": Export,
     "describe": Describe,
     "doctor": Doctor,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lpn import features, geo, metrics
-from lpn.changes import UNCHANGED
+from lpn.changes import UNCHANGED, Change
 from lpn.datasets import Dataset, Picture, Truth
 from lpn.errors import InputError
 from lpn.geo import FloatArray
@@ -131,10 +131,11 @@ def evaluate(
     # Before the long part, so that a gap in it costs nothing.
     where = None if protocol.average else geo.positions(dataset.root)
     places = None if where is None else (where.of(queries), where.of(gallery))
-    query = read(model, queries, query_branch, protocol.change)
+    change = protocol.change.of(queries[0])
+    query = read(model, queries, query_branch, change)
     tiles = read(model, gallery, gallery_branch, UNCHANGED)
     cropped = any(picture.box for picture in queries)
-    said = _described(model, protocol, cropped)
+    said = _described(model, protocol, cropped, change)
     labels = [np.array([picture.label for picture in pictures], np.int64) for pictures in (queries, gallery)]
     result, found = _measure(query, labels[0], tiles, labels[1], truth, task, protocol, said)
     errors = None
@@ -237,11 +238,11 @@ def _check_branch(model: Model, branch: View, protocol: Protocol) -> None:
     model.check_view(branch)
 
 
-def _described(model: Model, protocol: Protocol, cropped: bool) -> list[str]:
+def _described(model: Model, protocol: Protocol, cropped: bool, change: Change) -> list[str]:
     """How descriptors were made, in clauses."""
     mirrored = "descriptors of picture and mirror added, " if model.spec.mirrored else ""
     said = [f"{mirrored}each part normalised"]
     said += ["queries cropped to the part that is meant"] if cropped else []
-    said += [f"queries {protocol.change.describe()}"] if protocol.change else []
+    said += [f"queries {change.describe()}"] if change else []
     said += [f"both sides described by the {protocol.branch} branch"] if protocol.branch else []
     return said

@@ -53,9 +53,15 @@ def part_cosines(query: FloatArray, gallery: FloatArray) -> FloatArray:
     return cast(FloatArray, n * np.matmul(gallery.transpose(1, 0, 2), query[:, :, None])[..., 0].T)
 
 
-def contributions(cosines: FloatArray, weights: FloatArray) -> FloatArray:
-    """Each part's exact share 2 w_i (1 - cos_i) of the squared distance: (..., n), summing to it."""
-    return cast(FloatArray, 2.0 * weights * (1.0 - cosines))
+def contributions(cosines: FloatArray, weights: FloatArray, lengths: FloatArray | None = None) -> FloatArray:
+    """Each part's exact share 2 w_i (1 - cos_i) of the squared distance: (..., n), summing to it.
+
+    Args:
+        lengths: n |q_i|^2 of each part of a query that is not whole, see `Trace.region`, (n,); 1 by default. Then a share is
+            w_i (1 + n |q_i|^2 - 2 n q_i . g_i), with n q_i . g_i in place of the cosine.
+    """
+    own = np.float32(1) if lengths is None else lengths
+    return cast(FloatArray, weights * (1.0 + own - 2.0 * cosines))
 
 
 def activation(features: FloatArray) -> FloatArray:
@@ -215,13 +221,15 @@ class Trace:
         assert found is not None
         return found.T if only is None else found[:, 0]
 
-    def region(self, cells: npt.NDArray[np.bool_]) -> FloatArray:
-        """A query of some cells alone, (n, D) of norm one: its inner products order a gallery by what they add to its scores.
+    def region(self, cells: npt.NDArray[np.bool_], weights: FloatArray) -> FloatArray:
+        """A query of some cells alone, (n, D): its scores order a gallery by what these cells add to the whole query's.
 
-        Parts without such a cell are zero; the constants, which come from no cell, are left out.
+        Parts without such a cell are zero; the constants, which come from no cell, are left out. It is scaled to
+        sum_i w_i n |q_i|^2 = 1, so that 2 - 2 score is a squared distance as for whole queries.
 
         Args:
             cells: which cells are meant, (h, w).
+            weights: part weights that sum to one, (n,).
 
         Raises:
             InputError: when they are not as many as the feature map has, or none of them belongs to a part.
@@ -230,9 +238,9 @@ class Trace:
             raise InputError(f"The region has {cells.shape} cells; the feature map has {self.size}.")
         parts = np.stack([self.vectors(part, cells) for part in range(len(self.embedding))])
         parts /= np.maximum(np.linalg.norm(self.embedding, axis=1, keepdims=True), 1e-12)
-        norm = float(np.linalg.norm(parts))
+        norm = float(np.sqrt(len(parts) * (weights * (parts**2).sum(axis=1)).sum()))
         if norm < 1e-12:
-            raise InputError("No cell is painted; paint some of the query, and search again.")
+            raise InputError("No cell of a part that counts is painted; paint some of the query, and search again.")
         return cast(FloatArray, parts / np.float32(norm))
 
 

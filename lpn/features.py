@@ -71,6 +71,7 @@ class Manifest:
         shift: pixels of the network's input they were moved to the right.
         scale: factor they were zoomed by.
         down: pixels of the network's input they were moved down; written only where they were.
+        around: they are panoramas, turned by moving their columns around; written only where they were.
     """
 
     fingerprint: str
@@ -83,12 +84,22 @@ class Manifest:
     shift: int = 0
     scale: float = 1.0
     down: int = 0
+    around: bool = False
     format: str = FORMAT
+
+    @classmethod
+    def of(
+        cls, model: Model, view: View, change: Change, rows: tuple[Row, ...], precision: Precision = "float32"
+    ) -> Manifest:
+        """The manifest of files described by a model."""
+        done = (change.shift, change.scale, change.down, change.around)
+        n, embedding = model.n_parts, model.spec.embedding
+        return cls(model.fingerprint, view, change.rotate, n, embedding, rows, precision, *done)
 
     @property
     def change(self) -> Change:
         """What was done to the pictures."""
-        return Change(self.rotate, self.shift, self.scale, self.down)
+        return Change(self.rotate, self.shift, self.scale, self.down, self.around)
 
     @property
     def cropped(self) -> bool:
@@ -98,8 +109,9 @@ class Manifest:
     def to_json(self) -> bytes:
         """The manifest as a JSON file."""
         values = asdict(self)
-        if not self.down:
-            del values["down"]
+        for late in ("down", "around"):
+            if not values[late]:
+                del values[late]
         for row in values["rows"]:
             if row["box"] is None:
                 del row["box"]
@@ -211,18 +223,7 @@ def describe(
     change.check(model.input_size)
     out = Path(out)
     rows = tuple(_row(file, root, box) for file, box in zip(files, boxes or [None] * len(files), strict=True))
-    manifest = Manifest(
-        model.fingerprint,
-        view,
-        change.rotate,
-        model.n_parts,
-        model.spec.embedding,
-        rows,
-        precision,
-        change.shift,
-        change.scale,
-        change.down,
-    )
+    manifest = Manifest.of(model, view, change, rows, precision)
     before = _usable(out, manifest)
     if before is not None and before.manifest == manifest:
         return before
@@ -273,6 +274,7 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ch
     identity += [f"shift {change.shift}"] if change.shift else []
     identity += [f"scale {change.scale}"] if change.scale != 1 else []
     identity += [f"down {change.down}"] if change.down else []
+    identity += ["around"] if change.around else []
     identity += ["cropped"] if any(boxes) else []
     folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
     title = ", ".join(filter(None, (f"Describing {view}", change.describe())))
@@ -330,19 +332,7 @@ def _held(
         return None
     rows = {row: position for position, row in enumerate(store.manifest.rows)}
     wanted = [rows.get(_row(file, None, box)) for file, box in zip(files, boxes, strict=True)]
-    asked = Manifest(
-        model.fingerprint,
-        view,
-        change.rotate,
-        model.n_parts,
-        model.spec.embedding,
-        (),
-        "float32",
-        change.shift,
-        change.scale,
-        change.down,
-    )
-    if None in wanted or not asked.comparable(store.manifest):
+    if None in wanted or not Manifest.of(model, view, change, ()).comparable(store.manifest):
         return None
     whole = wanted == list(range(len(rows)))
     return store.float32 if whole else store.float32[np.array(wanted, np.int64)]

@@ -95,6 +95,11 @@ def rotate(picture: Picture, degrees: float) -> Picture:
     return cast(Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC))
 
 
+def roll(panorama: Picture, degrees: float) -> Picture:
+    """Turn a panorama of the full circle counter-clockwise: its columns move to the left and come back at the right."""
+    return np.roll(panorama, -round(degrees / 360 * panorama.shape[1]), axis=1)
+
+
 def zoom(picture: Picture, scale: float) -> Picture:
     """Zoom about a picture's centre on its own canvas, bicubic with anti-aliasing: (H, W, 3) to the same shape.
 

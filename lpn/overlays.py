@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import cast
 
@@ -38,6 +39,55 @@ AGAINST: Colour = (143, 123, 255)
 BACKGROUND: Colour = (20, 20, 20)
 TEXT: Colour = (236, 236, 236)
 DIM: Colour = (160, 160, 160)
+READABLE = 4.5
+"""Contrast of text with its ground that WCAG 2 asks for (level AA)."""
+
+
+@dataclass(frozen=True)
+class Palette:
+    """What captions are drawn with.
+
+    Attributes:
+        background: of captions, the stage's own.
+        text, dim: of words that matter, and of those that accompany them.
+        track: the empty rest of a bar.
+        off: of lines that count nothing.
+    """
+
+    background: Colour
+    text: Colour
+    dim: Colour
+    track: Colour
+    off: Colour
+
+    def ink(self, colour: Colour) -> Colour:
+        """A colour for words: the same hue, brought as far from the background as it takes to be read."""
+        return _ink(colour, self.background)
+
+
+DARK = Palette(BACKGROUND, TEXT, DIM, (48, 48, 48), (55, 55, 55))
+LIGHT = Palette((255, 255, 255), (28, 28, 28), (96, 96, 96), (222, 222, 222), (205, 205, 205))
+
+
+def contrast(one: Colour, other: Colour) -> float:
+    """WCAG 2's contrast ratio of two colours, 1 .. 21."""
+    low, high = sorted((_luminance(one), _luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def _luminance(colour: Colour) -> float:
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (value / 255 for value in colour)]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@lru_cache(maxsize=64)
+def _ink(colour: Colour, background: Colour) -> Colour:
+    end = 0 if _luminance(background) > 0.5 else 255
+    for percent in range(101):
+        mixed = cast(Colour, tuple(round(c + (end - c) * percent / 100) for c in colour))
+        if contrast(mixed, background) >= READABLE:
+            return mixed
+    return (end, end, end)
 
 
 def part_colour(part: int) -> Colour:
@@ -170,9 +220,11 @@ def fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float) -> str
     return text + "..."
 
 
-def draw_sign(draw: ImageDraw.ImageDraw, x: float, y: float, size: float, true: bool | None) -> None:
+def draw_sign(
+    draw: ImageDraw.ImageDraw, x: float, y: float, size: float, true: bool | None, palette: Palette = DARK
+) -> None:
     """A tick, a cross, or nothing, in a box with its top left corner at (x, y): a second sign beside the colour."""
-    colour, width = verdict_colour(true), max(2, round(size / 6))
+    colour, width = palette.ink(verdict_colour(true)), max(2, round(size / 6))
     if true:
         draw.line(
             [(x, y + 0.55 * size), (x + 0.4 * size, y + 0.9 * size), (x + size, y + 0.1 * size)], colour, width, "curve"
@@ -193,11 +245,15 @@ def draw_squared(draw: ImageDraw.ImageDraw, right: float, middle: float, text: s
 
 
 def draw_shares(
-    draw: ImageDraw.ImageDraw, box: tuple[float, float, float, float], shares: FloatArray, full: float
+    draw: ImageDraw.ImageDraw,
+    box: tuple[float, float, float, float],
+    shares: FloatArray,
+    full: float,
+    palette: Palette = DARK,
 ) -> None:
     """A bar divided into the parts' shares of the distance; `full` is the distance that fills the box."""
     left, top, right, bottom = box
-    draw.rectangle(box, fill=(48, 48, 48))
+    draw.rectangle(box, fill=palette.track)
     at = left
     for part, share in enumerate(shares):
         end = at + max(float(share), 0.0) / max(full, 1e-9) * (right - left)
@@ -206,9 +262,9 @@ def draw_shares(
         at = end
 
 
-def caption(width: int, height: int) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+def caption(width: int, height: int, palette: Palette = DARK) -> tuple[Image.Image, ImageDraw.ImageDraw]:
     """An empty caption on the stage's background."""
-    image = Image.new("RGB", (width, height), BACKGROUND)
+    image = Image.new("RGB", (width, height), palette.background)
     return image, ImageDraw.Draw(image)
 
 

@@ -70,6 +70,8 @@ class Ranking:
         scores: weighted mean cosines, (G,).
         order: gallery positions from nearest to farthest, without junk, at most (G,).
         relevant: which gallery pictures show the query's place, (G,) bool; None when that is not known.
+        lengths: of the query's parts where it is not whole, see `lpn.explain.contributions`; the cosines are then inner
+            products, n times.
     """
 
     cosines: FloatArray
@@ -77,6 +79,7 @@ class Ranking:
     scores: FloatArray
     order: npt.NDArray[np.int64]
     relevant: npt.NDArray[np.bool_] | None
+    lengths: FloatArray | None = None
 
     def match(self, position: int) -> Match:
         """The match at a 0-based position of the order."""
@@ -89,7 +92,7 @@ class Ranking:
             distance2=2.0 - 2.0 * float(self.scores[index]),
             gap=None if last else 2.0 * float(self.scores[index] - self.scores[self.order[position + 1]]),
             cosines=self.cosines[index],
-            shares=explain.contributions(self.cosines[index], self.weights),
+            shares=explain.contributions(self.cosines[index], self.weights, self.lengths),
             true=None if self.relevant is None else bool(self.relevant[index]),
         )
 
@@ -136,6 +139,7 @@ def rank(
     labels: npt.NDArray[np.int64] | None = None,
     label: int | None = None,
     truth: Truth | None = None,
+    lengths: FloatArray | None = None,
 ) -> Ranking:
     """Rank a gallery by weighted part cosines; ties keep gallery order, and junk is left out.
 
@@ -145,6 +149,7 @@ def rank(
         labels: the place each gallery picture shows, (G,), -1 for junk; needed with `label`.
         label: the place the query shows, or None when unknown.
         truth: the query's true matches and junk where labels do not say them.
+        lengths: see `Ranking`.
     """
     scores = cosines @ weights
     order = np.argsort(-scores, kind="stable")
@@ -152,4 +157,4 @@ def rank(
     relevant = None if labels is None or label is None else (labels == label) & ~junk
     if truth is not None:
         relevant, junk = (np.isin(np.arange(len(scores)), positions) for positions in (truth.good, truth.junk))
-    return Ranking(cosines, weights, scores, order[~junk[order]], relevant)
+    return Ranking(cosines, weights, scores, order[~junk[order]], relevant, lengths)

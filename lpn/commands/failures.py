@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.breakdown import Rate
-    from lpn.failures import Outcomes
     from lpn.metrics import IntArray
+    from lpn.study import Study
     from lpn.tables import Table
 
 
@@ -48,39 +48,25 @@ class Failures:
     def run(self) -> None:
         from rich.console import Console
 
-        from lpn import features, metadata, notes
+        from lpn import metadata
         from lpn.datasets import open_dataset
-        from lpn.failures import OUTCOME, build, labels_of, table
+        from lpn.failures import OUTCOME
         from lpn.files import check_writable, write_whole
-        from lpn.spec import views_of
+        from lpn.study import open_study
 
         if self.top < 1:
             raise InputError(f"The number of queries listed is {self.top}; expected 1 or more.")
         if self.csv is not None:
             check_writable(self.csv)
         model, dataset = lpn.load(self.model), open_dataset(self.data)
-        known = [task for task in dataset.tasks() if set(views_of(task)) <= set(model.views)]
-        task = self.task or (known[0] if known else "")
-        if task not in known:
-            raise InputError(
-                f"The task is {task or 'none'}; {dataset.root.name} and this model offer {', '.join(known) or 'none'} together."
-            )
-        views = views_of(task)
-        said = notes.read_notes(self.notes or dataset.root / notes.NAME)
-        queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
-        asked = features.known_descriptors(model, queries, views[0], dataset.root, "query")
-        tiles = features.known_descriptors(model, gallery, views[1], dataset.root, "gallery")
-        labels = labels_of(queries), labels_of(gallery)
-        outcomes = build(asked, tiles, *labels, dataset.truth(task))
-        names = model.spec.partition(views[0]).names()
-        made = table(dataset.root, queries, gallery, outcomes, names)
-        made = made.plus(notes.columns(said, made.paths))
+        study = open_study(model, self.model.name, dataset, self.task, notes_file=self.notes)
+        made = study.table
         rows = made.sort(made.filter(made.rows(), self.where), self.sort, self.descending)
         console = Console(width=max(120, Console().width))
         shown = [*OUTCOME, metadata.TAGS, *(name for name in made.columns if name in f"{self.where} {self.sort}")]
         _print(console, made, rows, list(dict.fromkeys(shown)), self.top)
         if len(rows):
-            _print_breakdown(console, made, rows, outcomes, labels, names, self.top)
+            _print_breakdown(console, study, rows, self.top)
         if self.csv is not None:
             write_whole(self.csv, made.to_csv(rows))
 
@@ -98,24 +84,17 @@ def _print(console: Console, table: Table, rows: IntArray, names: list[str], top
     console.print(printed, f"{len(rows)} of {len(table)} queries, {min(top, len(rows))} listed.")
 
 
-def _print_breakdown(
-    console: Console,
-    table: Table,
-    rows: IntArray,
-    outcomes: Outcomes,
-    labels: tuple[IntArray, IntArray],
-    part_names: list[str],
-    top: int,
-) -> None:
+def _print_breakdown(console: Console, study: Study, rows: IntArray, top: int) -> None:
     """What the failures among some rows have in common."""
     from lpn import breakdown
     from lpn.failures import described_by
 
+    table, outcomes, part_names = study.table, study.outcomes, study.part_names
     failures = int(outcomes.failed[rows].sum())
     if failures:
         blamed = zip(part_names, breakdown.blame(outcomes, rows).tolist(), strict=True)
         _print_counts(console, f"The part that costs most, in {failures} failures:", list(blamed))
-        pairs = breakdown.confusions(outcomes, *labels, rows)
+        pairs = breakdown.confusions(outcomes, study.query_labels, study.labels, rows)
         truth, answer = table.column("truth"), table.column("answer")
         counts = [
             (f"{truth.text(one.queries[0]) or one.place} taken for {answer.text(one.queries[0])}", one.count)

@@ -59,7 +59,7 @@ class Explain:
         views = (self.view_query, self.view_match)
         for view in views:
             model.check_view(view)
-        weights = explain.part_weights(model.n_parts, _weights(self.weights))
+        weights = explain.part_weights(model.n_parts, part_values(self.weights))
         query = retrieval.describe_picture(model, images.load_picture(self.query), self.view_query, self.rotate)
         tile = retrieval.describe_picture(model, images.load_picture(self.match), self.view_match)
         assert query.trace is not None
@@ -82,7 +82,8 @@ class Explain:
             write_whole(self.png, pairfigure.encode(shown))
 
 
-def _weights(text: str | None) -> list[float] | None:
+def part_values(text: str | None) -> list[float] | None:
+    """Part weights as they are typed, "1,1,0,1"; InputError when they are no numbers."""
     if text is None:
         return None
     try:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import lpn
+from lpn.commands.reasons import part_values
 from lpn.commands.using import TaskName
 from lpn.errors import InputError
 
@@ -82,8 +83,7 @@ class Sweep:
         for view in (query_view, gallery_view):
             model.check_view(view)
         side = model.input_size[0 if self.over == "shift-down" else 1]
-        changes = sweeps.changes_over(self.over, self.step, self.reach, side)
-        weights = explain.part_weights(model.n_parts, _weights(self.weights))
+        weights = explain.part_weights(model.n_parts, part_values(self.weights))
         queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
         names = [entry.name for entry in queries]
         if self.query not in names:
@@ -94,21 +94,13 @@ class Sweep:
         entry, truth = queries[position], dataset.truth(task)
         picture = images.load_picture(entry.path)
         picture = picture if entry.box is None else images.crop(picture, entry.box, entry.name)
+        changes = [change.of(entry) for change in sweeps.changes_over(self.over, self.step, self.reach, side)]
         tiles = features.cached_descriptors(model, gallery, gallery_view)
         labels = np.array([tile.label for tile in gallery], np.int64)
         listed = None if truth is None else truth[position]
         points = sweeps.profile(model, picture, query_view, tiles, weights, changes, labels, entry.label, listed)
         seen = track(points, f"Describing {self.query}", len(changes), console=console, transient=True)
         return sweeps.Profile(self.over, tuple(seen))
-
-
-def _weights(text: str | None) -> list[float] | None:
-    if text is None:
-        return None
-    try:
-        return [float(item) for item in text.split(",")]
-    except ValueError as error:
-        raise InputError(f"The part weights are {text!r}; expected a number for each part, such as 1,1,1,0.") from error
 
 
 def _followed(profile: Profile) -> str:

@@ -39,6 +39,8 @@ class Explore:
     """Data set in any layout of docs/data.md, of which the test split is shown; by default the demo."""
     model: Path | None = None
     """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth; by default the demo's, for the demo."""
+    beside: Path | None = None
+    """Another trained LPN, to compare with on every query (Y, then Two models): of other parts, or before more training."""
     saved: Path | None = None
     """Result of the published test code, pytorch_result.mat, to explore in place of a model's; needs --data."""
     n_parts: int | None = None
@@ -54,7 +56,7 @@ class Explore:
         from explorer.app import run, run_saved
 
         if self.saved is not None:
-            if self.data is None or self.model is not None:
+            if self.data is None or self.model is not None or self.beside is not None:
                 raise InputError(
                     "A saved result is explored with its data set and without a model; give --saved and --data."
                 )
@@ -68,7 +70,7 @@ class Explore:
                 "The demo is not part of this installation; give a data set with --data and a model with --model."
             )
         query = DEMO_QUERY if self.data is None and self.query is None else self.query
-        run(self.data or DEMO, self.model or DEMO / "lpn.onnx", query, self.host, self.port)
+        run(self.data or DEMO, self.model or DEMO / "lpn.onnx", query, self.host, self.port, self.beside)
 
 
 @dataclass

@@ -46,12 +46,14 @@ class Picture:
             0005/image-01.jpeg), or what the data set calls it.
         box: the part of it that is meant, (left, top, right, bottom) in pixels, where a data set marks one (the queries
             of Oxford5k and Paris6k); else None.
+        panorama: whether it shows the full circle, north in the middle column.
     """
 
     path: Path
     label: int
     name: str
     box: tuple[float, float, float, float] | None = None
+    panorama: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,7 +57,8 @@ class CVACT(ListedDataset):
                 ]
                 for view, file in found.items():
                     if file is not None and None not in found.values():
-                        of_split[view].append(Picture(root / file, row, printable(ids[row - 1])))
+                        name = printable(ids[row - 1])
+                        of_split[view].append(Picture(root / file, row, name, panorama=view == "street"))
             pictures[split] = of_split
         if not any(pictures[split]["street"] for split in pictures):
             raise DataError(

@@ -53,7 +53,8 @@ class CVUSA(ListedDataset):
                 left_out += [LeftOut(file, "is not there") for file in missing]
                 if not missing:
                     for view, file in zip(of_split, pair, strict=True):
-                        of_split[view].append(Picture(root / file, labels[pair], printable(Path(file).stem)))
+                        name = printable(Path(file).stem)
+                        of_split[view].append(Picture(root / file, labels[pair], name, panorama=view == "street"))
             pictures[split] = of_split
         if not any(pictures[split]["street"] for split in pictures):
             raise DataError(

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -46,13 +47,14 @@ class Running:
 
 @contextmanager
 def started(
-    data: Path, model: Path, cache: Path, default: bool = False, saved: Path | None = None
+    data: Path, model: Path, cache: Path, default: bool = False, saved: Path | None = None, beside: Path | None = None
 ) -> Iterator[Running]:
     """`lpn explore` as a process of its own; by default it is told neither data nor model, or a saved result for a model."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     source = ["--model", model] if saved is None else ["--saved", saved, "--n-parts", "4"]
+    source += [] if beside is None else ["--beside", beside]
     chosen = [] if default else ["--data", data, *source]
     command = [sys.executable, "-m", "lpn.cli", "explore", *chosen, "--port", str(port)]
     environment = {**os.environ, "LPN_CACHE": str(cache)}
@@ -79,6 +81,15 @@ def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """The app on drawn places."""
     folder = tmp_path_factory.mktemp("app")
     with started(worlds.make_dataset(folder / "places"), worlds.make_model(folder), folder / "cache") as running:
+        yield running
+
+
+@pytest.fixture
+def two_models(tmp_path: Path) -> Iterator[Running]:
+    """The app with a network of one part beside that of four."""
+    worlds.make_model(tmp_path / "n1", n_parts=1).rename(tmp_path / "whole.onnx")
+    model, data = worlds.make_model(tmp_path), worlds.make_dataset(tmp_path / "places")
+    with started(data, model, tmp_path / "cache", beside=tmp_path / "whole.onnx") as running:
         yield running
 
 
@@ -215,12 +226,13 @@ class Explorer:
 
 
 @pytest.fixture
-def contexts(browser: Browser) -> Iterator[Callable[[], BrowserContext]]:
-    """Makes browser profiles that share nothing; all are closed at the end."""
+def contexts(browser: Browser) -> Iterator[Callable[..., BrowserContext]]:
+    """Makes browser profiles that share nothing and have seen the tour; all are closed at the end."""
     made: list[BrowserContext] = []
 
-    def make() -> BrowserContext:
-        made.append(browser.new_context(viewport={"width": 1456, "height": 835}))
+    def make(**options: Any) -> BrowserContext:
+        made.append(browser.new_context(**{"viewport": {"width": 1456, "height": 835}, **options}))
+        made[-1].add_init_script("localStorage.setItem('lpn-tour', 'seen')")
         return made[-1]
 
     yield make

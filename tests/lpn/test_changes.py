@@ -1,11 +1,20 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import torch
 
-from lpn import images
+from lpn import features, images
 from lpn.changes import UNCHANGED, Change
+from lpn.checkpoints import TorchModel
+from lpn.datasets import open_dataset
 from lpn.errors import InputError, PictureError
+from lpn.evaluate import evaluate
+from lpn.network import LPN
+from lpn.protocol import Protocol
+from lpn.spec import ModelSpec
 from tests import worlds
 
 
@@ -98,3 +107,35 @@ def test_a_box_is_rounded_cut_at_the_borders_and_must_hold_something() -> None:
     for box in ((5.0, 5.0, 5.0, 9.0), (-9.0, 0.0, -2.0, 5.0), (200.0, 0.0, 300.0, 5.0)):
         with pytest.raises(PictureError, match="nothing of query 7"):
             images.crop(picture, box, "query 7")
+
+
+def test_a_panorama_is_turned_by_moving_its_columns_around(tmp_path: Path) -> None:
+    dataset = open_dataset(worlds.make_cvusa(tmp_path / "pairs", 3))
+    street, tile = dataset.queries("street")[0], dataset.gallery("satellite")[0]
+    assert (street.panorama, tile.panorama) == (True, False)
+    picture = images.load_picture(street.path)
+    quarter = Change(rotate=90).of(street)
+    turned = quarter.apply(picture)
+    # What was in the east, three quarters across, is in the north, in the middle; no corner is black.
+    width = picture.shape[1]
+    np.testing.assert_array_equal(turned[:, width // 2], picture[:, 3 * width // 4])
+    np.testing.assert_array_equal(Change(rotate=-90).of(street).apply(turned), picture)
+    assert quarter.describe() == "turned 90° (columns moved around)"
+    assert Change(rotate=90).of(tile) == Change(rotate=90)
+    assert Change().of(street) == Change()
+
+
+def test_stores_of_turned_panoramas_are_told_from_those_of_turned_pictures(tmp_path: Path) -> None:
+    dataset = open_dataset(worlds.make_cvusa(tmp_path / "pairs", 3))
+    torch.manual_seed(0)
+    spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=2, input_size=(64, 64))
+    model, queries = TorchModel(LPN(spec), "f" * 16), dataset.queries("street")
+    found = {
+        change.around: features.cached_descriptors(model, queries, "street", change)
+        for change in (Change(rotate=90), Change(rotate=90).of(queries[0]))
+    }
+    assert not np.allclose(found[True], found[False], atol=1e-3)
+    again = features.cached_descriptors(model, queries, "street", Change(rotate=90, around=True))
+    np.testing.assert_array_equal(found[True], again)
+    protocol = Protocol(Change(rotate=90))
+    assert "columns moved around" in evaluate(model, dataset, "street-to-satellite", protocol).said

@@ -138,17 +138,25 @@ def test_a_region_s_search_orders_by_what_its_cells_add_to_each_score(name: str)
     rng = np.random.default_rng(3)
     painted = np.zeros(query.trace.size, bool)
     painted[1:3, 0:3] = True
-    region = query.trace.region(painted)
-    assert np.linalg.norm(region) == pytest.approx(1.0, abs=1e-5)
+    n = model.n_parts
+    weights = explain.part_weights(n, 1 + np.arange(n))
+    region = query.trace.region(painted, weights)
+    lengths = n * (region**2).sum(axis=1)
+    assert lengths @ weights == pytest.approx(1.0, abs=1e-5)
     gallery = rng.normal(size=(6, *region.shape)).astype(np.float32)
-    gallery /= np.linalg.norm(gallery, axis=2, keepdims=True) * np.sqrt(model.n_parts)
-    added = [explain.side(query.trace, tile).cells.mean(axis=0)[painted].sum() for tile in gallery]
-    cosines = explain.part_cosines(region, gallery).mean(axis=1)
-    np.testing.assert_allclose(cosines / cosines[0], np.array(added) / added[0], rtol=1e-3)
-    with pytest.raises(InputError, match="No cell is painted"):
-        query.trace.region(np.zeros(query.trace.size, bool))
+    gallery /= np.linalg.norm(gallery, axis=2, keepdims=True) * np.sqrt(n)
+    added = [explain.side(query.trace, tile).total(weights)[painted].sum() for tile in gallery]
+    products = explain.part_cosines(region, gallery)
+    scores = products @ weights
+    np.testing.assert_allclose(scores / scores[0], np.array(added) / added[0], rtol=1e-3)
+    # The shares of the distance add up, and none is negative as it would be if these were cosines.
+    shares = explain.contributions(products, weights, lengths)
+    np.testing.assert_allclose(shares.sum(axis=1), 2 - 2 * scores, atol=1e-5)
+    assert shares.min() >= -1e-6
+    with pytest.raises(InputError, match="No cell of a part that counts"):
+        query.trace.region(np.zeros(query.trace.size, bool), weights)
     with pytest.raises(InputError, match="the feature map has"):
-        query.trace.region(np.ones((2, 2), bool))
+        query.trace.region(np.ones((2, 2), bool), weights)
 
 
 def test_mirrored_pictures_have_mirrored_evidence() -> None:

@@ -89,6 +89,16 @@ def test_sides_of_a_tile_are_told_by_the_compass(row: int, column: int, picture:
     assert words.where(-np.ones((4, 4)), "drone") == "all around"
 
 
+def test_a_score_of_constants_is_not_said_to_be_of_places() -> None:
+    cells = np.zeros((2, 4, 4))
+    cells[:, 0, 3] = -0.1
+    found = Evidence(np.array([0.5, 0.6]), part_weights(2), *(Side(cells, np.array([0.6, 0.7])),) * 2)
+    said = words.why(found, ["1 centre", "2 outer"], "drone", "satellite")
+    assert "most of it by a constant that comes from no cell" in said
+    assert "Of the whole score +0.650 is constants" in said
+    assert "north-east" not in said
+
+
 def test_the_sentence_names_the_part_that_adds_most_and_one_that_speaks_against() -> None:
     cells = np.zeros((2, 4, 4))
     cells[1, 0, 3] = 0.8

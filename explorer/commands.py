@@ -1,0 +1,89 @@
+"""What the command palette offers beyond the panels' own keys, so that everything can be reached from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, cast
+
+import viser
+
+from explorer import session
+from explorer.bridge import Bridge
+from explorer.exhibit import Exhibit
+from explorer.panels import Change, Panels
+from explorer.session import State
+
+_SHIFT = 8
+_ZOOM = 1.1
+
+
+def add(gui: viser.GuiApi, exhibit: Exhibit, panels: Panels, change: Callable[[Change], None], bridge: Bridge) -> None:
+    """Register them for one browser."""
+    live = exhibit.model is not None
+    orders: list[tuple[str, str | None, Callable[[], None]]] = [
+        ("Copy link to what is shown", "I", lambda: bridge.order("copy")),
+        ("Show the tour", None, lambda: bridge.order("tour")),
+        ("Find a picture by name", None, lambda: bridge.order("focus", panels.finder)),
+    ]
+    if live:
+        orders.append(("Use my own picture", "U", lambda: bridge.order("upload")))
+    for label, key, order in orders:
+        gui.add_command(label, hotkey=cast(Any, key)).on_trigger(_calls(order))
+    changes: list[tuple[str, str | None, Change]] = [("Light or dark", "O", session.flip_dark)]
+    if len(exhibit.tasks) > 1:
+        changes += [(f"Task: {name}", None, _task(name)) for name in exhibit.tasks]
+    changes += [(f"Part {name} on or off", None, _flip_part(part)) for part, name in enumerate(exhibit.part_names)]
+    changes.append(("All parts equal", None, lambda state: replace(state, weights=(), enabled=())))
+    if live:
+        changes += [(f"Heatmap of part {name}", None, _heat_of(part)) for part, name in enumerate(exhibit.part_names)]
+        changes += [
+            ("Heatmap of all parts", None, _heat_of(None)),
+            ("Zoom in", None, _zoom(_ZOOM)),
+            ("Zoom out", None, _zoom(1 / _ZOOM)),
+            (f"Shift right by {_SHIFT} pixels", None, _shift(exhibit, _SHIFT, 0)),
+            (f"Shift left by {_SHIFT} pixels", None, _shift(exhibit, -_SHIFT, 0)),
+            (f"Shift down by {_SHIFT} pixels", None, _shift(exhibit, 0, _SHIFT)),
+            (f"Shift up by {_SHIFT} pixels", None, _shift(exhibit, 0, -_SHIFT)),
+        ]
+    for label, key, changed in changes:
+        gui.add_command(label, hotkey=cast(Any, key)).on_trigger(_changes(change, changed))
+
+
+def _calls(order: Callable[[], None]) -> Callable[[Any], None]:
+    return lambda _: order()
+
+
+def _changes(change: Callable[[Change], None], changed: Change) -> Callable[[Any], None]:
+    return lambda _: change(changed)
+
+
+def _task(name: str) -> Change:
+    return lambda state: session.take_task(state, name)
+
+
+def _flip_part(part: int) -> Change:
+    def flipped(state: State) -> State:
+        enabled = tuple(on != (i == part) for i, on in enumerate(state.enabled))
+        return replace(state, enabled=enabled)
+
+    return flipped
+
+
+def _heat_of(part: int | None) -> Change:
+    return lambda state: replace(state, heat=True, heat_part=part)
+
+
+def _zoom(factor: float) -> Change:
+    low, high = 1 / session.MAX_ZOOM, session.MAX_ZOOM
+    return lambda state: replace(state, zoom=min(max(round(state.zoom * factor, 2), low), high))
+
+
+def _shift(exhibit: Exhibit, right: int, down: int) -> Change:
+    reach = exhibit.spec.input_size[1] // 2, exhibit.spec.input_size[0] // 2
+
+    def shifted(state: State) -> State:
+        across = min(max(state.shift + right, -reach[0]), reach[0])
+        return replace(state, shift=across, down=min(max(state.down + down, -reach[1]), reach[1]))
+
+    return shifted

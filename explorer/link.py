@@ -1,0 +1,243 @@
+"""A browser's choices as the query of the page's address, and back. Pure functions of names and numbers; no viser."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+from urllib.parse import parse_qsl, quote, urlencode
+
+from explorer import session
+from explorer.exhibit import Exhibit
+from explorer.session import TRUTH, State
+from lpn.files import printable
+
+LONGEST = 20_000
+"""Characters of a query that is read: a painted region of a large feature map fits."""
+OWN = "own"
+"""Stands for a picture of the user's own, which no address can carry."""
+_NUMBER = re.compile(r"-?\d{1,9}(\.\d{1,12})?(e-\d{1,2})?")
+
+
+class UnusableError(Exception):
+    """A value of an address that says nothing here; its text says what is wrong with it."""
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """One key of the query: how its value is written, None for what needs no mention, and what a value changes."""
+
+    key: str
+    write: Callable[[State], str | None]
+    read: Callable[[State, str], State]
+
+
+class Links:
+    """Writes and reads the addresses of one exhibit; made once for all browsers."""
+
+    def __init__(self, exhibit: Exhibit) -> None:
+        self._exhibit = exhibit
+        self._first = {
+            (name, side): _first_of(entry.name for entry in entries)
+            for name, task in exhibit.tasks.items()
+            for side, entries in (("query", task.queries), ("gallery", task.gallery))
+        }
+        reach = exhibit.spec.input_size[1] // 2, exhibit.spec.input_size[0] // 2
+        self._kinds = (
+            _Kind("task", lambda s: s.task, self._task),
+            _Kind("query", self._written_query, self._query),
+            _Kind("with", self._written_tile, self._tile),
+            _number("angle", -180, 180),
+            _number("shift", -reach[0], reach[0], whole=True),
+            _number("down", -reach[1], reach[1], whole=True),
+            _number("zoom", 1 / session.MAX_ZOOM, session.MAX_ZOOM),
+            _Kind("weights", _written_weights, _weights),
+            _Kind("off", _written_off, _off),
+            _Kind("region", lambda s: ranges(s.region) or None, self._region),
+            _switch("map"),
+            _switch("city"),
+            _switch("why"),
+            _switch("lab"),
+            _switch("exploded", "apart"),
+            _switch("rings"),
+            _switch("heat"),
+            _choice("heat_kind", {"activation": "activation", "evidence": "evidence"}, "shows"),
+            _Kind("part", lambda s: None if s.heat_part is None else str(s.heat_part + 1), _heat_part),
+            _number("opacity", 0, 1),
+            _choice("dark", {"light": False, "dark": True}, "theme"),
+        )
+        self.keys = tuple(kind.key for kind in self._kinds)
+
+    def write(self, state: State) -> str:
+        """The query (without "?") that brings the state back; what is as it always is is left out."""
+        pairs = [(kind.key, value) for kind in self._kinds if (value := kind.write(state)) is not None]
+        return urlencode(pairs, quote_via=quote, safe="/,~")
+
+    def read(self, text: str, state: State) -> tuple[State, list[str]]:
+        """The state with all choices of a query made that can be, and a sentence about each that cannot.
+
+        Args:
+            text: from an address, so anything; keys of no meaning here are somebody else's.
+            state: what a page without a query shows.
+        """
+        try:
+            given = dict(parse_qsl(text[:LONGEST].removeprefix("?"), True, max_num_fields=200))
+        except ValueError:
+            return state, ["It is too long."]
+        said = []
+        for kind in self._kinds:  # in their own order: the task first, then its query, then what is done to it
+            if (value := given.get(kind.key)) is None:
+                continue
+            try:
+                state = kind.read(state, value)
+            except UnusableError as problem:
+                said.append(f"{kind.key}={printable(value[:60])}: {problem}")
+        return state, said
+
+    def _task(self, state: State, value: str) -> State:
+        if value not in self._exhibit.tasks:
+            raise UnusableError(f"this data set offers {', '.join(self._exhibit.tasks)}.")
+        return state if value == state.task else replace(state, task=value, query=0)
+
+    def _written_query(self, state: State) -> str:
+        if state.upload is not None:
+            return OWN
+        return self._name(state, "query", self._exhibit.tasks[state.task].queries, state.query)
+
+    def _query(self, state: State, value: str) -> State:
+        task = self._exhibit.tasks[state.task]
+        query = self._position(state, "query", len(task.queries), value)
+        if query is None and value == OWN:
+            raise UnusableError("a picture of somebody's own is in their browser only; ask them for the file.")
+        if query is None:
+            raise UnusableError(f"there is no such query; names are such as {task.queries[0].name}.")
+        return replace(state, query=query)
+
+    def _written_tile(self, state: State) -> str | None:
+        if state.selected is None or state.selected == TRUTH:
+            return state.selected
+        return self._name(state, "gallery", self._exhibit.tasks[state.task].gallery, state.selected)
+
+    def _tile(self, state: State, value: str) -> State:
+        gallery = self._exhibit.tasks[state.task].gallery
+        tile = self._position(state, "gallery", len(gallery), value)
+        if tile is not None:
+            return replace(state, selected=tile)
+        if value == TRUTH:
+            return replace(state, selected=TRUTH)
+        raise UnusableError(f"there is no such tile; names are such as {gallery[0].name}.")
+
+    def _name(self, state: State, side: str, entries: Sequence[Any], index: int) -> str:
+        """A picture's name, or its position where the name alone would be taken for something else."""
+        name = str(entries[index].name)
+        plain = name == printable(name) and name not in (OWN, TRUTH) and name[:1] != "~"
+        return name if plain and self._first[state.task, side][name] == index else f"~{index}"
+
+    def _position(self, state: State, side: str, count: int, value: str) -> int | None:
+        if re.fullmatch(r"~\d{1,9}", value):
+            return int(value[1:]) if int(value[1:]) < count else None
+        return None if value in (OWN, TRUTH) else self._first[state.task, side].get(value)
+
+    def _region(self, state: State, value: str) -> State:
+        rows, columns = self._exhibit.sizes(self._exhibit.tasks[state.task])
+        return replace(state, region=cells(value, rows * columns))
+
+
+def ranges(numbers: Sequence[int]) -> str:
+    """Whole numbers as "3-5,8"."""
+    left = sorted(set(numbers))
+    runs: list[list[int]] = []
+    for number in left:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return ",".join(str(low) if low == high else f"{low}-{high}" for low, high in runs)
+
+
+def cells(text: str, count: int) -> tuple[int, ...]:
+    """The numbers of "3-5,8", all below `count`; UnusableError otherwise."""
+    found: set[int] = set()
+    for piece in text.split(","):
+        match = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", piece)
+        low, high = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if not low <= high < count:
+            raise UnusableError(f"expected cells 0 to {count - 1}, such as 3-5,8.")
+        found.update(range(low, high + 1))
+    return tuple(sorted(found))
+
+
+def _first_of(names: Iterable[str]) -> dict[str, int]:
+    first: dict[str, int] = {}
+    for index, name in enumerate(names):
+        first.setdefault(name, index)
+    return first
+
+
+def _shown(value: float) -> str:
+    return f"{value:.10g}"
+
+
+def _parsed(text: str, low: float, high: float) -> float:
+    value = float(text) if _NUMBER.fullmatch(text) else low - 1
+    if not low <= value <= high:
+        raise UnusableError(f"expected a number from {low:g} to {high:g}.")
+    return value
+
+
+def _with(state: State, name: str, value: Any) -> State:
+    return replace(state, **{name: value})
+
+
+def _default(name: str) -> Any:
+    return State.__dataclass_fields__[name].default
+
+
+def _number(name: str, low: float, high: float, whole: bool = False) -> _Kind:
+    def read(state: State, text: str) -> State:
+        value = _parsed(text, low, high)
+        return _with(state, name, round(value) if whole else value)
+
+    return _Kind(name, lambda s: None if getattr(s, name) == _default(name) else _shown(getattr(s, name)), read)
+
+
+def _choice(name: str, values: dict[str, Any], key: str | None = None) -> _Kind:
+    def write(state: State) -> str | None:
+        chosen = getattr(state, name)
+        return None if chosen == _default(name) else next(text for text, value in values.items() if value == chosen)
+
+    def read(state: State, text: str) -> State:
+        if text not in values:
+            raise UnusableError(f"expected {' or '.join(values)}.")
+        return _with(state, name, values[text])
+
+    return _Kind(key or name, write, read)
+
+
+def _switch(name: str, key: str | None = None) -> _Kind:
+    return _choice(name, {"0": False, "1": True}, key)
+
+
+def _written_weights(state: State) -> str | None:
+    return None if set(state.weights) == {1.0} else ",".join(map(_shown, state.weights))
+
+
+def _weights(state: State, text: str) -> State:
+    pieces = text.split(",")
+    if len(pieces) != state.n_parts:
+        raise UnusableError(f"expected {state.n_parts} weights, one for each part.")
+    return replace(state, weights=tuple(_parsed(piece, 0, session.MAX_WEIGHT) for piece in pieces))
+
+
+def _written_off(state: State) -> str | None:
+    return ",".join(str(part + 1) for part, on in enumerate(state.enabled) if not on) or None
+
+
+def _off(state: State, text: str) -> State:
+    parts = {round(_parsed(piece, 1, state.n_parts)) for piece in text.split(",")}
+    return replace(state, enabled=tuple(part + 1 not in parts for part in range(state.n_parts)))
+
+
+def _heat_part(state: State, text: str) -> State:
+    return replace(state, heat_part=round(_parsed(text, 1, state.n_parts)) - 1)

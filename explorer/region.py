@@ -1,0 +1,47 @@
+"""Search by a part of the query that is painted with the mouse, as html."""
+
+from __future__ import annotations
+
+import json
+
+from explorer.bridge import send
+from explorer.exhibit import Answer, Exhibit
+from lpn import images, overlays
+
+_HEIGHT = 460
+
+
+def page(answer: Answer, exhibit: Exhibit) -> str:
+    """The whole tab: the query to paint on, and what a search by painted cells means."""
+    view = answer.task.query_view
+    rows, columns = exhibit.map_sizes[view]
+    width = round(_HEIGHT * exhibit.layout.picture[0] / exhibit.layout.picture[1])
+    picture = images.resize(exhibit.cut(answer.query.picture, view), _HEIGHT, min(width, 1200))
+    drawn = overlays.with_rings(picture, exhibit.spec.partition(view), (rows, columns), 2)
+    painted = [cell for cell in answer.state.region if cell < rows * columns]
+    marks = "".join(
+        f"<i class='paint' data-cell='{cell}' style='left:{100 * (cell % columns) / columns:.3f}%;"
+        f"top:{100 * (cell // columns) / rows:.3f}%;width:{100 / columns:.3f}%;height:{100 / rows:.3f}%;"
+        f"opacity:{int(cell in set(painted))}'></i>"
+        for cell in range(rows * columns)
+    )
+    if painted:
+        said = (
+            f"The ranking is by {len(painted)} of {rows * columns} cells alone: tiles are ordered by what these cells add to "
+            "their scores, exactly. Distances are between what the cells describe and each whole tile, so they are larger."
+        )
+        clear = f"<a {send('region', [])}>Search by the whole query again</a>"
+    else:
+        said = "Paint what you care about: press and draw over cells; start on a painted cell to erase. The ranking follows."
+        clear = ""
+    return (
+        f"<div class='lpn' id='lpn-region' data-painted='{len(painted)}'><div class='said headline'>{said}</div>"
+        f"<div class='chips'>{clear}</div>"
+        f"<div class='lpn-map canvas' data-size='{rows},{columns}' data-painted='{json.dumps(painted)}' "
+        "onpointerdown='lpn.stroke(this,event)' onpointermove='lpn.stroke(this,event)' onpointerup='lpn.stroke(this,event)' "
+        f"onpointercancel='lpn.stroke(this,event)'><img src='{overlays.data_uri(drawn, 88)}' alt='the query' draggable='false'>"
+        f"{marks}</div></div>"
+    )
+
+
+STYLE = "<style>.lpn-map.canvas{max-width:520px;margin:auto;touch-action:none}</style>"

@@ -1,0 +1,72 @@
+"""Reports of what a browser shows, as `lpn report` writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from explorer.exhibit import Answer, Exhibit, Task
+from lpn import notes, report
+from lpn.model import FloatArray
+from lpn.study import Study
+
+
+def study_of(exhibit: Exhibit, task: Task, weights: FloatArray | None = None) -> Study:
+    """A task of the exhibit as reports take it, with the tags and notes beside the data.
+
+    Raises:
+        LPNError: when the notes cannot be read.
+    """
+    return Study(
+        exhibit.model,
+        exhibit.model_name,
+        exhibit.data_name,
+        exhibit.root,
+        task.name,
+        exhibit.spec,
+        exhibit.map_sizes,
+        task.queries,
+        task.gallery,
+        task.query_labels,
+        task.labels,
+        task.truth,
+        task.asked,
+        task.descriptors,
+        weights,
+        notes.read_notes(exhibit.root / notes.NAME),
+    )
+
+
+def of_answer(
+    exhibit: Exhibit, answer: Answer, progress: Callable[[int, int], None] | None = None
+) -> tuple[str, bytes]:
+    """A file's name and contents: the query as it is shown, against the tile that it is compared with.
+
+    Raises:
+        LPNError: when a file of the data set cannot be read.
+    """
+    state, task = answer.state, answer.task
+    study = study_of(exhibit, task, answer.ranking.weights)
+    query = report.Own(answer.name, answer.source) if state.upload else state.query
+    options = report.Options(change=state.change, against=answer.chosen.index)
+    return f"{_plain(answer.name)}.html", report.build(study, [query], options, progress)
+
+
+def of_selection(
+    exhibit: Exhibit,
+    task: Task,
+    queries: Sequence[int],
+    chosen: str,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[str, bytes]:
+    """The same for several queries of a task as they are; `chosen` says in words which they are.
+
+    Raises:
+        LPNError: when there are too many, or a file of the data set cannot be read.
+    """
+    options = report.Options(chosen=chosen)
+    return f"{_plain(task.name)}.html", report.build(study_of(exhibit, task), queries, options, progress)
+
+
+def _plain(name: str) -> str:
+    """A name that is one on any system."""
+    return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name)[:60] or "report"

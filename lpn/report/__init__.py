@@ -1,0 +1,10 @@
+"""A self-contained HTML file about some queries: pictures inside, no network, no script; it prints on A4.
+
+study = lpn.study.open_study(model, "lpn.onnx", dataset)
+write_whole(Path("report.html"), lpn.report.build(study, [17, 4]))
+"""
+
+from lpn.report.cases import Options, Own
+from lpn.report.page import build
+
+__all__ = ["Options", "Own", "build"]

@@ -1,0 +1,283 @@
+"""What a report says of one query, computed; nothing here is html."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from lpn import explain, geo, images, retrieval, sweeps, versus
+from lpn.changes import UNCHANGED, Change
+from lpn.datasets import Picture as Entry
+from lpn.errors import InputError
+from lpn.explain import Evidence
+from lpn.failures import described_by
+from lpn.images import Picture
+from lpn.metadata import NOTE, TAGS
+from lpn.retrieval import Described, Match, Ranking
+from lpn.study import Study
+from lpn.sweeps import Profile
+from lpn.versus import Effect, Margin, Reweighting, Without
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a report shows.
+
+    Attributes:
+        matches: tiles listed for each query, 1 or more.
+        profile: whether each query is turned once around; one forward pass for each step.
+        step: degrees between two steps.
+        change: what is done to each query first.
+        against: gallery position of a tile to compare in place of the top match.
+        chosen: how the queries were chosen, in words.
+    """
+
+    matches: int = 5
+    profile: bool = False
+    step: float = 15.0
+    change: Change = UNCHANGED
+    against: int | None = None
+    chosen: str = ""
+
+    def __post_init__(self) -> None:
+        if self.matches < 1:
+            raise InputError(f"The number of tiles listed is {self.matches}; expected 1 or more.")
+        sweeps.changes_over("rotation", self.step)
+
+
+@dataclass(frozen=True, eq=False)
+class Own:
+    """A picture that is no query of the data set; its true place is not known.
+
+    Attributes:
+        name: how it is called.
+        picture: (H, W, 3) uint8.
+    """
+
+    name: str
+    picture: Picture
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The query with one tile.
+
+    Attributes:
+        match: the tile in the ranking.
+        picture: the tile as its parts are cut from it.
+        evidence: None without a network.
+    """
+
+    match: Match
+    picture: Picture
+    evidence: Evidence | None
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One query.
+
+    Attributes:
+        name: of the query.
+        known: whether its place is known, though the gallery may have no tile of it.
+        facts: name and value of each thing known of its picture.
+        picture: the query as its parts are cut from it.
+        ranking: the whole gallery.
+        matches: the nearest tiles, and after them the nearest true one where it is not among them.
+        metres: from what the query shows to each of the matches; None where that is not known.
+        truth: the nearest true tile; None where there is none or it is not known.
+        rival: the nearest tile that is not true; None where truth is not known or all are true.
+        pairs: the tile looked at, then its opponent: the nearest true tile, or where that is looked at, the nearest false one.
+        margin: of the true tile of the two over the false one; None where there are not both.
+        without: where the truth would stand with other parts; None where there is none.
+        change: the smallest change of part weights that puts the truth first; None where there is none, or it is first.
+        effect: what that change does to all queries of the task.
+        profile: over the circle; None where it was not asked for.
+    """
+
+    name: str
+    known: bool
+    facts: list[tuple[str, str]]
+    picture: Picture
+    ranking: Ranking
+    matches: list[Match]
+    metres: list[float] | None
+    truth: Match | None
+    rival: Match | None
+    pairs: tuple[Pair, ...]
+    margin: Margin | None
+    without: Without | None
+    change: Reweighting | None
+    effect: Effect | None
+    profile: Profile | None
+
+    @property
+    def verdict(self) -> bool | None:
+        """Whether the top match is true; None where that is not known."""
+        return self.matches[0].true if self.known else None
+
+
+class Cases:
+    """Makes the cases of one report, keeping what they share."""
+
+    def __init__(self, study: Study, options: Options) -> None:
+        if options.against is not None and not 0 <= options.against < len(study.gallery):
+            raise InputError(
+                f"There is no gallery picture {options.against}; the gallery has positions 0 to {len(study.gallery) - 1}."
+            )
+        if study.model is None and (options.profile or options.change):
+            raise InputError(
+                f"{study.model_name} holds descriptors without their network: queries cannot be turned, so leave the profile "
+                "and changes out."
+            )
+        self._study, self._options = study, options
+        self._positions = geo.positions(study.root)
+        self._tile = lru_cache(maxsize=64)(self._describe_tile)
+        self.turns = sweeps.changes_over("rotation", options.step) if options.profile else []
+
+    def make(self, query: int | Own, tick: Callable[[], None]) -> Case:
+        """Everything about one query; `tick` is called after it and after each step of its profile."""
+        study, options = self._study, self._options
+        index = None if isinstance(query, Own) else query
+        name, picture = self._opened(query)
+        seen = self._described(picture, index)
+        ranking = study.rank(seen.descriptor, index)
+        if not len(ranking.order):
+            raise InputError(f"No tile is left to rank for {name}; its gallery holds junk alone.")
+        truth = ranking.truth()
+        first = ranking.match(0)
+        if options.against is not None and ranking.holds(options.against):
+            first = ranking.find(options.against)
+        matches = ranking.top(options.matches)
+        if truth is not None and truth.rank > len(matches):
+            matches.append(truth)
+        rival = nearest_false(ranking)
+        other = rival if first.true else truth
+        margin = None
+        if other is not None:
+            true, wrong = (first, other) if first.true else (other, first)
+            margin = versus.margin(ranking, true.index, wrong.index)
+        change = None if truth is None or truth.rank == 1 else versus.smallest_change(ranking)
+        case = Case(
+            name=name,
+            known=index is not None,
+            facts=self._facts(index),
+            picture=self._cut(seen.picture, 0),
+            ranking=ranking,
+            matches=matches,
+            metres=self._metres(index, matches),
+            truth=truth,
+            rival=rival,
+            pairs=tuple(self._pair(seen, match) for match in (first, other) if match is not None),
+            margin=margin,
+            without=versus.without(ranking),
+            change=change,
+            effect=None if change is None else self._effect(change),
+            profile=self._profile(picture, index, first, tick),
+        )
+        tick()
+        return case
+
+    def _opened(self, query: int | Own) -> tuple[str, Picture]:
+        if isinstance(query, Own):
+            return query.name, query.picture
+        if not 0 <= query < len(self._study.queries):
+            raise InputError(f"There is no query {query}; they have positions 0 to {len(self._study.queries) - 1}.")
+        entry = self._study.queries[query]
+        return entry.name, shown(entry)
+
+    def _described(self, picture: Picture, index: int | None) -> Described:
+        study = self._study
+        if study.model is None:
+            if index is None:
+                raise InputError(
+                    f"{study.model_name} holds descriptors without their network; choose a query of its own."
+                )
+            return Described(picture, study.asked[index], None, None)
+        change = self._options.change.of(study.queries[index or 0])
+        return retrieval.describe_picture(study.model, picture, study.views[0], change)
+
+    def _describe_tile(self, index: int) -> Described:
+        study = self._study
+        picture = shown(study.gallery[index])
+        if study.model is None:
+            return Described(picture, study.tiles[index], None, None)
+        return retrieval.describe_picture(study.model, picture, study.views[1])
+
+    def _cut(self, picture: Picture, side: int) -> Picture:
+        study = self._study
+        return picture if study.model is None else study.model.cut(picture, study.views[side])
+
+    def _pair(self, seen: Described, match: Match) -> Pair:
+        tile = self._tile(match.index)
+        evidence = None
+        if seen.trace is not None and tile.trace is not None:
+            evidence = explain.evidence(seen.trace, tile.trace, self._study.used)
+        return Pair(match, self._cut(tile.picture, 1), evidence)
+
+    def _facts(self, index: int | None) -> list[tuple[str, str]]:
+        if index is None:
+            return []
+        table = self._study.table
+        names = [column.name for column in described_by(table)] + [TAGS, NOTE]
+        columns = [table.columns[name] for name in names if name in table.columns]
+        return [
+            (column.name, column.text(index) + (column.unit if column.unit == "°" else f" {column.unit}").rstrip())
+            for column in columns
+            if column.known[index]
+        ]
+
+    def _metres(self, index: int | None, matches: list[Match]) -> list[float] | None:
+        if self._positions is None or index is None:
+            return None
+        here = self._positions.of([self._study.queries[index]])
+        tiles = self._positions.of([self._study.gallery[match.index] for match in matches])
+        return [float(value) for value in geo.metres(here * len(tiles), tiles)]
+
+    def _effect(self, change: Reweighting) -> Effect:
+        study = self._study
+        return versus.effect(
+            study.asked,
+            study.tiles,
+            study.weights,
+            change.weights,
+            study.query_labels,
+            study.labels,
+            study.truth,
+            study.outcomes.rank,
+        )
+
+    def _profile(self, picture: Picture, index: int | None, first: Match, tick: Callable[[], None]) -> Profile | None:
+        study, options = self._study, self._options
+        if not self.turns or study.model is None:
+            return None
+        change = options.change
+        entry = study.queries[index or 0]
+        turns = [Change(turn.rotate, change.shift, change.scale, change.down).of(entry) for turn in self.turns]
+        label = None if index is None else int(study.query_labels[index])
+        truth = None if index is None or study.truth is None else study.truth[index]
+        follow = first.index if index is None else None
+        points = []
+        for point in sweeps.profile(
+            study.model, picture, study.views[0], study.tiles, study.used, turns, study.labels, label, truth, follow
+        ):
+            points.append(point)
+            tick()
+        return Profile("rotation", tuple(points))
+
+
+def nearest_false(ranking: Ranking) -> Match | None:
+    """The nearest tile that is not a true match; None where truth is not known or all are true."""
+    if ranking.relevant is None:
+        return None
+    false = np.flatnonzero(~ranking.relevant[ranking.order])
+    return ranking.match(int(false[0])) if len(false) else None
+
+
+def shown(entry: Entry) -> Picture:
+    """What is meant of a picture file."""
+    picture = images.load_picture(entry.path)
+    return picture if entry.box is None else images.crop(picture, entry.box, entry.name)

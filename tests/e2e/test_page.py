@@ -1,0 +1,271 @@
+"""What a page is besides what it shows: an address, two themes, a tour, commands, and screens of every size."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+import cv2
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, BrowserContext, FloatRect, Locator, expect
+
+from bench.page import free_port
+from explorer.app import App
+from explorer.exhibit import Analyst, Answer
+from explorer.opening import open_model
+from explorer.session import State
+from tests import worlds
+from tests.e2e.conftest import Explorer, Running
+
+SHOWN = ("query", "name", "angle", "chosen", "top")
+
+
+def asked(explorer: Explorer) -> dict[str, str]:
+    return {key: values[0] for key, values in parse_qs(urlsplit(explorer.page.url).query).items()}
+
+
+def shown(explorer: Explorer) -> dict[str, str | None]:
+    return {name: explorer.status.get_attribute(f"data-{name}") for name in SHOWN}
+
+
+def wait_address(explorer: Explorer, key: str, value: str | None) -> None:
+    explorer.page.wait_for_function(
+        "([key, value]) => new URLSearchParams(location.search).get(key) === value", arg=[key, value]
+    )
+
+
+def box(locator: Locator) -> FloatRect:
+    found = locator.bounding_box()
+    assert found is not None
+    return found
+
+
+def overlap(one: FloatRect, other: FloatRect) -> float:
+    across = min(one["x"] + one["width"], other["x"] + other["width"]) - max(one["x"], other["x"])
+    down = min(one["y"] + one["height"], other["y"] + other["height"]) - max(one["y"], other["y"])
+    return max(across, 0) * max(down, 0)
+
+
+def test_an_address_brings_back_what_was_shown(explorer: Explorer, contexts: Callable[..., BrowserContext]) -> None:
+    explorer.fill("Find name", "0011")
+    explorer.expect_status("name", "0011")
+    explorer.fill("Rotate", "-40")
+    explorer.expect_status("angle", "-40")
+    explorer.tab("Parts")
+    explorer.tick("Part 4 outer", False)
+    explorer.fill("Weight 1 centre", "1.5")
+    expect(explorer.page.locator("#lpn-parts")).to_contain_text("43 %")
+    explorer.rows.nth(2).click()
+    expect(explorer.rows.nth(2)).to_have_class(re.compile("chosen"))
+    for key in "xdw":
+        explorer.key(key)
+    expect(explorer.page.locator("#lpn-why .lpn-map")).to_have_count(2)
+    wait_address(explorer, "why", "1")
+    assert asked(explorer)["query"] == "0011"
+
+    other = Explorer(contexts().new_page())
+    other.open(explorer.page.url)
+    assert other.sequence() == 1, "another state was shown first"
+    assert shown(other) == shown(explorer)
+    assert other.verdict.inner_text() == explorer.verdict.inner_text()
+    assert other.rows.all_inner_texts() == explorer.rows.all_inner_texts()
+    expect(other.page.locator("#lpn-why .lpn-map")).to_have_count(2)
+    expect(other.page.locator("html")).to_have_attribute("data-mantine-color-scheme", "light")
+    expect(other.field("Take apart")).to_be_checked()
+    expect(other.field("Rotate")).to_have_value("-40")
+    other.tab("Parts")
+    expect(other.field("Part 4 outer")).not_to_be_checked()
+    expect(other.field("Weight 1 centre")).to_have_value("1.5")
+    assert asked(other) == asked(explorer)
+
+
+def test_an_address_can_name_another_task(app: Running, contexts: Callable[..., BrowserContext]) -> None:
+    explorer = Explorer(contexts().new_page())
+    explorer.open(f"{app.url}/?task=satellite-to-drone&query=0010&with=truth")
+    expect(explorer.page.locator("#lpn-header")).to_contain_text("satellite → drone")
+    assert (shown(explorer)["name"], explorer.sequence()) == ("0010", 1)
+    explorer.key("n")
+    explorer.expect_status("name", "0011")
+    wait_address(explorer, "task", "satellite-to-drone")
+
+
+def test_a_hostile_address_does_no_harm(app: Running, contexts: Callable[..., BrowserContext]) -> None:
+    explorer = Explorer(contexts().new_page())
+    alarms: list[str] = []
+    explorer.page.on("dialog", lambda dialog: (alarms.append(dialog.message), dialog.dismiss()))
+    explorer.page.on("pageerror", lambda error: alarms.append(str(error)))
+    explorer.page.goto(
+        f"{app.url}/?query=%3Cimg%20src%3Dx%20onerror%3Dalert(1)%3E&angle=1e99&with=%00&weights=a,b"
+        "&region=0-9999999&theme=');alert(2)//&part=2&other=a%26b"
+    )
+    expect(explorer.status).not_to_have_attribute("data-seq", "0", timeout=60_000)
+    notice = explorer.page.locator(".mantine-Notification-root", has_text="Not all of the link")
+    for text in ("query=<img", "angle=1e99", "with=", "weights=", "region=", "theme="):
+        expect(notice).to_contain_text(text)
+    wait_address(explorer, "query", "0007")
+    assert asked(explorer) == {"task": "drone-to-satellite", "query": "0007", "part": "2", "other": "a&b"}
+    assert not alarms
+    explorer.fill("Rotate", "10")
+    explorer.expect_status("angle", "10")
+
+
+def test_ones_own_picture_is_said_not_to_be_in_the_link(
+    explorer: Explorer, contexts: Callable[..., BrowserContext], tmp_path: Path
+) -> None:
+    file = tmp_path / "mine.png"
+    worlds.write(file, worlds.place(77))
+    explorer.page.locator("input[type=file]").set_input_files(str(file))
+    explorer.expect_status("name", "mine.png")
+    wait_address(explorer, "query", "own")
+    explorer.page.get_by_text("Link", exact=True).click()
+    expect(explorer.page.locator("#lpn-said")).to_contain_text("not in it")
+    other = Explorer(contexts().new_page())
+    other.page.goto(explorer.page.url)
+    expect(other.page.locator(".mantine-Notification-root", has_text="ask them for the file")).to_be_visible(
+        timeout=60_000
+    )
+
+
+def test_the_link_is_copied_by_key(app: Running, contexts: Callable[..., BrowserContext]) -> None:
+    context = contexts(permissions=["clipboard-read", "clipboard-write"])
+    explorer = Explorer(context.new_page())
+    explorer.open(app.url)
+    explorer.fill("Rotate", "25")
+    wait_address(explorer, "angle", "25")
+    explorer.key("i")
+    expect(explorer.page.locator("#lpn-said")).to_contain_text("Link copied")
+    assert explorer.page.evaluate("navigator.clipboard.readText()") == explorer.page.url
+
+
+def test_light_and_dark(explorer: Explorer) -> None:
+    def picture() -> np.ndarray:
+        return cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_COLOR).astype(int)
+
+    dark = picture()
+    assert dark[3, 3].max() < 60
+    explorer.page.get_by_text("Light", exact=True).click()
+    expect(explorer.page.locator("html")).to_have_attribute("data-mantine-color-scheme", "light")
+    wait_address(explorer, "theme", "light")
+    light = picture()
+    assert light[3, 3].min() > 240
+    assert (light.min(axis=2) < 25).mean() < 0.1  # no caption stays on a dark patch
+    explorer.key("o")
+    expect(explorer.page.locator("html")).to_have_attribute("data-mantine-color-scheme", "dark")
+    wait_address(explorer, "theme", None)
+    assert (np.abs(picture() - dark).max(axis=2) > 25).mean() < 0.01  # and the key moved no camera
+
+
+def test_the_tour_is_shown_once_and_covers_nothing_it_speaks_of(app: Running, browser: Browser) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 720})
+    explorer = Explorer(context.new_page())
+    explorer.open(app.url)
+    card, spot = explorer.page.locator("#lpn-tour"), explorer.page.locator("#lpn-spot")
+    for step in range(1, 6):
+        expect(card).to_contain_text(f"{step} of 5")
+        assert overlap(box(card), box(spot)) == 0
+        card.get_by_role("button", name="Done" if step == 5 else "Next").click()
+    expect(card).to_have_count(0)
+    explorer.page.reload()
+    expect(explorer.status).not_to_have_attribute("data-seq", "0", timeout=60_000)
+    explorer.page.wait_for_timeout(1500)
+    expect(card).to_have_count(0)
+    explorer.page.keyboard.press("Control+k")
+    explorer.page.get_by_placeholder("Search commands").fill("tour")
+    explorer.page.keyboard.press("Enter")
+    expect(card).to_contain_text("1 of 5")
+    explorer.page.wait_for_timeout(400)
+    explorer.page.keyboard.press("Escape")
+    expect(card).to_have_count(0)
+    expect(spot).to_have_count(0)
+    context.close()
+
+
+def test_what_has_no_key_is_in_the_palette(explorer: Explorer) -> None:
+    for command, key, value in (
+        ("Part 2 on or off", "off", "2"),
+        ("Shift right by", "shift", "8"),
+        ("Heatmap of part 4", "part", "4"),
+        ("Task: satellite", "task", "satellite-to-drone"),
+    ):
+        explorer.page.keyboard.press("Control+k")
+        explorer.page.get_by_placeholder("Search commands").fill(command)
+        explorer.page.wait_for_timeout(200)
+        explorer.page.keyboard.press("Enter")
+        wait_address(explorer, key, value)
+        expect(explorer.page.get_by_placeholder("Search commands")).to_have_count(0)
+
+
+def test_everything_needed_is_in_view_on_a_projector(app: Running, contexts: Callable[..., BrowserContext]) -> None:
+    explorer = Explorer(contexts(viewport={"width": 1280, "height": 720}).new_page())
+    explorer.open(app.url)
+    expect(explorer.rows).to_have_count(10)
+    for wanted in (explorer.verdict, explorer.rows.nth(9), explorer.page.locator("#lpn-picker .pager")):
+        seen = box(wanted)
+        assert seen["y"] >= 0
+        assert seen["y"] + seen["height"] <= 720
+
+
+def test_a_phone_held_upright(app: Running, contexts: Callable[..., BrowserContext]) -> None:
+    context = contexts(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    explorer = Explorer(context.new_page())
+    explorer.open(app.url)
+    stage, verdict = box(explorer.canvas), box(explorer.verdict)
+    assert stage["width"] == 390
+    assert stage["height"] > 330
+    assert stage["y"] + stage["height"] <= box(explorer.page.locator("#lpn-header"))["y"]
+    assert verdict["y"] + verdict["height"] < 844
+    assert verdict["width"] > 340
+    picture = cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_COLOR)
+    columns = np.flatnonzero((picture > 90).any(axis=(0, 2)))
+    assert columns[0] >= 2
+    assert columns[-1] - columns[0] > 0.85 * picture.shape[1]  # framed: it fills the width and no more
+    explorer.rows.nth(1).tap()
+    expect(explorer.rows.nth(1)).to_have_class(re.compile("chosen"))
+
+
+def test_a_phone_held_sideways(app: Running, contexts: Callable[..., BrowserContext]) -> None:
+    context = contexts(viewport={"width": 844, "height": 390}, has_touch=True, is_mobile=True)
+    explorer = Explorer(context.new_page())
+    explorer.open(app.url)
+    explorer.page.wait_for_function("document.querySelector('canvas[data-engine]').clientWidth > 400")
+    assert box(explorer.verdict)["y"] < 300
+    assert box(explorer.rows.nth(1))["height"] < 60, "its styles went with the folded panel"
+    picture = cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_COLOR)
+    rows = np.flatnonzero((picture > 90).any(axis=(1, 2)))
+    assert rows[-1] - rows[0] > 0.85 * picture.shape[0]
+    explorer.rows.nth(1).tap()
+    expect(explorer.rows.nth(1)).to_have_class(re.compile("chosen"))
+
+
+def test_a_slow_answer_is_said_to_be_on_its_way(
+    app: Running, contexts: Callable[..., BrowserContext], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = Analyst.answer
+
+    def slowly(analyst: Analyst, state: State, k: int) -> Answer:
+        time.sleep(2.0 if state.angle == 33 else 0)
+        if state.angle == 44:
+            time.sleep(0.7)
+            raise RuntimeError("on purpose")
+        return answer(analyst, state, k)
+
+    monkeypatch.setattr(Analyst, "answer", slowly)
+    monkeypatch.setenv("LPN_CACHE", str(app.model.parent / "cache"))
+    served = App(open_model(app.data, app.model), "127.0.0.1", free_port())
+    try:
+        explorer = Explorer(contexts().new_page())
+        explorer.open(f"http://127.0.0.1:{served.server.get_port()}")
+        explorer.fill("Rotate", "33")
+        expect(explorer.status).to_contain_text("computing", timeout=1900)
+        assert explorer.status.get_attribute("data-angle") == "0"
+        explorer.expect_status("angle", "33")
+        expect(explorer.status).to_contain_text("answered in")
+        explorer.fill("Rotate", "44")
+        expect(explorer.page.locator(".mantine-Notification-root", has_text="No answer")).to_contain_text("log has")
+        expect(explorer.status).to_contain_text("answered in")
+    finally:
+        served.close()

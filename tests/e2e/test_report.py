@@ -1,0 +1,52 @@
+"""A report in a browser: on a screen, on a phone, and on paper."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser
+
+import lpn
+from lpn import report
+from lpn.datasets import open_dataset
+from lpn.report import Options
+from lpn.study import open_study
+
+
+@pytest.fixture
+def file(data: Path, model_file: Path, tmp_path: Path) -> Path:
+    """A report of two queries with profiles."""
+    study = open_study(lpn.load(model_file), "model.onnx", open_dataset(data))
+    (tmp_path / "report.html").write_bytes(report.build(study, [0, 5], Options(profile=True, step=90)))
+    return tmp_path / "report.html"
+
+
+def test_a_report_needs_nothing_else_and_prints_two_pages_a_query(browser: Browser, file: Path) -> None:
+    context = browser.new_context(viewport={"width": 1100, "height": 900}, color_scheme="dark")
+    page = context.new_page()
+    asked, said = [], []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("console", lambda message: said.append(message.text))
+    page.goto(file.as_uri())
+    page.get_by_role("link", name="0012").click()
+    assert page.url.endswith("#q2")
+    assert {url for url in asked if not url.startswith("data:")} == {file.as_uri()}
+    assert said == []
+    assert page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 0)")
+    dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    page.emulate_media(media="print")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)" != dark
+    printed = page.pdf(prefer_css_page_size=True, print_background=True)
+    assert len(re.findall(rb"/Type\s*/Page\b", printed)) == 1 + 2 * 2
+    assert re.search(rb"/MediaBox \[0 0 59[45][.\d]* 84[12]", printed)
+    context.close()
+
+
+def test_a_report_fits_a_phone(browser: Browser, file: Path) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 800})
+    page = context.new_page()
+    page.goto(file.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    context.close()

@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+from urllib.parse import parse_qs
+
+import numpy as np
+import pytest
+
+from explorer import link, session
+from explorer.exhibit import Exhibit
+from explorer.link import Links
+from explorer.opening import open_model
+from explorer.session import TRUTH, State, Upload
+
+
+@pytest.fixture(scope="module")
+def exhibit(data: Path, model_file: Path) -> Exhibit:
+    return open_model(data, model_file)
+
+
+@pytest.fixture(scope="module")
+def links(exhibit: Exhibit) -> Links:
+    return Links(exhibit)
+
+
+def any_state(exhibit: Exhibit, rng: Random) -> State:
+    task = exhibit.tasks[rng.choice(list(exhibit.tasks))]
+    count = exhibit.sizes(task)[0] * exhibit.sizes(task)[1]
+    chance = [True, False]
+    return State(
+        task.name,
+        4,
+        query=rng.randrange(len(task.queries)),
+        angle=rng.choice([0.0, float(rng.randint(-180, 180))]),
+        weights=tuple(rng.choice([1.0, round(0.05 * rng.randrange(41), 2)]) for _ in range(4)),
+        enabled=tuple(rng.choice(chance) for _ in range(4)),
+        selected=rng.choice([None, "truth", rng.randrange(len(task.gallery))]),  # type: ignore[arg-type]
+        shift=rng.randint(-32, 32),
+        down=rng.randint(-32, 32),
+        zoom=round(rng.uniform(0.25, 4), 2),
+        region=tuple(sorted(rng.sample(range(count), rng.randrange(count)))),
+        why=rng.choice(chance),
+        heat=rng.choice(chance),
+        heat_kind=rng.choice(["activation", "evidence"]),
+        heat_part=rng.choice([None, 0, 3]),
+        opacity=round(rng.random(), 2),
+        rings=rng.choice(chance),
+        exploded=rng.choice(chance),
+        map=rng.choice(chance),
+        city=rng.choice(chance),
+        dark=rng.choice(chance),
+    )
+
+
+def start(exhibit: Exhibit) -> State:
+    return State(next(iter(exhibit.tasks)), 4)
+
+
+def test_what_is_written_is_read_back(exhibit: Exhibit, links: Links) -> None:
+    rng = Random(0)
+    for _ in range(300):
+        state = any_state(exhibit, rng)
+        written = links.write(state)
+        assert links.read("?" + written, start(exhibit)) == (state, [])
+        assert set(parse_qs(written)) <= set(links.keys)
+
+
+def test_pictures_are_called_by_name_and_what_is_usual_is_not_said(exhibit: Exhibit, links: Links) -> None:
+    state = State("drone-to-satellite", 4, query=3, selected=2)
+    names = [entry.name for entry in exhibit.tasks["drone-to-satellite"].queries]
+    tile = exhibit.tasks["drone-to-satellite"].gallery[2].name
+    assert links.write(state) == f"task=drone-to-satellite&query={names[3]}&with={tile}"
+    assert links.write(replace(state, selected=TRUTH)).endswith("with=truth")
+
+
+def test_names_that_are_shared_or_mean_something_else_are_called_by_position(exhibit: Exhibit) -> None:
+    task = exhibit.tasks["drone-to-satellite"]
+    names = ["own", "twin", "twin", "~2", "a&b=c#d%20e", "häuser", "bad\udcff"]
+    queries = [replace(task.queries[0], name=name) for name in names]
+    fake = Exhibit(
+        "m", "d", [replace(task, queries=queries)], exhibit.spec, exhibit.map_sizes, None, None, exhibit.root
+    )
+    own = Links(fake)
+    state = State(task.name, 4)
+    for query in range(len(names)):
+        written = own.write(replace(state, query=query))
+        assert own.read(written, state)[0].query == query
+    assert own.read("query=twin", state)[0].query == 1
+    assert "query=~2" in own.write(replace(state, query=2))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ("task=nonsense", "offers drone-to-satellite"),
+        ("query=../../etc/passwd", "no such query"),
+        ("query=~99999", "no such query"),
+        ("with=<script>", "no such tile"),
+        ("angle=nan", "-180 to 180"),
+        ("angle=1e9", "-180 to 180"),
+        ("angle=", "-180 to 180"),
+        ("shift=-33", "-32 to 32"),
+        ("zoom=0", "0.25 to 4"),
+        ("weights=1,1,1", "expected 4 weights"),
+        ("weights=1,1,1,9", "0 to 2"),
+        ("off=0", "1 to 4"),
+        ("off=5", "1 to 4"),
+        ("region=9-2", "cells 0 to"),
+        ("region=0-9999999", "cells 0 to"),
+        ("region=-1", "cells 0 to"),
+        ("map=yes", "0 or 1"),
+        ("shows=anything", "activation or evidence"),
+        ("part=5", "1 to 4"),
+        ("opacity=2", "0 to 1"),
+        ("theme=pink", "light or dark"),
+        ("query=own", "ask them for the file"),
+    ],
+)
+def test_a_wrong_value_is_dropped_alone_and_said(exhibit: Exhibit, links: Links, wrong: str, says: str) -> None:
+    read, said = links.read(f"angle=30&{wrong}&rings=0", start(exhibit))
+    assert len(said) == 1
+    assert says in said[0]
+    assert wrong.split("=")[0] in said[0]
+    expected = replace(start(exhibit), angle=30.0, rings=False)
+    assert read == (replace(expected, angle=0.0) if wrong.startswith("angle") else expected)
+
+
+def test_foreign_keys_and_rubbish_are_passed_over(exhibit: Exhibit, links: Links) -> None:
+    for text in ("", "?", "websocket=ws://x&utm=1", "&&==&%", "%ff%00=%zz", "x" * 100_000):
+        assert links.read(text, start(exhibit)) == (start(exhibit), [])
+    state, said = links.read("&".join(["a=1"] * 1000), start(exhibit))
+    assert (state, len(said)) == (start(exhibit), 1)
+
+
+def test_another_task_starts_with_its_own_first_query(exhibit: Exhibit, links: Links) -> None:
+    shown = replace(start(exhibit), query=5)
+    assert links.read("task=satellite-to-drone", shown)[0].query == 0
+    assert links.read("angle=9", shown)[0].query == 5
+
+
+def test_ones_own_picture_is_not_in_the_link(exhibit: Exhibit, links: Links) -> None:
+    own = replace(start(exhibit), upload=Upload("secret.jpg", np.zeros((2, 2, 3), np.uint8)), angle=5)
+    written = links.write(own)
+    assert "query=own" in written
+    assert "secret" not in written
+
+
+def test_every_choice_is_in_the_address_or_known_not_to_be(links: Links) -> None:
+    state = State("drone-to-satellite", 4)
+    left_out = {"n_parts", "upload", "find", "page"}
+    named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
+    named |= {"heat_part": "part", "dark": "theme"}
+    fields = set(vars(state)) - left_out
+    assert {named.get(field, field) for field in fields} == set(links.keys)
+
+
+def test_ranges_are_short_and_exact() -> None:
+    assert link.ranges([3, 4, 5, 8]) == "3-5,8"
+    assert link.cells("3-5,8", 9) == (3, 4, 5, 8)
+    assert link.ranges(range(256)) == "0-255"
+    assert session.State("t", 1).region == ()

@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import re
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from explorer import pages, style, tour
+from explorer.bridge import Bridge
+from explorer.exhibit import Exhibit
+from explorer.opening import open_model, open_saved
+from explorer.session import State
+from explorer.worker import Patience
+from lpn import overlays
+from lpn.saved import load_saved
+from tests import worlds
+from tests.saved import save_result
+
+
+@pytest.fixture(scope="module")
+def exhibit(data: Path, model_file: Path) -> Exhibit:
+    return open_model(data, model_file)
+
+
+@pytest.mark.parametrize("palette", [overlays.DARK, overlays.LIGHT], ids=["dark", "light"])
+def test_words_can_be_read_in_both_themes(palette: overlays.Palette) -> None:
+    colours = (*overlays.PART_COLOURS, overlays.TRUE_COLOUR, overlays.FALSE_COLOUR, overlays.UNKNOWN_COLOUR)
+    inks = [palette.ink(colour) for colour in colours]
+    for ink in (*inks, palette.text, palette.dim):
+        assert overlays.contrast(ink, palette.background) >= overlays.READABLE
+    assert len(set(inks)) == len(inks)
+
+
+def test_a_colour_that_can_be_read_is_not_changed() -> None:
+    assert overlays.contrast((0, 0, 0), (255, 255, 255)) == pytest.approx(21)
+    assert overlays.DARK.ink(overlays.TRUE_COLOUR) == overlays.TRUE_COLOUR
+    assert overlays.LIGHT.ink(overlays.TRUE_COLOUR) != overlays.TRUE_COLOUR
+
+
+def test_the_theme_follows_the_state() -> None:
+    assert State("t", 2).palette is overlays.DARK
+    assert State("t", 2, dark=False).palette is overlays.LIGHT
+    image, _ = overlays.caption(4, 4, overlays.LIGHT)
+    assert image.getpixel((0, 0)) == overlays.LIGHT.background
+
+
+def test_every_ink_of_the_html_is_in_the_styles() -> None:
+    for ink in (style.part_ink(0), style.part_ink(9), style.verdict_ink(True), style.verdict_ink(None)):
+        name = re.fullmatch(r"var\((--lpn-[\w-]+)\)", ink)
+        assert name is not None
+        assert style.STYLE.count(f"{name[1]}:#") == 2
+
+
+def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
+    exhibit: Exhibit, data: Path, model_file: Path, tmp_path: Path
+) -> None:
+    live = tour.steps(exhibit)
+    assert len(live) == 5
+    assert all(step.selectors or step.box for step in live)
+    assert not any("map" in step.text + step.keys for step in live)
+    assert any("square rings" in step.text for step in live)
+    mapped = open_model(worlds.map_dataset(worlds.make_dataset(tmp_path / "mapped")), model_file)
+    assert any("map" in step.text for step in tour.steps(mapped))
+    save_result(tmp_path / "r.mat", data, model_file)
+    saved = tour.steps(open_saved(data, load_saved(tmp_path / "r.mat", 4)))
+    assert len(saved) == 5
+    assert not any("evidence" in step.text or "turn it" in step.keys or "your own" in step.text for step in saved)
+
+
+def test_a_status_line_that_waits_still_says_what_is_shown() -> None:
+    line = "<div id='lpn-status' data-seq='4' data-query='2'><span>answered in 3 ms</span></div>"
+    busy = pages.busy(line)
+    assert "data-seq='4' data-query='2'" in busy
+    assert "computing" in busy
+    assert "answered" not in busy
+    assert pages.busy(pages.FIRST) == pages.FIRST
+
+
+def test_what_is_there_in_time_is_not_spoken_of() -> None:
+    told: list[float] = []
+    patience = Patience(0.05, lambda: told.append(time.monotonic()))
+    patience.there()
+    time.sleep(0.15)
+    assert not told
+    rung = threading.Event()
+    patience = Patience(0.01, rung.set)
+    assert rung.wait(5)
+    patience.there()
+
+
+def test_a_message_that_is_none_reaches_no_handler() -> None:
+    got: list[object] = []
+    bridge = Bridge.__new__(Bridge)
+    bridge._handlers = {"small": got.append}
+    for message in ("", "{", "[]", "null", '{"kind": "other"}', '{"kind": ["small"]}', 7, "[" * 50_000):
+        bridge.receive(message)
+    assert not got
+    bridge.receive('{"kind": "small", "value": true}')
+    assert got == [True]

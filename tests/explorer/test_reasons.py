@@ -1,0 +1,215 @@
+"""What the window of reasons shows, and what it makes of messages from the page."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from explorer import against, profiles, region, session, why
+from explorer.against import Contest
+from explorer.bridge import LONGEST, Bridge
+from explorer.exhibit import Analyst, Answer, Exhibit
+from explorer.opening import open_model
+from explorer.room import Room
+from explorer.session import State, Upload
+from lpn import explain, sweeps
+from lpn.changes import Change
+from lpn.versus import Effect
+from tests import worlds
+
+
+@pytest.fixture(scope="module")
+def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Any) -> Exhibit:
+    folder = tmp_path_factory.mktemp("reasons")
+    return open_model(worlds.make_dataset(folder / "places", train=1, test=13), model_file)
+
+
+def answered(exhibit: Exhibit, **changes: Any) -> Answer:
+    state = State("drone-to-satellite", 4, why=True)
+    return Analyst(exhibit).answer(replace(state, **changes), 10)
+
+
+def data_of(html: str, name: str) -> list[Any]:
+    """The values that the page's script reads, of both pictures."""
+    return [json.loads(found) for found in re.findall(f"data-{name}='([^']*)'", html)]
+
+
+def test_evidence_is_computed_for_those_who_look(exhibit: Exhibit) -> None:
+    assert answered(exhibit, why=False).reasons is None
+    assert answered(exhibit, why=False, heat_kind="evidence").reasons is not None
+    assert answered(exhibit, why=False, heat_kind="evidence", heat=False).reasons is None
+    answer = answered(exhibit)
+    assert answer.reasons is not None
+    assert answer.reasons.evidence.score == pytest.approx(answer.chosen.score, abs=1e-5)
+
+
+def test_the_page_holds_every_cell_and_its_mate(exhibit: Exhibit) -> None:
+    answer = answered(exhibit, weights=(1.0, 1.0, 0.5, 0.0))
+    assert answer.reasons is not None
+    found, html = answer.reasons.evidence, why.page(answer, exhibit)
+    cells = data_of(html, "cells")
+    for held, side in zip(cells, (found.query, found.tile), strict=True):
+        np.testing.assert_allclose(held, side.total(found.weights).reshape(-1), atol=6e-6)
+        assert sum(held) + side.constants @ found.weights == pytest.approx(answer.chosen.score, abs=1e-3)
+    assert [len(mates) for mates in data_of(html, "mates")] == [16, 16]
+    of_part = why.page(answered(exhibit, heat_part=1), exhibit)
+    assert data_of(of_part, "cells") != cells
+    assert f"{found.score:+.3f}" in html
+
+
+def test_a_contest_is_between_the_truth_and_what_it_is_compared_with(exhibit: Exhibit) -> None:
+    task = exhibit.tasks["drone-to-satellite"]
+    late = int(np.argmax(task.ranks))
+    assert task.ranks[late] > 0
+    contest = Contest.of(answered(exhibit, query=late))
+    assert contest is not None
+    assert (contest.ahead.true, contest.rival.rank) == (True, 1)
+    # Compared with the truth itself, its rival is the nearest wrong tile.
+    contest = Contest.of(answered(exhibit, query=late, selected="truth"))
+    assert contest is not None
+    assert (contest.ahead.true, contest.rival.rank) == (True, 1)
+    # A picture of one's own has no truth: the compared tile is followed.
+    own = answered(exhibit, upload=Upload("own", worlds.place(50)), selected=3)
+    contest = Contest.of(own)
+    assert contest is not None
+    assert contest.ahead.index == 3
+    assert contest.without is not None
+
+
+def test_the_waterfall_and_the_smallest_change_are_said(exhibit: Exhibit) -> None:
+    task = exhibit.tasks["drone-to-satellite"]
+    for query in np.flatnonzero(task.ranks > 0):
+        answer = answered(exhibit, query=int(query))
+        contest = Contest.of(answer)
+        assert contest is not None
+        html = against.page(answer, exhibit, contest, None, False)
+        behind = contest.rival.distance2 - contest.ahead.distance2
+        assert f"{-behind:.3f} (d²) behind" in html
+        widths = [float(value) for value in re.findall(r"max\(1px,([\d.]+)%\)", html)]
+        assert len(widths) == 5
+        if contest.change is None:
+            assert "No part weights at all" in html
+            continue
+        assert "The smallest change" in html
+        effect = Effect(50.0, 40.0, np.array([1]), np.array([2, 3]), 13)
+        assert "It harms" in against.page(answer, exhibit, contest, effect, False)
+    first = answered(exhibit, query=int(np.flatnonzero(task.ranks == 0)[0]))
+    assert "first already" in against.page(first, exhibit, Contest.of(first), None, False)
+
+
+def test_a_profile_is_drawn_from_its_first_point_on(exhibit: Exhibit) -> None:
+    assert exhibit.model is not None
+    answer = answered(exhibit)
+    task = answer.task
+    changes = sweeps.changes_over("rotation", 45)
+    steps = sweeps.profile(
+        exhibit.model, answer.source, "drone", task.descriptors, answer.ranking.weights, changes, task.labels,
+        int(task.query_labels[0]),
+    )  # fmt: skip
+    points = [next(steps)]
+    one = profiles.page(answer, "rotation", sweeps.Profile("rotation", tuple(points)), 8, exhibit.part_names)
+    assert "data-done='1' data-of='8'" in one
+    assert "Cancel" in one
+    points += list(steps)
+    whole = profiles.page(answer, "rotation", sweeps.Profile("rotation", tuple(points)), 8, exhibit.part_names)
+    assert "Cancel" not in whole
+    assert whole.count("class='point'") == 2 * 8
+    assert "heading" in whole
+    assert "Choose what to change" in profiles.page(answer, None, None, 0, exhibit.part_names)
+
+
+def test_a_region_ranks_by_what_its_cells_add(exhibit: Exhibit) -> None:
+    analyst = Analyst(exhibit)
+    state = State("drone-to-satellite", 4, why=True)
+    whole = analyst.answer(state, 10)
+    part = analyst.answer(replace(state, region=(5, 6, 9)), 10)
+    assert part.query is whole.query
+    assert whole.query.trace is not None
+    cells = np.zeros((4, 4), bool)
+    cells.reshape(-1)[[5, 6, 9]] = True
+    added = [explain.side(whole.query.trace, tile).cells.mean(axis=0)[cells].sum() for tile in whole.task.descriptors]
+    assert [match.index for match in part.matches] == np.argsort(-np.array(added), kind="stable")[:10].tolist()
+    for match in part.matches:
+        assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-5)
+        assert match.shares.min() >= -1e-6
+    assert "3 of 16 cells" in region.page(part, exhibit)
+    assert "whole query" in why.page(part, exhibit)
+    np.testing.assert_array_equal(analyst.answer(state, 10).ranking.scores, whole.ranking.scores)
+
+
+def test_shift_and_zoom_are_of_the_described_query(exhibit: Exhibit) -> None:
+    moved = answered(exhibit, shift=8, down=-4, zoom=1.5)
+    expected = Change(0, 8, 1.5, -4)
+    assert moved.state.change == expected
+    assert not np.allclose(moved.query.descriptor, answered(exhibit).query.descriptor, atol=1e-3)
+    assert session.upright(moved.state).change == Change()
+
+
+@pytest.mark.parametrize("value", [None, "a", 3, [1, "b"], [16], [-1], [True], [0.5], list(range(17)), {"a": 1}])
+def test_a_region_from_the_page_is_cells_or_nothing(value: Any) -> None:
+    assert session.painted(value, 16) is None
+    assert session.painted([3, 1, 3], 16) == (1, 3)
+    assert session.painted([], 16) == ()
+
+
+@pytest.mark.parametrize("value", [None, [1, 2], ["a", None, {}, []], [1e999, float("nan"), 5000, -7]])
+def test_a_point_of_a_profile_from_the_page_stays_within_bounds(value: Any) -> None:
+    state = session.taken(State("drone-to-satellite", 4, angle=10.0), value, (64, 128))
+    assert -180 <= state.angle <= 180
+    assert abs(state.shift) <= 64
+    assert abs(state.down) <= 32
+    assert 0.25 <= state.zoom <= 4
+    assert session.taken(state, [270, 5, -6, 2.0], (64, 128)).change == Change(-90, 5, 2.0, -6)
+
+
+class Gui:
+    """As much of viser's as a bridge needs."""
+
+    class Text:
+        value: Any = ""
+        _impl = SimpleNamespace(uuid="the-uuid")
+
+        def on_update(self, function: Callable[[Any], None]) -> None:
+            self.update = function
+
+    def __init__(self) -> None:
+        self.text, self.html = Gui.Text(), []
+
+    def add_text(self, *_: Any) -> Gui.Text:
+        return self.text
+
+    def add_html(self, html: str) -> None:
+        self.html.append(html)
+
+
+def test_a_bridge_hands_on_messages_and_drops_everything_else() -> None:
+    gui, got = Gui(), []
+    bridge = Bridge(gui, {"region": got.append}, {}, "")  # type: ignore[arg-type]
+    assert "the-uuid" in gui.html[0]
+    assert "<script" not in gui.html[0]
+    deep = "[" * 50_000
+    for message in (
+        None, 3, "", "{", "[]", "null", '{"kind": []}', '{"kind": "other"}', '"region"', "x" * (LONGEST + 1), deep,
+    ):  # fmt: skip
+        gui.text.value = message
+        gui.text.update(None)
+    assert got == []
+    bridge.receive('{"kind": "region", "value": [1], "count": 1}')
+    assert got == [[1]]
+
+
+def test_a_window_fits_the_room_that_the_page_tells() -> None:
+    room = Room()
+    room.take([700, 500])
+    assert room.window() == (688, 488)
+    assert room.window((600, 900), 0.5) == (588, 320)
+    for nonsense in (None, [1], [0, 5], ["a", 3], [10**9, 3], {"a": 1}):
+        room.take(nonsense)
+    assert (room.width, room.height) == (700, 500)

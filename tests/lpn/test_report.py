@@ -1,0 +1,326 @@
+from __future__ import annotations
+
+import base64
+import re
+import shutil
+from dataclasses import replace
+from datetime import UTC, datetime
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import lpn
+from lpn import cli, images, report, retrieval, versus, words
+from lpn.changes import Change
+from lpn.datasets import open_dataset
+from lpn.errors import InputError
+from lpn.notes import NAME as NOTES
+from lpn.report import Options, Own, figures
+from lpn.study import Study, open_study
+from lpn.sweeps import Point, Profile
+from lpn.versus import Effect, Margin, Reweighting, Standing, Without
+from tests import worlds
+
+VOID = {"meta", "img", "br", "path", "rect", "circle", "polyline"}
+SVG_VOID = VOID - {"meta", "img", "br"}
+
+
+class Page(HTMLParser):
+    """A page as a browser has it: elements, texts, and whether each that is opened is closed."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self._open: list[str] = []
+        self.feed(data.decode())
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in SVG_VOID:
+            return
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self.texts)
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.elements if name == tag]
+
+
+@pytest.fixture(scope="module")
+def study(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Study:
+    """The drawn places under the drawn model."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("cache")))
+        return open_study(lpn.load(model_file), "model.onnx", open_dataset(data))
+
+
+def worst(study: Study) -> int:
+    """The query whose truth is farthest behind."""
+    return int(np.argmin(study.outcomes.margin))
+
+
+def test_one_file_holds_everything_and_reaches_for_nothing(study: Study) -> None:
+    page = Page(report.build(study, [worst(study), 3], made=datetime(2031, 5, 6, tzinfo=UTC)))
+    names = {tag for tag, _ in page.elements}
+    assert not names & {"script", "link", "iframe", "object", "base", "form"}
+    for _, attributes in page.elements:
+        assert not any(name.startswith("on") for name in attributes)
+        for name in ("src", "href", "xlink:href"):
+            assert (attributes.get(name) or "#").startswith(("#", "data:image/jpeg;base64,"))
+    assert "url(" not in page.text
+    assert "@import" not in page.text
+    pictures = page.all("img")
+    # Query and two tiles, each pair's two maps, and the scale, of two queries; thumbnails beside them.
+    assert len(pictures) >= 2 * (3 + 4 + 1 + 5)
+    for picture in pictures:
+        data = base64.b64decode((picture["src"] or "").partition(",")[2])
+        assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is not None
+    assert [section["id"] for section in page.all("section")] == ["q1", "q2"]
+    links = {link["href"] for link in page.all("a")}
+    assert {"#q1", "#q2", "#top"} == links
+    for said in ("2031-05-06", study.model.fingerprint, "drone-to-satellite", "14 queries", "R@1", "Protocol"):  # type: ignore[union-attr]
+        assert said in page.text
+
+
+def test_the_numbers_are_those_of_the_outcomes_and_add_up(study: Study) -> None:
+    query = worst(study)
+    outcomes = study.outcomes
+    text = Page(report.build(study, [query])).text
+    assert outcomes.rank[query] > 0
+    assert f"Wrong: the true tile is {words.ordinal(int(outcomes.rank[query]) + 1)}" in text
+    shares = [float(value) for value in re.findall(r"part [^:\n]*: ([\d.]+)", text)]
+    listed = min(5, len(study.gallery)) + (outcomes.rank[query] >= 5)
+    sums = np.array(shares).reshape(listed, 4).sum(axis=1)
+    ranking = study.rank(study.asked[query], query)
+    expected = [match.distance2 for match in ranking.top(5)]
+    np.testing.assert_allclose(sums[:5], expected, atol=5e-4)
+    steps = 2 * outcomes.parts[query]
+    for step in (*steps, steps.sum()):
+        assert f"{step:+.3f}" in text
+    assert f"{study.figures['recall@1']:.1f} %" in text
+    without = versus.without(ranking)
+    assert without is not None
+    assert words.left_out(without, study.part_names) in text
+
+
+def test_evidence_bars_add_up_to_each_parts_share(study: Study) -> None:
+    text = Page(report.build(study, [worst(study)])).text
+    cells = [[float(v) for v in re.findall(rf"{name}: ([+-][\d.]+)", text)] for name in ("cells for", "cells against")]
+    constants = [float(value) for value in re.findall(r"constant: ([+-][\d.]+)", text)]
+    scores = [float(value) for value in re.findall(r": score (-?[\d.]+)", text)]
+    sums = (np.array(cells).sum(axis=0) + constants).reshape(2, 4)
+    np.testing.assert_allclose(sums.sum(axis=1), scores, atol=2e-3)
+
+
+def test_what_files_say_is_shown_and_never_obeyed(data: Path, model_file: Path, tmp_path: Path) -> None:
+    evil = "<script>alert('x')</script>"
+    root = shutil.copytree(data, tmp_path / "a<img src=x onerror=alert(1)>")
+    path = next((root / "test" / "query_drone").rglob("*.png")).relative_to(root).as_posix()
+    (root / "metadata.csv").write_text(f'path,<b>mood</b>\n{path},"{evil}"\n'.replace("<b>mood</b>", "mood & tone"))
+    (root / NOTES).write_text(f'path,tags,note\n{path},odd,"{evil} & more"\n')
+    made = open_study(lpn.load(model_file), "<i>m</i>.onnx", open_dataset(root))
+    found = report.build(made, [made.table.paths.index(path)], Options(chosen="<u>mine</u>"))
+    page = Page(found)
+    assert b"<script" not in found
+    assert not any(attributes.get("src") == "x" for attributes in page.all("img"))
+    assert not page.all("i") or "<i>m</i>.onnx" in page.text
+    for said in (evil, f"{evil} & more", "mood & tone", "odd", "<u>mine</u>", root.name):
+        assert said in page.text
+
+
+def test_metres_are_said_where_the_map_is_known(data: Path, model_file: Path, tmp_path: Path) -> None:
+    root = worlds.map_dataset(shutil.copytree(data, tmp_path / "places"))
+    made = open_study(lpn.load(model_file), "model.onnx", open_dataset(root))
+    text = Page(report.build(made, [worst(made)])).text
+    metres = made.table.column("distance").values[worst(made)]
+    assert f"The answer is {metres:,.0f} m off." in text
+    assert "off by" in text
+
+
+def test_a_picture_of_ones_own_has_no_verdict_and_a_chosen_tile_is_compared(study: Study) -> None:
+    picture = images.load_picture(study.queries[2].path)
+    text = Page(report.build(study, [Own("mine.jpg", picture)], Options(against=5))).text
+    assert "Its true place is not known here" in text
+    assert "Tile looked at" in text or "Top match" in text
+    assert study.gallery[5].name in text
+    assert "against wrong tile" not in text
+    again = Page(report.build(study, [2], Options(against=5))).text
+    assert f"against wrong tile {study.gallery[5].name}" in again
+    with pytest.raises(InputError, match="no gallery picture 99"):
+        report.build(study, [2], Options(against=99))
+
+
+def test_saved_descriptors_are_reported_without_evidence(study: Study) -> None:
+    saved = replace(study, model=None, model_name="result.mat")
+    page = Page(report.build(saved, [worst(study)]))
+    assert "Evidence for and against" not in page.text
+    assert "against wrong tile" in page.text
+    for options in (Options(profile=True), Options(change=Change(rotate=30))):
+        with pytest.raises(InputError, match="without their network"):
+            report.build(saved, [0], options)
+    with pytest.raises(InputError, match="a query of its own"):
+        report.build(saved, [Own("mine.jpg", images.load_picture(study.queries[2].path))])
+
+
+def test_a_profile_is_drawn_and_progress_tells_of_each_step(study: Study) -> None:
+    seen: list[tuple[int, int]] = []
+    page = Page(report.build(study, [4, 1], Options(profile=True, step=90), lambda *done: seen.append(done)))
+    assert seen == [(step, 10) for step in range(1, 11)]
+    assert page.text.count("The query turned once around") == 2
+    assert len(page.all("polyline")) == 2 * (4 + 3)
+    assert "The query turned once around" not in Page(report.build(study, [4])).text
+
+
+def test_what_progress_raises_ends_the_work(study: Study) -> None:
+    def stop(*_: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        report.build(study, [4, 1], progress=stop)
+
+
+def test_changed_queries_and_weights_are_said(study: Study) -> None:
+    weighted = replace(study, weights=[0, 1, 1, 2])
+    text = Page(report.build(weighted, [1], Options(change=Change(rotate=30)))).text
+    assert "queries turned 30° first" in text
+    assert "part weights 0 : 25 : 25 : 50 %" in text
+    picture = images.load_picture(study.queries[1].path)
+    assert study.model is not None
+    seen = retrieval.describe_picture(study.model, picture, "drone", Change(rotate=30))
+    assert f"d² {weighted.rank(seen.descriptor, 1).match(0).distance2:.3f}" in text
+
+
+@pytest.mark.parametrize("queries", [[], [99], [-1], [0] * 201])
+def test_a_selection_that_cannot_be_reported_is_refused(study: Study, queries: list[int]) -> None:
+    with pytest.raises(InputError):
+        report.build(study, queries)
+
+
+def test_the_waterfall_ends_at_the_margin() -> None:
+    steps = figures.waterfall(Margin(0, 1, np.array([0.1, -0.3, 0.05])))
+    assert [float(re.findall(r">([+-][\d.]+)<", step)[0]) for step in steps] == [0.2, -0.6, 0.1, -0.3]
+    bars = [tuple(map(float, re.findall(r'<rect x="([\d.]+)" y="6" width="([\d.]+)"', step)[0])) for step in steps]
+    zero = bars[0][0]
+    # The first step goes right from zero, the second left from its end, and the sum from where the last ends to zero.
+    assert bars[1][0] + bars[1][1] == pytest.approx(bars[0][0] + bars[0][1], abs=0.2)
+    assert bars[2][0] == pytest.approx(bars[1][0], abs=0.2)
+    assert bars[3][0] == pytest.approx(bars[2][0] + bars[2][1], abs=0.2)
+    assert bars[3][0] + bars[3][1] == pytest.approx(zero, abs=0.2)
+
+
+def standings(now: int, without: list[int | None], alone: list[int]) -> Without:
+    made = [None if rank is None else Standing(rank, 0.1 if rank == 1 else -0.1) for rank in without]
+    return Without(Standing(now, -0.1), tuple(made), tuple(Standing(rank, 1 / rank) for rank in alone))
+
+
+@pytest.mark.parametrize(
+    ("found", "expected"),
+    [
+        (standings(3, [1, 4], [2, 2]), "Without part a the true tile would be first."),
+        (standings(9, [6, 4], [2, 2]), "without part b, the true tile would be 4th."),
+        (standings(2, [2, 3], [2, 1]), "no better without any one of them; part b alone puts it first."),
+        (standings(2, [None, None], [2, 2]), "No single part is to blame alone."),
+        (standings(1, [1, 1], [1, 1]), "No single part is needed"),
+        (standings(1, [1, 7], [1, 1]), "Without part b the true tile would fall to 7th."),
+        (standings(1, [2, 7], [1, 1]), "would fall to 7th (2 of 2 parts are needed)."),
+    ],
+)
+def test_words_on_parts_left_out(found: Without, expected: str) -> None:
+    assert expected in words.left_out(found, ["a", "b"])
+
+
+def test_words_on_other_weights() -> None:
+    change = Reweighting(np.array([0.7, 0.3], np.float32), np.array([0.2, -0.2], np.float32), 0.28, 3)
+    none = np.zeros(0, np.int64)
+    assert words.reweighted(None, None) == "No choice of part weights would put the true tile first."
+    helped = words.reweighted(change, Effect(50.0, 52.0, np.arange(3), np.arange(1), 100))
+    assert "70 : 30 %; over all 100 queries it helps: 3 gained, 1 lost, R@1 50.0 to 52.0 %." in helped
+    assert "it harms" in words.reweighted(change, Effect(50.0, 49.0, none, np.arange(1), 100))
+    assert "neither helps nor harms" in words.reweighted(change, Effect(50.0, 50.0, none, none, 100))
+
+
+def test_words_on_turning() -> None:
+    def point(angle: float, rank: int, score: float, top_score: float) -> Point:
+        return Point(Change(rotate=angle), 0, True, score, rank, np.zeros(4, np.float32), 1, top_score)
+
+    turned = words.turned(Profile("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), True)
+    assert "turned 90°: 2nd instead of 5th" in turned
+    assert "highest at 0°: by that, the picture's top points 0° clockwise" in turned
+    same = words.turned(Profile("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), False)
+    assert "ranks best with the query as it is (1st)" in same
+    assert "north" not in same
+
+
+def run(data: Path, model_file: Path, *more: object) -> int:
+    return cli.main(["report", "--data", str(data), "--model", str(model_file), *map(str, more)])
+
+
+def test_the_worst_failures_come_first(
+    data: Path, model_file: Path, tmp_path: Path, study: Study, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "report.html"
+    assert run(data, model_file, "--failures", 2, "--out", out) == 0
+    page = Page(out.read_bytes())
+    order = [study.queries[i].name for i in np.argsort(study.outcomes.margin, kind="stable")[:2]]
+    assert re.findall(r" Query (\S+)", page.text) == order
+    assert f"the worst of {int(study.outcomes.failed.sum())} failures" in page.text
+    assert "2 queries" in capsys.readouterr().out
+    assert list(out.parent.iterdir()) == [out]
+    assert run(data, model_file, "--where", f"name = {order[1]}", "--out", out) == 0
+    assert re.findall(r" Query (\S+)", Page(out.read_bytes()).text) == [order[1]]
+    assert run(data, model_file, "--query", order[1], order[0], order[1], "--matches", 2, "--out", out) == 0
+    assert re.findall(r" Query (\S+)", Page(out.read_bytes()).text) == [order[1], order[0]]
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (["--query", "001"], "did you mean 0"),
+        (["--query", "nothing like it"], "did you mean 0007"),
+        (["--query", "0008", "--failures", "3"], "leave one of them out"),
+        (["--failures", "0"], "expected 1 or more"),
+        (["--matches", "0"], "expected 1 or more"),
+        (["--profile", "--step", "400"], "expected degrees"),
+        (["--rotate", "nan"], "expected degrees"),
+        (["--weights", "1,2"], "expected 4 numbers"),
+        (["--where", "rank < 1"], "No query is one with rank < 1"),
+        (["--where", "rank = 1", "--failures", "3"], "No query failed of those with rank = 1"),
+        (["--task", "street-to-satellite"], "offer drone-to-satellite"),
+    ],
+)
+def test_mistakes_get_one_sentence_and_leave_no_file(
+    given: list[str],
+    expected: str,
+    data: Path,
+    model_file: Path,
+    tmp_path: Path,
+    study: Study,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    del study
+    out = tmp_path / "report.html"
+    assert run(data, model_file, *given, "--out", out) == 2
+    said = capsys.readouterr().err
+    assert expected in said
+    assert said.count("\n") == 1
+    assert not out.exists()
+    if "--where" not in given:
+        assert not (tmp_path / "cache").exists()
