@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import threading
+import time
 from collections.abc import Callable, Hashable
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
@@ -35,9 +36,15 @@ class Job(Generic[T]):
         self._work, self._waiting, self._lock = work, {id(who)}, threading.Lock()
         self._finished, self._given_up = threading.Event(), False
         self.done, self.total = 0, 0
+        self._began = time.monotonic()
         self.value: T | None = None
         self.flaw: str | None = None
         threading.Thread(target=self._run, name="explorer-job", daemon=True).start()
+
+    @property
+    def seconds(self) -> float:
+        """Since it was begun."""
+        return time.monotonic() - self._began
 
     def wait(self, seconds: float) -> bool:
         """Whether the work has ended, in success or not, within some seconds."""
@@ -122,6 +129,7 @@ def in_process(progress: Progress, function: Callable[..., T], *arguments: objec
         while not here.poll(0.2):
             progress(0, 0)
         error, value = here.recv()
+        process.join(5)  # it may have things to put away
     except EOFError as ended:
         raise LPNError("The process that computed it was ended, which is often for want of memory.") from ended
     finally:

@@ -60,6 +60,7 @@ class Lab:
         self._placed: bool | None = None
         self._size = (760, 400)
         self._tips = 0
+        self._texts: int | None = None
         self._map = MapView(shared, self)
         self._panel = client.gui.add_panel(visible=False)
         with self._panel.add_tab("Failure laboratory", viser.Icon.FLASK):
@@ -148,7 +149,9 @@ class Lab:
         first = lab.page * self._count
         shown = rows[first : first + self._count]
         self._bar.show(labpages.bar(found, lab))
-        self._boxes.show(labpages.boxes(found, lab))
+        if lab.texts != self._texts:  # else what is being typed would be taken away
+            self._texts = lab.texts
+            self._boxes.show(labpages.boxes(found, lab))
         self._said.show(labpages.said(found, lab, rows, (first, self._count)))
         self._columns.show(labpages.columns(found, lab) if lab.choosing and lab.tab == "table" else "")
         if lab.tab == "table":
@@ -175,6 +178,7 @@ class Lab:
                 return
         for part in (self._bar, self._boxes, self._said, self._columns):
             part.show("")
+        self._texts = None
         self._notes.show(None, None)
         queries = len(self._exhibit.tasks[lab.task].queries)
         self._body.show(labpages.waiting(job, f"Ranking {queries:,} queries", stopped, "table"))

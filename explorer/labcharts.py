@@ -78,8 +78,8 @@ def map_choice(found: Findings, lab: LabState, umap: bool) -> str:
         f"<a class='{'chosen' if kind == lab.map else ''}' {send('lab-map', kind)}>{words}</a>" for kind, words in kinds
     )
     fit = f"<a class='{'chosen' if lab.fit else ''}' {send('lab-fit')}>Zoom to the chosen</a>"
-    missing = "" if umap else "<span class='dim' title='pip install lpn-explorer[umap]'>UMAP is not installed</span>"
-    hint = "<span class='dim'>Drag to choose a rectangle, click to open a query.</span>"
+    missing = "" if umap else "<span class='dim' title='pip install lpn-explorer[umap]'>UMAP: not installed</span>"
+    hint = "<span class='dim'>drag to choose, click to open</span>"
     return f"<div class='lab-chips' id='lpn-lab-maps'>{chips}{missing}{fit}{hint}</div>"
 
 

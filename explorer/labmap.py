@@ -114,8 +114,8 @@ def draw(
 
 
 def _mark(canvas: Picture, points: Points, place: IntArray, tiles: IntArray, answer: int, truth: int) -> None:
-    """Ring the current query and join it with its answer, and where the truth is not at the same place, with its truth."""
-    shown = [(answer, overlays.TRUE_COLOUR if answer == truth else overlays.FALSE_COLOUR)]
+    """Ring the current query and join it with its truth and its answer; on the ground, the truth is where the query is."""
+    shown = [(answer, overlays.FALSE_COLOUR)] if answer != truth else []
     if points.ground is None:
         shown.append((truth, overlays.TRUE_COLOUR))
     for tile, colour in shown:

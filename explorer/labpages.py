@@ -159,13 +159,11 @@ def waiting(job: Job[Any] | None, what: str, cancelled: bool, key: str) -> str:
             f"<a class='link' {send('lab-go', key)}>Try again</a></div>"
         )
     else:
-        done, total = (0, 0) if job is None else (job.done, job.total)
+        done, total, seconds = (0, 0, 0.0) if job is None else (job.done, job.total, job.seconds)
         share = 100 * done / total if total else 0.0
-        percent = f"{share:.0f} % ({done:,} of {total:,} queries)" if total else "one moment"
-        body = (
-            f"<div>{escape(what)}: {percent} <a class='link' {send('lab-stop', key)}>Cancel</a></div>"
-            f"<div class='bar'><i style='width:{share:.1f}%'></i></div>"
-        )
+        far = f"{share:.0f} % ({done:,} of {total:,} queries)" if total else f"{seconds:.0f} s so far"
+        line = f"<div class='bar'><i style='width:{share:.1f}%'></i></div>" if total else ""
+        body = f"<div>{escape(what)}: {far} <a class='link' {send('lab-stop', key)}>Cancel</a></div>{line}"
     return f"<div class='lpn lab-empty' id='lpn-lab-waiting'>{body}</div>"
 
 

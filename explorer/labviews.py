@@ -43,7 +43,7 @@ class MapView:
             choice = f"<div class='lpn' id='lpn-lab-nomap'>{labcharts.map_choice(found, lab, self._shared.umap)}</div>"
             return choice + labpages.waiting(job, "The map", stopped, lab.map), job is None or job.flaw is not None
         points = job.value
-        around = (210 if lab.tall else 190) + (30 if window[0] < 700 else 0)
+        around = 210 + (30 if window[0] < 700 else 0)
         size = (max(window[0] - 34, 280), max(window[1] - around, 180))
         key = (points, id(rows), lab.fit, size, query)
         if self.drawn is None or self._key != key:

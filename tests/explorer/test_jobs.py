@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import threading
 import time
 
@@ -74,6 +75,8 @@ def test_progress_is_a_share_with_a_way_to_cancel() -> None:
     assert "25 % (1,000 of 4,000 queries)" in html
     assert "lab-stop" in html
     assert "lab-go" in labpages.waiting(None, "Ranking", True, "table")
+    job.total = 0
+    assert re.search(r"Ranking: \d+ s so far", labpages.waiting(job, "Ranking", False, "table"))
     release.set()
 
 

@@ -18,7 +18,7 @@ from explorer.labviews import MapView
 from explorer.opening import open_model
 from explorer.session import State
 from lpn import breakdown, notes, overlays
-from lpn.errors import InputError
+from lpn.errors import InputError, OutputError
 from tests import worlds
 
 TASK = "drone-to-satellite"
@@ -254,7 +254,7 @@ def test_a_place_of_several_queries_shows_the_share_that_failed() -> None:
         int((patch == colour).all(axis=1).sum()) for colour in (overlays.FALSE_COLOUR, overlays.TRUE_COLOUR)
     )
     assert blue / (blue + yellow) == pytest.approx(0.25, abs=0.06)
-    assert tuple(drawn.picture[560, 400]) == (100, 100, 100)  # the ground, dimmed
+    assert tuple(drawn.picture[500, 400]) == (100, 100, 100)  # the ground, dimmed
 
 
 def test_a_map_is_kept_until_something_on_it_changes(laboratory: Laboratory, found: Findings, lab: LabState) -> None:
@@ -327,6 +327,22 @@ def test_notes_reach_every_table_and_the_disk(exhibit: Exhibit, laboratory: Labo
         assert "left out" in labpages.said(without, LabState(TASK), without.table.rows(), (0, 5))
     finally:
         (exhibit.root / "notes.csv").unlink()
+
+
+def test_notes_that_cannot_be_written_are_said_and_nothing_is_changed(exhibit: Exhibit) -> None:
+    file = exhibit.root / "notes.csv"
+    file.mkdir()
+    try:
+        laboratory = Laboratory(exhibit)
+        laboratory.build(TASK, None).wait(30)
+        found = laboratory.findings(TASK)
+        assert found is not None
+        assert "cannot be read" in found.flaw
+        with pytest.raises(OutputError, match=r"notes\.csv cannot be written"):
+            laboratory.say(found.table.paths[0], "night", "")
+        assert laboratory.findings(TASK) is found
+    finally:
+        file.rmdir()
 
 
 def test_next_and_previous_go_through_an_order() -> None:
