@@ -26,6 +26,7 @@ from explorer.link import Links
 from explorer.opening import open_model, open_saved
 from explorer.panels import THUMBS, Change, Panels
 from explorer.reasons import Reasons
+from explorer.reporting import Reporter
 from explorer.room import Room
 from explorer.session import State
 from explorer.stage import SCENE, SHOWN, Stage
@@ -60,9 +61,9 @@ class Visitor:
         with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
             self._dress(self._state)
             self._panels = Panels(client, exhibit, self._state, self.change, Random())
-            room = Room()
-            self._reasons = Reasons(client, exhibit, self.change, self._failed, room)
-            self._lab = Lab(client, exhibit, laboratory, self.change, room)
+            room, self._reporter = Room(), Reporter(client)
+            self._reasons = Reasons(client, exhibit, self.change, self._failed, room, self._reporter)
+            self._lab = Lab(client, exhibit, laboratory, self.change, room, self._reporter)
             self._panels.order = self._lab.order
             handlers = {
                 "room": room.take,
@@ -99,6 +100,7 @@ class Visitor:
     def leave(self) -> None:
         """The browser is gone: stop its worker."""
         self._opening.there()
+        self._reporter.leave()
         self._reasons.leave()
         self._worker.stop()
         self._lab.leave()

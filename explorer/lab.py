@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import viser
 
-from explorer import labcharts, labmessages, labpages, labstate, session
+from explorer import labcharts, labmessages, labpages, labstate, reporting, session
 from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
 from explorer.laboratory import Findings, Laboratory
 from explorer.labstate import LabState
 from explorer.labviews import MapView, NoteView
+from explorer.reporting import Reporter
 from explorer.room import EDGE, Room
 from explorer.session import State
 from explorer.worker import Worker
@@ -49,9 +50,10 @@ class Lab:
         shared: Laboratory,
         change: Callable[[Change], None],
         room: Room,
+        reporter: Reporter,
     ) -> None:
         self._client, self._exhibit, self._shared, self._change = client, exhibit, shared, change
-        self._room = room
+        self._room, self._reporter = room, reporter
         self._lock = threading.RLock()
         task = next(iter(exhibit.tasks))
         self._lab, self._view = LabState(task), View(task, None, False)
@@ -90,6 +92,7 @@ class Lab:
             "lab-tip": self._show_tip,
             "lab-note": self._say,
             "lab-csv": self._download,
+            "lab-report": self._report,
             "lab-close": lambda _: self._change(lambda state: replace(state, lab=False)),
         }
 
@@ -259,6 +262,18 @@ class Lab:
         rows = self._rows(found, self._lab)
         name = re.sub(r"[^\w-]+", "-", f"{self._exhibit.data_name}-{found.task.name}-{len(rows)}-queries")
         self._client.send_file_download(f"{name}.csv", found.table.to_csv(rows), save_immediately=True)
+
+    def _report(self, _: Any) -> None:
+        lab, found = self._lab, self._shared.findings(self._lab.task)
+        if found is None:
+            return
+        rows, task = [int(row) for row in self._rows(found, lab)], found.task
+        chosen = " and ".join(filter(None, (lab.outcome, lab.where, f"name ~ {lab.find}" if lab.find else "")))
+        self._reporter.make(
+            lambda progress: reporting.of_selection(
+                self._exhibit, task, rows, f"{chosen} (failure laboratory)", progress
+            )
+        )
 
     def _failed(self, error: Exception) -> None:
         text = (

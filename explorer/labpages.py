@@ -42,6 +42,7 @@ def bar(found: Findings, lab: LabState) -> str:
         f"<div class='lpn lab-bar num'><span class='seg'>{tabs}</span><span class='seg'>{outcomes}</span>"
         "<span class='acts'>"
         f"<a {send('lab-csv')} title='Save the chosen queries with all columns, tags, and notes'>CSV</a>"
+        f"<a {send('lab-report')} title='Save a page about each of the chosen queries (200 at most)'>Report</a>"
         f"<a id='lpn-lab-tall' {send('lab-tall')} title='{size[1]}'>{size[0]}</a>"
         f"<a {send('lab-close')} title='Close (B)'>✕</a></span></div>"
     )

@@ -16,6 +16,7 @@ from explorer.beside import Beside
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
+from explorer.reporting import Reporter
 from explorer.room import EDGE, Room
 from explorer.session import State
 from explorer.worker import Worker
@@ -37,6 +38,7 @@ class Reasons:
         change: replaces the browser's state by a function's result.
         failed: is told of what went wrong in long work.
         room: that the stage has for the window.
+        reporter: makes reports of what is shown.
     """
 
     def __init__(
@@ -46,8 +48,10 @@ class Reasons:
         change: Callable[[Change], None],
         failed: Callable[[Exception], None],
         room: Room,
+        reporter: Reporter,
     ) -> None:
         self._client, self._exhibit, self._change, self._room = client, exhibit, change, room
+        self._reporter = reporter
         self._answer: Answer | None = None
         self._contest: Contest | None = None
         self._effect: Effect | None = None
@@ -86,7 +90,7 @@ class Reasons:
             "query": self._query,
             "weigh": self._weigh,
             "effect": lambda _: self._ask("effect"),
-            "report": lambda _: self._ask("report"),
+            "report": self._report,
             "sweep": self._sweep,
             "cancel": lambda _: self._cancelled.set(),
             "take": self._take,
@@ -151,8 +155,6 @@ class Reasons:
         try:
             if answer is not None and asked == "effect":
                 self._measure(answer)
-            elif answer is not None and asked == "report":
-                self._report(answer)
             elif answer is not None and asked in profiles.CHOICES:
                 self._profiled(answer, asked)
         finally:
@@ -172,14 +174,10 @@ class Reasons:
             self._effect, self._asked = found, None
             self._draw_versus(self._answer)
 
-    def _report(self, answer: Answer) -> None:
-        self._why.show(why.page(answer, self._exhibit, True))
-        try:
-            name, contents = reporting.of_answer(self._exhibit, answer)
-            self._client.send_file_download(name, contents, save_immediately=True)
-        finally:
-            self._asked = None
-            self._why.show(why.page(self._answer or answer, self._exhibit))
+    def _report(self, _: Any) -> None:
+        answer = self._answer
+        if answer is not None:
+            self._reporter.make(lambda progress: reporting.of_answer(self._exhibit, answer, progress))
 
     def _profiled(self, answer: Answer, over: Over) -> None:
         exhibit, task, state = self._exhibit, answer.task, answer.state

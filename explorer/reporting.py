@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import viser
+
 from explorer.exhibit import Answer, Exhibit, Task
+from explorer.jobs import GivenUpError, Job, Progress
 from lpn import notes, report
+from lpn.errors import LPNError
 from lpn.model import FloatArray
 from lpn.study import Study
 
@@ -70,3 +74,46 @@ def of_selection(
 def _plain(name: str) -> str:
     """A name that is one on any system."""
     return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name)[:60] or "report"
+
+
+class Reporter:
+    """Makes one browser's reports on a thread, says how far it is in a notification, and hands the file over."""
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self._client = client
+        self._job: Job[None] | None = None
+
+    def make(self, work: Callable[[Progress], tuple[str, bytes]]) -> None:
+        """Make a report, or give up the one that is being made."""
+        job = self._job
+        if job is not None and not job.wait(0):
+            job.leave(self)
+            return
+        self._job = Job(lambda progress: self._made(work, progress), self)
+
+    def leave(self) -> None:
+        """The browser is gone."""
+        if self._job is not None:
+            self._job.leave(self)
+
+    def _made(self, work: Callable[[Progress], tuple[str, bytes]], progress: Progress) -> None:
+        shown = self._client.add_notification(
+            "Making a report", "Ask again to cancel.", loading=True, auto_close_seconds=None
+        )
+
+        def told(done: int, total: int) -> None:
+            progress(done, total)
+            shown.body = f"{done} of {total} done; ask again to cancel."
+
+        try:
+            name, contents = work(told)
+        except Exception as error:
+            text = f"{type(error).__name__}: the details are in the server's log."
+            if isinstance(error, GivenUpError):
+                text = "It was cancelled."
+            elif isinstance(error, LPNError):
+                text = str(error)
+            shown.title, shown.body, shown.loading = "No report", text, False
+            raise
+        shown.remove()
+        self._client.send_file_download(name, contents, save_immediately=True)

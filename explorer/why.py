@@ -35,12 +35,8 @@ def maps(found: Evidence, part: int | None) -> tuple[tuple[Exact, Exact], float]
     return shown, max(float(np.abs(cells).max()) for cells in shown) or 1e-9
 
 
-def page(answer: Answer, exhibit: Exhibit, reporting: bool = False) -> str:
-    """The whole of the window's first tab; says what to do where there is no evidence.
-
-    Args:
-        reporting: a report is being made.
-    """
+def page(answer: Answer, exhibit: Exhibit) -> str:
+    """The whole of the window's first tab; says what to do where there is no evidence."""
     if answer.reasons is None:
         return "<div class='lpn' id='lpn-why'>Evidence needs the network: open the data set with a model.</div>"
     found, task = answer.reasons.evidence, answer.task
@@ -60,7 +56,7 @@ def page(answer: Answer, exhibit: Exhibit, reporting: bool = False) -> str:
         if answer.state.region
         else ""
     )
-    report = "making a report …" if reporting else f"<a {send('report')}>Save as a report (HTML)</a>"
+    report = f"<a {send('report')}>Save as a report (HTML)</a>"
     return (
         f"<div class='lpn' id='lpn-why'><div class='said headline'>{escape(said)}</div>{region}"
         f"<div class='lpn-pair{stacked}' data-hint='{escape(HINT)}'>{blocks}</div>"

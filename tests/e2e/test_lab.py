@@ -387,3 +387,13 @@ def test_messages_that_nobody_should_send_do_no_harm(lab: LabPage) -> None:
     expect(lab.rows_of_table.first).to_have_attribute("data-row", str(before[0]))
     assert lab.shown() == before
     expect(lab.page.locator(".mantine-Notification-root")).to_have_count(0)
+
+
+def test_a_report_of_the_selection_is_saved(lab: LabPage, tmp_path: Path) -> None:
+    lab.page.locator("#lpn-lab-where").fill("weather = sun and rank <= 3")
+    expect(lab.count).not_to_contain_text("40 of 40 queries")
+    with lab.page.expect_download(timeout=60_000) as download:
+        lab.page.locator(".acts a", has_text="Report").click()
+    download.value.save_as(tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text("utf-8")
+    assert "weather = sun and rank &lt;= 3 (failure laboratory)" in text

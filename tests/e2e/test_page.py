@@ -61,7 +61,7 @@ def test_an_address_brings_back_what_was_shown(explorer: Explorer, contexts: Cal
     expect(explorer.page.locator("#lpn-parts")).to_contain_text("43 %")
     explorer.rows.nth(2).click()
     expect(explorer.rows.nth(2)).to_have_class(re.compile("chosen"))
-    for key in "xdw":
+    for key in "xoy":
         explorer.key(key)
     expect(explorer.page.locator("#lpn-why .lpn-map")).to_have_count(2)
     wait_address(explorer, "why", "1")
