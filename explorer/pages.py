@@ -202,9 +202,10 @@ def _sign(task: Task, query: int) -> str:
 
 
 KEYS = (
-    "<div class='lpn dim' style='margin-top:.3em'><kbd>N</kbd> <kbd>P</kbd> next, previous · <kbd>R</kbd> random · <kbd>F</kbd> failure · "
+    "<div class='lpn dim' id='lpn-keys' style='margin-top:.3em'><kbd>N</kbd> <kbd>P</kbd> next, previous · <kbd>R</kbd> random · <kbd>F</kbd> failure · "
     "<kbd>J</kbd> <kbd>L</kbd> turn 5° · <kbd>K</kbd> upright · <kbd>H</kbd> heatmap, <kbd>E</kbd> of evidence · <kbd>W</kbd> why · <kbd>G</kbd> rings · <kbd>X</kbd> take apart · <kbd>M</kbd> map, <kbd>C</kbd> its city · "
-    "<kbd>1</kbd>…<kbd>9</kbd> compare · <kbd>T</kbd> the true tile</div>"
+    "<kbd>1</kbd>…<kbd>9</kbd> compare · <kbd>T</kbd> the true tile · "
+    "<kbd>D</kbd> light or dark · <kbd>Y</kbd> copy link · <kbd>U</kbd> my own picture · <kbd>Ctrl K</kbd> every command</div>"
 )
 HEAT_NOTE = (
     "Activation (channel sum of the last feature map) belongs to one picture. Evidence belongs to the pair: "
