@@ -6,6 +6,7 @@
   const opened = performance.getEntriesByType("navigation")[0];
   let asked = new URL(opened ? opened.name : location.href).search;
   let greeting = 0;
+  let writing = 0;
   let ready = false;
 
   // Until the server answers: the page may not be listening yet.
@@ -23,7 +24,8 @@
     for (const key of [...keys, "websocket"]) others.delete(key);
     if (server) others.set("websocket", server);
     asked = "?" + [query, others.toString()].filter(Boolean).join("&");
-    history.replaceState(history.state, "", location.pathname + asked + location.hash);
+    clearTimeout(writing); // browsers refuse an address that changes many times a second
+    writing = setTimeout(() => history.replaceState(history.state, "", location.pathname + asked + location.hash), 200);
     lpn.watch();
     if (!ready) lpn.welcome();
     ready = true;
@@ -42,12 +44,12 @@
 
   lpn.copy = async () => {
     const own = new URLSearchParams(asked).get("query") === "own";
-    let done = false;
+    const link = location.origin + location.pathname + asked + location.hash;
+    let done = true;
     try {
-      await navigator.clipboard.writeText(location.href);
-      done = true;
+      await navigator.clipboard.writeText(link);
     } catch {
-      done = copied(location.href);
+      done = copied(link);
     }
     if (!done) lpn.say("This browser does not let pages copy: take the link from the address bar.");
     else if (own) lpn.say("Link copied. Your own picture is not in it: it stays in this browser.");

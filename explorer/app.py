@@ -90,6 +90,8 @@ class Visitor:
                 return
             if changed.dark != self._state.dark:
                 self._dress(changed)
+            if changed.why and not self._state.why:
+                self._bridge.order("reveal", "#lpn-why")
             self._state = changed
             self._panels.write(changed)
         self._worker.wake()

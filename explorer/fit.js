@@ -16,14 +16,24 @@
     if (holder.innerHTML !== html) holder.innerHTML = html;
   };
 
-  lpn.say = (text) => {
+  lpn.say = (text, seconds = 4) => {
     const said = element("lpn-said", document.body);
     said.setAttribute("role", "status");
     said.textContent = text;
     said.classList.add("shown");
     clearTimeout(said.hiding);
-    said.hiding = setTimeout(() => said.classList.remove("shown"), 4000);
+    if (seconds) said.hiding = setTimeout(() => said.classList.remove("shown"), 1000 * seconds);
   };
+
+  // viser shades the panels while nobody answers, and goes on when somebody does.
+  let lost = false;
+  setInterval(() => {
+    const shade = document.getElementById("lpn-header")?.closest('div[style*="transition: opacity 150ms"]');
+    const now = !!shade && parseFloat(shade.style.opacity) < 1;
+    if (now && !lost) lpn.say("The server does not answer. Start it again: the page goes on with what you see.", 0);
+    if (lost && shade && !now) lpn.say("The server answers again.");
+    if (shade) lost = now;
+  }, 1000);
 
   lpn.upload = () => document.querySelector('input[type="file"]')?.click();
 
@@ -57,6 +67,13 @@
     sheet.disconnect();
     const panel = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]');
     if (panel) sheet.observe(panel);
+  };
+  // What opens in the sheet opens below what is seen of it.
+  lpn.reveal = (selector, tries = 20) => {
+    const found = document.querySelector(selector);
+    if (!phone.matches || !tries) return;
+    if (!found?.offsetHeight) return setTimeout(() => lpn.reveal(selector, tries - 1), 250);
+    setTimeout(() => found.scrollIntoView({ block: "start", behavior: "smooth" }), 300);
   };
   phone.addEventListener("change", () => setTimeout(lpn.watch, 300));
 })();

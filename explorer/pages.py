@@ -202,9 +202,11 @@ def _sign(task: Task, query: int) -> str:
 
 
 KEYS = (
-    "<div class='lpn dim' style='margin-top:.3em'><kbd>N</kbd> <kbd>P</kbd> next, previous · <kbd>R</kbd> random · <kbd>F</kbd> failure · "
-    "<kbd>J</kbd> <kbd>L</kbd> turn 5° · <kbd>K</kbd> upright · <kbd>H</kbd> heatmap, <kbd>V</kbd> of evidence · <kbd>Y</kbd> why · <kbd>B</kbd> all failures · <kbd>G</kbd> rings · <kbd>X</kbd> take apart · <kbd>M</kbd> map, <kbd>C</kbd> its city · "
-    "<kbd>1</kbd>…<kbd>9</kbd> compare · <kbd>T</kbd> the true tile</div>"
+    "<div class='lpn dim' id='lpn-keys' style='margin-top:.3em'><kbd>N</kbd> <kbd>P</kbd> next, previous · <kbd>R</kbd> random · "
+    "<kbd>F</kbd> failure · <kbd>J</kbd> <kbd>L</kbd> turn 5° · <kbd>K</kbd> upright · <kbd>H</kbd> heatmap, <kbd>V</kbd> of evidence · "
+    "<kbd>Y</kbd> why · <kbd>B</kbd> all failures · <kbd>G</kbd> rings · <kbd>X</kbd> take apart · <kbd>M</kbd> map, <kbd>C</kbd> its "
+    "city · <kbd>1</kbd>…<kbd>9</kbd> compare · <kbd>T</kbd> the true tile · <kbd>O</kbd> light or dark · <kbd>I</kbd> copy link · "
+    "<kbd>U</kbd> my own picture · <kbd>Ctrl K</kbd> every command</div>"
 )
 HEAT_NOTE = (
     "Activation (channel sum of the last feature map) belongs to one picture. Evidence belongs to the pair: "

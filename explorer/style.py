@@ -48,7 +48,7 @@ background:#0f5c8a;color:#fff;font-size:14px;line-height:1.4;box-shadow:0 4px 20
 #lpn-tour button{font:inherit;color:inherit;background:none;border:1px solid rgba(255,255,255,.6);border-radius:5px;
 padding:.3em .9em;cursor:pointer}
 #lpn-tour button.next{background:#fff;color:#0f5c8a;font-weight:600}
-@media (pointer:coarse){#lpn-tour .keys{display:none}}
+@media (pointer:coarse){#lpn-tour .keys,#lpn-keys{display:none}}
 #lpn-tour kbd{border:1px solid rgba(255,255,255,.6);border-radius:3px;padding:0 .35em;font-size:12px}
 #lpn-spot{position:fixed;z-index:189;box-sizing:border-box;border:3px solid #56b4e9;border-radius:8px;pointer-events:none;
 box-shadow:0 0 0 2px rgba(0,0,0,.6)}

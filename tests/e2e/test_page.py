@@ -19,7 +19,7 @@ from explorer.exhibit import Analyst, Answer
 from explorer.opening import open_model
 from explorer.session import State
 from tests import worlds
-from tests.e2e.conftest import Explorer, Running
+from tests.e2e.conftest import Explorer, Running, started
 
 SHOWN = ("query", "name", "angle", "chosen", "top")
 
@@ -225,6 +225,8 @@ def test_a_phone_held_upright(app: Running, contexts: Callable[..., BrowserConte
     assert columns[-1] - columns[0] > 0.85 * picture.shape[1]  # framed: it fills the width and no more
     explorer.rows.nth(1).tap()
     expect(explorer.rows.nth(1)).to_have_class(re.compile("chosen"))
+    explorer.page.get_by_role("button", name="Why this tile?").tap()
+    expect(explorer.page.locator("#lpn-why .said")).to_be_in_viewport(ratio=1)
 
 
 def test_a_phone_held_sideways(app: Running, contexts: Callable[..., BrowserContext]) -> None:
@@ -269,3 +271,11 @@ def test_a_slow_answer_is_said_to_be_on_its_way(
         expect(explorer.status).to_contain_text("answered in")
     finally:
         served.close()
+
+
+def test_a_server_that_is_gone_is_said_to_be(app: Running, contexts: Callable[..., BrowserContext]) -> None:
+    explorer = Explorer(contexts().new_page())
+    with started(app.data, app.model, app.model.parent / "cache") as running:
+        explorer.open(running.url)
+        expect(explorer.page.locator("#lpn-said")).to_have_count(0)
+    expect(explorer.page.locator("#lpn-said.shown")).to_contain_text("Start it again", timeout=15_000)
