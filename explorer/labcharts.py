@@ -10,6 +10,7 @@ from explorer.exhibit import Exhibit
 from explorer.labmap import Drawn
 from explorer.laboratory import Findings
 from explorer.labstate import LabState
+from explorer.style import verdict_ink
 from lpn import breakdown, overlays
 from lpn.breakdown import Rate
 from lpn.tables import Column
@@ -21,7 +22,7 @@ _MOUSE = " ".join(
     f"on{event}='lpn.map(this,event)'"
     for event in ("pointerdown", "pointermove", "pointerup", "pointercancel", "pointerleave")
 )
-_FOUND, _FAILED = (overlays.css(overlays.verdict_colour(true)) for true in (True, False))
+_FOUND, _FAILED = (verdict_ink(true) for true in (True, False))
 _KEY = f"<span><b style='color:{_FOUND}'>●</b> found</span><span><b style='color:{_FAILED}'>✕</b> failed</span>"
 _RINGED = (
     f"<span>ringed query: <b style='color:{_FOUND}'>■</b> its truth, <b style='color:{_FAILED}'>■</b> its answer</span>"

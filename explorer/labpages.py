@@ -13,6 +13,7 @@ from explorer.jobs import Job
 from explorer.laboratory import Findings
 from explorer.labstate import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
 from explorer.pages import SIGNS
+from explorer.style import verdict_ink
 from lpn import overlays
 from lpn.metrics import IntArray
 from lpn.notes import Note
@@ -71,10 +72,10 @@ def said(found: Findings, lab: LabState, rows: IntArray, page: tuple[int, int]) 
     """
     first, count = page
     pager = (
-        f"{_choice('lab-choose', None, 'Columns', lab.choosing)}"
+        f"<span class='turn'>{_choice('lab-choose', None, 'Columns', lab.choosing)}"
         f"<span class='pager'><a {send('lab-page', -1)} title='Earlier rows'>‹</a><span id='lpn-lab-page'>"
         f"{min(first + 1, len(rows)):,}–{min(first + count, len(rows)):,}</span>"
-        f"<a {send('lab-page', 1)} title='Later rows'>›</a></span>"
+        f"<a {send('lab-page', 1)} title='Later rows'>›</a></span></span>"
         if lab.tab == "table"
         else ""
     )
@@ -198,7 +199,7 @@ def _sign(outcome: str) -> str:
 
 
 def _signed(true: bool) -> str:
-    return f"<b style='color:{overlays.css(overlays.verdict_colour(true))}'>{SIGNS[true]}</b>"
+    return f"<b style='color:{verdict_ink(true)}'>{SIGNS[true]}</b>"
 
 
 def _heading(column: Column, lab: LabState) -> str:

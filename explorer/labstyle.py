@@ -27,6 +27,8 @@ border-radius:4px;padding:2px .6em;min-width:0;box-sizing:border-box}
 .lab-said a{cursor:pointer}
 .lpn a.pick{background:rgba(86,180,233,.25);border-radius:9px;padding:0 .7em}
 .lpn .flaw,.lpn.flaw{color:#ffb35c}
+:root[data-mantine-color-scheme=light] .flaw{color:#a04e00}
+.lab-said .turn{display:inline-flex;gap:.4em;align-items:center}
 .lpn.lab-empty{padding:1.2em .8em}
 .lpn.lab-empty .bar{margin-top:.5em;max-width:420px}.lpn.lab-empty .bar i{background:#56b4e9}
 .lpn.lab-table{overflow-x:auto}
@@ -67,7 +69,7 @@ background:linear-gradient(currentColor,currentColor) center/100% 1px no-repeat}
 pointer-events:none;box-sizing:border-box}
 .lpn .lab-key{display:flex;flex-wrap:wrap;gap:.1em 1em;margin-top:.2em}
 .lpn.lab-tip{position:absolute;z-index:9;display:none;gap:.6em;align-items:center;background:rgba(20,20,20,.94);color:#eee;
-border:1px solid rgba(200,200,200,.5);border-radius:5px;padding:5px 8px;pointer-events:none;width:max-content}
+border:1px solid rgba(200,200,200,.5);border-radius:5px;padding:5px 8px;pointer-events:none;width:max-content;--lpn-true:#ffc81e;--lpn-false:#86a4ff}
 .lab-tip img{width:52px;height:52px;border-radius:3px}
 .lab-note b{white-space:nowrap}.lab-note input{flex:1}.lab-note textarea{flex:2;resize:vertical;min-height:26px}
 .lab-note a{cursor:pointer;padding:1px .7em;border:1px solid rgba(128,128,128,.5);border-radius:4px}
