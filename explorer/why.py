@@ -18,6 +18,7 @@ from lpn.retrieval import Described
 from lpn.spec import View
 
 HINT = "Move over a cell to see what it adds and which cell of the other picture it agrees with; click to keep it."
+HELD = {"safa": " The weights of the cells, which SAFA chooses for each picture, are held as they are."}
 NOTE = (
     "Exact: cells and constants add up to the score. It is an account of the score; what it would be were a region not there "
     "is another question."
@@ -62,7 +63,7 @@ def page(answer: Answer, exhibit: Exhibit) -> str:
         f"<div class='lpn-pair{stacked}' data-hint='{escape(HINT)}'>{blocks}</div>"
         f"<div class='lpn-read num dim'>{escape(HINT)}</div>"
         f"{_chips(exhibit.part_names, part)}{_bars(found, exhibit.part_names)}{_legend(limit)}"
-        f"<div class='dim'>{NOTE}</div><div class='chips'>{report}</div></div>"
+        f"<div class='dim'>{NOTE}{HELD.get(exhibit.spec.pooling, '')}</div><div class='chips'>{report}</div></div>"
     )
 
 

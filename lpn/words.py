@@ -27,7 +27,7 @@ def ordinal(rank: int) -> str:
 def where(cells: Exact, view: View) -> str:
     """Where in a picture the cells (h, w) above zero lie: "upper right" or, on a satellite tile, "north-east".
 
-    "all around" where they lie on no side more than on others.
+    "all around" where they lie on no side more than on others. A tile that is unrolled, so wide, has no north at its top.
     """
     weights = np.maximum(cells, 0.0)
     height, width = cells.shape
@@ -38,7 +38,7 @@ def where(cells: Exact, view: View) -> str:
     if total <= 0 or np.hypot(east, north) < _ONE_SIDED * total:
         return "all around"
     sector = round(np.degrees(np.arctan2(north, east)) / 45) % 8
-    return (_COMPASS if view == "satellite" else _SIDES)[sector]
+    return (_COMPASS if view == "satellite" and width < 2 * height else _SIDES)[sector]
 
 
 def why(found: Evidence, names: Sequence[str], query_view: View, tile_view: View) -> str:

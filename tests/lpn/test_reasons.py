@@ -86,6 +86,9 @@ def test_sides_of_a_tile_are_told_by_the_compass(row: int, column: int, picture:
         cells[2, column] = 1
     assert (words.where(cells, "drone"), words.where(cells, "satellite")) == (picture, tile)
     assert words.where(np.ones((4, 4)), "drone") == "all around"
+    unrolled = np.zeros((4, 16))
+    unrolled[:, 14] = 1
+    assert words.where(unrolled, "satellite") == "right"
     assert words.where(-np.ones((4, 4)), "drone") == "all around"
 
 
