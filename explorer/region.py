@@ -34,10 +34,11 @@ def page(answer: Answer, exhibit: Exhibit) -> str:
     else:
         said = "Paint what you care about: press and draw over cells; start on a painted cell to erase. The ranking follows."
         clear = ""
+    wide = " wide" if exhibit.layout.stacked else ""
     return (
         f"<div class='lpn' id='lpn-region' data-painted='{len(painted)}'><div class='said headline'>{said}</div>"
         f"<div class='chips'>{clear}</div>"
-        f"<div class='lpn-map canvas{' wide' if exhibit.layout.stacked else ''}' data-size='{rows},{columns}' data-painted='{json.dumps(painted)}' "
+        f"<div class='lpn-map canvas{wide}' data-size='{rows},{columns}' data-painted='{json.dumps(painted)}' "
         "onpointerdown='lpn.stroke(this,event)' onpointermove='lpn.stroke(this,event)' onpointerup='lpn.stroke(this,event)' "
         f"onpointercancel='lpn.stroke(this,event)'><img src='{overlays.data_uri(drawn, 88)}' alt='the query' draggable='false'>"
         f"{marks}</div></div>"
