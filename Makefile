@@ -41,10 +41,10 @@ $(VENV)/.browser: $(VENV)/.dev
 	touch $@
 
 # An exported model needs no torch, nor does the demo's; any other does.
-EXPLORE_NEEDS := $(if $(filter-out %.onnx,$(MODEL)),$(VENV)/.train,$(VENV)/.base)
+EXPLORE_NEEDS := $(if $(filter-out %.onnx,$(MODEL) $(BESIDE)),$(VENV)/.train,$(VENV)/.base)
 
 explore: $(EXPLORE_NEEDS)
-	@$(BIN)/lpn explore $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") --host $(HOST) --port $(PORT)
+	@$(BIN)/lpn explore $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(BESIDE),--beside "$(BESIDE)") --host $(HOST) --port $(PORT)
 
 setup: $(VENV)/.train
 	@echo "Ready. Use it with: . $(VENV)/bin/activate"
