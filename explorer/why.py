@@ -12,10 +12,11 @@ from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.style import part_ink
 from lpn import images, overlays, words
-from lpn.explain import Evidence, Exact, Mates
+from lpn.explain import Evidence, Mates
 from lpn.model import FloatArray
 from lpn.retrieval import Described
 from lpn.spec import View
+from lpn.trace import Exact
 
 HINT = "Move over a cell to see what it adds and which cell of the other picture it agrees with; click to keep it."
 HELD = {"safa": " The weights of the cells, which SAFA chooses for each picture, are held as they are."}

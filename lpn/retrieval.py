@@ -10,11 +10,11 @@ import numpy.typing as npt
 from lpn import explain, images
 from lpn.changes import UNCHANGED, Change
 from lpn.datasets import Truth
-from lpn.explain import Trace
 from lpn.images import Picture
 from lpn.metrics import JUNK
 from lpn.model import FloatArray, Model, normalise
 from lpn.spec import View
+from lpn.trace import Trace
 
 
 @dataclass(frozen=True)

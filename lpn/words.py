@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lpn.explain import Evidence, Exact
+from lpn.explain import Evidence
 from lpn.retrieval import Match
 from lpn.spec import View
 from lpn.sweeps import Profile
+from lpn.trace import Exact
 from lpn.versus import Effect, Reweighting, Without
 
 _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")

@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 import lpn
-from lpn.checkpoints import infer_spec, load_backbone, load_torch, save
+from lpn.checkpoints import load_backbone, load_torch, save
 from lpn.errors import LPNError, ModelFileError
 from lpn.network import LPN
+from lpn.published import infer_spec
 from lpn.spec import ModelSpec
 from tests import seeded, worlds
 

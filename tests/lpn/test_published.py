@@ -12,10 +12,10 @@ import yaml
 from torch import Tensor
 
 import lpn
-from lpn.checkpoints import infer_spec
 from lpn.errors import ModelFileError
 from lpn.export import export
 from lpn.network import LPN
+from lpn.published import infer_spec
 from lpn.spec import ModelSpec
 from tests import published, seeded, worlds
 from tests.published import State

@@ -1,0 +1,164 @@
+"""What a published state dict is: told from the names of its entries and the `opts.yaml` beside it."""
+
+from __future__ import annotations
+
+import logging
+import re
+from pathlib import Path
+from typing import Any, cast
+
+import torch
+import yaml
+from torch import Tensor
+
+from lpn.errors import ModelFileError
+from lpn.files import printable
+from lpn.spec import BRANCH, ModelSpec, View
+
+log = logging.getLogger(__name__)
+
+State = dict[str, Tensor]
+
+UNUSED = re.compile(r"model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.")
+"""Entries of layers that the published code keeps and does not use."""
+
+
+def infer_spec(state: State, options: dict[str, Any], name: str = "the file") -> ModelSpec:
+    """Tell the architecture of a published state dict from its keys and, where given, its `opts.yaml`.
+
+    Three branches are University-1652's. Two, model_1 and model_2, are satellite and street, cut as the released models
+    for CVUSA and CVACT are ("cvusa"): the released code trains no other LPN of two views. The keys cannot tell whether
+    somebody showed the second branch other pictures, so the log says how the file was read, unless `data_dir` or `name`
+    in the options speak of these data sets. A file with model_1 and model_3 alone is read as satellite and drone, with
+    University-1652's rings.
+
+    Raises:
+        ModelFileError: when it is not an LPN or baseline, or contradicts its options.
+    """
+    views = tuple(view for view, branch in BRANCH.items() if any(k.startswith(branch + ".model.") for k in state))
+    heads = {m[1] for key in state if (m := re.match(r"classifier(\d*)\.", key))}
+    if not views or not heads:
+        found = ", ".join(list(state)[:3]) or "nothing"
+        raise ModelFileError(
+            f"{name} is not an LPN checkpoint: expected entries named model_1.model.* and classifier*.add_block.*, "
+            f"found {found}."
+        )
+    n_parts = 1 if heads == {""} else 1 + max((int(head) for head in heads if head), default=0)
+    expected = [""] if heads == {""} else [str(i) for i in range(n_parts)]
+    lacking = [f"classifier{head}" for head in expected if head not in heads]
+    if lacking or len(heads) != len(expected):
+        found = ", ".join(f"classifier{head}" for head in sorted(heads))
+        raise ModelFileError(
+            f"{name} has the heads {found}; expected classifier0 to classifier{n_parts - 1} without a gap, or one named "
+            "classifier, so the file is incomplete."
+        )
+    if options.get("pool") not in (None, "avg"):
+        raise ModelFileError(
+            f"{name} was trained with pool: {options['pool']} (opts.yaml); only average pooling (avg) is supported."
+        )
+    prefix = f"{BRANCH[views[0]]}.model."
+    backbone, last_layer = infer_backbone({k[len(prefix) :] for k in state if k.startswith(prefix)}, name)
+    _check_options(options, name, views, n_parts, backbone)
+    head = f"classifier{expected[0]}"
+    linear = state.get(f"{head}.add_block.0.weight")
+    if linear is None or linear.ndim != 2:
+        shape = "is missing" if linear is None else f"has shape {tuple(linear.shape)}"
+        raise ModelFileError(f"In {name}, {head}.add_block.0.weight {shape}; expected the (D, C) weights of a head.")
+    size = (int(options.get("h", 256)), int(options.get("w", 256)))
+    classes = state.get(f"{head}.classifier.0.weight")
+    return ModelSpec(
+        backbone=backbone,
+        last_layer=last_layer,
+        last_stride=int(options.get("stride", 1)),
+        views=views,
+        shared=_branches_equal(state, views),
+        n_parts=n_parts,
+        layout="cvusa" if views == ("satellite", "street") else "university",
+        embedding=linear.shape[0],
+        classes=1 if classes is None or classes.ndim != 2 else classes.shape[0],
+        dropout=float(options.get("droprate", 0.5)),
+        input_size=size,
+    )
+
+
+def infer_backbone(keys: set[str], name: str) -> tuple[str, str]:
+    """Backbone and last layer, as `ModelSpec` has them, told from the names of a backbone's entries.
+
+    Raises:
+        ModelFileError: when it is none of those that are known.
+    """
+    if {
+        "features.0.weight",
+        "features.1.running_mean",
+        "features.40.weight",
+    } <= keys and "features.43.weight" not in keys:
+        return "vgg16_bn", "layer4"
+    last = "layer4" if any(k.startswith("layer4.") for k in keys) else "layer3"
+    if "layer1.0.conv3.weight" in keys and "layer3.5.conv1.weight" in keys and "layer3.6.conv1.weight" not in keys:
+        return "resnet50", last
+    if "layer1.1.conv2.weight" in keys and not {"layer1.0.conv3.weight", "layer1.2.conv1.weight"} & keys:
+        return "resnet18", last
+    raise ModelFileError(
+        f"The backbone in {name} is not one of resnet18, resnet50, vgg16_bn, or entries of it are missing."
+    )
+
+
+def _check_options(options: dict[str, Any], name: str, views: tuple[View, ...], n_parts: int, backbone: str) -> None:
+    """Refuse options that belong to another model, and say how two branches are read when nothing confirms it."""
+    told = [
+        ("block", n_parts, f"{n_parts} heads"),
+        ("views", len(views), f"the branches {', '.join(BRANCH[view] for view in views)}"),
+        ("use_vgg16", backbone == "vgg16_bn", f"the backbone {backbone}"),
+    ]
+    for option, found, said in told:
+        counts = option != "block" or options.get("LPN")
+        if counts and option in options and options[option] != found:
+            raise ModelFileError(
+                f"{name} has {said}, but the opts.yaml beside it says {option}: {options[option]}; correct or remove it."
+            )
+    trained_on = f"{options.get('data_dir')} {options.get('name')}".lower()
+    if views == ("satellite", "street") and not any(data in trained_on for data in ("cvusa", "cvact")):
+        log.warning(
+            "%s has the branches model_1 and model_2; they are read as satellite and street, as in the models released for "
+            "CVUSA and CVACT. If model_2 saw drone pictures, rename its entries to model_3.",
+            printable(name),
+        )
+
+
+def _branches_equal(state: State, views: tuple[View, ...]) -> bool:
+    second = "drone" if "drone" in views else views[-1]
+    if second == "satellite" or "satellite" not in views:
+        return False
+    first, other = BRANCH["satellite"] + ".", BRANCH[second] + "."
+    keys = [k[len(first) :] for k in state if k.startswith(first) and not UNUSED.match(k)]
+    return all(other + k in state and torch.equal(state[first + k], state[other + k]) for k in keys)
+
+
+def read_options(path: Path) -> dict[str, Any]:
+    """The `opts.yaml` of a published checkpoint, empty where there is none.
+
+    Raises:
+        ModelFileError: when it cannot be read, or a number in it is none.
+    """
+    if not path.is_file():
+        return {}
+    try:
+        options: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
+        raise ModelFileError("The opts.yaml beside the model cannot be read; correct or remove it.") from error
+    if options is None:
+        return {}
+    if not isinstance(options, dict):
+        raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
+    for key in ("h", "w", "stride", "block", "views"):
+        value = options.get(key, 1)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise ModelFileError(
+                f"The opts.yaml beside the model says {key}: {value}; expected a whole number, so correct it."
+            )
+    rate = options.get("droprate", 0.5)
+    if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0 <= rate < 1:
+        raise ModelFileError(
+            f"The opts.yaml beside the model says droprate: {rate}; expected a number from 0 up to 1, so correct it."
+        )
+    return cast("dict[str, Any]", options)

@@ -1,0 +1,126 @@
+"""What a description leaves to account for it: each part's embedding as a sum over cells and one constant, see `lpn.explain`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.errors import InputError
+from lpn.model import FloatArray, Heads, Model, Pass
+from lpn.spec import View
+
+Exact = npt.NDArray[np.float64]
+
+LEAK = 0.1
+"""Slope of a head's LeakyReLU below zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """What a description leaves to account for it.
+
+    Attributes:
+        embedding: raw part embeddings, the mirror's added, (n, D).
+        features: the feature map of each of P passes, the mirror's turned back, (P, C, h, w).
+        cells: weight of each cell in each part of each pass, (P, n, M, h, w); M is 1, or SAFA's number of maps.
+        heads: the affine heads; None with SAFA, whose parts are the weighted sums themselves.
+        slopes: of a head's LeakyReLU for each number of each pass's embedding, (P, n, D); None without one.
+    """
+
+    embedding: FloatArray
+    features: FloatArray
+    cells: FloatArray
+    heads: Heads | None
+    slopes: FloatArray | None
+
+    @classmethod
+    def of(cls, model: Model, found: Pass, view: View) -> Trace:
+        """The trace of one forward pass: of a picture alone, or of a picture and its mirror as a batch of two."""
+        attention = found.attention
+        heads = None if attention is not None else model.heads(view)
+        if heads is None:
+            cells = cast(FloatArray, attention)
+        else:
+            # A model in PyTorch takes pictures of other sizes than it was trained on; then the cells are others.
+            size = found.features.shape[2:]
+            weights = heads.cells if heads.cells.shape[1:] == size else model.spec.partition(view).weights(*size)
+            cells = np.broadcast_to(weights[None, :, None], (len(found.parts), len(weights), 1, *size))
+        leaky = heads is not None and model.spec.activation == "leaky_relu"
+        slopes = np.where(found.parts > 0, np.float32(1), np.float32(LEAK)) if leaky else None
+        embedding = cast(FloatArray, found.parts.sum(axis=0))
+        return cls(embedding, _upright(found.features), _upright(cells), heads, slopes)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(h, w) of the feature map."""
+        return self.features.shape[2], self.features.shape[3]
+
+    def along(self, direction: npt.NDArray[np.floating]) -> tuple[Exact, Exact]:
+        """The inner product of the embedding with a direction (n, D), part by part, as cells (n, h, w) and constants (n,)."""
+        passes, channels = self.features.shape[:2]
+        parts, maps = self.cells.shape[1:3]
+        direction = direction.astype(np.float32)
+        constants = np.zeros(parts)
+        if self.heads is None:
+            pulled = np.broadcast_to(direction.reshape(1, parts * maps, channels), (passes, parts * maps, channels))
+        else:
+            turned = np.broadcast_to(direction, (passes, *direction.shape))
+            turned = turned if self.slopes is None else turned * self.slopes
+            pulled = np.matmul(turned.transpose(1, 0, 2), self.heads.weight).transpose(1, 0, 2)
+            constants = np.einsum("pnd,nd->n", turned, self.heads.bias, dtype=np.float64)
+        responses = np.matmul(pulled, self.features.reshape(passes, channels, -1))
+        shares = responses.reshape(self.cells.shape) * self.cells
+        return shares.sum(axis=(0, 2), dtype=np.float64), constants
+
+    def vectors(self, part: int, only: npt.NDArray[np.bool_] | None = None) -> FloatArray:
+        """What each cell adds to a part's embedding, (h * w, D), row by row; their sum and the constant are the embedding.
+
+        Args:
+            only: cells (h, w) to sum over, which gives (D,) in place of one row for each cell.
+        """
+        flat = self.features.reshape(*self.features.shape[:2], -1)
+        found: FloatArray | None = None
+        for number, (features, cells) in enumerate(zip(flat, self.cells[:, part], strict=True)):
+            weights = cells.reshape(len(cells), -1)
+            if only is None:
+                pooled = features * weights[:, None]
+            else:
+                pooled = np.matmul(features, (weights * only.reshape(-1)).T).T[..., None]
+            if self.heads is None:
+                added = pooled.reshape(-1, pooled.shape[-1])
+            else:
+                added = self.heads.weight[part] @ pooled[0]
+                added = added if self.slopes is None else added * self.slopes[number, part][:, None]
+            found = added if found is None else found + added
+        assert found is not None
+        return found.T if only is None else found[:, 0]
+
+    def region(self, cells: npt.NDArray[np.bool_], weights: FloatArray) -> FloatArray:
+        """A query of some cells alone, (n, D): its scores order a gallery by what these cells add to the whole query's.
+
+        Parts without such a cell are zero; the constants, which come from no cell, are left out. It is scaled to
+        sum_i w_i n |q_i|^2 = 1, so that 2 - 2 score is a squared distance as for whole queries.
+
+        Args:
+            cells: which cells are meant, (h, w).
+            weights: part weights that sum to one, (n,).
+
+        Raises:
+            InputError: when they are not as many as the feature map has, or none of them belongs to a part.
+        """
+        if cells.shape != self.size:
+            raise InputError(f"The region has {cells.shape} cells; the feature map has {self.size}.")
+        parts = np.stack([self.vectors(part, cells) for part in range(len(self.embedding))])
+        parts /= np.maximum(np.linalg.norm(self.embedding, axis=1, keepdims=True), 1e-12)
+        norm = float(np.sqrt(len(parts) * (weights * (parts**2).sum(axis=1)).sum()))
+        if norm < 1e-12:
+            raise InputError("No cell of a part that counts is painted; paint some of the query, and search again.")
+        return cast(FloatArray, parts / np.float32(norm))
+
+
+def _upright(values: FloatArray) -> FloatArray:
+    """The second of two passes is of the mirrored picture: turn its columns back."""
+    return values if len(values) == 1 else np.concatenate([values[:1], values[1:, ..., ::-1]])
