@@ -61,9 +61,10 @@ def page(answer: Answer, exhibit: Exhibit, contest: Contest | None, effect: Effe
     ahead, rival = contest.ahead, contest.rival
     margin = versus.margin(answer.ranking, ahead.index, rival.index)
     names = exhibit.part_names
+    region = " ⚠ This is of the painted cells alone." if answer.state.region else ""
     return (
         f"<div class='lpn' id='lpn-versus'>{_sides(answer, exhibit, ahead, rival)}"
-        f"<div class='said'>{escape(_said(margin.distance2, names, ahead))}</div>"
+        f"<div class='said'>{escape(_said(margin.distance2, names, ahead))}{region}</div>"
         f"{_waterfall(margin.distance2, names)}{_left_out(contest, names, ahead)}"
         f"{_changed(answer, contest, names, effect, busy)}</div>"
     )
@@ -144,18 +145,19 @@ def _changed(answer: Answer, contest: Contest, names: Sequence[str], effect: Eff
     who = "the true tile" if ahead.true else "this tile"
     if change is None:
         return f"<div class='said' id='lpn-change'>No part weights at all put {who} first.</div>"
+    if answer.state.region:
+        # The weights would be tried on whole queries, and these are the painted cells' own.
+        effect, busy = None, False
     pairs = ", ".join(
         f"{name} {100 * now:.1f} → {100 * new:.1f} %"
         for name, now, new in zip(names, answer.ranking.weights, change.weights, strict=True)
     )
     if effect is None:
         asked = "computing over all queries …" if busy else f"<a {send('effect')}>Does it help over all queries?</a>"
+        asked = "" if answer.state.region else asked
     else:
-        verdict = "It helps" if effect.helps else "It harms"
-        asked = (
-            f"<b>{verdict}</b>: over {effect.queries:,} queries R@1 goes from {effect.before:.1f} to {effect.after:.1f} %; "
-            f"{len(effect.gained):,} are gained and {len(effect.lost):,} lost."
-        )
+        said = words.helps(effect)
+        asked = f"{said[0].upper()}{said[1:]}."
     return (
         f"<div id='lpn-change'><div class='said'>The smallest change of weights that puts {who} first: {escape(pairs)}.</div>"
         f"<div class='chips'><a {send('weigh')}>Use these weights</a></div><div id='lpn-effect'>{asked}</div></div>"

@@ -74,7 +74,8 @@ class Visitor:
             handlers |= self._reasons.handlers() | self._lab.handlers()
             told = {"steps": [asdict(step) for step in tour.steps(exhibit)], "scene": SCENE}
             self._bridge = Bridge(client.gui, handlers, told, STYLES)
-            commands.add(client.gui, exhibit, self._panels, self.change, self._bridge)
+            further = self._reasons.orders() + self._lab.orders()
+            commands.add(client.gui, exhibit, self._panels, self.change, self._bridge, further)
             self._stage = Stage(client, exhibit, self._selected)
             self._worker = Worker(self._work, self._failed)
             self._opening = Patience(GREETING, self._worker.wake)

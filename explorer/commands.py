@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -18,8 +18,15 @@ _SHIFT = 8
 _ZOOM = 1.1
 
 
-def add(gui: viser.GuiApi, exhibit: Exhibit, panels: Panels, change: Callable[[Change], None], bridge: Bridge) -> None:
-    """Register them for one browser."""
+def add(
+    gui: viser.GuiApi,
+    exhibit: Exhibit,
+    panels: Panels,
+    change: Callable[[Change], None],
+    bridge: Bridge,
+    further: Sequence[tuple[str, Callable[[], None]]],
+) -> None:
+    """Register them for one browser; `further` are those of the windows."""
     live = exhibit.model is not None
     orders: list[tuple[str, str | None, Callable[[], None]]] = [
         ("Copy link to what is shown", "I", lambda: bridge.order("copy")),
@@ -28,6 +35,7 @@ def add(gui: viser.GuiApi, exhibit: Exhibit, panels: Panels, change: Callable[[C
     ]
     if live:
         orders.append(("Use my own picture", "U", lambda: bridge.order("upload")))
+    orders += [(label, None, order) for label, order in further]
     for label, key, order in orders:
         gui.add_command(label, hotkey=cast(Any, key)).on_trigger(_calls(order))
     changes: list[tuple[str, str | None, Change]] = [("Light or dark", "O", session.flip_dark)]

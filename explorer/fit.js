@@ -46,6 +46,13 @@
     if (/^Key[WASDQE]$/.test(event.code)) event.stopPropagation();
   });
 
+  document.documentElement.addEventListener("keydown", (event) => {
+    if (!["Enter", " "].includes(event.key) || !event.target.matches?.('[role="button"][onclick]')) return;
+    event.preventDefault();
+    event.stopPropagation();
+    event.target.click();
+  });
+
   lpn.small = matchMedia("(max-width: 1100px)");
   lpn.small.addEventListener("change", () => lpn.send("small", lpn.small.matches));
 

@@ -71,6 +71,7 @@ class Lab:
             self._notes = NoteView(client.gui, shared)
             self._tip = Html(client.gui)
         self._worker = Worker(self._work, self._failed)
+        room.watch(self._moved)
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
         """What the window's html may ask for."""
@@ -112,6 +113,13 @@ class Lab:
             if not state.lab or found is None or self._lab.task != state.task:
                 return None
             return self._rows(found, self._lab)
+
+    def orders(self) -> list[tuple[str, Callable[[], None]]]:
+        """What the command palette offers of the window, once its table is there."""
+        return [
+            ("Save the laboratory's queries as CSV", lambda: self._download(None)),
+            ("Save a report of the laboratory's queries", lambda: self._report(None)),
+        ]
 
     def leave(self) -> None:
         """The browser is gone."""
@@ -216,6 +224,11 @@ class Lab:
             self._panel.expand()
         self._panel.visible = tall is not None
         self._placed = tall
+
+    def _moved(self) -> None:
+        """There is more or less room: take the place anew."""
+        self._placed = None if self._placed is None else not self._placed
+        self._worker.wake()
 
     def _turn(self, value: Any) -> None:
         by = labmessages.integer(value, -1, 1)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from explorer import words
-from explorer.bridge import send
+from explorer.bridge import PRESSED, send
 from explorer.exhibit import Answer, Exhibit, Task
 from explorer.style import part_ink, verdict_ink
 from lpn import overlays
@@ -53,7 +53,7 @@ def hidden(ids: Sequence[str]) -> str:
 
 def press(button: str) -> str:
     """The attribute that hands a click to a viser button."""
-    return f"onclick=\"document.getElementById('{escape(button)}').click()\""
+    return f"{PRESSED} onclick=\"document.getElementById('{escape(button)}').click()\""
 
 
 _ACTS = (

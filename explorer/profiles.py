@@ -9,7 +9,7 @@ from html import escape
 from explorer.bridge import send
 from explorer.exhibit import Answer
 from explorer.session import State
-from lpn import overlays, sweeps
+from lpn import overlays, sweeps, words
 from lpn.sweeps import UNITS, Over, Point, Profile
 from lpn.words import ordinal
 
@@ -18,13 +18,16 @@ _WIDTH, _LEFT, _RIGHT = 720, 52, 14
 _GREY, _BRIGHT = "rgba(128,128,128,.45)", "rgba(150,150,150,.95)"
 
 
-def page(answer: Answer, over: Over | None, profile: Profile | None, of: int, names: Sequence[str]) -> str:
+def page(
+    answer: Answer, over: Over | None, profile: Profile | None, of: int, names: Sequence[str], stopped: bool = False
+) -> str:
     """The whole tab.
 
     Args:
         over: what is swept, None before anything was asked for.
         profile: what is known so far.
         of: points that it will have.
+        stopped: it was cancelled before it had them.
     """
     chips = "".join(
         f"<a class='{'chosen' if key == over else ''}' {send('sweep', key)}>{said}</a>" for key, said in CHOICES.items()
@@ -38,10 +41,14 @@ def page(answer: Answer, over: Over | None, profile: Profile | None, of: int, na
         )
         return f"<div class='lpn' id='lpn-profile'>{head}</div><div class='dim'>{hint}</div></div>"
     done = len(profile.points)
-    if done < of:
+    region = "<div>⚠ This is of the whole query, not of its painted cells.</div>" if answer.state.region else ""
+    if stopped:
+        head += f"<span>stopped at <span class='num'>{done} of {of}</span>: what follows is of these alone</span>"
+    elif done < of:
         head += f"<span class='dim num'>{done} of {of}</span><a {send('cancel')}>Cancel</a>"
     return (
-        f"<div class='lpn' id='lpn-profile' data-done='{done}' data-of='{of}'>{head}</div>{_charts(profile, answer.state, names)}"
+        f"<div class='lpn' id='lpn-profile' data-done='{done}' data-of='{of}'>{head}</div>"
+        f"{region}{_charts(profile, answer.state, names)}"
         f"<div class='said'>{_said(profile, answer)}</div></div>"
     )
 
@@ -54,13 +61,12 @@ def _said(profile: Profile, answer: Answer) -> str:
     if profile.best_rank.rank < best.rank:
         ranked = profile.best_rank
         lines.append(f"Its best rank is elsewhere: {ordinal(ranked.rank)} at {_at(over, ranked)}.")
-    if known:
+    if known and over != "rotation":
         lines.append(
             f"Without knowing it, the highest score of any tile is at {_at(over, blind)} ({blind.top_score:.3f})."
         )
-    heading = profile.heading()
-    if heading is not None and not answer.state.upload:
-        lines.append(f"A guess of the camera's heading from that: {heading:.0f}°{_known_heading(answer)}.")
+    if guess := words.heading(profile, (answer.task.query_view, answer.task.gallery_view)):
+        lines.append(f"{guess}{_known_heading(answer)}")
     if over in ("shift", "shift-down"):
         lines.append(
             "LPN assumes that the target is in the middle: its rings stay where they are while the target moves."
@@ -86,7 +92,7 @@ def _gain(profile: Profile, point: Point) -> str:
 def _known_heading(answer: Answer) -> str:
     places = answer.task.places
     heading = None if places is None else places.queries[answer.state.query].heading
-    return "" if heading is None else f"; it is known to be {heading:.0f}°"
+    return "" if heading is None or answer.state.upload else f" It is known to be {heading:.0f}°."
 
 
 def _charts(profile: Profile, state: State, names: Sequence[str]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,9 +18,9 @@ from explorer.html import Html
 from explorer.reporting import Reporter
 from explorer.room import EDGE, Room
 from explorer.session import State
+from explorer.sweep import Sweep
 from explorer.worker import Worker
-from lpn import sweeps, versus
-from lpn.sweeps import Over, Point, Profile
+from lpn import versus
 from lpn.versus import Effect
 
 Change = Callable[[State], State | None]
@@ -55,11 +54,9 @@ class Reasons:
         self._answer: Answer | None = None
         self._contest: Contest | None = None
         self._effect: Effect | None = None
-        self._over: Over | None = None
-        self._points: list[Point] = []
-        self._of = 0
-        self._asked: str | None = None
-        self._cancelled = threading.Event()
+        self._sweep: Sweep | None = None
+        self._wanted: Contest | None = None
+        """The contest whose change of weights is to be tried on all queries."""
         self._open = False
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
@@ -80,6 +77,8 @@ class Reasons:
         self._why, self._versus, self._profile, self._region = pages[:4]
         self._beside = pages[-1]
         self._worker = Worker(self._work, failed)
+        self._second = Worker(self._draw_beside, failed)
+        room.watch(self._place)
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
         """What the window's html may ask for, whatever the values."""
@@ -89,122 +88,145 @@ class Reasons:
             "compare": self._compare,
             "query": self._query,
             "weigh": self._weigh,
-            "effect": lambda _: self._ask("effect"),
+            "effect": self._try,
             "report": self._report,
-            "sweep": self._sweep,
-            "cancel": lambda _: self._cancelled.set(),
+            "sweep": self._begin,
+            "cancel": self._cancel,
             "take": self._take,
             "region": self._paint,
         }
 
+    def orders(self) -> list[tuple[str, Callable[[], None]]]:
+        """What the command palette offers of the window."""
+        if self._exhibit.model is None:
+            return []
+        sweeps = [
+            (f"Profile: {said.lower()}", self._ordered(self._begin, key)) for key, said in profiles.CHOICES.items()
+        ]
+        return [
+            *sweeps,
+            ("Stop the profile", self._ordered(self._cancel)),
+            ("Try the smallest change of part weights on all queries", self._ordered(self._try)),
+            ("Use the smallest change of part weights", self._ordered(self._weigh)),
+            ("Search by the whole query, not a region", self._ordered(self._paint, [])),
+            ("Save a report of this query", self._ordered(self._report)),
+        ]
+
+    def _ordered(self, handler: Callable[[Any], None], value: Any = None) -> Callable[[], None]:
+        def done() -> None:
+            self._change(lambda state: replace(state, why=True))
+            handler(value)
+
+        return done
+
     def leave(self) -> None:
         """The browser is gone: stop what is being computed."""
-        self._cancelled.set()
+        self._cancel(None)
         self._worker.stop()
+        self._second.stop()
 
     def show(self, answer: Answer) -> None:
         """Open or close the window, and fill it."""
         before, self._answer = self._answer, answer
-        if before is None or _asks(before) != _asks(answer):
-            self._cancelled.set()
-            self._over, self._points = None, []
+        sweep = self._sweep
+        if sweep is not None and not sweep.is_of(answer):
+            self._cancel(None)
+            self._sweep = None
         if answer.state.why:
             if before is None or before.ranking is not answer.ranking or before.chosen.index != answer.chosen.index:
                 self._contest, self._effect = Contest.of(answer), None
-            self._draw()
+            self._draw(answer)
         if answer.state.why != self._open:
             self._open = answer.state.why
-            if self._open:
-                self._place()
+            self._place()
             self._panel.visible = self._open
 
-    def _draw(self) -> None:
-        answer = self._answer
-        assert answer is not None
+    def _draw(self, answer: Answer) -> None:
         self._why.show(why.page(answer, self._exhibit))
         self._draw_versus(answer)
         self._draw_profile(answer)
         self._region.show(region.page(answer, self._exhibit))
         if self._other is not None:
+            self._second.wake()
+
+    def _draw_beside(self) -> None:
+        """The second model describes the query, too: on a thread of its own, so that the first's answer does not wait."""
+        answer = self._answer
+        if self._other is not None and answer is not None and answer.state.why:
             self._beside.show(self._other.page(answer, self._exhibit))
 
     def _draw_versus(self, answer: Answer) -> None:
-        busy = self._asked == "effect"
+        busy = self._wanted is not None and self._wanted is self._contest
         self._versus.show(against.page(answer, self._exhibit, self._contest, self._effect, busy))
 
     def _draw_profile(self, answer: Answer) -> None:
-        points = tuple(self._points)
-        profile = Profile(self._over, points) if self._over and points else None
-        self._profile.show(profiles.page(answer, self._over, profile, self._of, self._exhibit.part_names))
+        sweep, names = self._sweep, self._exhibit.part_names
+        if sweep is None:
+            self._profile.show(profiles.page(answer, None, None, 0, names))
+        else:
+            profile = sweep.profile(answer)
+            self._profile.show(profiles.page(answer, sweep.over, profile, sweep.of, names, sweep.stopped))
 
     def _place(self) -> None:
         """Over the stage, as large as it has room for."""
-        width, height = self._room.window((_WIDTH, _HEIGHT))
-        self._panel.float(x=EDGE, y=EDGE, width=width, height=height)
-        self._panel.expand()
-
-    def _ask(self, what: str) -> None:
-        """Have something long computed; what was being computed is given up."""
-        self._cancelled.set()
-        self._asked = what
-        self._worker.wake()
+        if self._open:
+            width, height = self._room.window((_WIDTH, _HEIGHT))
+            self._panel.float(x=EDGE, y=EDGE, width=width, height=height)
+            self._panel.expand()
 
     def _work(self) -> None:
-        asked, answer = self._asked, self._answer
-        self._cancelled.clear()
-        try:
-            if answer is not None and asked == "effect":
-                self._measure(answer)
-            elif answer is not None and asked in profiles.CHOICES:
-                self._profiled(answer, asked)
-        finally:
-            if self._asked == asked:
-                self._asked = None
-
-    def _measure(self, answer: Answer) -> None:
-        contest, task = self._contest, answer.task
-        if contest is None or contest.change is None:
+        self._measure()
+        sweep = self._sweep
+        if sweep is None or sweep.begun:
             return
-        self._draw_versus(answer)
+        drawn = 0.0
+        for _ in sweep.points_of(self._exhibit):
+            self._measure()
+            if time.monotonic() - drawn > _OFTEN and sweep is self._sweep:
+                self._draw_profile(self._answer or sweep.answer)
+                drawn = time.monotonic()
+        if sweep is self._sweep:
+            self._draw_profile(self._answer or sweep.answer)
+
+    def _measure(self) -> None:
+        """Try the wanted change of weights on all queries."""
+        contest, answer = self._wanted, self._answer
+        if contest is None or answer is None or contest.change is None:
+            return
+        task = answer.task
         found = versus.effect(
             task.asked, task.descriptors, answer.ranking.weights, contest.change.weights, task.query_labels, task.labels,
             task.truth,
         )  # fmt: skip
-        if self._contest is contest and self._answer is not None:
-            self._effect, self._asked = found, None
-            self._draw_versus(self._answer)
+        if self._wanted is contest:
+            self._wanted = None
+        if self._contest is contest:
+            self._effect = found
+            self._draw_versus(self._answer or answer)
+
+    def _try(self, _: Any) -> None:
+        answer, contest = self._answer, self._contest
+        if answer is not None and contest is not None and contest.change is not None and not answer.state.region:
+            self._wanted = contest
+            self._draw_versus(answer)
+            self._worker.wake()
+
+    def _begin(self, value: Any) -> None:
+        answer = self._answer
+        if answer is not None and value in list(profiles.CHOICES):
+            self._cancel(None)
+            self._sweep = Sweep(value, answer)
+            self._draw_profile(answer)
+            self._worker.wake()
+
+    def _cancel(self, _: Any) -> None:
+        if self._sweep is not None:
+            self._sweep.cancelled.set()
 
     def _report(self, _: Any) -> None:
         answer = self._answer
         if answer is not None:
             self._reporter.make(lambda progress: reporting.of_answer(self._exhibit, answer, progress))
-
-    def _profiled(self, answer: Answer, over: Over) -> None:
-        exhibit, task, state = self._exhibit, answer.task, answer.state
-        assert exhibit.model is not None
-        height, width = exhibit.spec.input_size
-        entry, side = task.queries[state.query], height if over == "shift-down" else width
-        changes = [change.of(entry) for change in sweeps.changes_over(over, side=side)]
-        self._over, self._points, self._of = over, [], len(changes)
-        known = None if state.upload else state.query
-        steps = sweeps.profile(
-            exhibit.model, answer.source, task.query_view, task.descriptors, answer.ranking.weights, changes, task.labels,
-            None if known is None else int(task.query_labels[known]),
-            None if known is None or task.truth is None else task.truth[known],
-            None if answer.truth else answer.chosen.index,
-        )  # fmt: skip
-        drawn = 0.0
-        self._draw_profile(answer)
-        for point in steps:
-            if self._cancelled.is_set():
-                break
-            self._points.append(point)
-            if time.monotonic() - drawn > _OFTEN:
-                self._draw_profile(self._answer or answer)
-                drawn = time.monotonic()
-        if not self._cancelled.is_set() or self._over == over:
-            self._of = len(self._points)
-            self._draw_profile(self._answer or answer)
 
     def _part(self, value: Any) -> None:
         part = session.whole(value, 0, self._exhibit.spec.n_parts - 1)
@@ -235,10 +257,6 @@ class Reasons:
             weights = tuple(float(weight) for weight in scaled)
             self._change(lambda state: replace(state, weights=weights, enabled=()))
 
-    def _sweep(self, value: Any) -> None:
-        if value in list(profiles.CHOICES):
-            self._ask(value)
-
     def _take(self, value: Any) -> None:
         self._change(lambda state: session.taken(state, value, self._exhibit.spec.input_size))
 
@@ -249,9 +267,3 @@ class Reasons:
             cells = session.painted(value, rows * columns)
             if cells is not None:
                 self._change(lambda state: replace(state, region=cells))
-
-
-def _asks(answer: Answer) -> object:
-    """What a profile is of."""
-    state = answer.state
-    return state.task, state.query, state.upload, tuple(answer.ranking.weights.tolist())

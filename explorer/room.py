@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, cast
 
 from explorer import session
 
@@ -18,13 +19,20 @@ class Room:
 
     def __init__(self) -> None:
         self.width, self.height = 780, 820
+        self._watching: list[Callable[[], None]] = []
+
+    def watch(self, told: Callable[[], None]) -> None:
+        """Have a function called whenever the size is another."""
+        self._watching.append(told)
 
     def take(self, value: Any) -> None:
         """Note what the page says, [width, height], if it is that."""
         if isinstance(value, list) and len(value) == 2:
             sides = [session.whole(side, 1, _MOST) for side in value]
-            if sides[0] is not None and sides[1] is not None:
-                self.width, self.height = sides[0], sides[1]
+            if None not in sides and (self.width, self.height) != tuple(sides):
+                self.width, self.height = cast("tuple[int, int]", tuple(sides))
+                for told in self._watching:
+                    told()
 
     def window(self, most: tuple[int, int] = (_MOST, _MOST), share: float = 1.0) -> tuple[int, int]:
         """Width and height of a window over the stage, or over a share of its height, up to a largest one."""

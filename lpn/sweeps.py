@@ -13,13 +13,13 @@ import csv
 import io
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from lpn import explain, retrieval
-from lpn.changes import MAX_SCALE, Change
+from lpn.changes import MAX_SCALE, UNCHANGED, Change
 from lpn.datasets import Truth
 from lpn.errors import InputError
 from lpn.images import Picture
@@ -105,10 +105,12 @@ class Profile:
     Attributes:
         over: what is changed.
         points: at least one, sorted by it.
+        base: what is done to the query as it is, which the sweep goes away from.
     """
 
     over: Over
     points: tuple[Point, ...]
+    base: Change = UNCHANGED
 
     def __post_init__(self) -> None:
         if not self.points:
@@ -135,7 +137,7 @@ class Profile:
     @property
     def unchanged(self) -> Point | None:
         """The query as it is; None where it is not among the points (yet)."""
-        return next((point for point in self.points if not point.change), None)
+        return next((point for point in self.points if point.change == self.base), None)
 
     def gain(self, point: Point) -> tuple[int, float] | None:
         """What a change gains what is followed: ranks that it rises, and score; None before the query as it is is known."""
@@ -227,6 +229,14 @@ def changes_over(over: Over, step: float | None = None, reach: float | None = No
     pixels = [int(step) * i for i in _both_sides(math.floor(reach / step))]
     order = _coarse_first(pixels)
     return [Change(shift=pixels[i]) if over == "shift" else Change(down=pixels[i]) for i in order]
+
+
+def around(over: Over, base: Change, changes: Iterable[Change]) -> list[Change]:
+    """A sweep's changes of a query to which something is done already: that first, then each with its one value in place of
+    the base's."""
+    name = {"rotation": "rotate", "shift": "shift", "shift-down": "down", "zoom": "scale"}[over]
+    swept = [replace(base, **{name: getattr(change, name)}) for change in changes]
+    return [base, *(change for change in swept if value(over, change) != value(over, base))]
 
 
 def _both_sides(count: int) -> list[int]:

@@ -88,13 +88,13 @@ class Without:
     Attributes:
         now: under the ranking's weights.
         without: with one part left out and the other weights scaled to a sum of one, for each part; None where no other
-            part has a weight.
-        alone: by one part alone, for each part.
+            part has a weight, or sees anything of the query (see `Ranking.lengths`).
+        alone: by one part alone, for each part; None for one that sees nothing of the query.
     """
 
     now: Standing
     without: tuple[Standing | None, ...]
-    alone: tuple[Standing, ...]
+    alone: tuple[Standing | None, ...]
 
     @property
     def cure(self) -> int | None:
@@ -124,12 +124,16 @@ def without(ranking: Ranking, tile: int | None = None) -> Without | None:
     if not len(wanted):
         return None
     n = len(ranking.weights)
-    left_out = []
-    for part in range(n):
-        values = np.where(np.arange(n) == part, 0.0, ranking.weights)
-        left_out.append(_standing(ranking, explain.part_weights(n, values), wanted, rivals) if values.any() else None)
-    alone = [_standing(ranking, explain.part_weights(n, row), wanted, rivals) for row in np.eye(n)]
-    return Without(_standing(ranking, ranking.weights, wanted, rivals), tuple(left_out), tuple(alone))
+    sees = np.ones(n, bool) if ranking.lengths is None else ranking.lengths > 0
+
+    def by(values: npt.NDArray[np.floating]) -> Standing | None:
+        # Parts that see nothing have the same score for every tile: a rank by them would be the gallery's order.
+        known = bool((values[sees] > 0).any())
+        return _standing(ranking, explain.part_weights(n, values), wanted, rivals) if known else None
+
+    left_out = [by(np.where(np.arange(n) == part, 0.0, ranking.weights)) for part in range(n)]
+    now = _standing(ranking, ranking.weights, wanted, rivals)
+    return Without(now, tuple(left_out), tuple(by(row) for row in np.eye(n)))
 
 
 @dataclass(frozen=True, eq=False)

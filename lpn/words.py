@@ -136,18 +136,23 @@ def reweighted(change: Reweighting | None, effect: Effect | None) -> str:
     said = f"The smallest change of part weights that puts the true tile first is {shares} %"
     if effect is None:
         return f"{said}."
+    return f"{said}; {helps(effect)}."
+
+
+def helps(effect: Effect) -> str:
+    """What other part weights do to all queries, as the end of a sentence."""
     verb = "helps" if effect.helps else "harms" if len(effect.lost) > len(effect.gained) else "neither helps nor harms"
     return (
-        f"{said}; over all {effect.queries:,} queries it {verb}: {len(effect.gained)} gained, {len(effect.lost)} lost, R@1 "
-        f"{effect.before:.1f} to {effect.after:.1f} %."
+        f"over all {effect.queries:,} queries it {verb}: {len(effect.gained)} gained, {len(effect.lost)} lost, R@1 "
+        f"{effect.before:.1f} to {effect.after:.1f} %"
     )
 
 
-def turned(profile: Profile, north_up: bool) -> str:
+def turned(profile: Profile, views: tuple[View, View]) -> str:
     """What turning the query would change: where what is followed ranks best, and what the top score says.
 
     Args:
-        north_up: whether tiles are, so that the top score's angle is a guess of where the picture's top points.
+        views: of the query and of the tiles.
     """
     best = profile.best_rank
     who = "The true tile" if best.true else "The tile"
@@ -157,13 +162,21 @@ def turned(profile: Profile, north_up: bool) -> str:
     else:
         before = "" if now is None else f" instead of {ordinal(now.rank)}"
         said = f"{who} ranks best when the query is turned {best.change.rotate:g}°: {ordinal(best.rank)}{before}."
-    heading = profile.heading() if north_up else None
-    if heading is None:
-        return said
+    return f"{said} {heading(profile, views)}".strip()
+
+
+def heading(profile: Profile, views: tuple[View, View]) -> str:
+    """Where the top of the query points, guessed from the top score alone; empty where that would mean nothing.
+
+    It means something for a drone's picture, which has one heading, against satellite tiles, which are north-up.
+    """
     blind = profile.best_blind
+    found = profile.heading()
+    if found is None or views != ("drone", "satellite"):
+        return ""
     return (
-        f"{said} The top score, seen without knowing the truth, is highest at {blind.change.rotate:g}°: by that, the picture's "
-        f"top points {heading:.0f}° clockwise from north, a rough guess."
+        f"The top score, seen without knowing the truth, is highest at {blind.change.rotate:g}°: by that, the picture's "
+        f"top points {found:.0f}° clockwise from north, a rough guess."
     )
 
 

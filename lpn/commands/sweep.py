@@ -10,12 +10,14 @@ import lpn
 from lpn.commands.reasons import part_values
 from lpn.commands.using import TaskName
 from lpn.errors import InputError
+from lpn.spec import views_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.datasets import Dataset
     from lpn.model import Model
+    from lpn.spec import View
     from lpn.sweeps import Point, Profile
 
 _BAR = 24
@@ -65,8 +67,9 @@ class Sweep:
             )
         console = Console(width=max(120, Console().width))
         found = self._swept(model, dataset, task, console)
+        views = views_of(task)
         title = f"{self.query} ({task}, {model.spec.describe()})"
-        _print(found, title, console)
+        _print(found, title, views, console)
         if self.csv is not None:
             write_whole(self.csv, found.to_csv())
         if self.png is not None:
@@ -77,7 +80,6 @@ class Sweep:
         from rich.progress import track
 
         from lpn import explain, features, images, sweeps
-        from lpn.spec import views_of
 
         query_view, gallery_view = views_of(task)
         for view in (query_view, gallery_view):
@@ -108,7 +110,7 @@ def _followed(profile: Profile) -> str:
     return "the nearest true match" if profile.points[0].true else "the top match, as there is no true match"
 
 
-def _print(profile: Profile, title: str, console: Console) -> None:
+def _print(profile: Profile, title: str, views: tuple[View, View], console: Console) -> None:
     """A table with a row for each change and its score as a bar, and what the best change gains."""
     from rich.table import Table
 
@@ -131,12 +133,14 @@ def _print(profile: Profile, title: str, console: Console) -> None:
         mark = "*" if point is profile.best else ""
         table.add_row(number, mark, str(point.rank), f"{point.score:.3f}", bar, *cosines, f"{point.top_score:.3f}")
     console.print(table)
-    for line in _said(profile):
+    for line in _said(profile, views):
         console.print(line, highlight=False, soft_wrap=True)
 
 
-def _said(profile: Profile) -> list[str]:
+def _said(profile: Profile, views: tuple[View, View]) -> list[str]:
     """The best change in words, with and without knowledge of the truth."""
+    from lpn import words
+
     lines = []
     if profile.points[0].true:
         lines.append(_sentence("The true match scores highest", profile, profile.best))
@@ -144,11 +148,8 @@ def _said(profile: Profile) -> list[str]:
     lines.append(
         _sentence("The top score, which is seen without knowing the truth, is highest", profile, profile.best_blind)
     )
-    heading = profile.heading()
-    if heading is not None:
-        lines.append(
-            f"By that, the top of the picture points {heading:.4g}° clockwise from north, a rough guess, if tiles are north-up."
-        )
+    if guess := words.heading(profile, views):
+        lines.append(guess)
     return lines
 
 

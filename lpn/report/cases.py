@@ -136,7 +136,8 @@ class Cases:
         self._study, self._options = study, options
         self._positions = geo.positions(study.root)
         self._tile = lru_cache(maxsize=64)(self._describe_tile)
-        self.turns = sweeps.changes_over("rotation", options.step) if options.profile else []
+        turns = sweeps.changes_over("rotation", options.step) if options.profile else []
+        self.turns = sweeps.around("rotation", options.change, turns) if turns else []
 
     def make(self, query: int | Own, tick: Callable[[], None]) -> Case:
         """Everything about one query; `tick` is called after it and after each step of its profile."""
@@ -256,7 +257,7 @@ class Cases:
             return None
         change = options.change
         entry = study.queries[index or 0]
-        turns = [Change(turn.rotate, change.shift, change.scale, change.down).of(entry) for turn in self.turns]
+        turns = [turn.of(entry) for turn in self.turns]
         label = None if index is None else int(study.query_labels[index])
         truth = None if index is None or study.truth is None else study.truth[index]
         follow = first.index if index is None else None
@@ -266,7 +267,7 @@ class Cases:
         ):
             points.append(point)
             tick()
-        return Profile("rotation", tuple(points))
+        return Profile("rotation", tuple(points), change.of(entry))
 
 
 def nearest_false(ranking: Ranking) -> Match | None:

@@ -73,7 +73,7 @@ def _head(case: Case, study: Study, number: int) -> str:
     if case.truth is not None and case.truth.rank > 1:
         spoken.append(words.reweighted(case.change, case.effect))
     if case.profile is not None:
-        spoken.append(words.turned(case.profile, study.views == ("drone", "satellite")))
+        spoken.append(words.turned(case.profile, study.views))
     more = "".join(f"<p>{text(sentence)}</p>" for sentence in spoken)
     return (
         f'<div class="head"><h2>{sign(true)} Query {text(case.name)}</h2>'
@@ -226,7 +226,8 @@ def _ranks_without(case: Case, part: int) -> str:
         return ""
     left = case.without.without[part]
     rank = "–" if left is None else f"{left.rank:,}"
-    return f'<td class="r">{rank}</td><td class="r">{case.without.alone[part].rank:,}</td>'
+    alone = case.without.alone[part]
+    return f'<td class="r">{rank}</td><td class="r">{"–" if alone is None else f"{alone.rank:,}"}</td>'
 
 
 def _profile(case: Case, study: Study) -> str:

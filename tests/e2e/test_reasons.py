@@ -93,7 +93,7 @@ def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: Ex
         explorer.page.wait_for_timeout(500)
         tried += 1
     explorer.page.locator("#lpn-effect a").click()
-    expect(explorer.page.locator("#lpn-effect")).to_contain_text(re.compile("It (helps|harms)"), timeout=20_000)
+    expect(explorer.page.locator("#lpn-effect")).to_contain_text(re.compile("it (helps|harms|neither)"), timeout=20_000)
     versus.locator(".chips a").click()
     expect(explorer.verdict).to_contain_text("Found", timeout=10_000)
 
@@ -180,3 +180,32 @@ def test_two_models_answer_the_same_query(two_models: Running, contexts: Callabl
     query = row.get_attribute("data-query")
     row.click()
     explorer.expect_status("query", query or "")
+
+
+def test_a_profile_asked_for_twice_is_computed_to_the_end(explorer: Explorer) -> None:
+    open_window(explorer)
+    explorer.page.get_by_role("tab", name="Turn, shift, zoom").click()
+    turn = explorer.page.locator("#lpn-profile .chips a", has_text="Turn")
+    turn.click()
+    explorer.page.wait_for_timeout(250)
+    turn.click()
+    expect(explorer.page.locator("#lpn-profile")).to_have_attribute("data-done", "24", timeout=30_000)
+
+
+def test_a_window_opened_by_a_link_keeps_to_the_stage(app: Running, contexts: Callable[..., BrowserContext]) -> None:
+    explorer = Explorer(contexts(viewport={"width": 1280, "height": 720}).new_page())
+    explorer.open(f"{app.url}/?why=1")
+    expect(explorer.page.locator("#lpn-why .lpn-map")).to_have_count(2)
+    explorer.page.wait_for_timeout(1200)
+    window, canvas = explorer.page.locator("#lpn-why").bounding_box(), explorer.canvas.bounding_box()
+    assert window is not None
+    assert canvas is not None
+    assert window["x"] + window["width"] <= canvas["x"] + canvas["width"]
+
+
+def test_chips_answer_to_the_keyboard(explorer: Explorer) -> None:
+    open_window(explorer)
+    chip = explorer.page.locator("#lpn-why .chips a").nth(2)
+    chip.focus()
+    explorer.page.keyboard.press("Enter")
+    expect(explorer.page.locator("#lpn-why .chips a.chosen")).to_have_text("2")

@@ -19,7 +19,8 @@ from explorer.exhibit import Analyst, Answer, Exhibit
 from explorer.opening import open_model
 from explorer.room import Room
 from explorer.session import State, Upload
-from lpn import explain, sweeps
+from explorer.sweep import Sweep
+from lpn import explain, sweeps, words
 from lpn.changes import Change
 from lpn.versus import Effect
 from tests import worlds
@@ -99,7 +100,7 @@ def test_the_waterfall_and_the_smallest_change_are_said(exhibit: Exhibit) -> Non
             continue
         assert "The smallest change" in html
         effect = Effect(50.0, 40.0, np.array([1]), np.array([2, 3]), 13)
-        assert "It harms" in against.page(answer, exhibit, contest, effect, False)
+        assert "it harms" in against.page(answer, exhibit, contest, effect, False)
     first = answered(exhibit, query=int(np.flatnonzero(task.ranks == 0)[0]))
     assert "first already" in against.page(first, exhibit, Contest.of(first), None, False)
 
@@ -121,7 +122,7 @@ def test_a_profile_is_drawn_from_its_first_point_on(exhibit: Exhibit) -> None:
     whole = profiles.page(answer, "rotation", sweeps.Profile("rotation", tuple(points)), 8, exhibit.part_names)
     assert "Cancel" not in whole
     assert whole.count("class='point'") == 2 * 8
-    assert "heading" in whole
+    assert "clockwise from north" in whole
     assert "Choose what to change" in profiles.page(answer, None, None, 0, exhibit.part_names)
 
 
@@ -205,6 +206,35 @@ def test_a_bridge_hands_on_messages_and_drops_everything_else() -> None:
     assert got == [[1]]
 
 
+def test_a_profile_ends_where_it_is_cancelled_and_is_of_one_query(exhibit: Exhibit) -> None:
+    turned = answered(exhibit, angle=37.0, shift=4)
+    sweep = Sweep("rotation", turned)
+    steps = sweep.points_of(exhibit)
+    first = next(steps)
+    assert (first.change.rotate, first.change.shift, sweep.of) == (37.0, 4, 25)
+    found = sweep.profile(turned)
+    assert found is not None
+    assert found.unchanged is first
+    sweep.cancelled.set()
+    assert list(steps) == []
+    assert sweep.stopped
+    page = profiles.page(turned, "rotation", found, sweep.of, exhibit.part_names, sweep.stopped)
+    assert "stopped at" in page
+    assert "1 of 25" in page
+    assert sweep.is_of(answered(exhibit, angle=-75.0, shift=4))
+    for other in ({"shift": 5, "angle": 37.0}, {"query": 1}, {"shift": 4, "weights": (1.0, 1.0, 1.0, 0.0)}):
+        assert not sweep.is_of(answered(exhibit, **other))
+    # Where the truth is known it is followed, whatever is compared; else the compared tile is.
+    assert sweep.is_of(answered(exhibit, shift=4, selected=3))
+    own = Upload("own", worlds.place(50))
+    assert not Sweep("zoom", answered(exhibit, upload=own, selected=3)).is_of(answered(exhibit, upload=own, selected=4))
+
+
+def test_weights_that_change_nothing_neither_help_nor_harm() -> None:
+    same = Effect(70.0, 70.0, np.array([1]), np.array([2]), 13)
+    assert "it neither helps nor harms: 1 gained, 1 lost" in words.helps(same)
+
+
 def test_a_window_fits_the_room_that_the_page_tells() -> None:
     room = Room()
     room.take([700, 500])
@@ -213,3 +243,8 @@ def test_a_window_fits_the_room_that_the_page_tells() -> None:
     for nonsense in (None, [1], [0, 5], ["a", 3], [10**9, 3], {"a": 1}):
         room.take(nonsense)
     assert (room.width, room.height) == (700, 500)
+    told: list[int] = []
+    room.watch(lambda: told.append(room.width))
+    room.take([700, 500])
+    room.take([640, 500])
+    assert told == [640]

@@ -261,10 +261,10 @@ def test_words_on_turning() -> None:
     def point(angle: float, rank: int, score: float, top_score: float) -> Point:
         return Point(Change(rotate=angle), 0, True, score, rank, np.zeros(4, np.float32), 1, top_score)
 
-    turned = words.turned(Profile("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), True)
+    turned = words.turned(Profile("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite"))
     assert "turned 90°: 2nd instead of 5th" in turned
     assert "highest at 0°: by that, the picture's top points 0° clockwise" in turned
-    same = words.turned(Profile("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), False)
+    same = words.turned(Profile("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone"))
     assert "ranks best with the query as it is (1st)" in same
     assert "north" not in same
 

@@ -216,3 +216,19 @@ def test_the_command_refuses_in_one_sentence(
 ) -> None:
     assert cli.main(["sweep", "--data", str(data), "--model", str(model_file), *more]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_sweep_goes_away_from_what_is_done_to_the_query_already() -> None:
+    base = Change(rotate=-90, shift=5)
+    turns = sweeps.around("rotation", base, sweeps.changes_over("rotation", 90))
+    assert turns[0] == base
+    # 270 degrees is -90 again.
+    assert turns[1:] == [Change(rotate=angle, shift=5) for angle in (0, 180, 90)]
+    shifts = sweeps.around("shift", base, sweeps.changes_over("shift", 10, 10))
+    assert [change.shift for change in shifts] == [5, 0, -10, 10]
+    assert {change.rotate for change in shifts} == {-90.0}
+    points = tuple(
+        Point(change, 0, True, 0.1 * i, 1 + i, np.zeros(4, np.float32), 0, 0.5) for i, change in enumerate(turns)
+    )
+    assert Profile("rotation", points, base).unchanged is points[0]
+    assert Profile("rotation", points).unchanged is None

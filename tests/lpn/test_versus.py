@@ -234,3 +234,18 @@ def test_the_effect_on_a_data_set_is_that_of_each_query_ranked(listed: bool, mon
     np.testing.assert_array_equal(again.lost, found.lost)
     with pytest.raises(InputError, match="3 known ranks for 25 queries"):
         versus.effect(query, gallery, None, after, *args, first=known[:3])
+
+
+def test_a_part_that_sees_nothing_of_the_query_ranks_nothing() -> None:
+    cosines = np.array([[0.0, 0.2, 0.0], [0.0, 0.9, 0.0], [0.0, 0.5, 0.0]], np.float32)
+    lengths = np.array([0.0, 3.0, 0.0], np.float32)
+    labels = np.array([0, 1, 2])
+    ranking = retrieval.rank(cosines, explain.part_weights(3), labels, 0, lengths=lengths)
+    found = versus.without(ranking)
+    assert found is not None
+    assert found.without[1] is None
+    assert (found.alone[0], found.alone[2]) == (None, None)
+    assert found.alone[1] is not None
+    assert found.alone[1].rank == 3
+    # By the gallery's order, which such parts would rank by, the first tile would be first.
+    assert (found.cure, found.best_alone) == (None, None)

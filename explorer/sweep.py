@@ -1,0 +1,91 @@
+"""A profile that one browser asked for, point by point."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+
+from explorer.exhibit import Answer, Exhibit
+from lpn import sweeps
+from lpn.changes import Change
+from lpn.sweeps import Over, Point, Profile
+
+
+class Sweep:
+    """A request that answers itself on whatever thread takes its points.
+
+    Attributes:
+        over: what is swept; everything else that is done to the query stays as it is.
+        answer: what was shown when it was asked for.
+        of: points that it will have, 0 before it is begun.
+        begun, stopped: whether somebody takes its points, and whether that ended before the last.
+        cancelled: set to end it.
+    """
+
+    def __init__(self, over: Over, answer: Answer) -> None:
+        self.over, self.answer = over, answer
+        self.of, self.begun, self.stopped = 0, False, False
+        self.cancelled = threading.Event()
+        self._entry = answer.task.queries[answer.state.query]
+        self._points: list[Point] = []
+
+    def points_of(self, exhibit: Exhibit) -> Iterator[Point]:
+        """Compute the points, until it is cancelled."""
+        self.begun = True
+        answer, task, state = self.answer, self.answer.task, self.answer.state
+        assert exhibit.model is not None
+        height, width = exhibit.spec.input_size
+        changes = sweeps.changes_over(self.over, side=height if self.over == "shift-down" else width)
+        changes = [change.of(self._entry) for change in sweeps.around(self.over, state.change, changes)]
+        self.of = len(changes)
+        known = None if state.upload else state.query
+        for point in sweeps.profile(
+            exhibit.model,
+            answer.source,
+            task.query_view,
+            task.descriptors,
+            answer.ranking.weights,
+            changes,
+            task.labels,
+            None if known is None else int(task.query_labels[known]),
+            None if known is None or task.truth is None else task.truth[known],
+            None if answer.truth else answer.chosen.index,
+        ):
+            if self.cancelled.is_set():
+                break
+            self._points.append(point)
+            yield point
+        self.stopped = len(self._points) < self.of
+
+    def profile(self, answer: Answer) -> Profile | None:
+        """What is known so far, away from what the page shows now, or where that is between two points, from the beginning."""
+        points = tuple(self._points)
+        if not points:
+            return None
+        now = sweeps.value(self.over, answer.state.change)
+        shown = next((p.change for p in points if abs(sweeps.value(self.over, p.change) - now) < 1e-6), None)
+        return Profile(self.over, points, shown or self.answer.state.change.of(self._entry))
+
+    def is_of(self, answer: Answer) -> bool:
+        """Whether it says something about what the page shows now."""
+        return _about(self.over, self.answer) == _about(self.over, answer)
+
+
+def _about(over: Over, answer: Answer) -> object:
+    state = answer.state
+    followed = None if answer.truth else answer.chosen.index
+    return (
+        state.task,
+        state.query,
+        state.upload,
+        tuple(answer.ranking.weights.tolist()),
+        followed,
+        _others(over, state.change),
+    )
+
+
+def _others(over: Over, change: Change) -> Change:
+    """What is done to the query beside what is swept."""
+    rest = {"rotation": {"rotate": 0.0}, "shift": {"shift": 0}, "shift-down": {"down": 0}, "zoom": {"scale": 1.0}}
+    return replace(change, **rest[over])  # type: ignore[arg-type]
