@@ -161,7 +161,7 @@ def turned(profile: Profile, views: tuple[View, View]) -> str:
         said = f"{who} ranks best with the query as it is ({ordinal(best.rank if now is None else now.rank)})."
     else:
         before = "" if now is None else f" instead of {ordinal(now.rank)}"
-        said = f"{who} ranks best when the query is turned {best.change.rotate:g}°: {ordinal(best.rank)}{before}."
+        said = f"{who} ranks best when the query is turned {_signed(best.change.rotate)}: {ordinal(best.rank)}{before}."
     return f"{said} {heading(profile, views)}".strip()
 
 
@@ -175,9 +175,14 @@ def heading(profile: Profile, views: tuple[View, View]) -> str:
     if found is None or views != ("drone", "satellite"):
         return ""
     return (
-        f"The top score, seen without knowing the truth, is highest at {blind.change.rotate:g}°: by that, the picture's "
+        f"The top score, seen without knowing the truth, is highest at {_signed(blind.change.rotate)}: by that, the picture's "
         f"top points {found:.0f}° clockwise from north, a rough guess."
     )
+
+
+def _signed(degrees: float) -> str:
+    """A turn by the shorter way: 240 degrees are -120."""
+    return f"{degrees - 360 if degrees > 180 else degrees:g}°"
 
 
 def _of(picture: str, place: str) -> str:
