@@ -251,8 +251,7 @@ class Lab:
             self._tip.show("" if rows is None else labpages.tip(found, self._exhibit, rows, self._tips))
 
     def _say(self, value: Any) -> None:
-        found = self._shared.findings(self._lab.task)
-        if found is not None and self._notes.say(found, value):
+        if self._notes.say(value):
             self._worker.wake()
 
     def _download(self, _: Any) -> None:

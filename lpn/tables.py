@@ -239,8 +239,8 @@ def _fulfilled(column: Column, sign: str, value: str) -> npt.NDArray[np.bool_]:
         number = np.nan
     if np.isnan(number) or sign not in _COMPARED:
         raise InputError(
-            f"{column.name} holds numbers, and {sign} {printable(wanted)} does not fit them; expected one of {' '.join(_COMPARED)} and a "
-            "number, or = none."
+            f"{column.name} holds numbers, and {sign} {printable(wanted)} does not fit them; expected one of "
+            f"{' '.join(_COMPARED)} and a number, or = none."
         )
     fulfilled: npt.NDArray[np.bool_] = _COMPARED[sign](column.values, number) & column.known
     return fulfilled

@@ -11,14 +11,16 @@ import pytest
 
 from explorer import labcharts, labmessages, labpages, labstate, session
 from explorer.exhibit import Exhibit
+from explorer.html import Html
 from explorer.labmap import Drawn, draw
 from explorer.laboratory import Findings, Laboratory, Points
 from explorer.labstate import LabState, Pick
-from explorer.labviews import MapView
+from explorer.labviews import MapView, NoteView
 from explorer.opening import open_model
 from explorer.session import State
 from lpn import breakdown, notes, overlays
 from lpn.errors import InputError, OutputError
+from lpn.tables import Table
 from tests import worlds
 
 TASK = "drone-to-satellite"
@@ -327,6 +329,57 @@ def test_notes_reach_every_table_and_the_disk(exhibit: Exhibit, laboratory: Labo
         assert "left out" in labpages.said(without, LabState(TASK), without.table.rows(), (0, 5))
     finally:
         (exhibit.root / "notes.csv").unlink()
+
+
+class Gui:
+    """Takes what only UTF-8 has bytes for, as the connection to a browser does."""
+
+    content: str
+
+    def __init__(self) -> None:
+        self.elements: list[Gui] = []
+
+    def add_html(self, content: str) -> Gui:
+        self.elements.append(Gui())
+        self.elements[-1].content = content
+        return self.elements[-1]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "content":
+            value.encode()
+        super().__setattr__(name, value)
+
+
+def test_a_name_that_is_not_utf8_is_shown_and_a_note_on_it_refused_in_words(
+    exhibit: Exhibit, laboratory: Laboratory, found: Findings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named = list(found.table.paths)
+    named[2] = "test/query_drone/0002/caf\udce9.webp"
+    odd = replace(found, table=Table(named, list(found.table.columns.values())))
+    monkeypatch.setitem(laboratory._findings, TASK, odd)
+    gui = Gui()
+    Html(gui, "caf\udce9").show("<b>caf\udce9.webp</b>")  # type: ignore[arg-type]
+    assert gui.elements[0].content == "<b>caf?.webp</b>"
+    view = NoteView(gui, laboratory)  # type: ignore[arg-type]
+    view.show(odd, 2)
+    boxes, message = gui.elements[1:]
+    assert f"data-task='{TASK}' data-row='2'" in boxes.content
+    assert not view.say([TASK, 2, "night", "text"])
+    assert "Not saved. The query&#x27;s path is" in message.content
+    assert "rename the file" in message.content
+    for wrong in (
+        None,
+        [TASK, 13, "", ""],
+        [TASK, True, "", ""],
+        ["moon", 2, "", ""],
+        [TASK, 2, "", 3],
+        [[], 2, "", ""],
+    ):
+        assert not view.say(wrong)
+    assert not (exhibit.root / "notes.csv").exists()
+    assert view.say([TASK, 3, "night", "text"])
+    assert notes.read_notes(exhibit.root / "notes.csv") == {named[3]: notes.Note(("night",), "text")}
+    (exhibit.root / "notes.csv").unlink()
 
 
 def test_notes_that_cannot_be_written_are_said_and_nothing_is_changed(exhibit: Exhibit) -> None:
