@@ -267,12 +267,8 @@ class Lab:
         if found is None:
             return
         rows, task = [int(row) for row in self._rows(found, lab)], found.task
-        chosen = " and ".join(filter(None, (lab.outcome, lab.where, f"name ~ {lab.find}" if lab.find else "")))
-        self._reporter.make(
-            lambda progress: reporting.of_selection(
-                self._exhibit, task, rows, f"{chosen} (failure laboratory)", progress
-            )
-        )
+        chosen = f"{labstate.words(found, lab)} (failure laboratory)"
+        self._reporter.make(lambda progress: reporting.of_selection(self._exhibit, task, rows, chosen, progress))
 
     def _failed(self, error: Exception) -> None:
         text = (

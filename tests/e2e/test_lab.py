@@ -400,4 +400,4 @@ def test_a_report_of_the_selection_is_saved(lab: LabPage, tmp_path: Path) -> Non
         lab.page.locator(".acts a", has_text="Report").click()
     download.value.save_as(tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text("utf-8")
-    assert "weather = sun and rank &lt;= 3 (failure laboratory)" in text
+    assert "weather = sun and rank &lt;= 3, sorted by margin (failure laboratory)" in text
