@@ -264,8 +264,7 @@ class Lab:
             self._tip.show("" if rows is None else labpages.tip(found, self._exhibit, rows, self._tips))
 
     def _say(self, value: Any) -> None:
-        found = self._shared.findings(self._lab.task)
-        if found is not None and self._notes.say(found, value):
+        if self._notes.say(value):
             self._worker.wake()
 
     def _download(self, _: Any) -> None:
@@ -281,12 +280,8 @@ class Lab:
         if found is None:
             return
         rows, task = [int(row) for row in self._rows(found, lab)], found.task
-        chosen = " and ".join(filter(None, (lab.outcome, lab.where, f"name ~ {lab.find}" if lab.find else "")))
-        self._reporter.make(
-            lambda progress: reporting.of_selection(
-                self._exhibit, task, rows, f"{chosen} (failure laboratory)", progress
-            )
-        )
+        chosen = f"{labstate.words(found, lab)} (failure laboratory)"
+        self._reporter.make(lambda progress: reporting.of_selection(self._exhibit, task, rows, chosen, progress))
 
     def _failed(self, error: Exception) -> None:
         text = (

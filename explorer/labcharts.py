@@ -46,7 +46,7 @@ def page(found: Findings, lab: LabState, exhibit: Exhibit) -> str:
     overall = float(found.outcomes.failed.mean())
     chosen = {pick.kind: pick.words for pick in lab.picks}
     cards = [_blame(found, lab, exhibit, chosen), _pairs(found, lab, exhibit, chosen)]
-    cards += [_rates(column, rates, full, overall, chosen) for column, rates in columns]
+    cards += [_rates(column, rates, full, overall, chosen, len(found.table)) for column, rates in columns]
     note = NOTE if columns else NOTHING
     shown = "".join(cards)
     return f"<div class='lpn num' id='lpn-lab-breakdown'><div class='lab-cards'>{shown}</div><div class='dim'>{note}</div></div>"
@@ -127,20 +127,22 @@ def _pairs(found: Findings, lab: LabState, exhibit: Exhibit, chosen: dict[str, s
     return _card(f"Places taken for others{listed}", "".join(lines) or "<div class='dim'>None.</div>")
 
 
-def _rates(column: Column, rates: list[Rate], full: float, overall: float, chosen: dict[str, str]) -> str:
+def _rates(column: Column, rates: list[Rate], full: float, overall: float, chosen: dict[str, str], queries: int) -> str:
     lines = "".join(
         _line(
-            ("lab-bin", [column.name, rate.name]),
+            ("lab-bin", [column.name, index, rate.name]),
             f"{column.name} {rate.name}" == chosen.get(labstate.kind_of(column)),
             f"<span class='name'>{escape(rate.name)}</span><span class='track'>{_share(rate, full, overall)}</span>"
             f"<span class='many'>{100 * rate.share:.0f} %</span>",
-            f"{rate.failures} of {rate.queries} queries failed; 95 % interval {100 * rate.interval[0]:.0f} to "
+            f"{rate.name}: {rate.failures} of {rate.queries} queries failed; 95 % interval {100 * rate.interval[0]:.0f} to "
             f"{100 * rate.interval[1]:.0f} %",
         )
-        for rate in rates[:_VALUES]
+        for index, rate in enumerate(rates[:_VALUES])
     )
     listed = f"; {_VALUES} of {len(rates)} values" if len(rates) > _VALUES else ""
-    return _card(f"Failures by {column.name}{listed}", lines)
+    looked = sum(rate.queries for rate in rates)
+    of = f"{'all ' if looked == queries else ''}{looked:,} queries"
+    return _card(f"Failures by {column.name}, of {of}{listed}", lines)
 
 
 def _share(rate: Rate, full: float, overall: float) -> str:

@@ -80,8 +80,8 @@ def pair(lab: LabState, found: Findings, value: Any) -> Changed:
 
 
 def of_bin(lab: LabState, found: Findings, value: Any) -> Changed:
-    """Choose the queries of one bin of a column."""
-    if not isinstance(value, list) or len(value) != 2 or not all(isinstance(v, str) for v in value):
+    """Choose the queries of one bin of a column: [column, the bin's index, its name]."""
+    if not isinstance(value, list) or len(value) != 3 or not isinstance(value[0], str) or type(value[1]) is not int:
         return None
     return _toggled(lab, labstate.pick_bin(found, lab, *value))
 
@@ -137,7 +137,7 @@ def _toggled(lab: LabState, pick: Pick | None) -> Changed:
     """Choose, or no longer where that is what is chosen."""
     if pick is None:
         return None
-    same = any((one.kind, one.words) == (pick.kind, pick.words) for one in lab.picks)
+    same = any(one.same(pick) for one in lab.picks)
     return labstate.unpicked(lab, pick.kind) if same else labstate.picked(lab, pick)
 
 

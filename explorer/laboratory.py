@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, replace
-from functools import cached_property
 from importlib.util import find_spec
 from typing import Literal
 
@@ -37,11 +36,6 @@ class Findings:
     outcomes: Outcomes
     table: Table
     flaw: str
-
-    @cached_property
-    def rows(self) -> dict[str, int]:
-        """The row of each path."""
-        return {path: row for row, path in enumerate(self.table.paths)}
 
     def note(self, row: int) -> Note:
         """What a person said of a query."""

@@ -132,9 +132,9 @@ def table(found: Findings, lab: LabState, exhibit: Exhibit, shown: IntArray, que
 
 def note(found: Findings, row: int, note: Note, opened: int) -> str:
     """Boxes for the tags and the note of a query; `opened` counts how often they were filled."""
-    path, name = found.table.paths[row], found.task.queries[row].name
+    task, name = found.task.name, found.task.queries[row].name
     return (
-        f"<div class='lpn lab-note' data-path='{escape(path)}' data-opened='{opened}'><b>{escape(name)}</b>"
+        f"<div class='lpn lab-note' data-task='{escape(task)}' data-row='{row}' data-opened='{opened}'><b>{escape(name)}</b>"
         f"<input id='lpn-lab-tags' aria-label='Tags' placeholder='Tags: night blur' value='{escape(' '.join(note.tags))}' "
         f"maxlength='1000' onchange='lpn.note(this)' {_STAY}>"
         f"<textarea id='lpn-lab-note' aria-label='Note' placeholder='Note' rows='1' maxlength='2100' onchange='lpn.note(this)' "

@@ -39,6 +39,10 @@ class Pick:
     words: str
     rows: IntArray
 
+    def same(self, other: Pick) -> bool:
+        """Whether another choice is this one; a value may be called as what is not known is."""
+        return (self.kind, self.words) == (other.kind, other.words) and np.array_equal(self.rows, other.rows)
+
 
 @dataclass(frozen=True)
 class LabState:
@@ -151,8 +155,15 @@ def select(found: Findings, lab: LabState, without: str = "", whatever: bool = F
 
 def order(found: Findings, lab: LabState, rows: IntArray) -> IntArray:
     """Chosen queries in the table's order."""
-    known = lab.sort if lab.sort in found.table.columns else "margin"
-    return found.table.sort(rows, known, lab.descending)
+    return found.table.sort(rows, _sorted_by(found, lab), lab.descending)
+
+
+def words(found: Findings, lab: LabState) -> str:
+    """All that chooses and orders the queries, such as "failed and rank > 5 and 0449 taken for 0450, sorted by margin"."""
+    outcome, name = lab.outcome if lab.outcome != "all" else "", lab.find.strip()
+    parts = (outcome, lab.where.strip(), f"name ~ {name}" if name else "", *(pick.words for pick in lab.picks))
+    descending = ", descending" if lab.descending else ""
+    return f"{' and '.join(filter(None, parts)) or 'all'}, sorted by {_sorted_by(found, lab)}{descending}"
 
 
 def rates(found: Findings, lab: LabState, column: Column) -> list[Rate]:
@@ -169,18 +180,25 @@ def kind_of(column: Column) -> str:
     return f"column {column.name}"
 
 
-def pick_bin(found: Findings, lab: LabState, name: str, said: str) -> Pick | None:
-    """The queries of one bin of a column, by the bin's name; None where there is no such bin."""
+def pick_bin(found: Findings, lab: LabState, name: str, index: int, said: str) -> Pick | None:
+    """The queries of one bin of a column; None where there is no such bin.
+
+    Args:
+        name: of the column.
+        index: of the bin among `rates`.
+        said: the bin's name where it was clicked; another one, and the bins have changed since.
+    """
     column = next((column for column in described(found) if column.name == name), None)
-    rate = None if column is None else next((rate for rate in rates(found, lab, column) if rate.name == said), None)
-    if column is None or rate is None:
+    bins = [] if column is None else rates(found, lab, column)
+    if column is None or not 0 <= index < len(bins) or bins[index].name != said:
         return None
-    if column.kind == "number" and not np.isnan(rate.low):
-        inside = (column.values >= rate.low) & (column.values <= rate.high)
-    elif column.kind == "text" and rate.name in column.values:
-        inside = column.values == rate.name
-    else:
+    rate = bins[index]
+    if not rate.known:
         inside = ~column.known
+    elif column.kind == "number":
+        inside = (column.values >= rate.low) & (column.values <= rate.high)
+    else:
+        inside = column.values == rate.name
     return Pick(kind_of(column), f"{column.name} {rate.name}", np.flatnonzero(inside))
 
 
@@ -198,6 +216,10 @@ def pick_part(found: Findings, part: int, name: str) -> Pick:
     """The failures that a part costs most."""
     blamed = found.outcomes.failed & (found.outcomes.decides == part)
     return Pick("part", f"part {name} costs most", np.flatnonzero(blamed))
+
+
+def _sorted_by(found: Findings, lab: LabState) -> str:
+    return lab.sort if lab.sort in found.table.columns else "margin"
 
 
 def names_of(found: Findings, one: breakdown.Confusion) -> tuple[str, str]:

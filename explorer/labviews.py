@@ -90,20 +90,21 @@ class NoteView:
         self._opened += 1
         self._boxes.show(labpages.note(found, query, stored[1], self._opened))
 
-    def say(self, found: Findings, value: Any) -> bool:
-        """Save what the page sends, [path, tags, note], and say whether it was saved."""
-        if not isinstance(value, list) or len(value) != 3 or not all(isinstance(v, str) for v in value):
+    def say(self, value: Any) -> bool:
+        """Save what the page sends, [task, row, tags, note], and say whether it was saved."""
+        if not isinstance(value, list) or len(value) != 4 or not all(isinstance(value[i], str) for i in (0, 2, 3)):
             return False
-        path, tags, text = value
-        row = found.rows.get(path)
-        if row is None:
+        task, row, tags, text = value
+        found = self._shared.findings(task)
+        if found is None or labmessages.integer(row, 0, len(found.table) - 1) is None:
             return False
+        path = found.table.paths[row]
         try:
             self._shared.say(path, tags, text)
         except LPNError as error:
             self._message.show(labpages.message(f"Not saved. {error}", False))
             return False
-        newest = self._shared.findings(found.task.name)
+        newest = self._shared.findings(task)
         if newest is not None and self._noted is not None and self._noted[0] == path:
             self._noted = path, newest.note(row)
         self._message.show(labpages.message(f"Saved in {self._shared.notes.name}, beside the data.", True))

@@ -117,7 +117,7 @@
   lpn.note = (element) => {
     const row = element.closest(".lab-note");
     const said = [...row.querySelectorAll("input, textarea")].map((box) => box.value);
-    lpn.send("lab-note", [row.dataset.path, ...said]);
+    lpn.send("lab-note", [row.dataset.task, Number(row.dataset.row), ...said]);
   };
 
   // A map of queries: a drag is a rectangle, a click a point; where the mouse rests, the server says what is there.

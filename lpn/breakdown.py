@@ -47,6 +47,7 @@ class Rate:
         name: what they have in common, in words.
         low, high: smallest and largest value among them; NaN for texts.
         queries, failures: how many there are, and fail.
+        known: False for those whose value is not known.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Rate:
     high: float
     queries: int
     failures: int
+    known: bool = True
 
     @property
     def share(self) -> float:
@@ -122,13 +124,19 @@ def rates(failed: BoolArray, column: Column, bins: int = 5, rows: IntArray | Non
         distinct, which = np.unique(values, return_inverse=True)
         which = which if column.kind == "text" else _quantile_bins(which, bins)
         totals, missed = np.bincount(which), np.bincount(which, failed[known])
-        for i in range(len(totals)):
-            members = distinct[i : i + 1] if column.kind == "text" else values[which == i]
-            found.append(_rate(column, members, int(totals[i]), int(missed[i])))
+        if column.kind == "text":
+            spans, names = [(np.nan, np.nan)] * len(totals), [str(value) for value in distinct]
+        else:
+            spans = [(float(values[which == i].min()), float(values[which == i].max())) for i in range(len(totals))]
+            names = _span_names(spans, column.unit)
+        for name, (low, high), total, fails in zip(names, spans, totals, missed, strict=True):
+            found.append(Rate(name, low, high, int(total), int(fails)))
     if column.kind == "text":
         found.sort(key=lambda rate: (-rate.share, -rate.queries))
     if len(unknown):
-        found.append(Rate("not known", np.nan, np.nan, len(unknown), int(np.count_nonzero(failed[unknown]))))
+        found.append(
+            Rate("not known", np.nan, np.nan, len(unknown), int(np.count_nonzero(failed[unknown])), known=False)
+        )
     return found
 
 
@@ -163,10 +171,12 @@ def _quantile_bins(which: IntArray, bins: int) -> IntArray:
     return compact[which].astype(np.int64)
 
 
-def _rate(column: Column, members: npt.NDArray[np.object_], queries: int, failures: int) -> Rate:
-    if column.kind == "text":
-        return Rate(str(members[0]), np.nan, np.nan, queries, failures)
-    low, high = float(members.min()), float(members.max())
-    unit = f" {column.unit}" if column.unit not in ("", "°") else column.unit
-    name = f"{low:g}{unit}" if low == high else f"{low:g} to {high:g}{unit}"
-    return Rate(name, low, high, queries, failures)
+def _span_names(spans: list[tuple[float, float]], unit: str) -> list[str]:
+    """Spans of numbers in words, with six digits or as many as tell all their ends apart."""
+    ends = sorted({end for span in spans for end in span})
+    digits = next((n for n in range(6, 17) if len({f"{end:.{n}g}" for end in ends}) == len(ends)), 17)
+    if digits > 6:  # then rather whole numbers than powers of ten
+        digits = min(max(digits, *(len(f"{abs(end):.0f}") for end in ends)), 17)
+    unit = f" {unit}" if unit not in ("", "°") else unit
+    said = {end: f"{end:.{digits}g}" for end in ends}
+    return [f"{said[low]}{'' if low == high else f' to {said[high]}'}{unit}" for low, high in spans]

@@ -81,7 +81,10 @@ def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dic
     """
     note = Note(parse_tags(tags), _clean(text))
     if not path or not path.isprintable():
-        raise InputError(f"The query's path is {printable(path)!r}; expected the picture's, relative to the folder.")
+        raise InputError(
+            f"The query's path is {printable(path)!r}; expected the picture's, relative to the folder, in letters that can be "
+            "written (UTF-8), so rename the file."
+        )
     if len(note.text) > LONGEST_NOTE:
         raise InputError(f"The note has {len(note.text)} letters; expected {LONGEST_NOTE} at most.")
     check_writable(file)

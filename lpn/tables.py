@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.errors import InputError
+from lpn.files import printable
 from lpn.metrics import IntArray
 
 _COMPARED: dict[str, Callable[[Any, Any], Any]] = {
@@ -33,9 +34,12 @@ _COMPARED: dict[str, Callable[[Any, Any], Any]] = {
     ">": operator.gt,
     ">=": operator.ge,
 }
-_AND = re.compile(r'\s+and\s+(?=(?:[^"]*"[^"]*")*[^"]*$)', re.IGNORECASE)
-"""Outside of quotes."""
-_CONDITION = re.compile(r'\s*([^<>=!~"]+?)\s*(<=|>=|!=|!~|=|<|>|~)\s*("[^"]*"|[^<>=!~"]*?)\s*')
+# A filter is typed by anybody who sees the page: no pattern here may try one stretch of it from several of its letters.
+_QUOTED = re.compile(r'"[^"]*"?')
+_AND = re.compile(r"(?<!\s)\s+and\s+", re.IGNORECASE)
+_SIGN = re.compile(r"<=|>=|!=|!~|=|<|>|~")
+_SIGNS = frozenset('<>=!~"')
+"""Of which neither a name nor a value outside of quotes has any."""
 _LONGEST = 1000
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 Kind = Literal["number", "text"]
@@ -146,14 +150,14 @@ class Table:
         """
         if len(where) > _LONGEST:
             raise InputError(f"The filter has {len(where)} letters; expected {_LONGEST} at most.")
-        for text in _AND.split(where) if where.strip() else []:
-            condition = _CONDITION.fullmatch(text)
+        for text in _conditions(where) if where.strip() else []:
+            condition = _parted(text)
             if condition is None:
                 raise InputError(
                     f"The condition {text.strip()!r} cannot be read; expected one such as rank > 1 or name ~ 0012, a value with "
                     f'signs or "and" in it within "", and the columns {", ".join(self.columns)}.'
                 )
-            name, sign, value = condition.groups()
+            name, sign, value = condition
             rows = rows[_fulfilled(self.column(name), sign, value)[rows]]
         return rows
 
@@ -194,6 +198,32 @@ def harmless(text: str) -> str:
     return f"'{text}" if text.startswith(_FORMULA) else text
 
 
+def _unquoted(text: str) -> str:
+    """A text of the same length in which nothing within quotes is a sign, a space, or a letter that means something."""
+    return _QUOTED.sub(lambda found: '"' * len(found[0]), text)
+
+
+def _conditions(where: str) -> list[str]:
+    """The conditions of a filter, parted at each `and` outside of quotes."""
+    found, start = [], 0
+    for between in _AND.finditer(_unquoted(where)):
+        found.append(where[start : between.start()])
+        start = between.end()
+    return [*found, where[start:]]
+
+
+def _parted(condition: str) -> tuple[str, str, str] | None:
+    """A condition's name, sign, and value, as it was typed; None where it is none."""
+    sign = _SIGN.search(_unquoted(condition))
+    if sign is None:
+        return None
+    name, value = condition[: sign.start()].strip(), condition[sign.end() :].strip()
+    quoted = len(value) > 1 and value[0] == value[-1] == '"' and value.count('"') == 2
+    if not name or _SIGNS & set(name) or (_SIGNS & set(value) and not quoted):
+        return None
+    return name, sign[0], value
+
+
 def _fulfilled(column: Column, sign: str, value: str) -> npt.NDArray[np.bool_]:
     """Which rows fulfil one condition, (N,)."""
     quoted, wanted = value.startswith('"'), value.strip('"').strip()
@@ -209,8 +239,8 @@ def _fulfilled(column: Column, sign: str, value: str) -> npt.NDArray[np.bool_]:
         number = np.nan
     if np.isnan(number) or sign not in _COMPARED:
         raise InputError(
-            f"{column.name} holds numbers, and {sign} {wanted} does not fit them; expected one of {' '.join(_COMPARED)} and a "
-            "number, or = none."
+            f"{column.name} holds numbers, and {sign} {printable(wanted)} does not fit them; expected one of "
+            f"{' '.join(_COMPARED)} and a number, or = none."
         )
     fulfilled: npt.NDArray[np.bool_] = _COMPARED[sign](column.values, number) & column.known
     return fulfilled

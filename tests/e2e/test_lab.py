@@ -374,7 +374,11 @@ def test_messages_that_nobody_should_send_do_no_harm(lab: LabPage) -> None:
         ("lab-sort", ["name"]),
         ("lab-page", 1e9),
         ("lab-rect", ["pca", [0, 0], [1, 1]]),
-        ("lab-note", ["../../etc/passwd", "a", "b"]),
+        ("lab-note", ["../../etc/passwd", 1, "a", "b"]),
+        ("lab-note", ["drone-to-satellite", 40, "a", "b"]),
+        ("lab-find", "\ud800"),
+        ("lab-where", "rank = \ud800"),
+        ("lab-clear", None),
         ("lab-map", {}),
         ("lab-tip", None),
         ("lab-stop", []),
@@ -396,4 +400,4 @@ def test_a_report_of_the_selection_is_saved(lab: LabPage, tmp_path: Path) -> Non
         lab.page.locator(".acts a", has_text="Report").click()
     download.value.save_as(tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text("utf-8")
-    assert "weather = sun and rank &lt;= 3 (failure laboratory)" in text
+    assert "weather = sun and rank &lt;= 3, sorted by margin (failure laboratory)" in text

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
@@ -11,14 +12,16 @@ import pytest
 
 from explorer import labcharts, labmessages, labpages, labstate, session
 from explorer.exhibit import Exhibit
+from explorer.html import Html
 from explorer.labmap import Drawn, draw
 from explorer.laboratory import Findings, Laboratory, Points
 from explorer.labstate import LabState, Pick
-from explorer.labviews import MapView
+from explorer.labviews import MapView, NoteView
 from explorer.opening import open_model
 from explorer.session import State
 from lpn import breakdown, notes, overlays
 from lpn.errors import InputError, OutputError
+from lpn.tables import Column, Table, number_column, text_column
 from tests import worlds
 
 TASK = "drone-to-satellite"
@@ -126,23 +129,73 @@ def test_a_chart_is_not_narrowed_by_the_choice_made_in_it(found: Findings, lab: 
     all_rates = labstate.rates(found, lab, weather)
     assert {rate.name for rate in all_rates} == set(WEATHERS)
     for said in WEATHERS:
-        pick = labstate.pick_bin(found, lab, "weather", said)
+        index = [rate.name for rate in all_rates].index(said)
+        pick = labstate.pick_bin(found, lab, "weather", index, said)
         assert pick is not None
         assert pick.rows.tolist() == np.flatnonzero(weather.values == said).tolist()
         chosen = labstate.picked(replace(lab, outcome="failed"), pick)
         assert labstate.rates(found, chosen, weather) == all_rates
         altitude = labstate.rates(found, chosen, found.table.columns["heading"])
         assert sum(rate.queries for rate in altitude) in (len(pick.rows), 13)
-    assert labstate.pick_bin(found, lab, "weather", "hail") is None
-    assert labstate.pick_bin(found, lab, "latitude", "46") is None
+    assert labstate.pick_bin(found, lab, "weather", 0, "hail") is None
+    assert labstate.pick_bin(found, lab, "weather", 3, "sun") is None
+    assert labstate.pick_bin(found, lab, "weather", -1, all_rates[-1].name) is None
+    assert labstate.pick_bin(found, lab, "latitude", 0, "46") is None
 
 
 def test_a_bin_of_numbers_holds_the_queries_it_counts(found: Findings, lab: LabState) -> None:
-    for rate in labstate.rates(found, lab, found.table.columns["heading"]):
-        pick = labstate.pick_bin(found, lab, "heading", rate.name)
+    for index, rate in enumerate(labstate.rates(found, lab, found.table.columns["heading"])):
+        pick = labstate.pick_bin(found, lab, "heading", index, rate.name)
         assert pick is not None
         assert len(pick.rows) == rate.queries
         assert int(found.outcomes.failed[pick.rows].sum()) == rate.failures
+
+
+def known_of(found: Findings, column: Column) -> Findings:
+    return replace(found, table=found.table.plus([column]))
+
+
+def test_bins_of_large_numbers_are_told_apart(found: Findings, lab: LabState) -> None:
+    seconds = 1_700_000_000 + 150.0 * np.arange(13)
+    timed = known_of(found, number_column("time", seconds, "s"))
+    bins = labstate.rates(timed, lab, timed.table.columns["time"])
+    assert len({rate.name for rate in bins}) == len(bins) == 5
+    assert bins[0].name.startswith("1700000000 to 17000003")
+    for index, rate in enumerate(bins):
+        chosen = labmessages.of_bin(lab, timed, ["time", index, rate.name])
+        assert chosen is not None
+        assert seconds[chosen.picks[0].rows].min() == rate.low
+        assert len(chosen.picks[0].rows) == rate.queries
+
+
+def test_a_value_called_not_known_is_not_what_is_not_known(found: Findings, lab: LabState) -> None:
+    values = ["not known"] * 4 + [""] * 5 + ["sun"] * 4
+    told = known_of(found, text_column("sky", values))
+    bins = labstate.rates(told, lab, told.table.columns["sky"])
+    picked = [labstate.pick_bin(told, lab, "sky", index, rate.name) for index, rate in enumerate(bins)]
+    rows = {tuple(pick.rows.tolist()) for pick in picked if pick is not None}
+    assert rows == {(0, 1, 2, 3), (4, 5, 6, 7, 8), (9, 10, 11, 12)}
+
+
+def test_a_chart_says_which_queries_it_counts(exhibit: Exhibit, found: Findings, lab: LabState) -> None:
+    some = Pick("some", "some", np.array([failures(found)[0], np.flatnonzero(~found.outcomes.failed)[0]]))
+    assert "Failures by weather, of all 13 queries" in labcharts.page(found, lab, exhibit)
+    assert "Failures by weather, of 2 queries" in labcharts.page(found, labstate.picked(lab, some), exhibit)
+    # Among failures alone every rate would be 100 %.
+    assert "Failures by weather, of all 13 queries" in labcharts.page(found, replace(lab, where="rank > 1"), exhibit)
+
+
+def test_a_report_says_all_that_chose_and_ordered_its_queries(found: Findings, lab: LabState) -> None:
+    assert labstate.words(found, lab) == "all, sorted by margin"
+    pair = Pick("pair", "0449 taken for 0450", np.array([1, 2]))
+    part = Pick("part", "part ring 1 costs most", np.array([1]))
+    busy = labstate.picked(
+        labstate.picked(replace(lab, outcome="failed", where="rank > 1 ", find=" 0002 "), pair), part
+    )
+    assert labstate.words(found, replace(busy, sort="rank", descending=True)) == (
+        "failed and rank > 1 and name ~ 0002 and 0449 taken for 0450 and part ring 1 costs most, sorted by rank, descending"
+    )
+    assert labstate.words(found, replace(lab, sort="gone")) == "all, sorted by margin"
 
 
 def test_pairs_and_parts_choose_the_failures_they_count(exhibit: Exhibit, found: Findings, lab: LabState) -> None:
@@ -173,8 +226,10 @@ def test_pairs_and_parts_choose_the_failures_they_count(exhibit: Exhibit, found:
         ("lab-pair", [1, "2"]),
         ("lab-pair", [True, 2]),
         ("lab-pair", 3),
-        ("lab-bin", ["weather", None]),
-        ("lab-bin", ["margin", "1"]),
+        ("lab-bin", ["weather", 0, None]),
+        ("lab-bin", ["weather", True, "sun"]),
+        ("lab-bin", ["weather", "sun"]),
+        ("lab-bin", ["margin", 0, "1"]),
         ("lab-map", "moon"),
     ],
 )
@@ -183,10 +238,11 @@ def test_what_is_no_message_changes_nothing(found: Findings, lab: LabState, kind
 
 
 def test_a_second_click_takes_a_choice_away(found: Findings, lab: LabState) -> None:
-    once = labmessages.of_bin(lab, found, ["weather", "sun"])
+    index = [rate.name for rate in labstate.rates(found, lab, found.table.columns["weather"])].index("sun")
+    once = labmessages.of_bin(lab, found, ["weather", index, "sun"])
     assert once is not None
     assert [pick.words for pick in once.picks] == ["weather sun"]
-    twice = labmessages.of_bin(once, found, ["weather", "sun"])
+    twice = labmessages.of_bin(once, found, ["weather", index, "sun"])
     assert twice is not None
     assert twice.picks == ()
 
@@ -290,7 +346,7 @@ def test_names_and_metadata_never_become_html(exhibit: Exhibit, found: Findings,
     assert "&lt;b&gt;rain" in html
     assert html.count("class='chosen' data-row='3'") == 1
     # The click on a bin says its name as it is.
-    assert '["weather", "say \\"hi\\""]' in unescape(html)
+    assert re.search(r'\["weather", \d, "say \\"hi\\""\]', unescape(html))
     said = labpages.note(found, 0, notes.Note(("a",), "</textarea><script>"), 1)
     assert "<script>" not in said
 
@@ -327,6 +383,57 @@ def test_notes_reach_every_table_and_the_disk(exhibit: Exhibit, laboratory: Labo
         assert "left out" in labpages.said(without, LabState(TASK), without.table.rows(), (0, 5))
     finally:
         (exhibit.root / "notes.csv").unlink()
+
+
+class Gui:
+    """Takes what only UTF-8 has bytes for, as the connection to a browser does."""
+
+    content: str
+
+    def __init__(self) -> None:
+        self.elements: list[Gui] = []
+
+    def add_html(self, content: str) -> Gui:
+        self.elements.append(Gui())
+        self.elements[-1].content = content
+        return self.elements[-1]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "content":
+            value.encode()
+        super().__setattr__(name, value)
+
+
+def test_a_name_that_is_not_utf8_is_shown_and_a_note_on_it_refused_in_words(
+    exhibit: Exhibit, laboratory: Laboratory, found: Findings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named = list(found.table.paths)
+    named[2] = "test/query_drone/0002/caf\udce9.webp"
+    odd = replace(found, table=Table(named, list(found.table.columns.values())))
+    monkeypatch.setitem(laboratory._findings, TASK, odd)
+    gui = Gui()
+    Html(gui, "caf\udce9").show("<b>caf\udce9.webp</b>")  # type: ignore[arg-type]
+    assert gui.elements[0].content == "<b>caf?.webp</b>"
+    view = NoteView(gui, laboratory)  # type: ignore[arg-type]
+    view.show(odd, 2)
+    boxes, message = gui.elements[1:]
+    assert f"data-task='{TASK}' data-row='2'" in boxes.content
+    assert not view.say([TASK, 2, "night", "text"])
+    assert "Not saved. The query&#x27;s path is" in message.content
+    assert "rename the file" in message.content
+    for wrong in (
+        None,
+        [TASK, 13, "", ""],
+        [TASK, True, "", ""],
+        ["moon", 2, "", ""],
+        [TASK, 2, "", 3],
+        [[], 2, "", ""],
+    ):
+        assert not view.say(wrong)
+    assert not (exhibit.root / "notes.csv").exists()
+    assert view.say([TASK, 3, "night", "text"])
+    assert notes.read_notes(exhibit.root / "notes.csv") == {named[3]: notes.Note(("night",), "text")}
+    (exhibit.root / "notes.csv").unlink()
 
 
 def test_notes_that_cannot_be_written_are_said_and_nothing_is_changed(exhibit: Exhibit) -> None:

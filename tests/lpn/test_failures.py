@@ -289,6 +289,11 @@ def test_failure_rates_are_counted_in_quantile_bins() -> None:
         assert 18 <= rate.queries <= 21
         assert rate.interval[0] <= rate.share <= rate.interval[1]
     assert (found[-1].name, found[-1].queries) == ("not known", 1)
+    near = breakdown.rates(failed, number_column("time", 1.7e9 + np.arange(100) / 8, "s"))
+    assert len({rate.name for rate in near}) == 5
+    assert near[0].name == "1700000000 to 1700000002.4 s"
+    tiny = breakdown.rates(failed, number_column("x", 1 + np.arange(100) * 1e-9))
+    assert tiny[0].name == "1 to 1.000000019"
     # Equal values stay together, and few values have a bin each.
     tilt = np.repeat([-90.0, -50, -45], [5, 90, 5])
     assert [r.name for r in breakdown.rates(failed, number_column("tilt", tilt, "°"))] == ["-90°", "-50°", "-45°"]

@@ -81,6 +81,7 @@ def test_a_damaged_file_is_one_sentence_and_stays(tmp_path: Path, data: bytes, s
         ("a.jpg", "", "x" * (LONGEST_NOTE + 1), "2001 letters"),
         ("", "", "x", "path is ''"),
         ("a\nb", "", "x", "path is 'a.b'"),
+        ("caf\udce9.webp", "", "x", r"path is 'caf\?\.webp'.* so rename the file"),
     ],
 )
 def test_what_is_no_note_is_refused(tmp_path: Path, path: str, tags: str, text: str, said: str) -> None:

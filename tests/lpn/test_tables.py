@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
+import time
 
 import numpy as np
 import pytest
@@ -53,6 +55,9 @@ def test_sorting_is_stable_and_puts_the_unknown_last(table: Table) -> None:
         ("name !~ 0001 and district ~ DOCK", [0, 3]),
         ('note = "=1+1"', [0]),
         ("name ~ 0001 and rank > 1", []),
+        (" \trank\n>\n1  AND\tname!=0003 ", [3]),
+        ('name !~ "x and rank > 9" and rank>1', [0, 3]),
+        ('note ~ " and " and rank = 1', []),
     ],
 )
 def test_filters_choose_rows(table: Table, where: str, expected: list[int]) -> None:
@@ -75,6 +80,14 @@ def test_filters_choose_rows(table: Table, where: str, expected: list[int]) -> N
         ("rank = nan", "rank holds numbers"),
         ("name > 1", "name holds texts"),
         ('name = "a', "cannot be read"),
+        ('name = "a" b', "cannot be read"),
+        ('name = "a"and rank = 1', "cannot be read"),
+        ('name = "a" and "b"', "cannot be read"),
+        ('"name" = a', "cannot be read"),
+        ("rank =! 2", "cannot be read"),
+        (" and rank = 2", "cannot be read"),
+        ('"', "cannot be read"),
+        ("rank = \ud800", "= ? does not fit"),
         ("x" * 1001, "1000 at most"),
     ],
 )
@@ -83,6 +96,25 @@ def test_a_filter_with_a_mistake_is_one_sentence(table: Table, where: str, said:
         table.filter(table.rows(), where)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+    str(error.value).encode()
+
+
+def test_no_filter_of_the_longest_takes_long(table: Table) -> None:
+    pieces = (" ", "a", "=", "<", "!", '"', '" "', "and", " and ", "\t", 'and"', "a ", "= ", '="')
+    texts = [one * 1000 for one in pieces]
+    for first in pieces:
+        for second in pieces:
+            texts += [(first + second) * 500, first * 330 + "a" + second * 330 + "=" + first * 330 + "<"]
+            texts += [
+                first * 330 + "and" + second * 330 + '"',
+                "a=" + first * 330 + "and" + second * 330 + '"' + " " * 330,
+            ]
+    texts.append(" " * 330 + "a" + " " * 330 + "=" + " " * 330 + "<")
+    for text in texts:
+        start = time.process_time()
+        with contextlib.suppress(InputError):
+            table.filter(table.rows(), text[:1000])
+        assert time.process_time() - start < 1, text
 
 
 def test_search_and_pages(table: Table) -> None:
