@@ -1,12 +1,18 @@
-"""How the failure laboratory looks."""
+"""How the failure laboratory looks.
+
+Its elements take the width that there is and ask for none (`width:0;min-width:100%`): viser's sheet on a phone would become as
+wide as the widest of them, and cut off what stands above.
+"""
 
 STYLE = """<style>
+.lpn.lab-bar,.lpn.lab-boxes,.lpn.lab-said,.lpn.lab-table,.lpn.lab-note,#lpn-lab-breakdown,#lpn-lab-map{width:0;min-width:100%;
+box-sizing:border-box}
 .lpn.lab-bar{display:flex;flex-wrap:wrap;gap:.3em .8em;align-items:center}
 .lpn .lab-chips{display:flex;flex-wrap:wrap;gap:.25em .35em;align-items:center;margin:.15em 0 .35em}
 .lpn .lab-chips a,.lab-said a:not(.pick):not(.link):not(.pager a){cursor:pointer;padding:0 .6em;border:1px solid rgba(128,128,128,.5);border-radius:9px}
 .lpn .lab-chips a:hover{background:rgba(128,128,128,.18)}
 .lpn .lab-chips a.chosen,.lab-said a.chosen{background:rgba(86,180,233,.3)}
-.lpn .seg{display:inline-flex;border:1px solid rgba(128,128,128,.5);border-radius:5px;overflow:hidden}
+.lpn .seg{display:inline-flex;flex-wrap:wrap;min-width:0;border:1px solid rgba(128,128,128,.5);border-radius:5px;overflow:hidden}
 .lpn .seg a{cursor:pointer;padding:1px .7em;white-space:nowrap}
 .lpn .seg a+a{border-left:1px solid rgba(128,128,128,.35)}
 .lpn .seg a:hover,.lpn .acts a:hover{background:rgba(128,128,128,.18)}
@@ -16,12 +22,12 @@ STYLE = """<style>
 .lpn .acts{display:inline-flex;gap:.2em;margin-left:auto}
 .lpn .acts a{cursor:pointer;padding:1px .5em;border-radius:4px;white-space:nowrap}
 .lpn .acts a.chosen{background:rgba(86,180,233,.3)}
-.lpn.lab-boxes,.lpn.lab-note{display:flex;gap:.5em;align-items:center;margin-top:.3em}
+.lpn.lab-boxes,.lpn.lab-note{display:flex;flex-wrap:wrap;gap:.5em;align-items:center;margin-top:.3em}
 .lpn input,.lpn textarea{font:inherit;color:inherit;background:rgba(128,128,128,.14);border:1px solid rgba(128,128,128,.4);
 border-radius:4px;padding:2px .6em;min-width:0;box-sizing:border-box}
 .lpn input:focus,.lpn textarea:focus{outline:none;border-color:#56b4e9}
-.lab-boxes input:first-child{flex:1}.lab-boxes input:last-child{flex:3}
-.lab-said .line>*{white-space:nowrap}
+.lab-boxes input:first-child{flex:1 1 8em}.lab-boxes input:last-child{flex:3 1 16em}
+.lab-said .line>*{white-space:nowrap;min-width:0;max-width:100%;overflow:hidden;text-overflow:ellipsis}
 .lab-said .line{display:flex;flex-wrap:wrap;gap:.2em .8em;align-items:center;min-height:22px}
 .lpn a.link{cursor:pointer;text-decoration:underline dotted}
 .lab-said a{cursor:pointer}
@@ -71,6 +77,6 @@ pointer-events:none;box-sizing:border-box}
 .lpn.lab-tip{position:absolute;z-index:9;display:none;gap:.6em;align-items:center;background:rgba(20,20,20,.94);color:#eee;
 border:1px solid rgba(200,200,200,.5);border-radius:5px;padding:5px 8px;pointer-events:none;width:max-content;--lpn-true:#ffc81e;--lpn-false:#86a4ff}
 .lab-tip img{width:52px;height:52px;border-radius:3px}
-.lab-note b{white-space:nowrap}.lab-note input{flex:1}.lab-note textarea{flex:2;resize:vertical;min-height:26px}
+.lab-note b{overflow-wrap:anywhere}.lab-note input{flex:1 1 8em}.lab-note textarea{flex:2 1 12em;resize:vertical;min-height:26px}
 .lab-note a{cursor:pointer;padding:1px .7em;border:1px solid rgba(128,128,128,.5);border-radius:4px}
 </style>"""

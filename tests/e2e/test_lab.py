@@ -393,6 +393,30 @@ def test_messages_that_nobody_should_send_do_no_harm(lab: LabPage) -> None:
     expect(lab.page.locator(".mantine-Notification-root")).to_have_count(0)
 
 
+def test_a_phones_sheet_stays_as_wide_as_the_phone(lab_app: Running, contexts: Callable[..., BrowserContext]) -> None:
+    context = contexts(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    lab = LabPage(context.new_page())
+    lab.open(f"{lab_app.url}/?lab=1")
+    table = lab.page.locator("#lpn-lab-table")
+    expect(table).to_be_visible(timeout=30_000)
+    wide = "[...document.querySelectorAll('.mantine-ScrollArea-viewport')].filter(e => e.scrollWidth > e.clientWidth).length"
+    lab.page.locator(".lab-said a", has_text="Columns").tap()
+    lab.page.locator("#lpn-lab-columns a", has_text="weather").tap()
+    expect(table).to_contain_text("<b>fog</b>")
+    assert table.evaluate("e => e.scrollWidth > e.clientWidth")  # it scrolls within itself
+    lab.rows_of_table.first.tap()
+    expect(lab.page.locator(".lab-note")).to_be_visible()
+    assert lab.page.evaluate(wide) == 0
+    for tab, shown in (("Breakdown", "#lpn-lab-breakdown"), ("Maps", "#lpn-lab-map")):
+        lab.choose(tab)
+        expect(lab.page.locator(shown)).to_be_visible()
+        assert lab.page.evaluate(wide) == 0
+    for seen in (lab.verdict, lab.rows.first):
+        box = seen.bounding_box()
+        assert box is not None
+        assert box["x"] + box["width"] <= 390
+
+
 def test_a_report_of_the_selection_is_saved(lab: LabPage, tmp_path: Path) -> None:
     lab.page.locator("#lpn-lab-where").fill("weather = sun and rank <= 3")
     expect(lab.count).not_to_contain_text("40 of 40 queries")
