@@ -170,11 +170,11 @@ class Reasons:
 
     Attributes:
         evidence: cell by cell, under the state's part weights.
-        mates: of the query's cells and of the tile's.
+        mates: of the query's cells and of the tile's; None where the window that shows them is closed.
     """
 
     evidence: Evidence
-    mates: tuple[Mates, Mates]
+    mates: tuple[Mates, Mates] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,13 +262,13 @@ class Analyst:
         one, other = self._query.trace, tile.trace
         if one is None or other is None or not (state.why or (state.heat and state.heat_kind == "evidence")):
             return None
-        mates = explain.counterparts(one, other, weights)
+        mates = explain.counterparts(one, other, weights) if state.why else None
         return Reasons(explain.evidence(one, other, weights), mates)
 
     def _shown(self, entry: Entry) -> Picture:
         """What is meant of a query's picture."""
         picture = self._exhibit.entry_picture(entry.path)
-        return picture if entry.box is None else images.crop(picture, entry.box, entry.name)
+        return images.crop(picture, entry.box, entry.name)
 
     def _described(self, task: Task, state: State) -> Described:
         model = self._exhibit.model

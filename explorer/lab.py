@@ -17,6 +17,7 @@ from explorer.html import Html
 from explorer.laboratory import Findings, Laboratory
 from explorer.labstate import LabState
 from explorer.labviews import MapView, NoteView
+from explorer.panels import Change
 from explorer.reporting import Reporter
 from explorer.room import EDGE, Room
 from explorer.session import State
@@ -24,7 +25,6 @@ from explorer.worker import Worker
 from lpn.errors import LPNError
 from lpn.metrics import IntArray
 
-Change = Callable[[State], State | None]
 _UPPER = 0.49
 """Share of the stage, from its top, that the compared pair takes."""
 _ROW = 27

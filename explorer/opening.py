@@ -19,14 +19,12 @@ from lpn.datasets import Picture as Entry
 from lpn.errors import DataError
 from lpn.evaluate import error_shares
 from lpn.files import printable
-from lpn.model import FloatArray, Model
+from lpn.model import FloatArray
 from lpn.saved import Saved
 from lpn.spec import Layout, ModelSpec, View, views_of
 
 log = logging.getLogger(__name__)
 
-STORES = "descriptors"
-"""Folder of a data set in which stores of its test split may come along: `query_drone`, `gallery_satellite`, ..."""
 SAVED_MAP = (16, 16)
 """Cells by which rings are drawn where no network says them: those of a ResNet-50 at 256 pixels."""
 
@@ -56,8 +54,8 @@ def open_model(data: Path, model: Path, query: str | None = None, beside: Path |
     tasks = []
     for views in known:
         queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
-        described = _described(opened, data / STORES / f"query_{views[0]}", queries, views[0])
-        tiles = _described(opened, data / STORES / f"gallery_{views[1]}", gallery, views[1])
+        described = features.known_descriptors(opened, queries, views[0], data, "query")
+        tiles = features.known_descriptors(opened, gallery, views[1], data, "gallery")
         tasks.append(_task(dataset, where, views, queries, gallery, described, tiles))
     map_sizes = {view: opened.map_size(view) for view in opened.views}
     city = None if where is None else _city(data)
@@ -131,12 +129,6 @@ def _task(
 def _saying(text: str) -> AbstractContextManager[object]:
     """What is going on, on a terminal, for as long as it goes on."""
     return Console(stderr=True).status(f"{text} (Ctrl-C stops)")
-
-
-def _described(model: Model, shipped: Path, pictures: list[Entry], view: View) -> FloatArray:
-    """From the store that came with the data set, else from the user's cache."""
-    found = features.shipped_descriptors(model, pictures, view, shipped)
-    return features.cached_descriptors(model, pictures, view) if found is None else found
 
 
 def _city(data: Path) -> CityModel | None:

@@ -15,6 +15,7 @@ from explorer.beside import Beside
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
+from explorer.panels import Change
 from explorer.reporting import Reporter
 from explorer.room import EDGE, Room
 from explorer.session import State
@@ -23,7 +24,6 @@ from explorer.worker import Worker
 from lpn import versus
 from lpn.versus import Effect
 
-Change = Callable[[State], State | None]
 _WIDTH, _HEIGHT = 1000, 900
 CLOSE = f"<div class='lpn'><a class='close' {send('close')} title='Close (Y)'>✕</a></div>"
 _OFTEN = 0.15

@@ -19,10 +19,11 @@ def page(answer: Answer, exhibit: Exhibit) -> str:
     picture = images.resize(exhibit.cut(answer.query.picture, view), _HEIGHT, min(width, 1200))
     drawn = overlays.with_rings(picture, exhibit.spec.partition(view), (rows, columns), 2)
     painted = [cell for cell in answer.state.region if cell < rows * columns]
+    held = set(painted)
     marks = "".join(
         f"<i class='paint' data-cell='{cell}' style='left:{100 * (cell % columns) / columns:.3f}%;"
         f"top:{100 * (cell // columns) / rows:.3f}%;width:{100 / columns:.3f}%;height:{100 / rows:.3f}%;"
-        f"opacity:{int(cell in set(painted))}'></i>"
+        f"opacity:{int(cell in held)}'></i>"
         for cell in range(rows * columns)
     )
     if painted:

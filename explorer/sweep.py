@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from explorer.exhibit import Answer, Exhibit
 from lpn import sweeps
-from lpn.changes import Change
-from lpn.sweeps import Over, Point, Profile
+from lpn.changes import UNCHANGED
+from lpn.sweeps import FIELD, Over, Point, Profile
 
 
 class Sweep:
@@ -81,11 +81,6 @@ def _about(over: Over, answer: Answer) -> object:
         state.upload,
         tuple(answer.ranking.weights.tolist()),
         followed,
-        _others(over, state.change),
+        # What is done to the query beside what is swept.
+        replace(state.change, **{FIELD[over]: getattr(UNCHANGED, FIELD[over])}),
     )
-
-
-def _others(over: Over, change: Change) -> Change:
-    """What is done to the query beside what is swept."""
-    rest = {"rotation": {"rotate": 0.0}, "shift": {"shift": 0}, "shift-down": {"down": 0}, "zoom": {"scale": 1.0}}
-    return replace(change, **rest[over])  # type: ignore[arg-type]

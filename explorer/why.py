@@ -39,7 +39,7 @@ def maps(found: Evidence, part: int | None) -> tuple[tuple[Exact, Exact], float]
 
 def page(answer: Answer, exhibit: Exhibit) -> str:
     """The whole of the window's first tab; says what to do where there is no evidence."""
-    if answer.reasons is None:
+    if answer.reasons is None or answer.reasons.mates is None:
         return "<div class='lpn' id='lpn-why'>Evidence needs the network: open the data set with a model.</div>"
     found, task = answer.reasons.evidence, answer.task
     part = answer.state.heat_part
@@ -111,9 +111,7 @@ def _chips(names: Sequence[str], part: int | None) -> str:
 
 def _bars(found: Evidence, names: Sequence[str]) -> str:
     """For each part what its cells add, what they take, and the constant, to one scale with zero in it; and their sum."""
-    gains = np.maximum(found.query.cells, 0).sum(axis=(1, 2)) * found.weights
-    losses = np.minimum(found.query.cells, 0).sum(axis=(1, 2)) * found.weights
-    constants = found.query.constants * found.weights
+    gains, losses, constants = found.sums
     high = float(np.max(gains + np.maximum(constants, 0)))
     low = float(np.min(losses + np.minimum(constants, 0)))
     scale = 100 / max(high - low, 1e-9)

@@ -106,6 +106,13 @@ class Evidence:
         return self.cosines * self.weights
 
     @property
+    def sums(self) -> tuple[Exact, Exact, Exact]:
+        """What each part's cells add to the score, what they take from it, and its constant, on the query's side: (n,) each."""
+        cells = self.query.cells
+        gains, losses = (side(cells, 0.0).sum(axis=(1, 2)) * self.weights for side in (np.maximum, np.minimum))
+        return gains, losses, self.query.constants * self.weights
+
+    @property
     def score(self) -> float:
         """Weighted mean cosine, -1 .. 1."""
         return float(self.contributions.sum())

@@ -493,8 +493,7 @@ def _prepared(
 
 def _ready(model: Model, file: Path, box: Box | None, change: Change, view: View) -> FloatArray:
     """A picture file as the model takes it: cropped, turned and zoomed, brought to size, shifted, normalised."""
-    picture = images.load_picture(file)
-    picture = picture if box is None else images.crop(picture, box, printable(str(file)))
+    picture = images.crop(images.load_picture(file), box, printable(str(file)))
     return images.normalise(change.move(model.shape(change.apply(picture), view)))
 
 

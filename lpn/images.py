@@ -131,14 +131,16 @@ def shift(picture: Picture, right: int, down: int = 0) -> Picture:
     return moved
 
 
-def crop(picture: Picture, box: tuple[float, float, float, float], name: str = "the picture") -> Picture:
-    """The part of a picture within (left, top, right, bottom), rounded to whole pixels and cut at its borders.
+def crop(picture: Picture, box: tuple[float, float, float, float] | None, name: str = "the picture") -> Picture:
+    """The part of a picture within (left, top, right, bottom), rounded to whole pixels and cut at its borders; all without one.
 
     `name` is used in the message only.
 
     Raises:
         PictureError: when nothing is within the box.
     """
+    if box is None:
+        return picture
     height, width = picture.shape[:2]
     left, top, right, bottom = (round(side) for side in box)
     cut = picture[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]

@@ -63,9 +63,7 @@ def draw(
 def _bars(pen: ImageDraw.ImageDraw, found: Evidence, names: list[str], top: int) -> None:
     """For each part what its cells add and take, the constant, and their sum, on the side of the query."""
     left, right = 420, _WIDTH - 190
-    gains = np.maximum(found.query.cells, 0).sum(axis=(1, 2)) * found.weights
-    losses = np.minimum(found.query.cells, 0).sum(axis=(1, 2)) * found.weights
-    constants = found.query.constants * found.weights
+    gains, losses, constants = found.sums
     high = float(np.maximum(gains + np.maximum(constants, 0), 1e-9).max())
     low = float(np.minimum(losses + np.minimum(constants, 0), 0).min())
     scale = (right - left) / (high - low)

@@ -30,6 +30,8 @@ from lpn.spec import View
 Over = Literal["rotation", "shift", "shift-down", "zoom"]
 """What is changed: degrees counter-clockwise, pixels of the network's input to the right or down, or a factor."""
 UNITS: dict[Over, str] = {"rotation": "°", "shift": " px", "shift-down": " px", "zoom": " x"}
+FIELD: dict[Over, str] = {"rotation": "rotate", "shift": "shift", "shift-down": "down", "zoom": "scale"}
+"""The number of a `Change` that each sweep changes."""
 MAX_POINTS = 3600
 
 
@@ -184,12 +186,8 @@ class Profile:
 
 def value(over: Over, change: Change) -> float:
     """The number that a sweep changes: degrees 0 .. 360, pixels, or a factor."""
-    return {
-        "rotation": change.rotate % 360,
-        "shift": float(change.shift),
-        "shift-down": float(change.down),
-        "zoom": change.scale,
-    }[over]
+    number = float(getattr(change, FIELD[over]))
+    return number % 360 if over == "rotation" else number
 
 
 def changes_over(over: Over, step: float | None = None, reach: float | None = None, side: int = 256) -> list[Change]:
@@ -234,7 +232,7 @@ def changes_over(over: Over, step: float | None = None, reach: float | None = No
 def around(over: Over, base: Change, changes: Iterable[Change]) -> list[Change]:
     """A sweep's changes of a query to which something is done already: that first, then each with its one value in place of
     the base's."""
-    name = {"rotation": "rotate", "shift": "shift", "shift-down": "down", "zoom": "scale"}[over]
+    name = FIELD[over]
     swept = [replace(base, **{name: getattr(change, name)}) for change in changes]
     return [base, *(change for change in swept if value(over, change) != value(over, base))]
 

@@ -112,13 +112,9 @@ def _show(console: Console, found: Evidence, names: Sequence[str]) -> None:
     for name in ("part", "cosine", "weight", "adds to the score", "cells for", "cells against", "constant"):
         table.add_column(name, justify="left" if name == "part" else "right")
     for part, name in enumerate(names):
-        cells, weight = found.query.cells[part], float(found.weights[part])
-        gains, losses = float(cells[cells > 0].sum()) * weight, float(cells[cells < 0].sum()) * weight
-        constant = float(found.query.constants[part]) * weight
-        numbers = (found.contributions[part], gains, losses, constant)
-        table.add_row(
-            name, f"{found.cosines[part]:+.4f}", f"{100 * weight:.0f} %", *(f"{number:+.4f}" for number in numbers)
-        )
+        numbers = (found.contributions[part], *(values[part] for values in found.sums))
+        weight = f"{100 * found.weights[part]:.0f} %"
+        table.add_row(name, f"{found.cosines[part]:+.4f}", weight, *(f"{number:+.4f}" for number in numbers))
     console.print(table)
 
 

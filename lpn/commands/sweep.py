@@ -94,8 +94,7 @@ class Sweep:
             )
         position = names.index(self.query)
         entry, truth = queries[position], dataset.truth(task)
-        picture = images.load_picture(entry.path)
-        picture = picture if entry.box is None else images.crop(picture, entry.box, entry.name)
+        picture = images.crop(images.load_picture(entry.path), entry.box, entry.name)
         changes = [change.of(entry) for change in sweeps.changes_over(self.over, self.step, self.reach, side)]
         tiles = features.cached_descriptors(model, gallery, gallery_view)
         labels = np.array([tile.label for tile in gallery], np.int64)

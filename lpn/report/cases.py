@@ -281,4 +281,4 @@ def nearest_false(ranking: Ranking) -> Match | None:
 def shown(entry: Entry) -> Picture:
     """What is meant of a picture file."""
     picture = images.load_picture(entry.path)
-    return picture if entry.box is None else images.crop(picture, entry.box, entry.name)
+    return images.crop(picture, entry.box, entry.name)

@@ -48,14 +48,14 @@ def evidence_span(found: Sequence[Evidence]) -> tuple[float, float]:
     """The least and the largest number that `evidence_bars` draws for some pairs, so that all are to one scale."""
     low = high = 0.0
     for one in found:
-        drawn = np.concatenate([*_sums(one), one.contributions])
+        drawn = np.concatenate([*one.sums, one.contributions])
         low, high = min(low, float(drawn.min())), max(high, float(drawn.max()))
     return low, max(high, low + 1e-9)
 
 
 def evidence_bars(found: Evidence, names: Sequence[str], span: tuple[float, float]) -> str:
     """For each part what its cells add and take, below it the constant, and their sum as a mark, on the query's side."""
-    gains, losses, constants = _sums(found)
+    gains, losses, constants = found.sums
     left, right, row, top = 78.0, 366.0, 30, 4
     low, high = span
     scale = (right - left) / (high - low)
@@ -82,12 +82,6 @@ def evidence_bars(found: Evidence, names: Sequence[str], span: tuple[float, floa
     height = top + row * len(names)
     drawn.append(f'<path d="M{zero:.1f} 0V{height - 4}" class="axis"/>')
     return _svg(420, height, "evidence by part", drawn)
-
-
-def _sums(found: Evidence) -> tuple[Numbers, Numbers, Numbers]:
-    gains = np.maximum(found.query.cells, 0).sum(axis=(1, 2)) * found.weights
-    losses = np.minimum(found.query.cells, 0).sum(axis=(1, 2)) * found.weights
-    return gains, losses, found.query.constants * found.weights
 
 
 def waterfall(margin: Margin) -> list[str]:
