@@ -97,7 +97,7 @@ class Exhibit:
         self.model_name, self.data_name = model_name, data_name
         self.tasks = {task.name: task for task in tasks}
         self.spec, self.map_sizes, self.model, self.city = spec, map_sizes, model, city
-        self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else spec.describe()
+        self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else model.describe()
         self.first = 0
         self.beside: Exhibit | None = None
         """Another model on the same data, to compare with."""

@@ -11,7 +11,7 @@ import tyro
 
 import lpn
 from lpn.commands.failures import Failures
-from lpn.commands.making import Export, Reproduce, Train, World, parse_train
+from lpn.commands.making import Export, Quantize, Reproduce, Train, World, parse_train
 from lpn.commands.reasons import Explain
 from lpn.commands.report import Report
 from lpn.commands.sweep import Sweep
@@ -27,6 +27,7 @@ COMMANDS: dict[str, type[Any]] = {
     "failures": Failures,
     "report": Report,
     "export": Export,
+    "quantize": Quantize,
     "describe": Describe,
     "doctor": Doctor,
     "world": World,

@@ -19,6 +19,8 @@ from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.spec import ModelSpec, View
 
 FORMAT = "lpn-explorer-onnx/1"
+COMPUTE = "compute"
+"""Entry of the metadata of a quantised file, see `lpn.quantize`."""
 OUTPUTS = ("parts", "features")
 HEAD_OUTPUTS = ("head_weight", "head_bias", "cells")
 SAFA_OUTPUTS = ("attention",)
@@ -51,6 +53,7 @@ class Engine(Model):
         session = _open(path, options)
         metadata = _metadata(session, path)
         self.spec = ModelSpec.from_json(metadata["spec"])
+        self.compute = metadata.get(COMPUTE, "float32")
         groups = self.spec.groups()
         files = graph_files(path, groups)
         for group, file in zip(groups, files, strict=True):

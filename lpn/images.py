@@ -192,10 +192,11 @@ def shrink(picture: Picture, side: int) -> Picture:
 
 def normalise(picture: Picture) -> npt.NDArray[np.float32]:
     """ImageNet normalisation: (H, W, 3) uint8 to (3, H, W) float32."""
-    scaled = picture.astype(np.float32)
-    scaled *= SCALE
-    scaled += OFFSET
-    return np.ascontiguousarray(scaled.transpose(2, 0, 1))
+    planes = np.empty((3, *picture.shape[:2]), np.float32)
+    for channel, plane in enumerate(planes):
+        np.multiply(picture[..., channel], SCALE[channel], out=plane, dtype=np.float32)
+        plane += OFFSET[channel]
+    return planes
 
 
 def prepare(picture: Picture, size: tuple[int, int]) -> npt.NDArray[np.float32]:

@@ -57,6 +57,12 @@ class Model(ABC):
     spec: ModelSpec
     fingerprint: str
     """Hexadecimal digest of the model file: descriptors are comparable only under the same fingerprint."""
+    compute: str = "float32"
+    """What its convolutions compute in: "float32" or "int8"."""
+
+    def describe(self) -> str:
+        """One line for a header or a log, see `ModelSpec.describe`, with what it computes in where that is not float32."""
+        return self.spec.describe() + ("" if self.compute == "float32" else f", {self.compute}")
 
     @property
     def n_parts(self) -> int:

@@ -68,7 +68,7 @@ class Sweep:
         console = Console(width=max(120, Console().width))
         found = self._swept(model, dataset, task, console)
         views = views_of(task)
-        title = f"{self.query} ({task}, {model.spec.describe()})"
+        title = f"{self.query} ({task}, {model.describe()})"
         _print(found, title, views, console)
         if self.csv is not None:
             write_whole(self.csv, found.to_csv())

@@ -150,7 +150,7 @@ class Evaluate:
         model, dataset = lpn.load(self.model), open_dataset(self.data)
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
-        title = f"{self.model.name} ({model.spec.describe()}) on {self.data.resolve().name}"
+        title = f"{self.model.name} ({model.describe()}) on {self.data.resolve().name}"
         return title, evaluate(model, dataset, task, protocol)
 
 

@@ -94,7 +94,7 @@ def _head(study: Study, options: Options, count: int, made: datetime) -> str:
     rule = protocol.sentence(clauses, parts, len(parts), listed=study.truth is not None)
     facts = [
         ("Model", study.model_name),
-        ("", "saved descriptors, no network" if study.model is None else study.spec.describe()),
+        ("", "saved descriptors, no network" if study.model is None else study.model.describe()),
         *([] if study.model is None else [("Fingerprint", study.model.fingerprint)]),
         ("Data", study.data_name),
         ("Task", f"{study.task}: {len(study.queries):,} queries, {len(study.gallery):,} tiles"),

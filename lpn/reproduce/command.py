@@ -218,7 +218,7 @@ class Reproduction:
     def _of_networks(self, table: Table) -> list[str]:
         """How the table's networks came about."""
         names = {row.training.name for row in table.rows if row.training}
-        given = [f"{n} = {self.models[n]} ({self._given[n].spec.describe()})" for n in sorted(names & set(self._given))]
+        given = [f"{n} = {self.models[n]} ({self._given[n].describe()})" for n in sorted(names & set(self._given))]
         said = [f"Networks given: {', '.join(given)}."] if given else []
         own = [job for job in self._jobs if job.training.name in names]
         said += foot.networks(own, self.scale, self.changes, self.seeds)

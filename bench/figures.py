@@ -1,0 +1,119 @@
+"""What a measurement gives, and the one table that all of them are shown in."""
+
+from __future__ import annotations
+
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One line of the table.
+
+    Attributes:
+        what: the step and its size.
+        ours: as measured, in `unit`.
+        unit: "ms", "s", "pictures/s", "GB", ...; of the last two kinds, more and less is better as said by `more`.
+        peer: of the same work done the peer's way, measured in the same run; None without one.
+        limit: what no program of this kind can be better than, measured in the same run; None without one.
+        target: what is aimed at, such as "3 x peer" or "1.15 x limit"; empty without one.
+        met: whether it is met; None without a target.
+        more: whether more is better.
+    """
+
+    what: str
+    ours: float
+    unit: str
+    peer: float | None = None
+    limit: float | None = None
+    target: str = ""
+    met: bool | None = None
+    more: bool = False
+
+    @property
+    def gain(self) -> float | None:
+        """How many times better than the peer."""
+        if self.peer is None:
+            return None
+        return self.ours / self.peer if self.more else self.peer / self.ours
+
+    @property
+    def excess(self) -> float | None:
+        """How many times the limit."""
+        return None if self.limit is None else self.ours / self.limit
+
+
+def against_peer(
+    what: str, ours: float, peer: float, times: float, unit: str = "ms", **further: float | bool
+) -> Figure:
+    """A figure that is to be so many times better than the peer's."""
+    figure = Figure(what, ours, unit, peer, target=f"{times:g} x peer", **further)  # type: ignore[arg-type]
+    gain = figure.gain
+    assert gain is not None
+    return Figure(**{**vars(figure), "met": gain >= times})
+
+
+def within(what: str, ours: float, limit: float, times: float, unit: str = "ms", peer: float | None = None) -> Figure:
+    """A figure that is to stay within so many times the limit."""
+    return Figure(what, ours, unit, peer, limit, f"{times:g} x limit", ours <= times * limit)
+
+
+def below(what: str, ours: float, most: float, unit: str = "ms", peer: float | None = None) -> Figure:
+    """A figure that is to stay below a number."""
+    return Figure(what, ours, unit, peer, None, f"{most:g} {unit}", ours <= most)
+
+
+def medians(tasks: Mapping[str, Callable[[], object]], rounds: int = 15) -> dict[str, float]:
+    """Median milliseconds of each task, the tasks taking turns so that a busy moment hits all alike; two rounds warm up."""
+    times: dict[str, list[float]] = {name: [] for name in tasks}
+    for round_ in range(rounds + 2):
+        for name, task in tasks.items():
+            started = time.perf_counter()
+            task()
+            if round_ >= 2:
+                times[name].append(1000 * (time.perf_counter() - started))
+    return {name: statistics.median(values) for name, values in times.items()}
+
+
+def show(title: str, figures: Iterable[Figure]) -> None:
+    """Print the table."""
+    table = Table(title=f"{title}; {machine()}")
+    for column in ("what", "peer", "ours", "limit", "times better", "of the limit", "target", ""):
+        table.add_column(column, justify="left" if column in ("what", "target") else "right", no_wrap=column != "what")
+    for figure in figures:
+        table.add_row(
+            figure.what,
+            _number(figure.peer, figure.unit),
+            _number(figure.ours, figure.unit),
+            _number(figure.limit, figure.unit),
+            "" if figure.gain is None else f"{figure.gain:.2f}",
+            "" if figure.excess is None else f"{figure.excess:.2f}",
+            figure.target,
+            "" if figure.met is None else "met" if figure.met else "missed",
+        )
+    Console(width=150).print(table)
+
+
+def machine() -> str:
+    """What this runs on, such as "2 cores, AMD EPYC"."""
+    name = platform.processor() or platform.machine()
+    if (info := Path("/proc/cpuinfo")).is_file():
+        named = [
+            line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")
+        ]
+        name = named[0] if named else name
+    return f"{os.cpu_count()} cores, {name}"
+
+
+def _number(value: float | None, unit: str) -> str:
+    if value is None:
+        return ""
+    return f"{value:,.{2 if abs(value) < 10 else 1 if abs(value) < 100 else 0}f} {unit}"

@@ -1,0 +1,187 @@
+"""From an exported float32 model to one that computes in 8-bit integers, calibrated on real pictures.
+
+Convolutions, and what lies between them, are quantised: weights by output channel, activations by the range that
+the calibration pictures give them. Pooling and heads stay in float32 and start from the feature map that the graph yields, so
+that evidence adds up as exactly as before.
+"""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import onnx
+from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
+
+from lpn import images
+from lpn.datasets import Dataset, Picture
+from lpn.engine import COMPUTE, Engine, graph_files
+from lpn.errors import DataError, InputError
+from lpn.files import check_writable, printable, write_whole
+from lpn.integrity import check_whole
+from lpn.model import FloatArray
+from lpn.spec import View
+
+PICTURES = 128
+"""Calibration pictures for each group of views that share weights."""
+_QUANTISED = frozenset({"Conv", "Relu", "Add", "MaxPool"})
+
+
+def quantize(
+    model: str | Path, dataset: Dataset, out: str | Path, pictures: int = PICTURES
+) -> tuple[list[Path], dict[View, float]]:
+    """Write an exported model again so that its convolutions compute in 8 bits.
+
+    Args:
+        model: the `.onnx` file, stored as float32; files of further view groups lie beside it.
+        dataset: where calibration pictures are taken from, see `calibration_pictures`.
+        out: the file to write; further view groups get files beside it.
+        pictures: how many for each group of views.
+
+    Returns:
+        The files written, and for each view the mean cosine between descriptors of calibration pictures by the new model
+        and by the old one, -1 .. 1.
+
+    Raises:
+        InputError: when `out` does not end in .onnx or is `model`, `model` is not stored as float32, or there are no pictures.
+        ModelFileError: when the model cannot be loaded.
+        PictureError: naming calibration pictures that are broken.
+        OutputError: when `out` cannot be written.
+    """
+    model, out = Path(model), Path(out)
+    if out.suffix != ".onnx":
+        raise InputError(f"The output is named {out.name}; expected a name ending in .onnx.")
+    if out.resolve() == model.resolve():
+        raise InputError(f"{out.name} is the model itself; give another name for the quantised one.")
+    if pictures < 1:
+        raise InputError(f"{pictures} calibration pictures were asked for; give at least one, such as {PICTURES}.")
+    check_writable(out)
+    engine = Engine(model)
+    groups = engine.spec.groups()
+    chosen = [calibration_pictures(dataset, group, pictures) for group in groups]
+    check_whole([picture.path for some in chosen for _, picture in some], f"pictures of {dataset.root.name}")
+    sources, targets = graph_files(model, groups), graph_files(out, groups)
+    graphs = [_quantised(file, engine, some) for file, some in zip(sources, chosen, strict=True)]
+    for path, graph in reversed(list(zip(targets, graphs, strict=True))):
+        write_whole(path, graph)
+    return targets, _agreement(engine, Engine(out), [pair for some in chosen for pair in some])
+
+
+def calibration_pictures(dataset: Dataset, views: Sequence[View], count: int) -> list[tuple[View, Picture]]:
+    """Pictures to take the ranges of activations from: each view's share of `count`, spread evenly over its list.
+
+    They are of the training split where it has the view, else of the test split.
+
+    Raises:
+        InputError: when the data set has pictures of none of the views.
+    """
+    lists = {view: _pictures(dataset, view) for view in views}
+    lists = {view: found for view, found in lists.items() if found}
+    if not lists:
+        raise InputError(
+            f"{printable(dataset.root.name)} has no {' or '.join(views)} pictures to calibrate by; give a data set that has some."
+        )
+    share = -(-count // len(lists))
+    chosen: list[tuple[View, Picture]] = []
+    for view, found in lists.items():
+        steps = np.linspace(0, len(found) - 1, min(share, len(found))).round().astype(int)
+        chosen += [(view, found[step]) for step in steps]
+    return chosen
+
+
+def _pictures(dataset: Dataset, view: View) -> list[Picture]:
+    if found := dataset.train(view):
+        return found
+    for read in (dataset.gallery, dataset.queries):
+        try:
+            return read(view)
+        except DataError:  # the split lacks the view
+            continue
+    return []
+
+
+def _inputs(engine: Engine, view: View, picture: Picture) -> FloatArray:
+    """What the network sees of a picture: (1, 3, H, W), or with its mirror (2, 3, H, W)."""
+    prepared = engine.prepare(images.crop(images.load_picture(picture.path), picture.box, picture.name), view)
+    batch = [prepared, prepared[..., ::-1]] if engine.spec.mirrored else [prepared]
+    return np.stack(batch)
+
+
+class _Reader(CalibrationDataReader):  # type: ignore[misc]
+    """Hands the quantiser one picture after the other."""
+
+    def __init__(self, engine: Engine, pictures: Sequence[tuple[View, Picture]]) -> None:
+        self._left = iter([(engine, *pair) for pair in pictures])
+
+    def get_next(self) -> dict[str, FloatArray] | None:
+        found = next(self._left, None)
+        return None if found is None else {"images": _inputs(*found)}
+
+
+def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Picture]]) -> bytes:
+    proto = onnx.load_model(file)
+    metadata = {entry.key: entry.value for entry in proto.metadata_props}
+    if metadata.get(COMPUTE) == "int8":
+        raise InputError(f"{file.name} computes in 8 bits already; give the float32 model it was made from.")
+    if any(
+        weight.data_type != onnx.TensorProto.FLOAT and weight.name.endswith(".stored")
+        for weight in proto.graph.initializer
+    ):
+        raise InputError(
+            f"{file.name} is stored in fewer bits than float32; export the model with --storage float32 first."
+        )
+    before_pooling = _upstream(proto.graph, "features")
+    names = [node.name for node in proto.graph.node if node.op_type in _QUANTISED and node.name in before_pooling]
+    with tempfile.TemporaryDirectory(prefix="lpn-") as folder, _quiet():
+        made = Path(folder) / "quantised.onnx"
+        quantize_static(
+            proto,
+            made,
+            _Reader(engine, pictures),
+            quant_format=QuantFormat.QDQ,
+            per_channel=True,
+            activation_type=QuantType.QUInt8,
+            weight_type=QuantType.QInt8,
+            nodes_to_quantize=names,
+        )
+        result = onnx.load_model(made)
+    del result.metadata_props[:]
+    onnx.helper.set_model_props(result, {**metadata, COMPUTE: "int8"})
+    return cast(bytes, result.SerializeToString())
+
+
+def _upstream(graph: onnx.GraphProto, output: str) -> set[str]:
+    """Names of the nodes that an output depends on."""
+    makers = {name: node for node in graph.node for name in node.output}
+    found: set[str] = set()
+    left = [output]
+    while left:
+        node = makers.get(left.pop())
+        if node is not None and node.name not in found:
+            found.add(node.name)
+            left += list(node.input)
+    return found
+
+
+def _agreement(before: Engine, after: Engine, pictures: Sequence[tuple[View, Picture]]) -> dict[View, float]:
+    cosines: dict[View, list[float]] = {}
+    for view, picture in pictures[:: max(1, len(pictures) // 32)]:
+        prepared = _inputs(before, view, picture)[:1]
+        one, other = (engine.descriptors(prepared, view)[0] for engine in (before, after))
+        cosines.setdefault(view, []).append(float((one * other).sum()))
+    return {view: float(np.mean(found)) for view, found in cosines.items()}
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """The quantiser logs advice on its own insides."""
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(logging.NOTSET)
