@@ -1,8 +1,9 @@
-"""From command to page, and from slider to changed picture: `python -m bench.page [DATA MODEL]`.
+"""From command to page, and from a control to the changed picture: `python -m bench.page [DATA MODEL]`.
 
-Starts the real app as a process, opens it in headless Chromium, and changes the angle as a person does. Without DATA
-and MODEL it draws a small data set and an untrained network, which changes the times little. The floor is the page's
-own: a viser app with one slider and one html element whose callback does nothing else.
+Starts the real app as a process, opens it in headless Chromium, and turns, picks, and drags as a person does. Without DATA and
+MODEL it draws a small data set and an untrained network. Two floors are measured in the same run: a bare viser page with as many
+scene nodes and controls as the explorer's, and the explorer's own page whose worker computes and draws nothing, but says that
+it was asked.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ import tempfile
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from playwright.sync_api import Browser, Page, sync_playwright
-from rich.console import Console
-from rich.table import Table
 
+from bench.figures import Figure, below, medians, show, within
 from lpn import datasets, images, load
 
 ROUNDS = 20
+EVENTS = 50
 QUIET = [
     "--no-sandbox",
     "--disable-background-networking",
@@ -34,18 +35,55 @@ QUIET = [
     "--disable-sync",
     "--no-first-run",
 ]
-FLOOR = """
-import sys, time, viser
+BARE = """
+import sys, time, numpy as np, viser
+pictures, buttons, sliders, texts = (int(value) for value in sys.argv[2:])
 server = viser.ViserServer(host="127.0.0.1", port=int(sys.argv[1]), verbose=False)
+photo = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8).repeat(4, 0).repeat(4, 1)
 @server.on_client_connect
 def connected(client):
-    status = client.gui.add_html("<div id='lpn-status' data-seq='1' data-angle='0'></div>")
-    slider = client.gui.add_slider("Rotate", -180, 180, 1, 0)
-    def show(_):
-        status.content = f"<div id='lpn-status' data-seq='1' data-angle='{slider.value:g}'></div>"
-    slider.on_update(show)
+    client.scene.configure_default_lights(cast_shadow=False)
+    for i in range(pictures):
+        place = (i % 8, i // 8, 0)
+        client.scene.add_image(f"/{i}", photo, 1, 1, format="jpeg", cast_shadow=False, receive_shadow=False, position=place)
+    for i in range(buttons):
+        client.gui.add_button(f"button {i}")
+    for i in range(sliders):
+        client.gui.add_slider(f"slider {i}", 0, 1, 0.1, 0)
+    for i in range(texts):
+        client.gui.add_html(f"<p>{i}</p>")
+    client.gui.add_html("<div id='lpn-status' data-seq='1'></div>")
 print(f"ready: http://127.0.0.1:{sys.argv[1]}", flush=True)
 time.sleep(600)
+"""
+IDLE = """
+import os, sys
+from dataclasses import replace
+import viser
+from explorer import app, pages
+counts = dict.fromkeys(("add_image", "add_button", "add_slider", "add_html"), 0)
+def counted(owner, names, key):
+    for name in names:
+        def add(self, *args, _made=getattr(owner, name), **kwargs):
+            counts[key] += 1
+            return _made(self, *args, **kwargs)
+        setattr(owner, name, add)
+counted(viser.SceneApi, ["add_image", "add_line_segments", "add_frame"], "add_image")
+counted(viser.GuiApi, ["add_button", "add_button_group", "add_upload_button", "add_command"], "add_button")
+counted(viser.GuiApi, ["add_slider", "add_checkbox", "add_dropdown", "add_text"], "add_slider")
+counted(viser.GuiApi, ["add_html"], "add_html")
+def work(self):
+    if self._sequence < 1:
+        self._idle = self._analyst.answer(self._state, app.SHOWN)
+        self._stage.show(self._idle)
+        self._panels.show(self._idle, 1, 0.0)
+        with open(os.environ["LPN_BENCH_COUNTS"], "w") as file:
+            file.write(" ".join(str(count) for count in counts.values()))
+    self._sequence += 1
+    self._panels._status.show(pages.status(replace(self._idle, state=self._state), self._sequence, 0.0))
+app.Visitor._work = work
+from lpn.cli import main
+sys.exit(main())
 """
 CLOCK = "document.addEventListener('input', () => { window.changedAt = performance.now(); }, true)"
 SHOWN = """
@@ -59,6 +97,26 @@ angle => new Promise(done => {
   check();
 })
 """
+PICKED = SHOWN.replace("angle", "before").replace("dataset.before !== before", "dataset.query === before")
+WATCH = """
+() => {
+  const status = () => document.querySelector('#lpn-status').dataset.seq;
+  window.seen = new Set([status()]);
+  window.watcher?.disconnect();
+  window.watcher = new MutationObserver(() => document.querySelector('#lpn-status') && window.seen.add(status()));
+  window.watcher.observe(document.body, {subtree: true, childList: true, attributes: true});
+}
+"""
+DRAG = """
+async (box, events) => {
+  const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;
+  for (let value = 1; value <= events; value++) {
+    set.call(box, String(value));
+    box.dispatchEvent(new Event('input', {bubbles: true}));
+    await new Promise(done => setTimeout(done, 1000 / events));
+  }
+}
+"""
 
 
 class Process:
@@ -66,12 +124,13 @@ class Process:
 
     def __init__(self, arguments: list[str], environment: dict[str, str]) -> None:
         self._arguments, self._environment = arguments, environment
-        self.url, self.seconds = "", 0.0
+        self.url, self.seconds, self.pid = "", 0.0, 0
 
     def __enter__(self) -> Self:
         started = time.perf_counter()
         self._process = subprocess.Popen(self._arguments, stdout=subprocess.PIPE, text=True, env=self._environment)
         assert self._process.stdout is not None
+        self.pid = self._process.pid
         try:
             for line in self._process.stdout:
                 if found := re.search(r"ready: (http://\S+)", line):
@@ -120,55 +179,116 @@ def slider_seconds(page: Page) -> float:
     return statistics.median(times)
 
 
-def main() -> None:
-    """Measure and print."""
+def pick_seconds(page: Page) -> float:
+    """Median time from the key for the next picture to two frames drawn after the page shows it."""
+    page.evaluate("document.activeElement.blur()")
+    page.evaluate("document.addEventListener('keydown', () => { window.changedAt = performance.now(); }, true)")
+    times = []
+    for _ in range(ROUNDS):
+        before = page.get_attribute("#lpn-status", "data-query")
+        page.keyboard.press("n")
+        seconds = page.evaluate(PICKED, before) / 1000
+        if seconds != seconds:
+            raise SystemExit("The page did not show the next picture within 5 s.")
+        times.append(seconds)
+        page.wait_for_timeout(150)
+    return statistics.median(times)
+
+
+def drag(page: Page) -> tuple[int, bool]:
+    """Fifty changed angles within a second: how many answers were computed and never shown, and whether the last is shown."""
+    box = (
+        page.locator('label:text-is("Rotate")')
+        .locator("xpath=ancestor::div[contains(@class,'Flex')][1]")
+        .locator("input")
+        .last
+    )
+    page.evaluate(WATCH)
+    before = int(page.get_attribute("#lpn-status", "data-seq") or 0)
+    box.evaluate(DRAG, EVENTS)
+    page.wait_for_timeout(2500)
+    after, angle = (page.get_attribute("#lpn-status", name) or "0" for name in ("data-seq", "data-angle"))
+    shown = page.evaluate("before => [...window.seen].filter(seq => Number(seq) > before).length", before)
+    return int(after) - before - int(shown), angle == str(EVENTS)
+
+
+def resident(process: Process) -> float:
+    """Resident memory of a process in MB."""
+    lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1000
+
+
+def forward_ms(model: Path, data: Path) -> float:
+    """Median milliseconds of the forward passes that an answer needs: the picture and its mirror as one batch."""
+    opened = load(model)
+    view = opened.views[-1]
+    picture = images.load_picture(datasets.open_dataset(data).queries(view)[0].path)
+    prepared = opened.prepare(picture, view)[None]
+    batch = prepared if not opened.spec.mirrored else prepared.repeat(2, 0)
+    return medians({"pass": lambda: opened.run(batch, view)})["pass"]
+
+
+def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]:
+    """Start everything, measure, and stop it."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        if len(sys.argv) == 3:
-            data, model = Path(sys.argv[1]), Path(sys.argv[2])
-        else:
+        if data is None or model is None:
             from tests import worlds
 
             data, model = worlds.make_dataset(folder / "places"), worlds.make_model(folder, size=256)
-        environment = {**os.environ, "LPN_CACHE": str(folder / "cache")}
-        command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(data), "--model", str(model), "--port"]
+        counts = folder / "counts"
+        environment = {**os.environ, "LPN_CACHE": str(folder / "cache"), "LPN_BENCH_COUNTS": str(counts)}
+        options = ["explore", "--data", str(data), "--model", str(model), "--port"]
+        command = [sys.executable, "-m", "lpn.cli", *options]
         with Process([*command, str(free_port())], environment) as cold:
             pass
         warm = stack.enter_context(Process([*command, str(free_port())], environment))
-        floor = stack.enter_context(Process([sys.executable, "-c", FLOOR, str(free_port())], environment))
+        idle = stack.enter_context(Process([sys.executable, "-c", IDLE, *options, str(free_port())], environment))
         browser = stack.enter_context(sync_playwright()).chromium.launch(
             executable_path=shutil.which("chromium"), args=QUIET
         )
-        page_seconds(browser, floor.url)  # the browser's own start is nobody's
-        bare_page, page = page_seconds(browser, floor.url)
-        bare_slider = slider_seconds(page)
+        _, page = page_seconds(browser, idle.url)  # the browser's own start is nobody's
+        idle_turn, idle_pick = slider_seconds(page), pick_seconds(page)
         page.context.close()
-        full_page, page = page_seconds(browser, warm.url)
-        slider = slider_seconds(page)
+        numbers = counts.read_text().split()
+        bare = stack.enter_context(Process([sys.executable, "-c", BARE, str(free_port()), *numbers], environment))
+        opened = [(page_seconds(browser, bare.url), page_seconds(browser, warm.url)) for _ in range(3)]
+        for (_, one), (_, other) in opened:
+            one.context.close()
+            other.context.close()
+        bare_page, full_page = (statistics.median(pair[side][0] for pair in opened) for side in (0, 1))
+        _, page = page_seconds(browser, warm.url)
+        turn, pick = slider_seconds(page), pick_seconds(page)
+        drag(page)
+        before = resident(warm)
+        drags = [drag(page) for _ in range(5)]
+        after = resident(warm)
         browser.close()
-        opened = load(model)
-        picture = images.load_picture(datasets.open_dataset(data).queries(opened.views[-1])[0].path)
-        prepared = images.prepare(picture, opened.input_size)[None]
-        forward = []
-        for _ in range(ROUNDS):
-            started = time.perf_counter()
-            opened.part_embeddings(prepared, opened.views[-1])
-            forward.append(time.perf_counter() - started)
-    table = Table(title=f"{model.name} on {data.name}, {os.cpu_count()} cores, medians of {ROUNDS}")
-    for column in ("step", "explorer, s", "bare viser page, s", "ratio"):
-        table.add_column(column, justify="right")
-    table.add_row("command to address, first time", f"{cold.seconds:.2f}", f"{floor.seconds:.2f}", "")
-    table.add_row(
-        "command to address, again",
-        f"{warm.seconds:.2f}",
-        f"{floor.seconds:.2f}",
-        f"{warm.seconds / floor.seconds:.2f}",
-    )
-    table.add_row("address to complete page", f"{full_page:.2f}", f"{bare_page:.2f}", f"{full_page / bare_page:.2f}")
-    table.add_row("angle to changed picture", f"{slider:.3f}", f"{bare_slider:.3f}", f"{slider / bare_slider:.2f}")
-    table.add_row("bare forward pass", f"{statistics.median(forward):.3f}", "", "")
-    Console(width=110).print(table)
+    forward = forward_ms(model, data) / 1000
+    wasted, last = max(lost for lost, _ in drags), all(shown for _, shown in drags)
+    nodes = f"{numbers[0]} pictures, {sum(map(int, numbers[1:]))} controls"
+    return [
+        below("command to address, descriptors at hand", warm.seconds, 1.5, "s"),
+        Figure("command to address, nothing described yet", cold.seconds, "s"),
+        within(f"address to complete page (limit: bare viser page, {nodes})", full_page, bare_page, 1.5, "s"),
+        within("turned, to the changed picture (limit: passes + idle page)", turn, forward + idle_turn, 1.3, "s"),
+        within("picked, to the changed picture (limit: passes + idle page)", pick, forward + idle_pick, 1.3, "s"),
+        below(
+            f"{EVENTS} turns in a second: answers nobody saw{'' if last else ', AND THE LAST IS NOT SHOWN'}",
+            wasted,
+            2,
+            "passes",
+        ),
+        below("resident memory of the server", after, 700, "MB"),
+        Figure(f"its growth over {5 * EVENTS} turns", after - before, "MB"),
+    ]
+
+
+def main(arguments: list[str]) -> None:
+    """Measure and print."""
+    given: list[Any] = [Path(argument) for argument in arguments] or [None, None]
+    show("The explorer", figures(*given))
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

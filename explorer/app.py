@@ -19,6 +19,7 @@ import viser
 
 from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, why
 from explorer.bridge import Bridge
+from explorer.cards import SHOWN
 from explorer.exhibit import Analyst, Exhibit
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
@@ -29,7 +30,7 @@ from explorer.reasons import Reasons
 from explorer.reporting import Reporter
 from explorer.room import Room
 from explorer.session import State
-from explorer.stage import SCENE, SHOWN, Stage
+from explorer.stage import SCENE, Stage
 from explorer.worker import Patience, Worker
 from lpn.errors import InputError, LPNError
 from lpn.saved import load_saved

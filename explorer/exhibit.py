@@ -28,6 +28,8 @@ from lpn.spec import ModelSpec, View
 
 TILES = 48
 """Described tiles that are kept: with their feature maps, a large network's are 4 MB each."""
+CARDS = 256
+"""Small pictures of tiles that are kept, 0.15 MB each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +106,8 @@ class Exhibit:
         self.part_names = self._part_names()
         self._tile = lru_cache(maxsize=TILES)(self._describe_tile)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
+        self._card = lru_cache(maxsize=CARDS)(self._make_card)
+        self.masks = lru_cache(maxsize=8)(self._make_masks)
         self._mosaics: dict[str, Picture] = {}
         self._mosaic_lock = Lock()
         self.layout = layout_for(self.spec.input_size)
@@ -136,7 +140,11 @@ class Exhibit:
         """A picture as its parts are cut from it: unrolled where the network sees it so (SAFA), else as it is."""
         return picture if self.model is None else self.model.cut(picture, view)
 
-    def masks(self, view: View) -> npt.NDArray[np.int64]:
+    def card(self, task: Task, index: int) -> Picture:
+        """A gallery picture as small as a card shows it, its parts not drawn; not to be changed."""
+        return self._card(task.name, index)
+
+    def _make_masks(self, view: View) -> npt.NDArray[np.int64]:
         """The part of each pixel of a large picture."""
         return overlays.part_masks(self.spec.partition(view), self.map_sizes[view], self.layout.pixels)
 
@@ -159,6 +167,11 @@ class Exhibit:
         if self.model is None:
             return Described(picture, task.descriptors[index], None, None)
         return retrieval.describe_picture(self.model, picture, task.gallery_view)
+
+    def _make_card(self, name: str, index: int) -> Picture:
+        task = self.tasks[name]
+        picture = self.entry_picture(task.gallery[index].path)
+        return images.resize(self.cut(picture, task.gallery_view), *self.layout.card_pixels)
 
     def _make_thumbnail(self, path: Path) -> str:
         return overlays.data_uri(overlays.square(images.load_picture(path), 64))

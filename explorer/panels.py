@@ -12,10 +12,10 @@ from typing import Any, cast
 import viser
 
 from explorer import pages, session
+from explorer.cards import SHOWN
 from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
 from explorer.session import State, Upload
-from explorer.stage import SHOWN
 from lpn import images
 from lpn.errors import LPNError, PictureError
 from lpn.files import printable

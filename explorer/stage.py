@@ -13,6 +13,7 @@ import viser
 from PIL.ImageDraw import ImageDraw
 
 from explorer import why
+from explorer.cards import SHOWN, Cards
 from explorer.exhibit import Answer, Exhibit
 from explorer.gallery_map import GalleryMap
 from explorer.layout import CAPTION, Layout, Point
@@ -20,13 +21,11 @@ from explorer.planes import UPRIGHT, Plane, Rotation, title
 from explorer.session import State
 from explorer.viewpoint import Viewpoint
 from lpn import images, overlays
+from lpn.explain import Evidence
 from lpn.images import Picture
 from lpn.overlays import Palette
 from lpn.retrieval import Described, Match
 from lpn.spec import View
-
-SHOWN = 10
-"""Ranked tiles on the stage."""
 
 _LIFT = 0.5
 _STEP = 0.12
@@ -136,28 +135,10 @@ class Stage:
             thickness=2.5,
             thickness_units="screen",
         )
-        self._marker = scene.add_image(
-            "/marker",
-            np.full((2, 2, 3), overlays.DARK.text, np.uint8),
-            layout.card[0] + 0.08,
-            sum(layout.card[1:]) + 0.09,
-            cast_shadow=False,
-            receive_shadow=False,
-            wxyz=UPRIGHT,
-        )
-        self._marked = overlays.DARK
-        self._shown: Answer | None = None
-        self._cards: list[tuple[Plane, Plane]] = []
-        for slot in range(SHOWN):
-            x, y = layout.card_centre(slot)
-            width, height, above = layout.card
-            photo = Plane(scene, f"/card{slot}/photo", width, height, (x, y - above / 2, 0.0))
-            label = Plane(scene, f"/card{slot}/label", width, above, (x, y + height / 2, 0.0))
-            self._cards.append((photo, label))
-            for plane in (photo, label):
-                plane.handle.on_click(self._clicked(slot, on_select))
+        self._cards = Cards(scene, exhibit, on_select)
         self._aspect, self._on_select = 0.0, on_select
         self._framing = RLock()
+        self._drawn: list[tuple[Described, Evidence | None, View, object, Picture] | None] = [None, None]
         self._viewpoint: Viewpoint | None = None
         self._map: GalleryMap | None = None
         client.camera.on_update(lambda _: self.fit())
@@ -212,9 +193,19 @@ class Stage:
             self._gutter.show(draw(answer.chosen, state.palette))
             self._links.points = self._link_points(answer)
             self._links.colors = _link_colours(answer.ranking.weights, state.palette)
-            self._show_cards(answer)
+            self._cards.show(answer)
 
     def _decorated(self, answer: Answer, side: int, described: Described, view: View) -> Picture:
+        """A side's large picture under its heatmap and rings, drawn again only when one of them changed."""
+        state = answer.state
+        evidence = answer.reasons.evidence if answer.reasons is not None and state.heat_kind == "evidence" else None
+        look = (state.heat, state.heat_kind, state.heat_part, state.opacity, state.rings)
+        before = self._drawn[side]
+        if before is None or before[0] is not described or before[1] is not evidence or before[2:4] != (view, look):
+            before = self._drawn[side] = (described, evidence, view, look, self._draw(answer, side, described, view))
+        return before[4]
+
+    def _draw(self, answer: Answer, side: int, described: Described, view: View) -> Picture:
         state = answer.state
         picture = images.resize(self._exhibit.cut(described.picture, view), *self._layout.pixels)
         if state.heat and state.heat_kind == "evidence" and answer.reasons is not None:
@@ -305,39 +296,6 @@ class Stage:
             points[2 * part + 1, 1] = self._tile.anchor(part, along, ends[3], state.exploded, task.gallery_view)
         return points
 
-    def _show_cards(self, answer: Answer) -> None:
-        task, state = answer.task, answer.state
-        self._shown = answer
-        full = max(match.distance2 for match in answer.matches)
-        partition = self._exhibit.spec.partition(task.gallery_view)
-        self._marker.visible = answer.chosen.rank <= len(answer.matches)
-        if self._marked != state.palette:
-            self._marked = state.palette
-            self._marker.image = np.full((2, 2, 3), state.palette.text, np.uint8)
-        for slot, (photo, label) in enumerate(self._cards):
-            visible = slot < len(answer.matches)
-            photo.handle.visible = label.handle.visible = visible
-            if not visible:
-                continue
-            match = answer.matches[slot]
-            if match.index == answer.chosen.index:
-                x, y = self._layout.card_centre(slot)
-                self._marker.position = (x, y - 0.01, -0.02)
-            entry = self._exhibit.entry_picture(task.gallery[match.index].path)
-            picture = images.resize(self._exhibit.cut(entry, task.gallery_view), *self._layout.card_pixels)
-            if state.rings:
-                picture = overlays.with_rings(picture, partition, self._exhibit.map_sizes[task.gallery_view], 1)
-            photo.show(overlays.framed(picture, overlays.verdict_colour(match.true), 7))
-            label.show(_card_label(self._layout, match, task.gallery[match.index].name, full, state.palette))
-
-    def _clicked(self, slot: int, on_select: Callable[[State, int], None]) -> Callable[[Any], None]:
-        def clicked(_: Any) -> None:
-            answer = self._shown
-            if answer is not None and slot < len(answer.matches):
-                on_select(answer.state, answer.matches[slot].index)
-
-        return clicked
-
 
 def _row_heights(layout: Layout, n: int) -> list[float]:
     """Where each part's row stands in the gutter, from the top, relative to the pictures' centre."""
@@ -356,19 +314,3 @@ def _about_y(angle: float) -> Rotation:
 
 def _about_x(angle: float) -> Rotation:
     return math.cos(angle / 2), math.sin(angle / 2), 0.0, 0.0
-
-
-def _card_label(layout: Layout, match: Match, name: str, full: float, palette: Palette) -> Picture:
-    width = round(58 * layout.card[0] / layout.card[2])
-    image, draw = overlays.caption(width, 58, palette)
-    draw.text((2, 20), str(match.rank), palette.text, overlays.font(26), anchor="lm")
-    x = 8 + draw.textlength(str(match.rank), font=overlays.font(26))
-    if match.true is not None:
-        overlays.draw_sign(draw, x + 2, 11, 17, match.true, palette)
-        x += 28
-    value = f"{match.distance2:.3f}"
-    draw.text((width - 2, 20), value, palette.text, overlays.font(22), anchor="rm")
-    room = width - 2 - draw.textlength(value, font=overlays.font(22)) - x - 8
-    draw.text((x, 21), overlays.fitted(draw, name, 20, room), palette.dim, overlays.font(20), anchor="lm")
-    overlays.draw_shares(draw, (0, 40, width - 1, 52), match.shares, full, palette)
-    return np.asarray(image)

@@ -1,0 +1,146 @@
+"""The ranked tiles on the stage. A row's photographs are one picture and its labels another: a page draws few large pictures much
+sooner than many small ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import viser
+
+from explorer.exhibit import Answer, Exhibit
+from explorer.layout import Layout
+from explorer.planes import UPRIGHT, Plane
+from explorer.session import State
+from lpn import overlays
+from lpn.images import Picture
+from lpn.overlays import Colour, Palette
+from lpn.retrieval import Match
+
+SHOWN = 10
+"""Ranked tiles on the stage."""
+
+_LABEL = 58
+_MARGIN = 0.04
+
+
+class Cards:
+    """One browser's ranked tiles; `on_select` is called with the state shown and the gallery position of a clicked one."""
+
+    def __init__(self, scene: viser.SceneApi, exhibit: Exhibit, on_select: Callable[[State, int], None]) -> None:
+        self._exhibit, self._on_select = exhibit, on_select
+        self._layout = layout = exhibit.layout
+        self._shown: Answer | None = None
+        width, height, above = layout.card
+        across = (layout.columns - 1) * layout.step[0] + width
+        self._rows: list[tuple[Plane, Plane]] = []
+        for first in range(0, SHOWN, layout.columns):
+            y = layout.card_centre(first)[1]
+            photos = Plane(scene, f"/cards{first}/photos", across, height, (0.0, y - above / 2, 0.0))
+            labels = Plane(scene, f"/cards{first}/labels", across, above, (0.0, y + height / 2, 0.0))
+            self._rows.append((photos, labels))
+        self._drawn: list[object] = [None] * len(self._rows)
+        self._marker = Plane(scene, "/marker", width + 2 * _MARGIN, height + above + 2 * _MARGIN, (0, 0, 0.02), "png")
+        self._targets = [self._target(scene, slot) for slot in range(SHOWN)]
+
+    def _target(self, scene: viser.SceneApi, slot: int) -> viser.ImageHandle:
+        """What is clicked for a card: a plane before it that cannot be seen."""
+        x, y = self._layout.card_centre(slot)
+        handle = scene.add_image(
+            f"/card{slot}",
+            np.zeros((2, 2, 4), np.uint8),
+            self._layout.card[0],
+            sum(self._layout.card[1:]),
+            format="png",
+            cast_shadow=False,
+            receive_shadow=False,
+            wxyz=UPRIGHT,
+            position=(x, y, 0.01),
+        )
+        handle.on_click(self._clicked(slot))
+        return handle
+
+    def show(self, answer: Answer) -> None:
+        """Draw an answer's matches."""
+        self._shown = answer
+        state, layout, matches = answer.state, self._layout, answer.matches
+        ground = state.palette.background
+        full = max(match.distance2 for match in matches)
+        self._mark(answer)
+        for slot, target in enumerate(self._targets):
+            target.visible = slot < len(matches)
+        gap = (layout.step[0] - layout.card[0]) / layout.card[0]
+        for row, (photos, labels) in enumerate(self._rows):
+            some = matches[row * layout.columns : (row + 1) * layout.columns]
+            photos.handle.visible = labels.handle.visible = bool(some)
+            drawn = (answer.task.name, state.rings, ground, tuple((match.index, match.true) for match in some))
+            if some and self._drawn[row] != drawn:
+                photos.show(_beside([self._photo(answer, match) for match in some], layout.columns, gap, ground))
+                self._drawn[row] = drawn
+            if some:
+                labels.show(_beside([self._label(answer, match, full) for match in some], layout.columns, gap, ground))
+
+    def _mark(self, answer: Answer) -> None:
+        """Frame the card that is compared, where it is among those shown."""
+        slots = [slot for slot, match in enumerate(answer.matches) if match.index == answer.chosen.index]
+        self._marker.handle.visible = bool(slots)
+        if slots:
+            x, y = self._layout.card_centre(slots[0])
+            self._marker.handle.position = (x, y, 0.02)
+            self._marker.show(_frame(self._layout, answer.state.palette.text))
+
+    def _photo(self, answer: Answer, match: Match) -> Picture:
+        task, exhibit = answer.task, self._exhibit
+        picture = exhibit.card(task, match.index)
+        if answer.state.rings:
+            partition, cells = exhibit.spec.partition(task.gallery_view), exhibit.map_sizes[task.gallery_view]
+            picture = overlays.with_rings(picture, partition, cells, 1)
+        return overlays.framed(picture, overlays.verdict_colour(match.true), 7)
+
+    def _label(self, answer: Answer, match: Match, full: float) -> Picture:
+        return _card_label(self._layout, match, answer.task.gallery[match.index].name, full, answer.state.palette)
+
+    def _clicked(self, slot: int) -> Callable[[Any], None]:
+        def clicked(_: Any) -> None:
+            answer = self._shown
+            if answer is not None and slot < len(answer.matches):
+                self._on_select(answer.state, answer.matches[slot].index)
+
+        return clicked
+
+
+def _beside(pictures: Sequence[Picture], columns: int, gap: float, ground: Colour) -> Picture:
+    """Pictures of one size in a row with room for `columns` of them, `gap` of a picture's width between two."""
+    height, width = pictures[0].shape[:2]
+    step = width * (1 + gap)
+    row = np.full((height, round((columns - 1) * step) + width, 3), ground, np.uint8)
+    for column, picture in enumerate(pictures):
+        left = round(column * step)
+        row[:, left : left + width] = picture
+    return row
+
+
+def _frame(layout: Layout, colour: Colour) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """A frame around a card, see-through inside."""
+    width, height = layout.card[0] + 2 * _MARGIN, sum(layout.card[1:]) + 2 * _MARGIN
+    drawn = np.zeros((round(100 * height), round(100 * width), 4), np.uint8)
+    drawn[..., :3], line = colour, round(100 * _MARGIN)
+    drawn[:line, :, 3] = drawn[-line:, :, 3] = drawn[:, :line, 3] = drawn[:, -line:, 3] = 255
+    return drawn
+
+
+def _card_label(layout: Layout, match: Match, name: str, full: float, palette: Palette) -> Picture:
+    width = round(_LABEL * layout.card[0] / layout.card[2])
+    image, draw = overlays.caption(width, _LABEL, palette)
+    draw.text((2, 20), str(match.rank), palette.text, overlays.font(26), anchor="lm")
+    x = 8 + draw.textlength(str(match.rank), font=overlays.font(26))
+    if match.true is not None:
+        overlays.draw_sign(draw, x + 2, 11, 17, match.true, palette)
+        x += 28
+    value = f"{match.distance2:.3f}"
+    draw.text((width - 2, 20), value, palette.text, overlays.font(22), anchor="rm")
+    room = width - 2 - draw.textlength(value, font=overlays.font(22)) - x - 8
+    draw.text((x, 21), overlays.fitted(draw, name, 20, room), palette.dim, overlays.font(20), anchor="lm")
+    overlays.draw_shares(draw, (0, 40, width - 1, 52), match.shares, full, palette)
+    return np.asarray(image)
