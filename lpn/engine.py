@@ -26,6 +26,12 @@ HEAD_OUTPUTS = ("head_weight", "head_bias", "cells")
 SAFA_OUTPUTS = ("attention",)
 
 
+def usable_cores() -> int:
+    """Cores that this process may use: fewer than the machine has where it is confined to some, as in a container or a job."""
+    confined = getattr(os, "sched_getaffinity", None)  # not on every system
+    return len(confined(0)) if confined else os.cpu_count() or 1
+
+
 def extra_outputs(spec: ModelSpec) -> tuple[str, ...]:
     """What a graph yields beside `OUTPUTS`: its heads, or SAFA's weight maps of the picture."""
     return SAFA_OUTPUTS if spec.pooling == "safa" else HEAD_OUTPUTS
@@ -36,7 +42,7 @@ class Engine(Model):
 
     Args:
         path: the file written by `lpn export`; files of further view groups lie beside it.
-        threads: threads per forward pass; by default as many as the machine has cores.
+        threads: threads per forward pass; by default as many as this process may use cores.
 
     Raises:
         ModelFileError: when a file is missing, damaged, or was not written by `lpn export`.
@@ -46,7 +52,7 @@ class Engine(Model):
         path = Path(path)
         options = ort.SessionOptions()
         options.log_severity_level = 4
-        options.intra_op_num_threads = threads or os.cpu_count() or 1
+        options.intra_op_num_threads = threads or usable_cores()
         options.inter_op_num_threads = 1
         self._sessions: dict[View, ort.InferenceSession] = {}
         self._heads: dict[str, Heads] = {}

@@ -131,11 +131,12 @@ def with_heat(
     colours = cv2.cvtColor(
         cv2.applyColorMap((255 * (0.25 + 0.75 * heat)).astype(np.uint8), cv2.COLORMAP_INFERNO), cv2.COLOR_BGR2RGB
     )
-    alpha = (opacity * np.power(heat, 1.5))[..., None].astype(np.float32)
-    blended = picture * (1.0 - alpha) + colours * alpha
+    alpha = (opacity * heat * np.sqrt(heat)).astype(np.float32)
+    blended = cv2.blendLinear(picture, colours, 1 - alpha, alpha)
     if part is not None:
-        blended *= np.where(masks == part, 1.0, 1.0 - 0.55 * opacity)[..., None]
-    return np.asarray(blended, dtype=np.uint8)
+        shade = np.where(masks == part, 1.0, 1.0 - 0.55 * opacity).astype(np.float32)
+        blended = cv2.blendLinear(blended, np.zeros_like(blended), shade, 1 - shade)
+    return cast(Picture, blended)
 
 
 def evidence_alpha(values: npt.NDArray[np.floating], limit: float) -> npt.NDArray[np.float32]:
