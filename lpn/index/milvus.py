@@ -145,7 +145,7 @@ class MilvusIndex(Index):
         k, box = check_count(k), check_box(box)
         if k > _MOST:
             raise InputError(f"The number of tiles asked for is {k}; Milvus gives {_MOST} at most.")
-        hits = self._call(lambda client: self._searched(client, wanted, k, box))
+        hits = self._call(partial(self._searched, wanted, k, box))
         vectors = np.array([hit["vector"] for hit in hits], np.float32).reshape(len(hits), self.kind.numbers)
         names = [str(hit["name"]) for hit in hits]
         scores = scores_of(vectors, wanted)
@@ -163,9 +163,7 @@ class MilvusIndex(Index):
         keys = [key_of(name) for name in ids]
         for start in range(0, len(keys), _ROWS):
             some = keys[start : start + _ROWS]
-            found = self._call(
-                lambda client, some=some: client.query(self._name, ids=some, output_fields=["id"], **_now())
-            )
+            found = self._call(partial(self._there, some))
             there.update(str(row["id"]) for row in found)
         return np.array([key in there for key in keys], np.bool_)
 
@@ -227,7 +225,7 @@ class MilvusIndex(Index):
     def _there(self, keys: list[str], client: Any) -> list[dict[str, Any]]:
         return cast("list[dict[str, Any]]", client.query(self._name, ids=keys, output_fields=["id"], **_now()))
 
-    def _searched(self, client: Any, wanted: Exact, k: int, box: Box | None) -> list[dict[str, Any]]:
+    def _searched(self, wanted: Exact, k: int, box: Box | None, client: Any) -> list[dict[str, Any]]:
         effort = {"flat": {}, "ivf": {"nprobe": self._effort}, "hnsw": {"ef": max(self._effort, k)}}[self.structure]
         found = client.search(
             self._name,

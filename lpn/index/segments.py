@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -140,36 +141,31 @@ def write_segment(folder: Path, kind: Kind, precision: Precision, batches: Itera
         batches: the tiles in order, `rows` of them in all.
     """
     folder.mkdir()
-    n, numbers = kind.n_parts, kind.numbers
-    vectors = _Array(folder / "vectors.npy", (rows, numbers), np.float32)
-    positions = _Array(folder / "positions.npy", (rows, 2), np.float64)
-    arrays = [vectors, positions]
+    shapes: dict[str, tuple[tuple[int, ...], npt.DTypeLike]] = {
+        "vectors": ((rows, kind.numbers), np.float32),
+        "positions": ((rows, 2), np.float64),
+    }
     if precision != "float32":
-        small = _Array(folder / "small.npy", (rows, numbers), precision)
-        scales, errors = (
-            _Array(folder / f"{name}.npy", shape, np.float32)
-            for name, shape in (("scales", (rows,)), ("errors", (rows, n)))
-        )
-        arrays += [small, scales, errors]
+        shapes["small"] = (rows, kind.numbers), precision
+        shapes["scales"] = (rows,), np.float32
+        shapes["errors"] = (rows, kind.n_parts), np.float32
     lengths: list[int] = []
     keys: list[Keys] = []
-    try:
-        with (folder / "names.bin").open("wb") as text:
-            for batch in batches:
-                vectors.write(batch.vectors)
-                positions.write(batch.positions)
-                encoded = [name.encode() for name in batch.names]
-                text.write(b"".join(encoded))
-                lengths += map(len, encoded)
-                keys.append(keys_of(batch.names))
-                if precision != "float32":
-                    for start in range(0, len(batch.vectors), _BLOCK):
-                        copied = small_copy(batch.vectors[start : start + _BLOCK], kind, precision)
-                        for array, values in zip((small, scales, errors), copied, strict=True):
-                            array.write(values)
-    finally:
-        for array in arrays:
-            array.close()
+    with ExitStack() as files:
+        arrays = {name: files.enter_context(_Array(folder / f"{name}.npy", *what)) for name, what in shapes.items()}
+        text = files.enter_context((folder / "names.bin").open("wb"))
+        for batch in batches:
+            arrays["vectors"].write(batch.vectors)
+            arrays["positions"].write(batch.positions)
+            encoded = [name.encode() for name in batch.names]
+            text.write(b"".join(encoded))
+            lengths += map(len, encoded)
+            keys.append(keys_of(batch.names))
+            if precision != "float32":
+                for start in range(0, len(batch.vectors), _BLOCK):
+                    copied = small_copy(batch.vectors[start : start + _BLOCK], kind, precision)
+                    for name, values in zip(("small", "scales", "errors"), copied, strict=True):
+                        arrays[name].write(values)
     every = np.concatenate(keys)
     order = np.argsort(every, kind="stable")
     np.save(folder / "ends.npy", np.cumsum(lengths, dtype=np.int64))
@@ -183,7 +179,7 @@ def keys_of(names: Sequence[str]) -> Keys:
     return np.frombuffer(digests, np.dtype("<u8")).astype(np.uint64)
 
 
-class _Array:
+class _Array(AbstractContextManager["_Array"]):
     """A .npy file written block by block: a full disk is an error here, where a mapped file would end the process."""
 
     def __init__(self, path: Path, shape: tuple[int, ...], dtype: npt.DTypeLike) -> None:
@@ -196,5 +192,5 @@ class _Array:
     def write(self, rows: npt.NDArray[Any]) -> None:
         self._file.write(np.ascontiguousarray(rows, dtype=self._dtype).data)
 
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
