@@ -209,7 +209,7 @@ def _paths(known: Positions, names: list[str]) -> list[str]:
     for path in known.paths:
         parts = path.split("/")
         for depth in range(len(parts)):
-            if (name := "/".join(parts[depth:])) in wanted:
+            if "/".join(parts[depth:]) in wanted:
                 folders["".join(f"{part}/" for part in parts[:depth])] += 1
     above = folders.most_common(1)[0][0] if folders else ""
     return [above + name for name in names]

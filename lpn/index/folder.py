@@ -204,7 +204,11 @@ class FolderIndex(Index):
         vectors = gather([segment.vectors for segment in segments], places)
         starts = np.cumsum([0, *(segment.rows for segment in segments)])
         owners = np.searchsorted(starts, places, "right") - 1
-        names = [segments[owner].name(place - starts[owner]) for owner, place in zip(owners, places, strict=True)]
+        names = [""] * len(places)
+        for number, segment in enumerate(segments):
+            mine = np.flatnonzero(owners == number)
+            for position, name in zip(mine.tolist(), segment.names(places[mine] - starts[number]), strict=True):
+                names[position] = name
         positions = gather([segment.positions for segment in segments], places)
         shaped = vectors.reshape(len(places), self.kind.n_parts, self.kind.embedding)
         return Found(names, candidates.scores[chosen], shaped, positions)

@@ -70,7 +70,7 @@ class Segment:
         self._keys: Keys = self._mapped("keys", (rows,), np.uint64)
         self._by_key: npt.NDArray[np.int64] = self._mapped("rows", (rows,), np.int64)
         try:
-            self._text = np.asarray(np.memmap(folder / "names.bin", np.uint8, "r"))
+            self._text = memoryview(np.memmap(folder / "names.bin", np.uint8, "r").data)
         except ValueError as error:  # it is empty
             raise self._damaged("names.bin") from error
         if len(self._text) != self._ends[-1]:
@@ -88,10 +88,10 @@ class Segment:
         inside = within(self.positions, box)
         return np.flatnonzero(inside if self.alive is None else inside & self.alive)
 
-    def name(self, row: int) -> str:
-        """The name of a tile."""
-        start = self._ends[row - 1] if row else 0
-        return bytes(self._text[start : self._ends[row]]).decode()
+    def names(self, rows: npt.NDArray[np.int64]) -> list[str]:
+        """Names of tiles."""
+        starts = np.where(rows > 0, self._ends[rows - 1], 0)
+        return [str(self._text[a:b], "utf-8") for a, b in zip(starts.tolist(), self._ends[rows].tolist(), strict=True)]
 
     def find(self, names: Sequence[str], keys: Keys) -> npt.NDArray[np.int64]:
         """The row of each name, -1 where it is not there or was replaced.
@@ -105,8 +105,8 @@ class Segment:
         for position in np.flatnonzero(first < last).tolist():
             rows = self._by_key[first[position] : last[position]]
             # Two names can share a key.
-            for row in rows.tolist():
-                if (self.alive is None or self.alive[row]) and self.name(row) == names[position]:
+            for row, name in zip(rows.tolist(), self.names(rows), strict=True):
+                if name == names[position] and (self.alive is None or self.alive[row]):
                     found[position] = row
         return found
 
@@ -117,7 +117,7 @@ class Segment:
             if alive is not None:
                 rows = rows[alive[rows]]
             if len(rows):
-                yield Batch([self.name(row) for row in rows.tolist()], self.vectors[rows], self.positions[rows])
+                yield Batch(self.names(rows), self.vectors[rows], self.positions[rows])
 
     def _mapped(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
         try:

@@ -16,7 +16,7 @@ _RUN = """
 import sys
 from milvus import default_server
 default_server.set_base_dir(sys.argv[1])
-default_server.listen_port = int(sys.argv[2])
+default_server.listen_port, default_server.webservice_port = int(sys.argv[2]), int(sys.argv[3])
 default_server.start()
 print(default_server.server_proc.pid, flush=True)
 sys.stdin.read()
@@ -38,9 +38,10 @@ class Server:
 
     def __init__(self, python: str, folder: Path) -> None:
         self._python, self._folder = python, folder
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port: int = free.getsockname()[1]
+        with socket.socket() as one, socket.socket() as other:
+            for free in (one, other):
+                free.bind(("127.0.0.1", 0))
+            self.port, self._health = int(one.getsockname()[1]), int(other.getsockname()[1])
         self._process: subprocess.Popen[str] | None = None
         self._server = 0
 
@@ -59,7 +60,7 @@ class Server:
 
     def start(self) -> None:
         """Start on the folder as it is; returns when the server answers."""
-        command = [self._python, "-c", _RUN, str(self._folder), str(self.port)]
+        command = [self._python, "-c", _RUN, str(self._folder), str(self.port), str(self._health)]
         with (self._folder.parent / f"{self._folder.name}.log").open("a") as log:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True
