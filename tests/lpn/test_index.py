@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -454,12 +455,19 @@ def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server:
     with ThreadPoolExecutor(1) as pool:
         with create_index(f"{server.url}/killed", kind) as index:
             index.add(tiles.names[:2000], tiles.descriptors[:2000], tiles.positions[:2000])
-            rest = slice(2000, None)
-            adding = pool.submit(index.add, tiles.names[rest], tiles.descriptors[rest], tiles.positions[rest])
-            while index.count() < 3000:
-                pass
-            assert not adding.done()
+            sent: list[int] = []
+
+            def add_the_rest() -> None:
+                for start in range(2000, 9000, 200):
+                    some = slice(start, start + 200)
+                    sent.append(start)
+                    index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
+
+            adding = pool.submit(add_the_rest)
+            while len(sent) < 10:
+                time.sleep(0.001)
             server.kill()
+            assert len(sent) < 35
             server.start()
             adding.result(timeout=120)
             assert index.count() == 9000
