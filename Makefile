@@ -32,6 +32,12 @@ $(VENV)/.world: $(VENV)/.train
 	$(PIP) -e '.[train,world]'
 	touch $@
 
+# The Milvus server that the tests of that index run against, in an environment of its own: it needs packages of its time.
+$(VENV)/.milvus: | $(BIN)/python
+	$(PYTHON) -m venv $(VENV)/milvus
+	$(VENV)/milvus/bin/python -m pip --disable-pip-version-check install --quiet milvus==2.3.5 'setuptools<81' 'marshmallow<4'
+	touch $@
+
 # A browser for the tests: the system's, else Debian's package (as root), else playwright's own.
 $(VENV)/.browser: $(VENV)/.dev
 	@command -v chromium >/dev/null \
@@ -50,8 +56,8 @@ setup: $(VENV)/.train
 	@echo "Ready. Use it with: . $(VENV)/bin/activate"
 
 # One thread a process: the tests' networks are so small that threads cost more than they save, on a busy machine many times.
-test: check $(VENV)/.browser
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest
+test: check $(VENV)/.browser $(VENV)/.milvus
+	OMP_NUM_THREADS=1 LPN_MILVUS_PYTHON=$(abspath $(VENV)/milvus/bin/python) $(BIN)/python -m pytest
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .

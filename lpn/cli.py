@@ -11,6 +11,7 @@ import tyro
 
 import lpn
 from lpn.commands.failures import Failures
+from lpn.commands.index import MakeIndex, Search
 from lpn.commands.making import Export, Quantize, Reproduce, Train, World, parse_train
 from lpn.commands.reasons import Explain
 from lpn.commands.report import Report
@@ -29,6 +30,8 @@ COMMANDS: dict[str, type[Any]] = {
     "export": Export,
     "quantize": Quantize,
     "describe": Describe,
+    "index": MakeIndex,
+    "search": Search,
     "doctor": Doctor,
     "world": World,
     "reproduce": Reproduce,
@@ -77,6 +80,9 @@ _EXTRAS = {
     **dict.fromkeys(("torch", "onnx", "onnxscript", "safetensors", "yaml", "matplotlib", "tensorboardX"), "train"),
     "scipy": "data",
     **dict.fromkeys(("umap", "numba", "sklearn"), "umap"),
+    "numkong": "search",
+    "faiss": "faiss",
+    "pymilvus": "milvus",
     **dict.fromkeys(("bpy", "mathutils"), "world"),
 }
 """The extra that brings each package that the base installation has not."""

@@ -6,7 +6,6 @@ outputs that depend on nothing, so a file explains itself and nothing but ONNX R
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import cast
 
@@ -15,6 +14,7 @@ import onnxruntime as ort
 
 from lpn.errors import InputError, ModelFileError
 from lpn.files import fingerprint
+from lpn.machine import usable_cores
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.spec import ModelSpec, View
 
@@ -24,12 +24,6 @@ COMPUTE = "compute"
 OUTPUTS = ("parts", "features")
 HEAD_OUTPUTS = ("head_weight", "head_bias", "cells")
 SAFA_OUTPUTS = ("attention",)
-
-
-def usable_cores() -> int:
-    """Cores that this process may use: fewer than the machine has where it is confined to some, as in a container or a job."""
-    confined = getattr(os, "sched_getaffinity", None)  # not on every system
-    return len(confined(0)) if confined else os.cpu_count() or 1
 
 
 def extra_outputs(spec: ModelSpec) -> tuple[str, ...]:

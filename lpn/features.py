@@ -156,7 +156,11 @@ class Store:
     @property
     def float32(self) -> FloatArray:
         """The descriptors (N, n, D) in float32: memory-mapped where they are stored so, else a copy."""
-        values = self.descriptors.astype(np.float32, copy=False)
+        return self.rows(slice(None))
+
+    def rows(self, rows: slice | npt.NDArray[np.integer]) -> FloatArray:
+        """Some of them in float32, without reading the others."""
+        values = self.descriptors[rows].astype(np.float32, copy=False)
         if self.manifest.precision == "int8":
             norms = np.linalg.norm(values, axis=2, keepdims=True)
             values *= np.float32(self.manifest.n_parts**-0.5) / np.maximum(norms, np.float32(1e-12))

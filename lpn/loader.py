@@ -6,7 +6,6 @@ processes, and share the pictures that are kept decoded.
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -21,6 +20,7 @@ from lpn import images
 from lpn.augment import augment, place_draw
 from lpn.errors import InputError
 from lpn.images import Picture
+from lpn.machine import usable_cores
 from lpn.places import Places
 from lpn.recipes import Recipe
 from lpn.spec import branch_of
@@ -143,6 +143,5 @@ def choose_workers(device: torch.device, processes: int = 1) -> int:
 
     Beside a GPU all cores but the one that drives it, up to 16. Beside a network that computes on the CPU, one in four.
     """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    own = cores // processes
+    own = usable_cores() // processes
     return max(1, min(_MOST_WORKERS, own - 1 if device.type == "cuda" else own // 4))

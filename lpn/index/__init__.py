@@ -1,0 +1,97 @@
+"""Tiles by the million: names, descriptors, and positions, searched under any part weights.
+
+    exact     a folder, in process, on the base installation; misses nothing (`lpn.index.exact`)
+    faiss     a folder, for 10^6 to 10^7 tiles on one machine (`lpn.index.faiss`, the extra `faiss`)
+    milvus    a collection on a server or a cluster (`lpn.index.milvus`, the extra `milvus`)
+
+All keep one protocol, `Index`, and `open_index` finds out which it is.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, get_args
+
+from lpn.errors import InputError, StoreError
+from lpn.index.base import Box, Found, Index, Kind
+from lpn.index.exact import ExactIndex
+from lpn.index.folder import Manifest
+from lpn.index.scan import Precision
+
+Engine = Literal["exact", "faiss", "milvus"]
+_SCHEME = "milvus:"
+
+
+def open_index(where: str | Path, fingerprint: str | None = None) -> Index:
+    """Open an index.
+
+    Args:
+        where: its folder, or milvus://host:port/collection.
+        fingerprint: of the model that queries are described by, which must be the index's; None to skip that check.
+
+    Raises:
+        StoreError: when there is none, it is damaged, or it holds descriptors of another model.
+        InputError: when the address is none.
+        ModuleNotFoundError: when the package of its engine is not installed.
+    """
+    index = _opened(where)
+    if fingerprint is not None:
+        try:
+            index.check_model(fingerprint)
+        except StoreError:
+            index.close()
+            raise
+    return index
+
+
+def create_index(
+    where: str | Path, kind: Kind, engine: Engine | None = None, precision: Precision = "float32"
+) -> Index:
+    """Make an empty index, or open the one of the same kind that is there.
+
+    Args:
+        where: a folder, or milvus://host:port/collection.
+        engine: by default milvus for its addresses, and exact for folders.
+        precision: of the copy that `exact` scans.
+
+    Raises:
+        StoreError: when something else is there, or nothing can be written.
+        InputError: when engine, precision, and place do not go together.
+    """
+    is_url = str(where).startswith(_SCHEME)
+    engine = engine or ("milvus" if is_url else "exact")
+    if engine not in get_args(Engine):
+        raise InputError(f"There is no engine {engine!r}; expected one of {', '.join(get_args(Engine))}.")
+    if is_url != (engine == "milvus"):
+        raise InputError(
+            f"The engine {engine} does not go with this place; milvus takes milvus://host:port/collection, others a folder."
+        )
+    if engine != "exact" and precision != "float32":
+        raise InputError(
+            f"The engine {engine} has no precision to choose; leave {precision} out, or use the engine exact."
+        )
+    if engine == "exact":
+        return ExactIndex.create(where, kind, precision)
+    if engine == "faiss":
+        from lpn.index.faiss import FaissIndex
+
+        return FaissIndex.create(where, kind)
+    from lpn.index.milvus import MilvusIndex
+
+    return MilvusIndex.create(str(where), kind)
+
+
+def _opened(where: str | Path) -> Index:
+    if str(where).startswith(_SCHEME):
+        from lpn.index.milvus import MilvusIndex
+
+        return MilvusIndex(str(where))
+    engine = Manifest.read(Path(where)).engine
+    if engine == ExactIndex.engine:
+        return ExactIndex(where)
+    from lpn.index.faiss import FaissIndex
+
+    return FaissIndex(where)
+
+
+__all__ = ["Box", "Engine", "ExactIndex", "Found", "Index", "Kind", "Precision", "create_index", "open_index"]

@@ -1,0 +1,106 @@
+"""Exact search in process, on the base installation: the answer is that of scanning every float32 vector.
+
+A scan gives each tile an upper bound on its score (`lpn.index.scan`), from the vectors or from a copy a half or a quarter their
+size. The k tiles of the highest bounds are scored; what is not below the k-th of these scores is scored too, the highest bound
+first, until no bound reaches the k-th best score. Tiles of equal score keep the order in which they were added.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.index.base import Box, Exact, Found, Kind, check_box, check_count
+from lpn.index.folder import Candidates, FolderIndex, Manifest, create
+from lpn.index.scan import Precision, Scan
+from lpn.index.segments import Segment
+
+_FEW = 4
+"""Where at most one tile in so many is searched, their rows are picked out rather than all scanned."""
+_PICKED = 4096
+_NEXT = 256
+
+
+class ExactIndex(FolderIndex):
+    """An index that misses nothing.
+
+    Args:
+        folder: of the index; any number of processes may have it open.
+        threads: of a scan in float16 or int8; by default as many as the process may use, at most 8.
+    """
+
+    engine = "exact"
+
+    def __init__(self, folder: str | Path, threads: int | None = None) -> None:
+        super().__init__(folder)
+        self._scan = Scan(self.kind, self.precision, threads)
+
+    @classmethod
+    def create(cls, folder: str | Path, kind: Kind, precision: Precision = "float32") -> ExactIndex:
+        """Make an empty index, or open the one of the same kind that is there.
+
+        Args:
+            precision: of the copy that is scanned: float16 and int8 take 1/2 and 1/4 more disk, and are searched as much faster.
+
+        Raises:
+            StoreError: when the folder holds something else, or cannot be written.
+        """
+        create(Path(folder), Manifest(cls.engine, kind, precision))
+        return cls(folder)
+
+    def search(self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None) -> Found:
+        """See `Index.search`; equal scores in the order of insertion."""
+        wanted = self.kind.rescaled(query, weights)
+        k, box = check_count(k), check_box(box)
+        segments = self._current()
+        places, bounds = self._bounds(segments, wanted, box)
+        k = min(k, len(places))
+        if not k:
+            return self._found(segments, Candidates(places, bounds), 0)
+        first = np.argpartition(bounds, len(bounds) - k)[len(bounds) - k :]
+        found = Candidates.of(segments, places[first], wanted)
+        least = float(found.scores.min())
+        bounds[first] = -np.inf
+        rest = np.flatnonzero(bounds >= least)
+        rest = rest[np.argsort(-bounds[rest])]
+        for start in range(0, len(rest), _NEXT):
+            some = rest[start : start + _NEXT]
+            if bounds[some[0]] < least:
+                break
+            found = found.with_(Candidates.of(segments, places[some], wanted), k)
+            least = float(found.scores.min())
+        return self._found(segments, found, k)
+
+    def close(self) -> None:
+        """See `Index.close`."""
+        self._scan.close()
+        super().close()
+
+    def _finish(self, folder: Path, rows: int) -> None:
+        pass
+
+    def _bounds(self, segments: list[Segment], wanted: Exact, box: Box | None) -> tuple[npt.NDArray[np.int64], Exact]:
+        """Places of the tiles that are searched, and an upper bound on the score of each."""
+        places: list[npt.NDArray[np.int64]] = []
+        bounds: list[Exact] = []
+        start = 0
+        for segment in segments:
+            rows = segment.chosen(box)
+            if rows is None:
+                places.append(np.arange(start, start + segment.rows))
+                bounds.append(self._scan.bounds(wanted, segment.small, segment.scales, segment.errors))
+            elif len(rows) * _FEW <= segment.rows:
+                places.append(rows + start)
+                bounds += (self._picked(segment, rows[i : i + _PICKED], wanted) for i in range(0, len(rows), _PICKED))
+            else:
+                places.append(rows + start)
+                bounds.append(self._scan.bounds(wanted, segment.small, segment.scales, segment.errors)[rows])
+            start += segment.rows
+        return np.concatenate([np.zeros(0, np.int64), *places]), np.concatenate([np.zeros(0), *bounds])
+
+    def _picked(self, segment: Segment, rows: npt.NDArray[np.int64], wanted: Exact) -> Exact:
+        scales = None if segment.scales is None else segment.scales[rows]
+        errors = None if segment.errors is None else segment.errors[rows]
+        return self._scan.bounds(wanted, segment.small[rows], scales, errors)

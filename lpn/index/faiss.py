@@ -1,0 +1,182 @@
+"""faiss (the extra `faiss`) for 10^6 to 10^7 tiles on one machine: a faiss index beside the vectors of every larger segment.
+
+    faiss.index     in a segment's folder, its rows in the segment's order
+
+faiss proposes tiles, from codes far smaller than vectors; these are scored with the float32 vectors on disk. Tiles that faiss
+does not propose are missed: how few they are is for `nprobe` and `depth` to say, which can be changed at any search.
+
+    flat        every vector once more in full: nothing is missed but what faiss's own rounding hides behind the `depth`-th
+    sq8         inverted lists with a byte for each number
+    pq          inverted lists with a byte for each 32 numbers: 64 bytes for 2048
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal, cast, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.errors import InputError, StoreError
+from lpn.index.base import Box, Found, Kind, check_box, check_count
+from lpn.index.folder import Candidates, FolderIndex, Manifest, create
+from lpn.index.segments import Segment
+
+Codes = Literal["flat", "sq8", "pq"]
+
+FILE = "faiss.index"
+_FEW = 4096
+"""Up to as many tiles are compared one by one: it is as quick, and misses none."""
+_SAMPLE = 64
+"""Vectors for each list that the lists are learnt from, at most."""
+_LEAST = 16384
+"""Vectors that codes are learnt from where there are as many."""
+_ROUNDS = 10
+_ROWS = 16384
+_PER_CODE = 32
+
+
+class FaissIndex(FolderIndex):
+    """An index that trades a few misses for speed.
+
+    Args:
+        folder: of the index.
+        nprobe: inverted lists that are looked through; more miss fewer tiles and take longer.
+        depth: how many times k tiles are proposed and scored.
+
+    Raises:
+        StoreError: when the folder is not such an index, or is damaged.
+        ModuleNotFoundError: when faiss is not installed.
+    """
+
+    engine = "faiss"
+    largest = 8 << 30
+
+    def __init__(self, folder: str | Path, nprobe: int = 32, depth: int = 8) -> None:
+        self._faiss = cast(Any, import_module("faiss"))
+        super().__init__(folder)
+        if nprobe < 1 or depth < 1:
+            raise InputError(f"nprobe is {nprobe} and depth {depth}; expected 1 or more.")
+        self.codes: Codes = self._state.manifest.settings["codes"]
+        self.nprobe, self.depth = nprobe, depth
+        self._opened: dict[Path, Any] = {}
+
+    @classmethod
+    def create(
+        cls, folder: str | Path, kind: Kind, codes: Codes = "sq8", nprobe: int = 32, depth: int = 8
+    ) -> FaissIndex:
+        """Make an empty index, or open the one of the same kind that is there.
+
+        Raises:
+            StoreError: when the folder holds something else, or cannot be written.
+        """
+        import_module("faiss")
+        if codes not in get_args(Codes):
+            raise InputError(f"The codes are {codes!r}; expected one of {', '.join(get_args(Codes))}.")
+        if codes == "pq" and kind.numbers % _PER_CODE:
+            raise InputError(
+                f"A descriptor has {kind.numbers} numbers, which are no multiple of {_PER_CODE}; choose the codes sq8."
+            )
+        create(Path(folder), Manifest(cls.engine, kind, settings={"codes": codes}))
+        return cls(folder, nprobe, depth)
+
+    def search(self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None) -> Found:
+        """See `Index.search`; of equal scores, those proposed keep the order of insertion."""
+        wanted = self.kind.rescaled(query, weights)
+        k, box = check_count(k), check_box(box)
+        segments = self._current()
+        proposed: list[npt.NDArray[np.int64]] = [np.zeros(0, np.int64)]
+        start = 0
+        for segment in segments:
+            proposed.append(self._proposed(segment, wanted.astype(np.float32), segment.chosen(box), k) + start)
+            start += segment.rows
+        places = np.concatenate(proposed)
+        return self._found(segments, Candidates.of(segments, places, wanted), k)
+
+    def close(self) -> None:
+        """See `Index.close`."""
+        self._opened.clear()
+        super().close()
+
+    @cached_property
+    def _lists(self) -> bool:
+        return self.codes != "flat"
+
+    def _proposed(
+        self, segment: Segment, wanted: npt.NDArray[np.float32], rows: npt.NDArray[np.int64] | None, k: int
+    ) -> npt.NDArray[np.int64]:
+        """Rows of a segment that may be among the k best of those that are searched."""
+        size = segment.rows if rows is None else len(rows)
+        depth = min(size, max(k * self.depth, k))
+        if size <= max(_FEW, depth):
+            # Their order by a product in single precision hides none behind the depth-th but among ties of its last digits.
+            scores = (segment.vectors if rows is None else segment.vectors[rows]) @ wanted
+            first = np.argpartition(scores, size - depth)[size - depth :] if depth < size else np.arange(size)
+            return first if rows is None else rows[first]
+        index = self._index(segment)
+        lists = index.nlist if self._lists else 1
+        nprobe = min(self.nprobe, lists)
+        while True:
+            found = index.search(wanted[None], depth, params=self._parameters(segment, rows, nprobe))[1][0]
+            found = found[found >= 0]
+            # A box can leave the lists that were looked through with fewer tiles than are asked for.
+            if len(found) >= min(k, size) or nprobe == lists:
+                return cast("npt.NDArray[np.int64]", found)
+            nprobe = min(2 * nprobe, lists)
+
+    def _parameters(self, segment: Segment, rows: npt.NDArray[np.int64] | None, nprobe: int) -> Any:
+        selector = None
+        if rows is not None:
+            mask = np.zeros(segment.rows, np.uint8)
+            mask[rows] = 1
+            selector = self._faiss.IDSelectorBitmap(np.packbits(mask, bitorder="little"))
+        if self._lists:
+            return self._faiss.SearchParametersIVF(sel=selector, nprobe=nprobe)
+        return self._faiss.SearchParameters(sel=selector)
+
+    def _index(self, segment: Segment) -> Any:
+        there = {one.folder for one in self._state.segments}
+        self._opened = {folder: index for folder, index in self._opened.items() if folder in there}
+        if segment.folder not in self._opened:
+            try:
+                index = self._faiss.read_index(
+                    str(segment.folder / FILE), self._faiss.IO_FLAG_MMAP if self._lists else 0
+                )
+            except RuntimeError as error:
+                raise StoreError(
+                    f"{FILE} in {segment.folder} is missing or damaged; delete the index and make it again."
+                ) from error
+            self._opened[segment.folder] = index
+        return self._opened[segment.folder]
+
+    def _finish(self, folder: Path, rows: int) -> None:
+        """Learn lists and codes from a sample of a segment's vectors, and write all of them as faiss keeps them."""
+        if rows <= _FEW:
+            return
+        vectors = np.load(folder / "vectors.npy", mmap_mode="r")
+        name = _factory(self.codes, rows, self.kind)
+        index = self._faiss.index_factory(self.kind.numbers, name, self._faiss.METRIC_INNER_PRODUCT)
+        if self._lists:
+            learners = [index.cp] if self.codes == "sq8" else [index.cp, index.pq.cp]
+            for learner in learners:
+                learner.niter, learner.max_points_per_centroid, learner.min_points_per_centroid = _ROUNDS, _SAMPLE, 1
+            sample = np.random.default_rng(0).permutation(rows)[: max(_SAMPLE * index.nlist, _LEAST)]
+            index.train(np.ascontiguousarray(vectors[np.sort(sample)]))
+        for start in range(0, rows, _ROWS):
+            index.add(np.ascontiguousarray(vectors[start : start + _ROWS]))
+        try:
+            self._faiss.write_index(index, str(folder / FILE))
+        except RuntimeError as error:
+            raise StoreError(f"{folder / FILE} cannot be written; free space or choose another folder.") from error
+
+
+def _factory(codes: Codes, rows: int, kind: Kind) -> str:
+    """What faiss calls the index of so many tiles: about sqrt(N) inverted lists, or none."""
+    if codes == "flat":
+        return "Flat"
+    lists = max(1, round(rows**0.5))
+    # np: without sorting codes for a filter by their bits, which is not used and takes most of the learning.
+    return f"IVF{lists},SQ8" if codes == "sq8" else f"IVF{lists},PQ{kind.numbers // _PER_CODE}np"

@@ -1,0 +1,366 @@
+"""An index that is a folder: a manifest and segments of tiles, added to whole or not at all.
+
+    index.json       format, engine and its settings, model fingerprint, n, D, and the segments that count, oldest first
+    0000012/ ...     segments, see `lpn.index.segments`
+
+What an add writes lies in folders that the manifest does not name yet; the manifest is replaced last. Killed at any moment, an
+index is as it was before that add, and the next one clears away what was left.
+
+So that many small adds make no search slow, an add takes the newest segments along into its own for as long as the next one
+has at most twice as many tiles as are gathered, up to a size: each segment is then more than twice the next, there are as
+many as the logarithm of the number of tiles, and each tile is written anew about as many times.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.errors import OutputError, StoreError
+from lpn.files import alone, write_whole
+from lpn.index.base import Exact, Found, Index, Kind, best, check_names, check_positions, scores_of
+from lpn.index.scan import PRECISIONS, Precision
+from lpn.index.segments import Batch, Mask, Segment, keys_of, write_segment
+
+FORMAT = "lpn-index/1"
+MANIFEST = "index.json"
+_OURS = re.compile(r"\d{7}|index\.json\..*\.part")
+_ATTEMPTS = 20
+_READ = 1024
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A segment that counts: its folder's name, its tiles, and the file that says which were replaced, if any were."""
+
+    name: str
+    rows: int
+    dead: str | None = None
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What an index is.
+
+    Attributes:
+        engine: "exact" or "faiss".
+        kind: of its descriptors.
+        precision: of the copy that is scanned.
+        settings: of the engine.
+        entries: its segments, oldest first.
+        next: number of the next folder or file that is written.
+    """
+
+    engine: str
+    kind: Kind
+    precision: Precision = "float32"
+    settings: dict[str, Any] = field(default_factory=dict)
+    entries: tuple[Entry, ...] = ()
+    next: int = 1
+
+    def to_json(self) -> bytes:
+        """The manifest as a JSON file."""
+        values = {"format": FORMAT, "engine": self.engine, **vars(self.kind), "precision": self.precision}
+        values |= {"settings": self.settings, "next": self.next, "segments": [vars(entry) for entry in self.entries]}
+        return json.dumps(values, indent=1).encode()
+
+    @classmethod
+    def read(cls, folder: Path) -> Manifest:
+        """The manifest of an index; StoreError when the folder is none."""
+        try:
+            values: Any = json.loads((folder / MANIFEST).read_bytes())
+            if values["format"] != FORMAT or values["precision"] not in PRECISIONS:
+                raise ValueError("another format")
+            kind = Kind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"]))
+            entries = tuple(Entry(str(e["name"]), int(e["rows"]), e["dead"]) for e in values["segments"])
+            settings = dict(values["settings"])
+            return cls(str(values["engine"]), kind, values["precision"], settings, entries, int(values["next"]))
+        except FileNotFoundError as error:
+            raise StoreError(f"{folder} has no {MANIFEST}, so it is not an index; make one with lpn index.") from error
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise StoreError(
+                f"{MANIFEST} in {folder} is not one of {FORMAT}; make the index again with lpn index."
+            ) from error
+
+
+def create(folder: Path, manifest: Manifest) -> Manifest:
+    """Make an empty index in a folder, or find that it holds one of the same kind, whose manifest is returned.
+
+    Raises:
+        StoreError: when it holds something else, or cannot be written.
+    """
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise StoreError(f"{folder} is a file; choose another place for the index.")
+        folder.mkdir(parents=True, exist_ok=True)
+        with alone(folder, wait=True):
+            if (folder / MANIFEST).exists():
+                return _same(folder, Manifest.read(folder), manifest)
+            others = [file.name for file in folder.iterdir() if not _OURS.fullmatch(file.name)]
+            if others:
+                raise StoreError(
+                    f"{folder} holds other files, such as {others[0]}; choose another folder for the index."
+                )
+            write_whole(folder / MANIFEST, manifest.to_json())
+    except (OSError, OutputError) as error:
+        raise _unwritable(folder, error) from error
+    return manifest
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """An index as one of its manifests says it is, and what tells that file from the next."""
+
+    manifest: Manifest
+    segments: list[Segment]
+    stamp: tuple[int, ...]
+
+
+class FolderIndex(Index):
+    """Tiles in a folder; how they are searched is for the engine to say.
+
+    Any number of processes may search while one adds, and see what it added at their next search; those that add take turns.
+
+    Raises:
+        StoreError: when the folder is not an index of this engine, or is damaged.
+    """
+
+    engine: str
+    largest = 1 << 30
+    """Bytes of vectors up to which segments are gathered into one."""
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        self._state = self._read()
+        self.kind = self._state.manifest.kind
+        self.precision = self._state.manifest.precision
+        if self._state.manifest.engine != self.engine:
+            raise StoreError(
+                f"{self.folder} is an index of the engine {self._state.manifest.engine}; open it as that, not as {self.engine}."
+            )
+
+    def add(
+        self, ids: Sequence[str], descriptors: npt.ArrayLike, positions: Sequence[Sequence[float]] | Exact | None = None
+    ) -> None:
+        """See `Index.add`; whole or not at all, whenever the process is killed."""
+        vectors = self.kind.checked(descriptors)
+        names = check_names(ids, len(vectors))
+        batch = Batch(names, vectors, check_positions(positions, len(vectors)))
+        if not names:
+            return
+        try:
+            with alone(self.folder, wait=True):
+                self._state = self._read()
+                self._clear()
+                write_whole(self.folder / MANIFEST, self._write(batch).to_json())
+                self._state = self._read()
+                self._clear()
+        except (OSError, OutputError) as error:
+            raise _unwritable(self.folder, error) from error
+
+    def holds(self, ids: Sequence[str]) -> Mask:
+        """See `Index.holds`."""
+        found = np.zeros(len(ids), np.bool_)
+        keys = keys_of(ids)
+        for segment in self._current():
+            found |= segment.find(ids, keys) >= 0
+        return found
+
+    def count(self) -> int:
+        """See `Index.count`."""
+        return sum(segment.size for segment in self._current())
+
+    def close(self) -> None:
+        """See `Index.close`."""
+        self._state = replace(self._state, segments=[])
+
+    @abstractmethod
+    def _finish(self, folder: Path, rows: int) -> None:
+        """Write what the engine needs beside a new segment's files."""
+
+    def _current(self) -> list[Segment]:
+        """The segments as they are now, whichever process wrote them."""
+        if self._stamp() != self._state.stamp or not self._state.segments:
+            self._state = self._read()
+        return self._state.segments
+
+    def _found(self, segments: list[Segment], candidates: Candidates, k: int) -> Found:
+        """The k best of candidates whose scores are known."""
+        if not len(candidates.places):
+            return Found(
+                [], np.zeros(0), np.zeros((0, self.kind.n_parts, self.kind.embedding), np.float32), np.zeros((0, 2))
+            )
+        chosen = best(candidates.scores, candidates.places, k)
+        places = candidates.places[chosen]
+        vectors = gather([segment.vectors for segment in segments], places)
+        starts = np.cumsum([0, *(segment.rows for segment in segments)])
+        owners = np.searchsorted(starts, places, "right") - 1
+        names = [""] * len(places)
+        for number, segment in enumerate(segments):
+            mine = np.flatnonzero(owners == number)
+            for position, name in zip(mine.tolist(), segment.names(places[mine] - starts[number]), strict=True):
+                names[position] = name
+        positions = gather([segment.positions for segment in segments], places)
+        shaped = vectors.reshape(len(places), self.kind.n_parts, self.kind.embedding)
+        return Found(names, candidates.scores[chosen], shaped, positions)
+
+    def _stamp(self) -> tuple[int, ...]:
+        try:
+            stat = (self.folder / MANIFEST).stat()
+        except OSError as error:
+            raise StoreError(f"{self.folder} cannot be read ({error.strerror}); check the path.") from error
+        return stat.st_ino, stat.st_mtime_ns, stat.st_size
+
+    def _read(self) -> _State:
+        for attempt in range(_ATTEMPTS):
+            stamp = self._stamp() if (self.folder / MANIFEST).exists() else ()
+            manifest = Manifest.read(self.folder)
+            try:
+                segments = [
+                    Segment(self.folder / entry.name, manifest.kind, manifest.precision, entry.rows, entry.dead)
+                    for entry in manifest.entries
+                ]
+                return _State(manifest, segments, stamp)
+            except FileNotFoundError as error:
+                # Another process may have replaced a segment since the manifest was read.
+                if attempt + 1 == _ATTEMPTS or self._stamp() == stamp:
+                    raise StoreError(
+                        f"{error.filename} is missing; the index is damaged, so delete it and make it again."
+                    ) from error
+        raise AssertionError
+
+    def _write(self, batch: Batch) -> Manifest:
+        """Everything an add needs on disk, and the manifest that makes it count."""
+        manifest, segments = self._state.manifest, self._state.segments
+        keys = keys_of(batch.names)
+        masks: list[Mask | None] = []
+        for segment in segments:
+            rows = segment.find(batch.names, keys)
+            alive = segment.alive
+            if (rows >= 0).any():
+                alive = np.ones(segment.rows, np.bool_) if alive is None else alive.copy()
+                alive[rows[rows >= 0]] = False
+            masks.append(alive)
+        sizes = [
+            segment.rows if mask is None else int(mask.sum()) for segment, mask in zip(segments, masks, strict=True)
+        ]
+        kept, rows_new = len(segments), len(batch.names)
+        while kept and sizes[kept - 1] <= 2 * rows_new and self._bytes(rows_new + sizes[kept - 1]) <= self.largest:
+            kept -= 1
+            rows_new += sizes[kept]
+        entries: list[Entry] = []
+        number = manifest.next
+        for entry, segment, mask, size in zip(manifest.entries[:kept], segments, masks, sizes, strict=False):
+            if 2 * size < segment.rows:
+                if size:
+                    entries.append(self._segment(number, segment.batches(mask), size))
+            elif mask is not segment.alive:
+                assert mask is not None
+                dead = f"dead-{number:07d}.npy"
+                np.save(segment.folder / dead, ~mask)
+                entries.append(replace(entry, dead=dead))
+            else:
+                entries.append(entry)
+            number += 1
+
+        def gathered() -> Iterator[Batch]:
+            for segment, mask in zip(segments[kept:], masks[kept:], strict=True):
+                yield from segment.batches(mask)
+            yield batch
+
+        entries.append(self._segment(number, gathered(), rows_new))
+        return replace(manifest, entries=tuple(entries), next=number + 1)
+
+    def _segment(self, number: int, batches: Iterator[Batch], rows: int) -> Entry:
+        name = f"{number:07d}"
+        write_segment(self.folder / name, self.kind, self.precision, batches, rows)
+        self._finish(self.folder / name, rows)
+        return Entry(name, rows)
+
+    def _bytes(self, rows: int) -> int:
+        return rows * self.kind.numbers * np.dtype(np.float32).itemsize
+
+    def _clear(self) -> None:
+        """Delete what the manifest does not name: segments that were taken along, and what a killed add left."""
+        entries = {entry.name: entry for entry in self._state.manifest.entries}
+        for path in self.folder.iterdir():
+            if path.name in entries:
+                for file in path.glob("dead-*.npy"):
+                    if file.name != entries[path.name].dead:
+                        file.unlink(missing_ok=True)
+            elif _OURS.fullmatch(path.name):
+                if path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
+                    path.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Tiles by their place among the rows of all segments, (C,), and their scores, (C,)."""
+
+    places: npt.NDArray[np.int64]
+    scores: Exact
+
+    @classmethod
+    def of(cls, segments: list[Segment], places: npt.NDArray[np.int64], wanted: Exact) -> Candidates:
+        """Read vectors and score them."""
+        places = np.sort(places)  # in the order in which they lie on disk
+        scores = np.empty(len(places))
+        for start in range(0, len(places), _READ):
+            some = slice(start, start + _READ)
+            scores[some] = scores_of(gather([segment.vectors for segment in segments], places[some]), wanted)
+        return cls(places, scores)
+
+    def with_(self, other: Candidates, k: int) -> Candidates:
+        """The k best of both."""
+        places, scores = np.concatenate([self.places, other.places]), np.concatenate([self.scores, other.scores])
+        chosen = best(scores, places, k)
+        return Candidates(places[chosen], scores[chosen])
+
+
+def gather(arrays: Sequence[npt.NDArray[Any]], places: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
+    """Rows of arrays that lie one after the other, by their place in the whole."""
+    starts = np.cumsum([0, *(len(array) for array in arrays)])
+    found = np.empty((len(places), *arrays[0].shape[1:]), arrays[0].dtype)
+    owner = np.searchsorted(starts, places, "right") - 1
+    for position, array in enumerate(arrays):
+        mine = owner == position
+        if mine.any():
+            found[mine] = array[places[mine] - starts[position]]
+    return found
+
+
+def _same(folder: Path, there: Manifest, wanted: Manifest) -> Manifest:
+    for what in ("engine", "kind", "precision", "settings"):
+        if getattr(there, what) != getattr(wanted, what):
+            one, other = (_said(manifest, what) for manifest in (there, wanted))
+            raise StoreError(
+                f"{folder} is an index of {one}, and this would be one of {other}; choose another folder, or delete that one."
+            )
+    return there
+
+
+def _said(manifest: Manifest, what: str) -> str:
+    kind = manifest.kind
+    said = {
+        "engine": f"the engine {manifest.engine}",
+        "kind": f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}",
+        "precision": manifest.precision,
+        "settings": f"settings {manifest.settings}",
+    }
+    return said[what]
+
+
+def _unwritable(folder: Path, error: OSError | OutputError) -> StoreError:
+    why = error.strerror if isinstance(error, OSError) else str(error)
+    return StoreError(f"The index {folder} cannot be written ({why}); free space or choose another folder.")

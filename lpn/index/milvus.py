@@ -1,0 +1,341 @@
+"""Milvus (the extra `milvus`): one collection on a server or a cluster, through the same protocol.
+
+A collection has the fields id (128 bits of the digest of the tile's name, in hexadecimal digits: its primary key, of which no
+sign can be mistaken in an expression), name, vector (n D numbers, inner product), latitude, and longitude, and says in its
+description what it holds. Every call waits for what was written before it (strong consistency), and what `add`
+returned from is in the server's log: a server that is killed has it again when it is back. A lost connection is tried anew for
+a while; `add` writes over what an interrupted attempt left, so that nothing is lost and nothing is twice.
+
+Milvus keeps no order among equal scores; those that come back are ordered by name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
+from importlib import import_module
+from itertools import chain, repeat
+from typing import Any, Literal, TypeVar, cast, get_args
+from urllib.parse import unquote, urlsplit
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.errors import InputError, StoreError
+from lpn.files import printable
+from lpn.index.base import (
+    ID_LENGTH,
+    Box,
+    Exact,
+    Found,
+    Index,
+    Kind,
+    best,
+    check_box,
+    check_count,
+    check_names,
+    check_positions,
+    scores_of,
+)
+
+FORMAT = "lpn-milvus/1"
+SCHEME = "milvus"
+Structure = Literal["flat", "ivf", "hnsw"]
+
+_NOWHERE = 1000.0
+"""Latitude and longitude of a tile that has none: 2.3 knows no null, and no box reaches so far."""
+_NAME_BYTES = 4 * ID_LENGTH
+_MOST = 16384
+"""Tiles that Milvus gives at most."""
+_BYTES = 8 << 20
+"""Of one message's vectors, far below the 64 MB that a server takes."""
+_ROWS = 1000
+_CALL = 30.0
+_PAUSES = (0.2, 0.5, 1.0, 2.0)
+_BUILD: dict[Structure, dict[str, Any]] = {
+    "flat": {"index_type": "FLAT", "params": {}},
+    "ivf": {"index_type": "IVF_FLAT", "params": {"nlist": 1024}},
+    "hnsw": {"index_type": "HNSW", "params": {"M": 32, "efConstruction": 200}},
+}
+_REFUSED = {65, 1100, 1101, 1800}
+"""Milvus's codes for what no trying again mends: a wrong parameter, or no right to ask."""
+_COLLECTION = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
+_T = TypeVar("_T")
+
+
+class MilvusIndex(Index):
+    """A collection on a Milvus server, 2.3 or later.
+
+    Args:
+        url: milvus://host:port/collection, or milvus://user:password@host:port/collection.
+        patience: seconds for which a server that does not answer is tried again.
+        effort: lists (ivf) or neighbours (hnsw) looked through; more miss fewer tiles and take longer.
+
+    Raises:
+        StoreError: when there is no such server or collection, or it is not one of ours.
+        InputError: when the address is none.
+        ModuleNotFoundError: when pymilvus is not installed.
+    """
+
+    def __init__(self, url: str, patience: float = 60.0, effort: int = 128) -> None:
+        self._open(url, patience, effort)
+        description = self._description()
+        if description is None:
+            raise StoreError(f"{self._shown} has no such collection; make it with lpn index.")
+        self.kind, self.structure = _read(description, self._shown)
+        self._call(lambda client: client.load_collection(self._name))
+
+    @classmethod
+    def create(
+        cls, url: str, kind: Kind, structure: Structure = "flat", patience: float = 60.0, effort: int = 128
+    ) -> MilvusIndex:
+        """Make an empty collection, or open the one of the same kind that is there.
+
+        Args:
+            structure: flat compares every vector and misses nothing; ivf and hnsw are quicker among many tiles.
+
+        Raises:
+            StoreError: when there is no server, or the collection holds something else.
+        """
+        if structure not in get_args(Structure):
+            raise InputError(f"The structure is {structure!r}; expected one of {', '.join(get_args(Structure))}.")
+        made = cls.__new__(cls)
+        made._open(url, patience, effort)
+        made._make(kind, structure)
+        index = cls(url, patience, effort)
+        if (index.kind, index.structure) != (kind, structure):
+            one = f"{_said(index.kind)} ({index.structure})"
+            index.close()
+            raise StoreError(
+                f"{index._shown} holds {one}, and this would be {_said(kind)} ({structure}); choose another collection."
+            )
+        return index
+
+    def add(
+        self, ids: Sequence[str], descriptors: npt.ArrayLike, positions: Sequence[Sequence[float]] | Exact | None = None
+    ) -> None:
+        """See `Index.add`; in messages that are each whole, so that after an error some of the tiles can be there."""
+        vectors = self.kind.checked(descriptors)
+        names = check_names(ids, len(vectors))
+        places = check_positions(positions, len(vectors))
+        places = np.where(np.isnan(places), _NOWHERE, places)
+        step = max(1, min(_ROWS, _BYTES // (4 * self.kind.numbers)))
+        for start in range(0, len(names), step):
+            rows = [
+                {
+                    "id": key_of(names[i]),
+                    "name": names[i],
+                    "vector": vectors[i].tolist(),
+                    "latitude": float(places[i, 0]),
+                    "longitude": float(places[i, 1]),
+                }
+                for i in range(start, min(start + step, len(names)))
+            ]
+            self._call(partial(self._upsert, rows))
+
+    def search(self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None) -> Found:
+        """See `Index.search`; at most 16,384 tiles; equal scores by name."""
+        wanted = self.kind.rescaled(query, weights)
+        k, box = check_count(k), check_box(box)
+        if k > _MOST:
+            raise InputError(f"The number of tiles asked for is {k}; Milvus gives {_MOST} at most.")
+        hits = self._call(partial(self._searched, wanted, k, box))
+        vectors = np.array([hit["vector"] for hit in hits], np.float32).reshape(len(hits), self.kind.numbers)
+        names = [str(hit["name"]) for hit in hits]
+        scores = scores_of(vectors, wanted)
+        by_name = np.empty(len(hits), np.int64)
+        by_name[sorted(range(len(hits)), key=names.__getitem__)] = np.arange(len(hits))
+        chosen = best(scores, by_name, k)
+        places = np.array([[hit["latitude"], hit["longitude"]] for hit in hits], np.float64).reshape(-1, 2)
+        places[places == _NOWHERE] = np.nan
+        shaped = vectors[chosen].reshape(len(chosen), self.kind.n_parts, self.kind.embedding)
+        return Found([names[i] for i in chosen], scores[chosen], shaped, places[chosen])
+
+    def holds(self, ids: Sequence[str]) -> npt.NDArray[np.bool_]:
+        """See `Index.holds`."""
+        there: set[str] = set()
+        keys = [key_of(name) for name in ids]
+        for start in range(0, len(keys), _ROWS):
+            some = keys[start : start + _ROWS]
+            found = self._call(partial(self._there, some))
+            there.update(str(row["id"]) for row in found)
+        return np.array([key in there for key in keys], np.bool_)
+
+    def count(self) -> int:
+        """See `Index.count`."""
+        found = self._call(lambda client: client.query(self._name, filter="", output_fields=["count(*)"], **_now()))
+        return int(found[0]["count(*)"])
+
+    def close(self) -> None:
+        """See `Index.close`."""
+        self._let_go()
+
+    def drop(self) -> None:
+        """Delete the collection with all that it holds."""
+        self._call(lambda client: client.drop_collection(self._name))
+
+    def _open(self, url: str, patience: float, effort: int) -> None:
+        self._milvus = cast(Any, import_module("pymilvus"))
+        # It prints a traceback for each attempt; what cannot be mended is said once, in a sentence.
+        logging.getLogger("pymilvus").setLevel(logging.CRITICAL + 1)
+        self._address, self._token, self._name = parse_url(url)
+        self._shown = f"{SCHEME}://{self._address}/{self._name}"
+        self._patience, self._effort = patience, effort
+        self._client: Any = None
+
+    def _description(self) -> str | None:
+        def described(client: Any) -> str | None:
+            if not client.has_collection(self._name, timeout=_CALL):
+                return None
+            return str(client.describe_collection(self._name, timeout=_CALL).get("description", ""))
+
+        return self._call(described)
+
+    def _make(self, kind: Kind, structure: Structure) -> None:
+        """The collection, its index, and only then the description that makes it count: see `_ready`."""
+
+        def make(client: Any) -> None:
+            types = self._milvus.DataType
+            if not client.has_collection(self._name, timeout=_CALL):
+                said = json.dumps({"format": FORMAT, **vars(kind), "structure": structure})
+                schema = client.create_schema(auto_id=False, enable_dynamic_field=False, description=said)
+                schema.add_field("id", types.VARCHAR, is_primary=True, max_length=32)
+                schema.add_field("name", types.VARCHAR, max_length=_NAME_BYTES)
+                schema.add_field("vector", types.FLOAT_VECTOR, dim=kind.numbers)
+                schema.add_field("latitude", types.DOUBLE)
+                schema.add_field("longitude", types.DOUBLE)
+                client.create_collection(self._name, schema=schema, consistency_level="Strong", timeout=_CALL)
+            _read(str(client.describe_collection(self._name, timeout=_CALL).get("description", "")), self._shown)
+            if not client.list_indexes(self._name):
+                parameters = client.prepare_index_params()
+                parameters.add_index("vector", metric_type="IP", **_BUILD[structure])
+                client.create_index(self._name, parameters, timeout=_CALL)
+
+        self._call(make)
+
+    def _upsert(self, rows: list[dict[str, Any]], client: Any) -> None:
+        client.upsert(self._name, rows, timeout=_CALL)
+
+    def _there(self, keys: list[str], client: Any) -> list[dict[str, Any]]:
+        return cast("list[dict[str, Any]]", client.query(self._name, ids=keys, output_fields=["id"], **_now()))
+
+    def _searched(self, wanted: Exact, k: int, box: Box | None, client: Any) -> list[dict[str, Any]]:
+        effort = {"flat": {}, "ivf": {"nprobe": self._effort}, "hnsw": {"ef": max(self._effort, k)}}[self.structure]
+        found = client.search(
+            self._name,
+            data=[wanted.astype(np.float32).tolist()],
+            filter="" if box is None else expression(box),
+            limit=k,
+            output_fields=["name", "vector", "latitude", "longitude"],
+            search_params={"metric_type": "IP", "params": effort},
+            anns_field="vector",
+            **_now(),
+        )
+        return [dict(hit["entity"]) for hit in found[0]]
+
+    def _call(self, task: Callable[[Any], _T]) -> _T:
+        """What a task gives with a client that is connected; a server that does not answer is tried again for a while."""
+        until = time.monotonic() + self._patience
+        for pause in _pauses():
+            try:
+                if self._client is None:
+                    self._client = self._milvus.MilvusClient(
+                        uri=f"http://{self._address}", token=self._token, timeout=_CALL
+                    )
+                return task(self._client)
+            except Exception as error:  # pymilvus lets errors of grpc and of its own through
+                if not self._passing(error):
+                    raise StoreError(f"{self._shown} refuses: {_short(error)}.") from error
+                self._let_go()
+                if time.monotonic() + pause > until:
+                    raise StoreError(
+                        f"{self._shown} does not answer, tried for {self._patience:g} s ({_short(error)}); start the server, "
+                        "or check the address."
+                    ) from error
+                time.sleep(pause)
+        raise AssertionError
+
+    def _passing(self, error: Exception) -> bool:
+        """Whether what failed may do so no more in a moment, as it is while a server starts or is gone."""
+        errors = import_module("pymilvus.exceptions")
+        refused = isinstance(error, (errors.ParamError, errors.DataNotMatchException)) or getattr(
+            error, "is_input_error", False
+        )
+        mine = isinstance(error, (TypeError, KeyError, AttributeError, StoreError, InputError))
+        return not refused and not mine and getattr(error, "code", None) not in _REFUSED
+
+    def _let_go(self) -> None:
+        if self._client is not None:
+            with suppress(Exception):  # of a connection that is lost already
+                self._client.close()
+            self._client = None
+
+
+def parse_url(url: str) -> tuple[str, str, str]:
+    """The address host:port, the token user:password or "", and the collection's name of milvus://...; InputError else."""
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError:
+        parts, port = urlsplit(""), None
+    name = parts.path.strip("/")
+    if parts.scheme != SCHEME or not parts.hostname or not port or not _COLLECTION.fullmatch(name):
+        raise InputError(
+            f"{url.rpartition('@')[2]} is no address of a Milvus collection; expected milvus://host:port/collection, its name of "
+            "letters, digits, and underscores."
+        )
+    host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
+    token = f"{unquote(parts.username)}:{unquote(parts.password or '')}" if parts.username else ""
+    return f"{host}:{port}", token, name
+
+
+def key_of(name: str) -> str:
+    """What stands for a tile's name as the primary key."""
+    return hashlib.blake2b(name.encode(), digest_size=16).hexdigest()
+
+
+def expression(box: Box) -> str:
+    """A box as Milvus filters by it."""
+    south, west, north, east = box
+    both = "and" if west <= east else "or"
+    # Twice around the antimeridian, a tile that is nowhere must be kept out by itself.
+    return (
+        f"latitude >= {south!r} and latitude <= {north!r} and longitude <= 180.0 and "
+        f"(longitude >= {west!r} {both} longitude <= {east!r})"
+    )
+
+
+def _read(description: str, shown: str) -> tuple[Kind, Structure]:
+    try:
+        values: Any = json.loads(description)
+        if values["format"] != FORMAT or values["structure"] not in get_args(Structure):
+            raise ValueError("another format")
+        return Kind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"])), values["structure"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise StoreError(
+            f"{shown} is a collection that lpn index did not make ({FORMAT}); choose another name."
+        ) from error
+
+
+def _said(kind: Kind) -> str:
+    return f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}"
+
+
+def _now() -> dict[str, Any]:
+    """What makes an answer count everything that was written before it."""
+    return {"consistency_level": "Strong", "timeout": _CALL}
+
+
+def _pauses() -> Iterator[float]:
+    return chain(_PAUSES, repeat(_PAUSES[-1]))
+
+
+def _short(error: Exception) -> str:
+    text = str(getattr(error, "message", "") or error or type(error).__name__)
+    return printable(" ".join(text.split())[:160]).rstrip(".")

@@ -1,0 +1,196 @@
+"""A folder of tiles that never changes: vectors, names, and positions, as arrays that are mapped rather than read.
+
+    vectors.npy             (N, n D) float32
+    small.npy               (N, n D) float16 or int8, with scales.npy (N,) and errors.npy (N, n), where the scan is not float32
+    positions.npy           (N, 2) float64, NaN where a tile has none
+    names.bin, ends.npy     the names in UTF-8, one after the other, and where each ends, (N,) int64
+    keys.npy, rows.npy      64 bits of each name's digest, sorted, (N,) uint64, and the rows they stand for, (N,) int64
+    dead-*.npy              (N,) bool: tiles that were replaced; the manifest above says which file holds
+
+Rows keep the order in which tiles were added.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.errors import StoreError
+from lpn.index.base import Box, Exact, Kind, within
+from lpn.index.scan import Precision, Rows, small_copy
+from lpn.model import FloatArray
+
+_BLOCK = 2048
+"""Rows copied at once."""
+Keys = npt.NDArray[np.uint64]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Tiles on their way to disk: names, vectors (B, n D) float32, positions (B, 2)."""
+
+    names: list[str]
+    vectors: FloatArray
+    positions: Exact
+
+
+class Segment:
+    """Tiles on disk.
+
+    Args:
+        folder: with the files above.
+        rows: how many tiles the manifest says it holds.
+        dead: name of the file that says which were replaced; None when none was.
+
+    Raises:
+        StoreError: when a file is damaged or does not fit the others.
+        FileNotFoundError: when one is missing, as after another process replaced the whole segment.
+    """
+
+    def __init__(self, folder: Path, kind: Kind, precision: Precision, rows: int, dead: str | None) -> None:
+        self.folder, self.rows, self.dead = folder, rows, dead
+        self.vectors: FloatArray = self._mapped("vectors", (rows, kind.numbers), np.float32)
+        self.small: Rows = self.vectors
+        self.scales: FloatArray | None = None
+        self.errors: FloatArray | None = None
+        if precision != "float32":
+            self.small = self._mapped("small", (rows, kind.numbers), precision)
+            self.scales = self._mapped("scales", (rows,), np.float32)
+            self.errors = self._mapped("errors", (rows, kind.n_parts), np.float32)
+        self.positions: Exact = self._mapped("positions", (rows, 2), np.float64)
+        self._ends: npt.NDArray[np.int64] = self._mapped("ends", (rows,), np.int64)
+        self._keys: Keys = self._mapped("keys", (rows,), np.uint64)
+        self._by_key: npt.NDArray[np.int64] = self._mapped("rows", (rows,), np.int64)
+        try:
+            self._text = memoryview(np.memmap(folder / "names.bin", np.uint8, "r").data)
+        except ValueError as error:  # it is empty
+            raise self._damaged("names.bin") from error
+        if len(self._text) != self._ends[-1]:
+            raise self._damaged("names.bin")
+        self.alive: Mask | None = None
+        if dead is not None:
+            self.alive = ~self._mapped(dead.removesuffix(".npy"), (rows,), np.bool_)
+        self.size = rows if self.alive is None else int(self.alive.sum())
+        """Tiles that were not replaced."""
+
+    def chosen(self, box: Box | None) -> npt.NDArray[np.int64] | None:
+        """Rows of the tiles that are searched, ascending; None for all."""
+        if box is None:
+            return None if self.alive is None else np.flatnonzero(self.alive)
+        inside = within(self.positions, box)
+        return np.flatnonzero(inside if self.alive is None else inside & self.alive)
+
+    def names(self, rows: npt.NDArray[np.int64]) -> list[str]:
+        """Names of tiles."""
+        starts = np.where(rows > 0, self._ends[rows - 1], 0)
+        return [str(self._text[a:b], "utf-8") for a, b in zip(starts.tolist(), self._ends[rows].tolist(), strict=True)]
+
+    def find(self, names: Sequence[str], keys: Keys) -> npt.NDArray[np.int64]:
+        """The row of each name, -1 where it is not there or was replaced.
+
+        Args:
+            keys: of the names, see `keys_of`.
+        """
+        found = np.full(len(names), -1, np.int64)
+        first = np.searchsorted(self._keys, keys, "left")
+        last = np.searchsorted(self._keys, keys, "right")
+        for position in np.flatnonzero(first < last).tolist():
+            rows = self._by_key[first[position] : last[position]]
+            # Two names can share a key.
+            for row, name in zip(rows.tolist(), self.names(rows), strict=True):
+                if name == names[position] and (self.alive is None or self.alive[row]):
+                    found[position] = row
+        return found
+
+    def batches(self, alive: Mask | None) -> Iterator[Batch]:
+        """The tiles that a mask leaves, block by block."""
+        for start in range(0, self.rows, _BLOCK):
+            rows = np.arange(start, min(start + _BLOCK, self.rows))
+            if alive is not None:
+                rows = rows[alive[rows]]
+            if len(rows):
+                yield Batch(self.names(rows), self.vectors[rows], self.positions[rows])
+
+    def _mapped(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+        try:
+            found = np.load(self.folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+        except FileNotFoundError:
+            raise
+        except (OSError, ValueError, EOFError) as error:
+            raise self._damaged(f"{name}.npy") from error
+        if found.shape != shape or found.dtype != np.dtype(dtype):
+            raise self._damaged(f"{name}.npy")
+        return np.asarray(found)
+
+    def _damaged(self, name: str) -> StoreError:
+        return StoreError(f"{name} in {self.folder} is damaged; delete the index and make it again.")
+
+
+def write_segment(folder: Path, kind: Kind, precision: Precision, batches: Iterable[Batch], rows: int) -> None:
+    """Write tiles into a new folder; nothing refers to it yet.
+
+    Args:
+        batches: the tiles in order, `rows` of them in all.
+    """
+    folder.mkdir()
+    shapes: dict[str, tuple[tuple[int, ...], npt.DTypeLike]] = {
+        "vectors": ((rows, kind.numbers), np.float32),
+        "positions": ((rows, 2), np.float64),
+    }
+    if precision != "float32":
+        shapes["small"] = (rows, kind.numbers), precision
+        shapes["scales"] = (rows,), np.float32
+        shapes["errors"] = (rows, kind.n_parts), np.float32
+    lengths: list[int] = []
+    keys: list[Keys] = []
+    with ExitStack() as files:
+        arrays = {name: files.enter_context(_Array(folder / f"{name}.npy", *what)) for name, what in shapes.items()}
+        text = files.enter_context((folder / "names.bin").open("wb"))
+        for batch in batches:
+            arrays["vectors"].write(batch.vectors)
+            arrays["positions"].write(batch.positions)
+            encoded = [name.encode() for name in batch.names]
+            text.write(b"".join(encoded))
+            lengths += map(len, encoded)
+            keys.append(keys_of(batch.names))
+            if precision != "float32":
+                for start in range(0, len(batch.vectors), _BLOCK):
+                    copied = small_copy(batch.vectors[start : start + _BLOCK], kind, precision)
+                    for name, values in zip(("small", "scales", "errors"), copied, strict=True):
+                        arrays[name].write(values)
+    every = np.concatenate(keys)
+    order = np.argsort(every, kind="stable")
+    np.save(folder / "ends.npy", np.cumsum(lengths, dtype=np.int64))
+    np.save(folder / "keys.npy", every[order])
+    np.save(folder / "rows.npy", order.astype(np.int64))
+
+
+def keys_of(names: Sequence[str]) -> Keys:
+    """64 bits of each name's digest."""
+    digests = b"".join(hashlib.blake2b(name.encode(), digest_size=8).digest() for name in names)
+    return np.frombuffer(digests, np.dtype("<u8")).astype(np.uint64)
+
+
+class _Array(AbstractContextManager["_Array"]):
+    """A .npy file written block by block: a full disk is an error here, where a mapped file would end the process."""
+
+    def __init__(self, path: Path, shape: tuple[int, ...], dtype: npt.DTypeLike) -> None:
+        self._file = path.open("wb")
+        self._dtype = np.dtype(dtype)
+        write: Callable[..., None] = np.lib.format.write_array_header_1_0
+        descr = np.lib.format.dtype_to_descr(self._dtype)
+        write(self._file, {"descr": descr, "fortran_order": False, "shape": shape})
+
+    def write(self, rows: npt.NDArray[Any]) -> None:
+        self._file.write(np.ascontiguousarray(rows, dtype=self._dtype).data)
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()

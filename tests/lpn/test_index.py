@@ -1,0 +1,567 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lpn import explain
+from lpn.cli import main
+from lpn.errors import InputError, LPNError, StoreError
+from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan
+from lpn.model import FloatArray, normalise
+from tests import worlds
+from tests.lpn.milvus_server import Server, milvus_python
+
+KIND = Kind("0123456789abcdef", 4, 16)
+WEIGHTS: list[list[float] | None] = [None, [1, 0, 0, 0], [0.5, 0.1, 0, 0.4]]
+BOXES: list[Box | None] = [None, (-30, -60, 40, 70), (-80, 150, 80, -140), (10, 20, 10.5, 20.5), (-90, 180, 90, -180)]
+
+
+@dataclass
+class Tiles:
+    """What an index should hold, and the answer by brute force in float64."""
+
+    names: list[str]
+    descriptors: FloatArray
+    positions: np.ndarray[Any, Any]
+
+    @classmethod
+    def draw(cls, count: int, seed: int = 0, spread: float = 0.5, kind: Kind = KIND) -> Tiles:
+        """Descriptors about a few centres, as those of real tiles are; a tenth of them without a position."""
+        rng = np.random.default_rng(seed)
+        shape = (kind.n_parts, kind.embedding)
+        centres = rng.standard_normal((max(1, count // 20), *shape))
+        drawn = centres[rng.integers(0, len(centres), count)] + spread * rng.standard_normal((count, *shape))
+        positions = rng.uniform((-90, -180), (90, 180), (count, 2))
+        positions[::10] = np.nan
+        return cls([f"{i % 7}/tile {i}.jpg" for i in range(count)], normalise(drawn.astype(np.float32)), positions)
+
+    def add_to(self, index: Index, step: int = 1000) -> None:
+        for i in range(0, len(self.names), step):
+            some = slice(i, i + step)
+            index.add(self.names[some], self.descriptors[some], self.positions[some])
+
+    def scores(self, query: FloatArray, weights: list[float] | None) -> np.ndarray[Any, Any]:
+        shares = explain.part_weights(len(query), weights).astype(np.float64)
+        cosines = len(query) * (self.descriptors.astype(np.float64) * query).sum(axis=2)
+        return np.asarray(cosines @ shares)
+
+    def inside(self, box: Box | None) -> np.ndarray[Any, Any]:
+        if box is None:
+            return np.arange(len(self.names))
+        south, west, north, east = box
+        latitude, longitude = self.positions.T
+        # East of the western border by fewer degrees than the box is wide.
+        return np.flatnonzero(
+            (latitude >= south) & (latitude <= north) & ((longitude - west) % 360 <= (east - west) % 360)
+        )
+
+    def check(self, found: Found, query: FloatArray, weights: list[float] | None, k: int, box: Box | None) -> None:
+        scores, inside = self.scores(query, weights), self.inside(box)
+        order = inside[np.argsort(-scores[inside], kind="stable")][:k]
+        rows = np.array([self.names.index(name) for name in found.ids], np.int64)
+        assert len(found) == len(order) == len(set(found.ids))
+        assert set(rows) <= set(inside)
+        # Names may differ only where scores do not, but for the last digits of float64.
+        np.testing.assert_allclose(found.scores, scores[order], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(scores[rows], scores[order], rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(found.vectors, self.descriptors[rows])
+        np.testing.assert_array_equal(found.positions, self.positions[rows])
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    with Server(milvus_python(), tmp_path_factory.mktemp("milvus")) as running:
+        yield running
+
+
+def _faiss(path: Path, codes: Any) -> Index:
+    pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
+    from lpn.index.faiss import FaissIndex
+
+    return FaissIndex.create(path, KIND, codes, nprobe=10_000, depth=50)
+
+
+MAKERS: dict[str, Callable[[Path], Index]] = {
+    "float32": lambda path: ExactIndex.create(path, KIND, "float32"),
+    "float16": lambda path: ExactIndex.create(path, KIND, "float16"),
+    "int8": lambda path: ExactIndex.create(path, KIND, "int8"),
+    "faiss flat": lambda path: _faiss(path, "flat"),
+    "faiss sq8": lambda path: _faiss(path, "sq8"),
+    "faiss pq": lambda path: _faiss(path, "pq"),
+}
+
+
+@pytest.fixture(params=[*MAKERS, "milvus"])
+def make(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[], Index]:
+    """An engine's empty index, or the same one once more."""
+    if request.param == "milvus":
+        url = f"{request.getfixturevalue('server').url}/contract_{abs(hash(tmp_path)):x}"
+        return lambda: create_index(url, KIND)
+    return lambda: MAKERS[request.param](tmp_path / "index")
+
+
+def test_every_index_answers_as_brute_force_does(make: Callable[[], Index]) -> None:
+    tiles = Tiles.draw(6000)
+    rng = np.random.default_rng(1)
+    queries = normalise(tiles.descriptors[:3] + 0.1 * rng.standard_normal((3, 4, 16)).astype(np.float32))
+    with make() as index:
+        tiles.add_to(index, 2500)
+        assert index.count() == 6000
+        for query in queries:
+            for weights in WEIGHTS:
+                for box in BOXES:
+                    tiles.check(index.search(query, weights, 10, box), query, weights, 10, box)
+
+
+def test_every_index_keeps_what_it_was_given(make: Callable[[], Index]) -> None:
+    tiles, query = Tiles.draw(120), Tiles.draw(1, seed=9).descriptors[0]
+    with make() as index:
+        assert index.count() == 0
+        assert len(index.search(query, None, 5)) == 0
+        assert index.search(query, None, 5, (0, 0, 1, 1)).vectors.shape == (0, 4, 16)
+        index.add([], np.zeros((0, 4, 16), np.float32))
+        assert not index.holds(tiles.names).any()
+        tiles.add_to(index, 50)
+    with make() as index:  # opened again
+        assert index.kind == KIND
+        assert index.holds([*tiles.names, "none"]).tolist() == [True] * 120 + [False]
+        tiles.check(index.search(query, None, 1000), query, None, 1000, None)
+        # Half of them once more, with other vectors and places: replaced, and none is there twice.
+        other = Tiles.draw(120, seed=5)
+        tiles.descriptors[30:90], tiles.positions[30:90] = other.descriptors[30:90], other.positions[30:90]
+        index.add(tiles.names[30:90], tiles.descriptors[30:90], tiles.positions[30:90])
+        assert index.count() == 120
+        for box in (None, BOXES[1]):
+            tiles.check(index.search(query, [1, 2, 3, 4], 1000, box), query, [1, 2, 3, 4], 1000, box)
+
+
+def test_names_of_all_kinds_come_back(make: Callable[[], Index]) -> None:
+    names = ["a'b", 'say "hi"\\', "naïve/街/😀.jpg", " ", "x" * 512, "%s {0} or 1 == 1"]
+    tiles = Tiles.draw(len(names))
+    tiles.names = names
+    with make() as index:
+        tiles.add_to(index)
+        assert index.holds(names).all()
+        assert sorted(index.search(tiles.descriptors[0], None, 10).ids) == sorted(names)
+
+
+def test_every_index_refuses_what_it_cannot_keep(make: Callable[[], Index]) -> None:
+    tiles = Tiles.draw(2)
+    one = tiles.descriptors[:1]
+    with make() as index:
+        tiles.add_to(index)
+        bad_adds: list[tuple[str, Callable[[], None]]] = [
+            ("is given twice", lambda: index.add(["a", "a"], tiles.descriptors)),
+            ("1 to 512 characters", lambda: index.add(["x" * 513], one)),
+            ("1 to 512 characters", lambda: index.add([""], one)),
+            ("not UTF-8", lambda: index.add(["a\udcff"], one)),
+            ("2 names for 1", lambda: index.add(["a", "b"], one)),
+            ("takes \\(B, 4, 16\\)", lambda: index.add(["a"], one[:, :3])),
+            ("has norm", lambda: index.add(["a"], one * 2)),
+            ("has norm", lambda: index.add(["a"], one * np.float32(np.nan))),
+            ("latitude 91", lambda: index.add(["a"], one, [(91, 0)])),
+            ("latitude nan", lambda: index.add(["a"], one, [(np.nan, 0)])),
+            ("of shape \\(2,\\)", lambda: index.add(["a"], one, np.zeros(2))),
+        ]
+        for message, add in bad_adds:
+            with pytest.raises(InputError, match=message):
+                add()
+        query = tiles.descriptors[0]
+        bad_searches: list[tuple[str, Callable[[], Found]]] = [
+            ("The query is of shape", lambda: index.search(query[:3], None, 1)),
+            ("The query is of shape", lambda: index.search(query * np.inf, None, 1)),
+            ("part weights", lambda: index.search(query, [1, 2], 1)),
+            ("part weights", lambda: index.search(query, [0, 0, 0, 0], 1)),
+            ("asked for is 0", lambda: index.search(query, None, 0)),
+            ("The box is", lambda: index.search(query, None, 1, (10, 0, 0, 10))),
+            ("The box is", lambda: index.search(query, None, 1, (0, 0, 10, 190))),
+            ("The box is", lambda: index.search(query, None, 1, (np.nan, 0, 10, 10))),
+        ]
+        for message, search in bad_searches:
+            with pytest.raises(InputError, match=message):
+                search()
+        assert index.count() == 2
+
+
+@pytest.fixture(params=["numkong", "numpy"])
+def products(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scans by the library, and without it."""
+    if request.param == "numpy":
+        monkeypatch.setattr(scan, "_numkong", lambda: None)
+    else:
+        pytest.importorskip("numkong", reason="numkong is not installed (the extra search)")
+
+
+@pytest.mark.usefixtures("products")
+@pytest.mark.parametrize("precision", ["float16", "int8"])
+@pytest.mark.parametrize("spread", [1e-4, 0.02, 1.0])
+def test_a_small_copy_changes_no_answer(tmp_path: Path, precision: scan.Precision, spread: float) -> None:
+    kind = Kind("f", 4, 64)
+    tiles = Tiles.draw(1500, spread=spread, kind=kind)
+    # Equal tiles tie exactly, and keep the order of insertion; others differ from them in one last bit.
+    tiles.descriptors[700:710] = tiles.descriptors[5]
+    tiles.descriptors[800:810] = np.nextafter(tiles.descriptors[5], np.float32(1))
+    with ExactIndex.create(tmp_path / "a", kind) as whole, ExactIndex.create(tmp_path / "b", kind, precision) as small:
+        tiles.add_to(whole)
+        tiles.add_to(small, 400)
+        for query in tiles.descriptors[[5, 77, 1234]]:
+            for weights in WEIGHTS:
+                for k in (1, 12, 700):
+                    one, other = whole.search(query, weights, k), small.search(query, weights, k)
+                    assert one.ids == other.ids
+                    np.testing.assert_array_equal(one.scores, other.scores)
+        found = small.search(tiles.descriptors[5], [1, 0, 0, 0], 11)
+        ties = [name for name, score in zip(found.ids, found.scores, strict=True) if score == found.scores[0]]
+        assert ties == sorted(ties, key=tiles.names.index)
+
+
+@pytest.mark.usefixtures("products")
+@pytest.mark.parametrize("precision", scan.PRECISIONS)
+def test_no_score_is_above_its_bound_and_few_bounds_are_far_above(precision: scan.Precision) -> None:
+    kind = Kind("f", 4, 64)
+    tiles = Tiles.draw(2000, kind=kind)
+    vectors = kind.checked(tiles.descriptors)
+    rows: Any = (vectors, None, None) if precision == "float32" else scan.small_copy(vectors, kind, precision)
+    looking = scan.Scan(kind, precision, threads=2)
+    for weights in (*WEIGHTS, [0, 0, 0, 1]):
+        wanted = kind.rescaled(tiles.descriptors[3] * 3 - tiles.descriptors[4], weights)
+        over = looking.bounds(wanted, *rows) - vectors.astype(np.float64) @ wanted
+        assert (over >= 0).all()
+        allowed = {"float32": 1e-4, "float16": 2e-3, "int8": 4e-2}[precision]
+        assert over.max() < allowed * np.linalg.norm(wanted)
+    looking.close()
+
+
+def test_a_scan_in_int8_reads_few_vectors_in_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiles = Tiles.draw(4000)
+    read: list[int] = []
+    original = folder.scores_of
+    monkeypatch.setattr(
+        folder, "scores_of", lambda vectors, wanted: read.append(len(vectors)) or original(vectors, wanted)
+    )
+    with ExactIndex.create(tmp_path / "index", KIND, "int8") as index:
+        tiles.add_to(index)
+        for query in tiles.descriptors[:10]:
+            index.search(query, None, 10)
+    assert sum(read) < 10 * 400
+
+
+def test_many_small_adds_leave_few_segments(tmp_path: Path) -> None:
+    tiles = Tiles.draw(120)
+    with ExactIndex.create(tmp_path / "index", KIND, "int8") as index:
+        for i in range(120):
+            index.add(tiles.names[i : i + 1], tiles.descriptors[i : i + 1], tiles.positions[i : i + 1])
+        held = json.loads((tmp_path / "index" / "index.json").read_text())["segments"]
+        assert len(held) <= 7
+        assert len(list((tmp_path / "index").iterdir())) == len(held) + 1
+        query = tiles.descriptors[17]
+        tiles.check(index.search(query, None, 20), query, None, 20, None)
+
+
+def test_replaced_tiles_are_cleared_away(tmp_path: Path) -> None:
+    tiles = Tiles.draw(400)
+    with ExactIndex.create(tmp_path / "index", KIND) as index:
+        tiles.add_to(index)
+        for start in range(0, 400, 40):
+            index.add(tiles.names[start : start + 40], tiles.descriptors[start : start + 40])
+        held = json.loads((tmp_path / "index" / "index.json").read_text())["segments"]
+        assert sum(entry["rows"] for entry in held) <= 800
+        assert index.count() == 400
+
+
+class Killed(BaseException):
+    """In place of the process's end."""
+
+
+@pytest.mark.parametrize("engine", ["int8", "faiss flat"])
+def test_an_add_killed_at_any_step_leaves_the_index_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: str
+) -> None:
+    tiles, query = Tiles.draw(60), Tiles.draw(1, seed=3).descriptors[0]
+    with MAKERS[engine](tmp_path / "index") as index:
+        tiles.add_to(index, 40)
+        before = index.search(query, None, 100)
+        changed = np.roll(tiles.descriptors[20:31], 1, axis=0)
+        steps = untouched = 0
+        while True:
+            left = steps
+
+            def step(original: Callable[..., Any], *given: Any, **more: Any) -> Any:
+                nonlocal left
+                if left == 0:
+                    raise Killed
+                left -= 1
+                return original(*given, **more)
+
+            with monkeypatch.context() as patch:
+                for owner, name in ((os, "replace"), (np, "save"), (Path, "mkdir"), (Path, "open")):
+                    original = getattr(owner, name)
+                    patch.setattr(owner, name, lambda *a, _o=original, **b: step(_o, *a, **b))
+                try:
+                    index.add([*tiles.names[20:30], "new"], changed)
+                    break
+                except Killed:
+                    pass
+            steps += 1
+            with MAKERS[engine](tmp_path / "index") as again:
+                after = again.search(query, None, 100)
+                if "new" in after.ids:  # the manifest was there already: then all of it is
+                    assert len(after) == 61
+                    rows = [after.ids.index(name) for name in tiles.names[20:30]]
+                    np.testing.assert_array_equal(after.vectors[rows], changed[:10])
+                    continue
+                assert after.ids == before.ids
+                np.testing.assert_array_equal(after.vectors, before.vectors)
+                untouched += 1
+        assert untouched >= 8
+        assert index.count() == 61
+        assert index.search(changed[1], [0, 0, 0, 1], 1).scores[0] == pytest.approx(1, abs=1e-6)
+        held = json.loads((tmp_path / "index" / "index.json").read_text())["segments"]
+        assert sorted(file.name for file in (tmp_path / "index").iterdir()) == sorted(
+            ["index.json", *(entry["name"] for entry in held)]
+        )
+
+
+ADDING = """
+import sys
+import numpy as np
+from lpn.index import open_index
+index = open_index(sys.argv[1])
+vectors = np.load(sys.argv[2])
+print("ready", flush=True)
+for start in range(0, len(vectors), 25):
+    index.add([str(i) for i in range(start, start + 25)], vectors[start : start + 25])
+    print(start + 25, flush=True)
+"""
+
+
+def test_a_process_that_is_killed_while_it_adds_loses_nothing_it_had_added(tmp_path: Path) -> None:
+    tiles = Tiles.draw(2500)
+    np.save(tmp_path / "vectors.npy", tiles.descriptors)
+    ExactIndex.create(tmp_path / "index", KIND, "float16").close()
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        command = [sys.executable, "-c", ADDING, str(tmp_path / "index"), str(tmp_path / "vectors.npy")]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            said = [process.stdout.readline() for _ in range(int(rng.integers(3, 20)))]
+            os.kill(process.pid, signal.SIGKILL)
+            said += process.stdout.readlines()
+        added = int(said[-1])
+        with ExactIndex(tmp_path / "index") as index:
+            assert index.holds([str(i) for i in range(added)]).all()
+            assert index.count() % 25 == 0
+            found = index.search(tiles.descriptors[7], None, 5000)
+            assert len(set(found.ids)) == len(found) == index.count()
+            np.testing.assert_array_equal(found.vectors, tiles.descriptors[[int(name) for name in found.ids]])
+
+
+def test_an_index_that_is_open_sees_what_another_adds(tmp_path: Path) -> None:
+    tiles = Tiles.draw(200)
+    with ExactIndex.create(tmp_path / "index", KIND) as one, ExactIndex(tmp_path / "index") as other:
+        tiles.add_to(one, 30)
+        assert other.count() == 200
+        other.add(tiles.names[:5], tiles.descriptors[:5], tiles.positions[:5])
+        query = tiles.descriptors[150]
+        tiles.check(one.search(query, None, 200), query, None, 200, None)
+
+
+def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
+    ExactIndex.create(tmp_path / "index", KIND).close()
+    open_index(tmp_path / "index", KIND.fingerprint).close()
+    with pytest.raises(StoreError, match="descriptors of model 0123456789abcdef, and this model is fedc"):
+        open_index(tmp_path / "index", "fedc")
+    with pytest.raises(StoreError, match="choose another folder"):
+        create_index(tmp_path / "index", Kind("fedc", 4, 16))
+    with pytest.raises(StoreError, match="is an index of float32, and this would be one of int8"):
+        create_index(tmp_path / "index", KIND, precision="int8")
+    with pytest.raises(InputError, match="does not go with this place"):
+        create_index(tmp_path / "other", KIND, "milvus")
+    with pytest.raises(InputError, match="no precision to choose"):
+        create_index(tmp_path / "other", KIND, "faiss", "int8")
+
+
+def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="not an index"):
+        open_index(tmp_path)
+    with pytest.raises(InputError, match="no address of a Milvus collection"):
+        open_index("milvus://somewhere/tiles")
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "photo.jpg").write_bytes(b"")
+    with pytest.raises(StoreError, match="other files, such as photo"):
+        create_index(tmp_path / "own", KIND)
+    index = ExactIndex.create(tmp_path / "index", KIND, "int8")
+    Tiles.draw(50).add_to(index)
+    segment = next(path for path in (tmp_path / "index").iterdir() if path.is_dir())
+    for file in sorted(segment.iterdir()):
+        whole = file.read_bytes()
+        for spoilt in (whole[:-8], b""):
+            file.write_bytes(spoilt)
+            with pytest.raises(StoreError, match="make it again"):
+                open_index(tmp_path / "index")
+        file.unlink()
+        with pytest.raises(StoreError, match="is missing"):
+            open_index(tmp_path / "index")
+        file.write_bytes(whole)
+    open_index(tmp_path / "index").close()
+    for text in ("", "[]", '{"format": "lpn-index/1"}', '{"format": "lpn-index/9", "precision": "int8"}'):
+        (tmp_path / "index" / "index.json").write_text(text)
+        with pytest.raises(StoreError, match="not one of lpn-index/1"):
+            open_index(tmp_path / "index")
+
+
+def test_a_full_disk_is_told_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiles = Tiles.draw(50)
+    with ExactIndex.create(tmp_path / "index", KIND) as index:
+        tiles.add_to(index)
+
+        def full(*_: Any) -> None:
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr("lpn.index.segments._Array.write", full)
+            with pytest.raises(StoreError, match=r"cannot be written \(No space left on device\)"):
+                index.add(["more"], tiles.descriptors[:1])
+        index.add(["more"], tiles.descriptors[:1])
+        assert index.count() == 51
+
+
+def test_no_server_is_told_in_a_sentence() -> None:
+    pytest.importorskip("pymilvus", reason="pymilvus is not installed (the extra milvus)")
+    from lpn.index.milvus import MilvusIndex
+
+    with pytest.raises(StoreError, match="does not answer, tried for 1 s") as told:
+        MilvusIndex("milvus://someone:secret@127.0.0.1:9/tiles", patience=1)
+    assert "secret" not in str(told.value)
+
+
+def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server: Server) -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    kind = Kind("m", 4, 128)
+    tiles = Tiles.draw(9000, kind=kind)
+    with ThreadPoolExecutor(1) as pool:
+        with create_index(f"{server.url}/killed", kind) as index:
+            index.add(tiles.names[:2000], tiles.descriptors[:2000], tiles.positions[:2000])
+            sent: list[int] = []
+
+            def add_the_rest() -> None:
+                for start in range(2000, 9000, 200):
+                    some = slice(start, start + 200)
+                    sent.append(start)
+                    index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
+
+            adding = pool.submit(add_the_rest)
+            while len(sent) < 10:
+                time.sleep(0.001)
+            server.kill()
+            assert len(sent) < 35
+            server.start()
+            adding.result(timeout=120)
+            assert index.count() == 9000
+            assert index.holds(tiles.names).all()
+            query = tiles.descriptors[8000]
+            for weights, box in ((None, None), ([1, 0, 2, 1], BOXES[2])):
+                tiles.check(index.search(query, weights, 9000, box), query, weights, 9000, box)
+        with pytest.raises(StoreError, match="descriptors of model m, and this model is n"):
+            open_index(f"{server.url}/killed", "n")
+        with pytest.raises(LPNError, match="choose another collection"):
+            create_index(f"{server.url}/killed", KIND)
+
+
+@dataclass
+class Described:
+    """A data set's tiles in a store, the model that described them, and one tile's picture."""
+
+    model: Path
+    data: Path
+    store: Path
+    tile: Path
+
+
+@pytest.fixture(scope="module")
+def described(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Described:
+    data = worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("tiles") / "places"))
+    gallery, store = data / "test" / "gallery_satellite", data / "store"
+    assert main(["describe", *_options(model=model_file, images=gallery, view="satellite", out=store)]) == 0
+    return Described(model_file, data, store, gallery / "0011" / "0011.png")
+
+
+def _options(**values: object) -> list[str]:
+    return [text for name, value in values.items() for text in (f"--{name}", str(value))]
+
+
+def test_a_store_is_indexed_and_a_picture_found(
+    described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    making = [
+        "index",
+        *_options(descriptors=described.store, data=described.data, out=tmp_path / "i", precision="int8"),
+    ]
+    assert main(making) == 0
+    assert "holds 14 tiles, 14 of them added now" in capsys.readouterr().out
+    assert main(making) == 0
+    assert "holds 14 tiles, 0 of them added now" in capsys.readouterr().out
+    assert main([*making, "--replace"]) == 0
+    assert "holds 14 tiles, 14 of them added now" in capsys.readouterr().out
+    json_file = tmp_path / "found.json"
+    given = _options(
+        index=tmp_path / "i", model=described.model, picture=described.tile, view="satellite", json=json_file
+    )
+    assert main(["search", *given, "--top", "3", "--weights", "1,1,0,2"]) == 0
+    assert "0011/0011.png" in capsys.readouterr().out
+    found = json.loads(json_file.read_text())
+    assert [match["rank"] for match in found["matches"]] == [1, 2, 3]
+    first = found["matches"][0]
+    assert first["tile"] == "0011/0011.png"
+    assert first["score"] == pytest.approx(1, abs=1e-5)
+    assert (first["latitude"], first["longitude"]) == pytest.approx((46 - 2 * 0.0009, 7 + 3 * 0.0013))
+    for match, following in pairwise(found["matches"]):
+        assert sum(part["share"] for part in match["parts"]) == pytest.approx(match["distance2"], abs=1e-5)
+        assert match["gap"] == pytest.approx(following["distance2"] - match["distance2"], abs=1e-9)
+    # Without the tile's own place, another is the nearest.
+    assert main(["search", *given, "--box", "40", "0", "45.9975", "20"]) == 0
+    found = json.loads(json_file.read_text())
+    assert found["box"] == [40, 0, 45.9975, 20]
+    assert {match["latitude"] <= 45.9975 for match in found["matches"]} == {True}
+    assert main(["search", *given, "--box", "0", "0", "1", "1"]) == 0
+    assert "no tile to compare with" in capsys.readouterr().out
+
+
+def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
+    described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    into = _options(out=tmp_path / "i")
+    places = tmp_path / "elsewhere"
+    places.mkdir()
+    (places / "geo.csv").write_text("path,latitude,longitude\nother.png,1,2\n")
+    ExactIndex.create(tmp_path / "other", KIND).close()
+    searching = ["search", *_options(model=described.model, picture=described.tile)]
+    for given, said in (
+        (["index", *_options(descriptors=tmp_path), *into], "not a store of descriptors"),
+        (["index", *_options(descriptors=described.store, data=tmp_path), *into], "has no geo.csv"),
+        (["index", *_options(descriptors=described.store, data=places), *into], "no position for any of the 14 tiles"),
+        (["index", *_options(descriptors=described.store, engine="milvus"), *into], "does not go with this place"),
+        (["index", *_options(descriptors=described.store, out=tmp_path / "other")], "choose another folder"),
+        ([*searching, *_options(index=tmp_path / "none")], "not an index"),
+        ([*searching, *_options(index=tmp_path / "other")], "search with that model"),
+        ([*searching, *_options(index=tmp_path / "other"), "--weights", "1,2"], "part weights"),
+        ([*searching, *_options(index="milvus://host/tiles")], "no address of a Milvus collection"),
+    ):
+        assert main(given) == 2, given
+        error = capsys.readouterr().err
+        assert said in error, (said, error)
+        assert error.count("\n") == 1
+        assert not (tmp_path / "i").exists()
