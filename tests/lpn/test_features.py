@@ -12,6 +12,7 @@ import lpn
 from lpn import features, images
 from lpn.changes import Change
 from lpn.errors import DataError, LPNError, PictureError, StoreError
+from lpn.features import describing
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 from tests import worlds
@@ -262,7 +263,7 @@ def test_a_kill_before_the_new_manifest_leaves_no_old_one_and_loses_nothing(
     files = features.pictures_below(folder)
     store = tmp_path / "store"
     features.describe(model, files, "drone", store)
-    write_whole = features.write_whole
+    write_whole = describing.write_whole
 
     def killed(path: Path, data: bytes) -> None:
         if path.name == "manifest.json":
@@ -270,7 +271,7 @@ def test_a_kill_before_the_new_manifest_leaves_no_old_one_and_loses_nothing(
         write_whole(path, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(features, "write_whole", killed)
+        patch.setattr(describing, "write_whole", killed)
         with pytest.raises(KeyboardInterrupt):
             features.describe(model, files[::-1], "drone", store)
     with pytest.raises(StoreError):
