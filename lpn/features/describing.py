@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -61,13 +61,34 @@ def describe(
     if before is not None and before.manifest == manifest:
         return before
     check_whole(files, "pictures")
+    return write_store(out, manifest, lambda unfinished: _fill(model, files, manifest, unfinished, title))
+
+
+def write_store(out: Path, manifest: Manifest, fill: Callable[[Unfinished], None]) -> Store:
+    """Write a store, or open the one that is there already.
+
+    Args:
+        out: its folder.
+        manifest: what it shall hold.
+        fill: puts all rows that are not there yet.
+
+    Raises:
+        StoreError: when `out` cannot be written, or holds descriptors of another model, view, change, or precision.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
         with alone(out, wait=True):
             # Another process may have described the same pictures while this one waited.
             before = usable(out, manifest)
             if before is None or before.manifest != manifest:
-                _write(model, files, manifest, out, before, title)
+                if renamed_only(out):
+                    os.replace(out / "descriptors.npy", out / "descriptors.part")
+                unfinished = Unfinished(out, manifest, before)
+                try:
+                    fill(unfinished)
+                finally:
+                    unfinished.save()
+                _finish(out, manifest)
     except OSError as error:
         raise StoreError(
             f"The store {out} cannot be written ({error.strerror}); free space or choose another folder."
@@ -75,12 +96,7 @@ def describe(
     return open_store(out)
 
 
-def _write(
-    model: Model, files: Sequence[Path], manifest: Manifest, out: Path, before: Store | None, title: str
-) -> None:
-    if renamed_only(out):
-        os.replace(out / "descriptors.npy", out / "descriptors.part")
-    _fill(model, files, manifest, out, before, title)
+def _finish(out: Path, manifest: Manifest) -> None:
     # The old manifest must never lie beside the new rows, even when killed between these lines.
     (out / "manifest.json").unlink(missing_ok=True)
     os.replace(out / "descriptors.part", out / "descriptors.npy")
@@ -89,9 +105,8 @@ def _write(
         (out / name).unlink(missing_ok=True)
 
 
-def _fill(model: Model, files: Sequence[Path], manifest: Manifest, out: Path, before: Store | None, title: str) -> None:
+def _fill(model: Model, files: Sequence[Path], manifest: Manifest, unfinished: Unfinished, title: str) -> None:
     """Compute the rows that are not there yet."""
-    unfinished = Unfinished(out, manifest, before)
     missing = [i for i, good in enumerate(unfinished.good) if not good]
     view = cast(View, manifest.view)
 
@@ -99,17 +114,14 @@ def _fill(model: Model, files: Sequence[Path], manifest: Manifest, out: Path, be
         return prepared(model, images.load_picture(files[i]), manifest.rows[i], manifest.change, view)
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    try:
-        with Progress(*columns) as bar:
-            task = bar.add_task(title, total=len(files), completed=len(files) - len(missing))
-            for some in describe_each(model, missing, prepare, view):
-                if some.items:
-                    unfinished.put([missing[i] for i in some.items], some.descriptors)
-                for _, error in some.broken:
-                    raise error
-                bar.advance(task, len(some.items))
-    finally:
-        unfinished.save()
+    with Progress(*columns) as bar:
+        task = bar.add_task(title, total=len(files), completed=len(files) - len(missing))
+        for some in describe_each(model, missing, prepare, view):
+            if some.items:
+                unfinished.put([missing[i] for i in some.items], some.descriptors)
+            for _, error in some.broken:
+                raise error
+            bar.advance(task, len(some.items))
 
 
 def prepared(model: Model, picture: images.Picture, row: Row, change: Change, view: View) -> FloatArray:
