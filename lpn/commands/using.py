@@ -141,6 +141,7 @@ class Evaluate:
     def _described(self, protocol: Protocol) -> tuple[str, Result]:
         from lpn.datasets import open_dataset
         from lpn.evaluate import evaluate
+        from lpn.features import reader
 
         _only_saved(self.n_parts)
         if self.data is None or self.model is None:
@@ -151,7 +152,7 @@ class Evaluate:
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
         title = f"{self.model.name} ({model.spec.describe()}) on {self.data.resolve().name}"
-        return title, evaluate(model, dataset, task, protocol)
+        return title, evaluate(model, dataset, task, protocol, reader(dataset.root))
 
 
 def _print_result(title: str, result: Result) -> None:

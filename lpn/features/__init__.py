@@ -10,6 +10,7 @@ from lpn.features.cache import (
     cached_descriptors,
     known_descriptors,
     passing_descriptors,
+    reader,
     shipped_descriptors,
 )
 from lpn.features.describing import describe, pictures_below
@@ -32,5 +33,6 @@ __all__ = [
     "open_store",
     "passing_descriptors",
     "pictures_below",
+    "reader",
     "shipped_descriptors",
 ]

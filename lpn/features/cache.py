@@ -58,10 +58,15 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ch
         ) from error
 
 
-def shipped_descriptors(model: Model, pictures: Sequence[Picture], view: View, store: Path) -> FloatArray | None:
+def shipped_descriptors(
+    model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False
+) -> FloatArray | None:
     """Descriptors (N, n, D) from a store that came with the pictures, or None where it is not of this model and these.
 
     Files are compared by name and size: a copy of a data set has other times than its original.
+
+    Args:
+        exact: take it only where it is in float32.
     """
     try:
         held = open_store(store)
@@ -71,7 +76,9 @@ def shipped_descriptors(model: Model, pictures: Sequence[Picture], view: View, s
     these = [("/".join(picture.path.parts[-2:]), picture.path.stat().st_size, picture.box) for picture in pictures]
     wanted = (model.fingerprint, view, UNCHANGED, model.n_parts)
     found = (held.manifest.fingerprint, held.manifest.view, held.manifest.change, held.manifest.n_parts)
-    return held.float32 if found == wanted and rows == these else None
+    if found != wanted or rows != these or (exact and held.manifest.precision != "float32"):
+        return None
+    return held.float32
 
 
 def known_descriptors(
@@ -80,6 +87,22 @@ def known_descriptors(
     """Descriptors (N, n, D) of one side of a test split: those that came with the data set in `root`, else from the cache."""
     found = shipped_descriptors(model, pictures, view, root / STORES / f"{role}_{view}")
     return cached_descriptors(model, pictures, view) if found is None else found
+
+
+def reader(root: Path) -> Reader:
+    """Reads descriptors of the pictures of the data set in `root` from the stores that came with it, else from the cache.
+
+    Only stores in float32 are taken, so that figures do not depend on how a data set was packed.
+    """
+
+    def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> FloatArray:
+        for store in [] if change else sorted((root / STORES).glob(f"*_{view}")):
+            found = shipped_descriptors(model, pictures, view, store, exact=True)
+            if found is not None:
+                return found
+        return cached_descriptors(model, pictures, view, change)
+
+    return read
 
 
 def passing_descriptors(

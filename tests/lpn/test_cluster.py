@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -47,11 +48,29 @@ def _ray() -> Iterator[None]:
             yield
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def described(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Summary, list[str]]:
+    """Pictures, their shards, and what was said; no test may change them."""
+    root, lines = tmp_path_factory.mktemp("described"), []
     for i in range(PICTURES):
-        worlds.write(tmp_path / "pictures" / f"{i % 3}" / f"{i:02d}.png", worlds.place(i))
-    return tmp_path / "pictures"
+        worlds.write(root / "pictures" / f"{i % 3}" / f"{i:02d}.png", worlds.place(i))
+    out = root / "shards"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        summary = describe_shards(model_file, root / "pictures", "drone", out, workers=2, shard=8, say=lines.append)
+    return root / "pictures", out, summary, lines
+
+
+@pytest.fixture
+def folder(described: tuple[Path, Path, Summary, list[str]], tmp_path: Path) -> Path:
+    """The same pictures, with the same times, for one test."""
+    return shutil.copytree(described[0], tmp_path / "pictures")
+
+
+@pytest.fixture
+def done(described: tuple[Path, Path, Summary, list[str]], tmp_path: Path) -> Path:
+    """Their shards, for one test."""
+    return shutil.copytree(described[1], tmp_path / "shards")
 
 
 def describe(model_file: Path, folder: Path, out: Path, **given: object) -> Summary:
@@ -69,14 +88,14 @@ def held(out: Path) -> dict[str, np.ndarray]:
     return dict(found)
 
 
-def test_two_workers_say_what_one_machine_says(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    lines: list[str] = []
-    out = tmp_path / "shards"
-    summary = describe_shards(model_file, folder, "drone", out, workers=2, shard=8, say=lines.append)
+def test_two_workers_say_what_one_machine_says(
+    model_file: Path, described: tuple[Path, Path, Summary, list[str]], tmp_path: Path
+) -> None:
+    pictures, out, summary, lines = described
     assert (summary.pictures, summary.computed, summary.broken) == (PICTURES, PICTURES, [])
     assert "40 of 40 pictures" in lines[-1]
     assert "per second" in lines[-1]
-    alone = expected(model_file, folder, tmp_path / "alone")
+    alone = expected(model_file, pictures, tmp_path / "alone")
     store = to_store(out, tmp_path / "store")
     assert store.manifest == alone.manifest
     np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
@@ -85,7 +104,7 @@ def test_two_workers_say_what_one_machine_says(model_file: Path, folder: Path, t
         np.testing.assert_allclose(found[row.file], descriptor, atol=1e-6)
     assert (out / "broken.csv").read_text() == "name,reason\n"
     before = {path.name: path.stat().st_mtime_ns for path in out.glob("*.parquet")}
-    assert describe(model_file, folder, out).computed == 0
+    assert describe(model_file, pictures, out).computed == 0
     assert {path.name: path.stat().st_mtime_ns for path in out.glob("*.parquet")} == before
 
 
@@ -117,42 +136,32 @@ def test_a_killed_worker_costs_its_partition_alone(model_file: Path, folder: Pat
     np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
 
 
-def test_what_changed_alone_is_computed_again(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "shards"
-    (folder / "0" / "cut.png").write_bytes((folder / "0" / "00.png").read_bytes()[:-500])
-    (folder / "1" / "text.jpg").write_bytes(b"no picture")
-    worlds.spoilt_png(folder / "2" / "spoilt.png")
-    summary = describe(model_file, folder, out)
-    assert (summary.pictures, summary.computed, len(summary.broken)) == (PICTURES + 3, PICTURES, 3)
-    rows = list(csv.reader((out / "broken.csv").open()))
-    assert rows == [
-        ["name", "reason"],
-        ["0/cut.png", "is cut short or damaged"],
-        ["1/text.jpg", "is not a picture that can be read"],
-        ["2/spoilt.png", "is damaged"],
-    ]
-    assert set(held(out)) == {f"{i % 3}/{i:02d}.png" for i in range(PICTURES)}
-    again = describe(model_file, folder, out)
-    assert (again.computed, len(again.broken)) == (0, 3)
-    worlds.write(folder / "0" / "cut.png", worlds.place(50))
+def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
+    model_file: Path, folder: Path, done: Path, tmp_path: Path
+) -> None:
+    broken = ["0/cut.png", "1/text.jpg", "2/spoilt.png"]
+    (folder / broken[0]).write_bytes((folder / "0" / "00.png").read_bytes()[:-500])
+    (folder / broken[1]).write_bytes(b"no picture")
+    worlds.spoilt_png(folder / broken[2])
     worlds.write(folder / "0" / "00.png", worlds.place(51))
     worlds.write(folder / "3" / "new.png", worlds.place(52))
     (folder / "2" / "02.png").unlink()
-    (folder / "geo.csv").write_text(
-        "path,latitude,longitude\n"
-        + "".join(f"{p.relative_to(folder).as_posix()},46.5,7.25\n" for p in features.pictures_below(folder))
-    )
-    changed = describe(model_file, folder, out)
-    assert (changed.computed, [one.item.row.file for one in changed.broken]) == (3, ["1/text.jpg", "2/spoilt.png"])
-    assert all((shard.positions == (46.5, 7.25)).all() for shard in shards(out))
-    for name in ("1/text.jpg", "2/spoilt.png"):
+    names = [path.relative_to(folder).as_posix() for path in features.pictures_below(folder)]
+    (folder / "geo.csv").write_text("path,latitude,longitude\n" + "".join(f"{name},46.5,7.25\n" for name in names))
+    summary = describe(model_file, folder, done)
+    assert (summary.pictures, summary.computed) == (len(names), 2)
+    assert [one.item.row.file for one in summary.broken] == broken
+    reasons = ["is cut short or damaged", "is not a picture that can be read", "is damaged"]
+    rows = list(csv.reader((done / "broken.csv").read_text().splitlines()))
+    assert rows == [["name", "reason"], *map(list, zip(broken, reasons, strict=True))]
+    assert set(held(done)) == set(names) - set(broken)
+    assert all((shard.positions == (46.5, 7.25)).all() for shard in shards(done))
+    again = describe(model_file, folder, done)
+    assert (again.computed, again.broken) == (0, summary.broken)
+    for name in broken:
         (folder / name).unlink()
-    assert describe(model_file, folder, out).computed == 0
-    np.testing.assert_allclose(
-        to_store(out, tmp_path / "store").descriptors,
-        expected(model_file, folder, tmp_path / "alone").descriptors,
-        atol=1e-6,
-    )
+    alone = expected(model_file, folder, tmp_path / "alone")
+    np.testing.assert_allclose(to_store(done, tmp_path / "store").descriptors, alone.descriptors, atol=1e-6)
 
 
 DRIVER = """
@@ -205,7 +214,6 @@ def test_commands_say_what_they_did(
     assert f"{out} holds 40 descriptors, 40 of them computed now." in said
     assert "1 pictures could not be described; broken.csv there names them" in said
     (folder / "1" / "text.jpg").unlink()
-    assert cli.main(given) == 0
     assert cli.main(["gather", "--shards", str(out), "--out", str(tmp_path / "store")]) == 0
     store = features.open_store(tmp_path / "store")
     alone = expected(model_file, folder, tmp_path / "alone")
@@ -215,13 +223,8 @@ def test_commands_say_what_they_did(
     assert "choose another place" in capsys.readouterr().err
     assert cli.main([*given[:-2], "--precision", "int8"]) == 2
     assert "float32 or float16" in capsys.readouterr().err
-    assert (
-        cli.main(
-            [*given[:7], "--images", str(folder), "--out", str(out), "--workers", "2"][:5]
-            + ["--images", str(folder), "--out", str(out), "--workers", "2"]
-        )
-        == 2
-    )
+    locally = [*common[:5], "--images", str(folder), "--out", str(out), "--workers", "2"]
+    assert cli.main(locally) == 2
     assert "--workers is for many workers" in capsys.readouterr().err
 
 
@@ -260,16 +263,14 @@ def test_bad_options_are_refused_in_words(model_file: Path, folder: Path, tmp_pa
         list(shards(tmp_path))
 
 
-def test_damaged_shards_are_computed_again(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "shards"
-    describe(model_file, folder, out)
-    storage, plan = open_shards(out)
-    damaged = out / "000001.parquet"
+def test_damaged_shards_are_computed_again(model_file: Path, folder: Path, done: Path) -> None:
+    storage, plan = open_shards(done)
     lost = read_shard(storage, plan, 1)
     assert lost is not None
+    damaged = done / "000001.parquet"
     damaged.write_bytes(damaged.read_bytes()[:-100])
-    (out / "000000.parquet").rename(damaged.with_name("000002.parquet"))
+    (done / "000000.parquet").rename(done / "000002.parquet")
     with pytest.raises(StoreError, match="3 of 5 shards"):
-        open_shards(out)
-    assert describe(model_file, folder, out).computed > len(lost.items)
-    assert len(held(out)) == PICTURES
+        open_shards(done)
+    assert describe(model_file, folder, done).computed > len(lost.items)
+    assert len(held(done)) == PICTURES
