@@ -162,6 +162,7 @@ def _run(
         task = Task(source.where, target.where, plan, model, threads)
         rows = [{"partition": p, "items": packed(partitions[p])} for p in todo]
         with started(address, workers, threads) as (data, count, put):
+            progress.start()
             reference = put(files)
             results = (
                 data.from_items(rows, override_num_blocks=min(len(rows), _MOST_BLOCKS))
@@ -228,6 +229,10 @@ class _Progress:
         if self._done:
             say(f"{self._done:,} of {pictures:,} pictures are there already.")
 
+    def start(self) -> None:
+        """Set the clock to zero: the workers are there."""
+        self._started = self._said = time.monotonic()
+
     def add(self, result: Mapping[str, Any]) -> None:
         self.computed += int(result["computed"])
         self._broken += int(result["broken"])
@@ -236,7 +241,8 @@ class _Progress:
             self._line()
 
     def end(self) -> None:
-        self._line()
+        if self.computed:
+            self._line()
 
     def _line(self) -> None:
         self._said = time.monotonic()

@@ -6,6 +6,7 @@ import importlib
 import logging
 import os
 import shutil
+import socket
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ _QUIET = {
     "RAY_BACKEND_LOG_LEVEL": "fatal",
     "RAY_DATA_DISABLE_PROGRESS_BARS": "1",
 }
+_NO_CLUSTER = "There is no Ray cluster at {}; start one with ray start, or check the address."
 _OBJECTS = 512 << 20
 """Bytes of the store that workers on one machine share: the model's files and lists of names."""
 
@@ -43,34 +45,76 @@ def started(address: str | None, workers: int | None, threads: int) -> Iterator[
     if ray.is_initialized():
         yield _data(), workers or _room(ray, threads), ray.put
         return
-    # Sockets lie in it, whose paths may have 107 characters.
-    short = Path("/tmp") if Path("/tmp").is_dir() else None
-    folder = tempfile.mkdtemp(prefix="lpn-ray-", dir=short) if address is None else None
+    folder = _folder() if address is None else None
     quiet = {"logging_level": logging.ERROR, "log_to_driver": False}
     try:
         if address is None:
             count = workers or max(1, cores() // threads)
-            ray.init(
-                address="local",
-                num_cpus=count * threads,
-                include_dashboard=False,
-                object_store_memory=_OBJECTS,
-                _temp_dir=folder,
-                **quiet,
-            )
+            with _silent():
+                ray.init(
+                    address="local",
+                    num_cpus=count * threads,
+                    include_dashboard=False,
+                    object_store_memory=_OBJECTS,
+                    _temp_dir=str(folder),
+                    **quiet,
+                )
         else:
+            _check_address(address)
             try:
-                ray.init(address=address, **quiet)
-            except (ConnectionError, ValueError, RuntimeError) as error:
-                raise InputError(
-                    f"There is no Ray cluster at {address}; start one with ray start, or check it."
-                ) from error
+                with _silent():
+                    ray.init(address=address, **quiet)
+            except (OSError, ValueError, RuntimeError) as error:
+                raise InputError(_NO_CLUSTER.format(address)) from error
             count = workers or _room(ray, threads)
         yield _data(), count, ray.put
     finally:
         ray.shutdown()
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def _folder() -> Path:
+    """A folder for Ray's sockets, whose paths may have 107 characters; those of processes that were killed are deleted."""
+    short = Path("/tmp") if Path("/tmp").is_dir() else Path(tempfile.gettempdir())
+    for left in short.glob("lpn-ray-*-*"):
+        number = left.name.split("-")[2]
+        if number.isdecimal() and not _alive(int(number)):
+            shutil.rmtree(left, ignore_errors=True)
+    return Path(tempfile.mkdtemp(prefix=f"lpn-ray-{os.getpid()}-", dir=short))
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        pass
+    return True
+
+
+def _check_address(address: str) -> None:
+    """Ray itself waits for minutes for a machine that is not there."""
+    host, colon, port = address.rpartition(":")
+    if colon and port.isdecimal() and "/" not in host:
+        try:
+            socket.create_connection((host, int(port)), timeout=10).close()
+        except OSError as error:
+            raise InputError(_NO_CLUSTER.format(address)) from error
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """What Ray's native code says on stderr while it starts, such as how much it is going to say, is not said."""
+    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)
 
 
 def _data() -> Any:

@@ -245,6 +245,8 @@ def test_object_storage_is_read_like_a_folder(folder: Path) -> None:
 
 
 def test_bad_options_are_refused_in_words(model_file: Path, folder: Path, tmp_path: Path) -> None:
+    empty = tmp_path / "empty.csv"
+    empty.write_text("path,latitude,longitude\n")
     cases: list[tuple[type[LPNError], str, dict[str, object]]] = [
         (InputError, "expected 1 or more", {"threads": 0}),
         (InputError, "no 'street' view", {"view": "street"}),
@@ -253,6 +255,7 @@ def test_bad_options_are_refused_in_words(model_file: Path, folder: Path, tmp_pa
         (DataError, "cannot be listed", {"pictures": folder / "absent"}),
         (DataError, "holds no pictures", {"pictures": model_file.parent}),
         (DataError, "no file of positions", {"positions": folder / "absent.csv"}),
+        (DataError, "no position for 40 of 40 pictures", {"positions": empty}),
     ]
     for kind, said, given in cases:
         options = {"model": model_file, "pictures": folder, "view": "drone", "out": tmp_path / "out"} | given
