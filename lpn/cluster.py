@@ -14,6 +14,7 @@ from __future__ import annotations
 import csv
 import io
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,6 +33,8 @@ from lpn.worker import Task, Worker
 
 _SAY_EVERY = 5.0
 """Seconds between two lines of progress."""
+_RETRIES = 5
+"""Workers that a partition may cost before it is given up: it could be what kills them."""
 _MOST_BLOCKS = 4096
 """Partitions are handed out in at most so many lots."""
 
@@ -164,18 +167,19 @@ def _run(
         with started(address, workers, threads) as (data, count, put):
             progress.start()
             reference = put(files)
-            results = (
-                data.from_items(rows, override_num_blocks=min(len(rows), _MOST_BLOCKS))
-                .map_batches(
+            handed_out = data.from_items(rows, override_num_blocks=min(len(rows), _MOST_BLOCKS))
+            with warnings.catch_warnings():
+                # Ray 2.60 announces another way to limit retries, and has none yet.
+                warnings.simplefilter("ignore")
+                results = handed_out.map_batches(
                     worker,
                     fn_constructor_args=(task, reference),
                     batch_size=1,
                     compute=data.ActorPoolStrategy(size=min(count, len(rows)), max_tasks_in_flight_per_actor=2),
                     num_cpus=threads,
+                    ray_remote_args_fn=lambda: {"max_task_retries": _RETRIES},
                 )
-                .iter_rows()
-            )
-            for result in results:
+            for result in results.iter_rows():
                 if result["error"]:
                     raise StoreError(str(result["error"]))
                 progress.add(result)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+import re
 import shutil
 import socket
 import tempfile
@@ -13,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from lpn.errors import InputError
+from lpn.errors import InputError, StoreError
 from lpn.streams import cores
 
 _QUIET = {
@@ -38,12 +39,14 @@ def started(address: str | None, workers: int | None, threads: int) -> Iterator[
 
     Raises:
         InputError: when there is no cluster at the address, or none of its machines has so many cores.
+        StoreError: when Ray gives up in the body.
     """
     for name, value in _QUIET.items():
         os.environ.setdefault(name, value)
     ray: Any = importlib.import_module("ray")
     if ray.is_initialized():
-        yield _data(), workers or _room(ray, threads), ray.put
+        with _in_words(ray):
+            yield _data(), workers or _room(ray, threads), ray.put
         return
     folder = _folder() if address is None else None
     quiet = {"logging_level": logging.ERROR, "log_to_driver": False}
@@ -67,11 +70,27 @@ def started(address: str | None, workers: int | None, threads: int) -> Iterator[
             except (OSError, ValueError, RuntimeError) as error:
                 raise InputError(_NO_CLUSTER.format(address)) from error
             count = workers or _room(ray, threads)
-        yield _data(), count, ray.put
+        with _in_words(ray):
+            yield _data(), count, ray.put
     finally:
         ray.shutdown()
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _in_words(ray: Any) -> Iterator[None]:
+    """What makes Ray give up, as one sentence; its own are pages."""
+    try:
+        yield
+    except ray.exceptions.RayError as error:
+        # The first exception in the traceback that it carries is the worker's own.
+        found = re.search(r"^\w+(?:Error|Exception): .+$", str(error), re.MULTILINE)
+        cause = found.group() if found else type(error).__name__
+        raise StoreError(
+            f"The workers failed ({cause[:200]}); what they wrote is kept, so see whether they have memory and disk enough, and "
+            "run this again."
+        ) from error
 
 
 def _folder() -> Path:
@@ -119,7 +138,7 @@ def _silent() -> Iterator[None]:
 
 def _data() -> Any:
     data: Any = importlib.import_module("ray.data")
-    logging.getLogger("ray.data").setLevel(logging.ERROR)
+    logging.getLogger("ray.data").setLevel(logging.CRITICAL)
     context = data.DataContext.get_current()
     context.enable_progress_bars = False
     context.print_on_execution_start = False

@@ -136,6 +136,18 @@ def test_a_killed_worker_costs_its_partition_alone(model_file: Path, folder: Pat
     np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
 
 
+class Odd(Worker):
+    """Fails at every partition, as a fault of ours would make it."""
+
+    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
+        raise ZeroDivisionError(f"partition {partition} of {len(items)}")
+
+
+def test_what_workers_cannot_mend_is_one_sentence(model_file: Path, folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"^The workers failed \(ZeroDivisionError: partition .*run this again\.$"):
+        describe(model_file, folder, tmp_path / "shards", worker=Odd)
+
+
 def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
     model_file: Path, folder: Path, done: Path, tmp_path: Path
 ) -> None:
