@@ -34,6 +34,7 @@ class TorchModel(Model):
         self.network = network.eval()
         self.spec = network.spec
         self.fingerprint = fingerprint
+        self.batch = 64 if next(network.parameters()).device.type == "cuda" else 8
 
     def run(self, images: FloatArray, view: View) -> Pass:
         """One forward pass of pictures (B, 3, H, W)."""

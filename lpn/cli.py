@@ -10,13 +10,14 @@ from typing import Any
 import tyro
 
 import lpn
+from lpn.commands.describing import Describe, Gather
 from lpn.commands.failures import Failures
 from lpn.commands.index import MakeIndex, Search
 from lpn.commands.making import Export, Quantize, Reproduce, Train, World, parse_train
 from lpn.commands.reasons import Explain
 from lpn.commands.report import Report
 from lpn.commands.sweep import Sweep
-from lpn.commands.using import Describe, Doctor, Evaluate, Explore
+from lpn.commands.using import Doctor, Evaluate, Explore
 from lpn.errors import LPNError, MissingPackageError
 
 COMMANDS: dict[str, type[Any]] = {
@@ -30,6 +31,7 @@ COMMANDS: dict[str, type[Any]] = {
     "export": Export,
     "quantize": Quantize,
     "describe": Describe,
+    "gather": Gather,
     "index": MakeIndex,
     "search": Search,
     "doctor": Doctor,
@@ -39,7 +41,8 @@ COMMANDS: dict[str, type[Any]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status: 0, 1 where doctor found damage, or 2 after an error the user can mend."""
+    """Run the command line; returns the exit status: 0, 1 where damage was found (doctor, and describe
+    with Ray), or 2 after an error the user can mend."""
     for stream in (sys.stdout, sys.stderr):
         # Arrows, degrees, and ticks end nothing on a terminal that has no sign for them.
         if isinstance(stream, io.TextIOWrapper):
@@ -84,6 +87,7 @@ _EXTRAS = {
     "faiss": "faiss",
     "pymilvus": "milvus",
     **dict.fromkeys(("bpy", "mathutils"), "world"),
+    **dict.fromkeys(("ray", "pyarrow", "fsspec"), "ray"),
 }
 """The extra that brings each package that the base installation has not."""
 

@@ -43,11 +43,12 @@ class Engine(Model):
     """
 
     def __init__(self, path: str | Path, threads: int | None = None) -> None:
-        path = Path(path)
+        path = self._path = Path(path)
         options = ort.SessionOptions()
         options.log_severity_level = 4
         options.intra_op_num_threads = threads or usable_cores()
         options.inter_op_num_threads = 1
+        self.parallel = options.intra_op_num_threads == 1
         self._sessions: dict[View, ort.InferenceSession] = {}
         self._heads: dict[str, Heads] = {}
         session = _open(path, options)
@@ -73,6 +74,10 @@ class Engine(Model):
     def _parts(self, images: FloatArray, view: View) -> FloatArray:
         self._check_size(images, view)
         return cast(FloatArray, self._sessions[view].run(["parts"], {"images": images})[0])
+
+    def for_streams(self) -> Model:
+        """The same model with one thread per forward pass."""
+        return self if self.parallel else Engine(self._path, threads=1)
 
     def map_size(self, view: View) -> tuple[int, int]:
         """(h, w) of the feature map, as the graph says it."""

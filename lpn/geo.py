@@ -15,8 +15,9 @@ left out or empty.
 from __future__ import annotations
 
 import csv
+import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -97,13 +98,7 @@ class Positions:
 
     def below(self, names: Sequence[str]) -> list[Position]:
         """The position of each picture by its path below the folder, with forward slashes; DataError as for `of`."""
-        missing = [name for name in names if name not in self._by_path]
-        if missing:
-            raise DataError(
-                f"{NAME} has no position for {len(missing)} of {len(names)} pictures, the first being {missing[0]}; "
-                f"add a line for each, or take {NAME} away."
-            )
-        return [self._by_path[name] for name in names]
+        return find_positions(self._by_path, names)
 
 
 def positions(root: Path) -> Positions | None:
@@ -164,43 +159,64 @@ def _radians(places: Sequence[Position]) -> tuple[FloatArray, FloatArray]:
     return np.radians(degrees[:, 0]), np.radians(degrees[:, 1])
 
 
-def _read(path: Path) -> dict[str, Position]:
+def read_positions(data: bytes, said: str = NAME) -> dict[str, Position]:
+    """The positions in a file of the format above, by path; `said` is what messages call it.
+
+    Raises:
+        DataError: when it is not in that format; the message names the line.
+    """
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            lines = csv.reader(file)
-            header = tuple(name.strip().lower() for name in next(lines, []))
-            unknown = set(header) - {*_REQUIRED, *_OPTIONAL}
-            if not set(_REQUIRED) <= set(header) or unknown or len(set(header)) < len(header):
-                raise DataError(
-                    f"The first line of {NAME} is {','.join(header) or 'empty'}; expected path,latitude,longitude and, if "
-                    "known, altitude,heading,tilt,fov,width."
-                )
-            found: dict[str, Position] = {}
-            for values in lines:
-                if values:
-                    name, position = _position(header, values, lines.line_num)
-                    if name in found:
-                        raise DataError(f"Line {lines.line_num} of {NAME} gives {name} a second position; keep one.")
-                    found[name] = position
-    except OSError as error:
-        raise DataError(f"{path} cannot be read ({error.strerror}); check that it is there and readable.") from error
+        lines = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""))
+        header = tuple(name.strip().lower() for name in next(lines, []))
+        unknown = set(header) - {*_REQUIRED, *_OPTIONAL}
+        if not set(_REQUIRED) <= set(header) or unknown or len(set(header)) < len(header):
+            raise DataError(
+                f"The first line of {said} is {','.join(header) or 'empty'}; expected path,latitude,longitude and, if "
+                "known, altitude,heading,tilt,fov,width."
+            )
+        found: dict[str, Position] = {}
+        for values in lines:
+            if values:
+                line = f"Line {lines.line_num} of {said}"
+                name, position = _position(header, values, line)
+                if name in found:
+                    raise DataError(f"{line} gives {name} a second position; keep one.")
+                found[name] = position
     except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{path} is not a text file of comma-separated values in UTF-8; save it as such.") from error
+        raise DataError(f"{said} is not a text file of comma-separated values in UTF-8; save it as such.") from error
     return found
 
 
-def _position(header: Sequence[str], values: Sequence[str], line: int) -> tuple[str, Position]:
+def find_positions(found: Mapping[str, Position], names: Sequence[str], said: str = NAME) -> list[Position]:
+    """The position of each picture by its name; DataError when one has none."""
+    missing = [name for name in names if name not in found]
+    if missing:
+        raise DataError(
+            f"{said} has no position for {len(missing)} of {len(names)} pictures, the first being {missing[0]}; "
+            f"add a line for each, or take {said} away."
+        )
+    return [found[name] for name in names]
+
+
+def _read(path: Path) -> dict[str, Position]:
+    try:
+        return read_positions(path.read_bytes())
+    except OSError as error:
+        raise DataError(f"{path} cannot be read ({error.strerror}); check that it is there and readable.") from error
+
+
+def _position(header: Sequence[str], values: Sequence[str], line: str) -> tuple[str, Position]:
     if len(values) != len(header):
-        raise DataError(f"Line {line} of {NAME} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
+        raise DataError(f"{line} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
     row = {name: value.strip() for name, value in zip(header, values, strict=True)}
     if not row["path"]:
-        raise DataError(f"Line {line} of {NAME} has no path; expected the picture's, relative to the folder.")
+        raise DataError(f"{line} has no path; expected the picture's, relative to the folder.")
     numbers = {name: _number(row[name], name, line) for name in ("latitude", "longitude")}
     more = {name: _number(row[name], name, line) if row.get(name) else None for name in _OPTIONAL}
     return row["path"].removeprefix("./"), Position(numbers["latitude"], numbers["longitude"], **more)
 
 
-def _number(text: str, name: str, line: int) -> float:
+def _number(text: str, name: str, line: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -208,5 +224,5 @@ def _number(text: str, name: str, line: int) -> float:
     low, high = _LIMITS[name]
     if not (math.isfinite(value) and low <= value <= high):
         expected = f"a number from {low:g} to {high:g}" if math.isfinite(high) else "a number"
-        raise DataError(f"Line {line} of {NAME} has the {name} {text or 'empty'!r}; expected {expected}.")
+        raise DataError(f"{line} has the {name} {text or 'empty'!r}; expected {expected}.")
     return value

@@ -8,6 +8,7 @@ the middle of a JPEG or WebP with both ends whole is found by `decode` alone, an
 
 from __future__ import annotations
 
+import io
 import os
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -23,6 +24,8 @@ from lpn.files import printable
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _AT_ONCE = 2048
+DAMAGED = "is damaged"
+"""What is wrong with a picture that has a header and an end and still cannot be decoded."""
 
 
 def flaw(path: Path, decode: bool = False) -> str | None:
@@ -33,22 +36,28 @@ def flaw(path: Path, decode: bool = False) -> str | None:
     """
     try:
         with path.open("rb") as file:
-            if (found := images.header_flaw(file)) is not None:
-                return found
-            ends = _ends(file)
+            return flaw_within(file, decode)
     except OSError as error:
         return f"cannot be read ({error.strerror or error})"
+
+
+def flaw_within(file: BinaryIO, decode: bool = False) -> str | None:
+    """The same of an opened file, or of bytes in memory."""
+    if (found := images.header_flaw(file)) is not None:
+        return found
+    ends = _ends(file)
     if ends and not decode:
         return None
-    damage = "is damaged" if ends else "is cut short or damaged"
     try:
-        images.load_picture(path)
+        file.seek(0)
+        data = file.read()
+        images.decode_picture(data, "")
         if not ends:
             # OpenCV of some versions fills the rest of a cut file with grey and says nothing.
-            with Image.open(path) as picture:
+            with Image.open(io.BytesIO(data)) as picture:
                 picture.load()
     except (PictureError, OSError, ValueError, SyntaxError, EOFError):
-        return damage
+        return DAMAGED if ends else "is cut short or damaged"
     return None
 
 

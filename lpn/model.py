@@ -59,6 +59,10 @@ class Model(ABC):
     """Hexadecimal digest of the model file: descriptors are comparable only under the same fingerprint."""
     compute: str = "float32"
     """What its convolutions compute in: "float32" or "int8"."""
+    parallel: bool = False
+    """Whether calls of several threads run beside each other, each on a core of its own."""
+    batch: int = 4
+    """Pictures that are best given to `descriptors` at once when there are many."""
 
     def describe(self) -> str:
         """One line for a header or a log, see `ModelSpec.describe`, with what it computes in where that is not float32."""
@@ -116,7 +120,8 @@ class Model(ABC):
             InputError: when images are not (B, 3, H, W) float32 or the model has no such view.
         """
         batch = self._batch(images, view)
-        chunks = [self._parts(batch[i : i + _CHUNK], view) for i in range(0, len(batch), _CHUNK)]
+        size = max(_CHUNK, self.batch)
+        chunks = [self._parts(batch[i : i + size], view) for i in range(0, len(batch), size)]
         return np.concatenate(chunks) if chunks else np.zeros((0, self.n_parts, self.spec.embedding), np.float32)
 
     def descriptors(self, images: Any, view: View, mirror: bool = True) -> FloatArray:
@@ -132,6 +137,10 @@ class Model(ABC):
         if mirror and self.spec.mirrored:
             raw = raw + self.part_embeddings(np.ascontiguousarray(self._batch(images, view)[..., ::-1]), view)
         return normalise(raw)
+
+    def for_streams(self) -> Model:
+        """The same model as several threads use it best, see `lpn.streams`; here this one, in turn."""
+        return self
 
     def check_view(self, view: str) -> None:
         """Raise InputError unless the model has the view."""

@@ -1,4 +1,4 @@
-"""Commands that use a trained model or a data set as it is: explore, evaluate, describe, doctor."""
+"""Commands that use a trained model or a data set as it is: explore, evaluate, doctor."""
 
 from __future__ import annotations
 
@@ -141,6 +141,7 @@ class Evaluate:
     def _described(self, protocol: Protocol) -> tuple[str, Result]:
         from lpn.datasets import open_dataset
         from lpn.evaluate import evaluate
+        from lpn.features import reader
 
         _only_saved(self.n_parts)
         if self.data is None or self.model is None:
@@ -151,7 +152,7 @@ class Evaluate:
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
         title = f"{self.model.name} ({model.describe()}) on {self.data.resolve().name}"
-        return title, evaluate(model, dataset, task, protocol)
+        return title, evaluate(model, dataset, task, protocol, reader(dataset.root))
 
 
 def _print_result(title: str, result: Result) -> None:
@@ -171,32 +172,6 @@ def _print_result(title: str, result: Result) -> None:
     if near := result.distances():
         shares = ", ".join(f"{value:.1f} % {key}" for key, value in near.items() if key.startswith("within"))
         console.print(f"Error of the top match: median {near['median error m']:.1f} m; {shares} (geo.csv).")
-
-
-@dataclass
-class Describe:
-    """Describe a folder of pictures into a store of descriptors on disk; resumable."""
-
-    model: Path
-    """Trained LPN: .onnx, .safetensors, or .pth."""
-    images: Path
-    """Folder of pictures, searched with all folders below it."""
-    view: ViewName
-    """The view the pictures show."""
-    out: Path
-    """Folder of the store."""
-    precision: Literal["float32", "float16", "int8"] = "float32"
-    """Numbers on disk; float16 halves the store, int8 quarters it."""
-
-    def run(self) -> None:
-        from lpn import features
-
-        model = lpn.load(self.model)
-        model.check_view(self.view)
-        files = features.pictures_below(self.images)
-        store = features.describe(model, files, self.view, self.out, root=self.images, precision=self.precision)
-        shape = " x ".join(map(str, store.descriptors.shape))
-        print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")
 
 
 @dataclass

@@ -1,6 +1,10 @@
 from __future__ import annotations
 
 import json
+import shutil
+import signal
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +16,7 @@ import lpn
 from lpn import features, images
 from lpn.changes import Change
 from lpn.errors import DataError, LPNError, PictureError, StoreError
+from lpn.features import describing
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 from tests import worlds
@@ -187,6 +192,31 @@ def test_a_smaller_store_says_nearly_the_same(
     assert features.open_store(tmp_path / "whole").manifest.precision == "float32"
 
 
+def test_a_data_sets_own_store_is_evaluated_where_it_is_exact(
+    model: Model, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lpn.datasets import open_dataset
+
+    root = shutil.copytree(data, tmp_path / "data")
+    tiles = open_dataset(root).gallery("satellite")
+    folder = root / "test" / "gallery_satellite"
+    count, read = Counting(model, monkeypatch), features.reader(root)
+    stores = root / "descriptors"
+    files = [tile.path for tile in tiles]
+    features.describe(model, files, "satellite", stores / "gallery_satellite", root=folder, precision="float16")
+    assert count.described == len(tiles)
+    read(model, tiles, "satellite")
+    assert count.described == 2 * len(tiles)
+    shutil.rmtree(stores)
+    features.describe(model, files, "satellite", stores / "gallery_satellite", root=folder)
+    shutil.rmtree(tmp_path / "cache")
+    before = count.described
+    read(model, tiles, "satellite")
+    assert count.described == before
+    read(model, tiles, "satellite", Change(rotate=90))
+    assert count.described == before + len(tiles)
+
+
 def test_two_at_once_describe_into_one_folder_once(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -262,7 +292,7 @@ def test_a_kill_before_the_new_manifest_leaves_no_old_one_and_loses_nothing(
     files = features.pictures_below(folder)
     store = tmp_path / "store"
     features.describe(model, files, "drone", store)
-    write_whole = features.write_whole
+    write_whole = describing.write_whole
 
     def killed(path: Path, data: bytes) -> None:
         if path.name == "manifest.json":
@@ -270,7 +300,7 @@ def test_a_kill_before_the_new_manifest_leaves_no_old_one_and_loses_nothing(
         write_whole(path, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(features, "write_whole", killed)
+        patch.setattr(describing, "write_whole", killed)
         with pytest.raises(KeyboardInterrupt):
             features.describe(model, files[::-1], "drone", store)
     with pytest.raises(StoreError):
@@ -329,3 +359,73 @@ def test_cache_is_keyed_by_every_change_and_box(
     moved = [*boxed[:4], replace(boxed[4], box=(1.0, 10.0, 50.5, 60.0))]
     features.cached_descriptors(model, moved, "drone")
     assert count.described == 26
+
+
+def test_rows_are_kept_in_whatever_order_they_were_done(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows 4 to 7 and the last are left by a killed run; the rest alone is computed, and not before the folder says so."""
+    files, out = features.pictures_below(folder), tmp_path / "store"
+    whole = np.array(features.describe(model, files, "drone", tmp_path / "whole").descriptors)
+    with monkeypatch.context() as patch:
+        Counting(model, patch, die_after=4)
+        with pytest.raises(KeyboardInterrupt):
+            features.describe(model, files, "drone", out)
+    part = np.lib.format.open_memmap(out / "descriptors.part", mode="r+")
+    part[:] = 0
+    part[4:8], part[19] = whole[4:8], whole[19]
+    del part
+    (out / "progress.json").write_text(json.dumps({"done": [[4, 8], [19, 20]]}))
+    count = Counting(model, monkeypatch)
+    np.testing.assert_allclose(features.describe(model, files, "drone", out).descriptors, whole, atol=1e-6)
+    assert count.described == 15
+
+
+def test_an_unfinished_store_of_before_is_gone_on_with(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files, out = features.pictures_below(folder), tmp_path / "store"
+    with monkeypatch.context() as patch:
+        Counting(model, patch, die_after=8)
+        with pytest.raises(KeyboardInterrupt):
+            features.describe(model, files, "drone", out)
+    (out / "progress.json").write_text('{"done": 8}')  # rows from the first, as they were counted once
+    count = Counting(model, monkeypatch)
+    features.describe(model, files, "drone", out)
+    assert count.described == 12
+
+
+KILLED = """
+import os, signal, sys, time
+from pathlib import Path
+import lpn
+from lpn import features
+from lpn.model import Model
+
+model, root, out = lpn.load(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3])
+described, kind, seen = type(model).descriptors, type(model), []
+
+def slowly(self, images, view, mirror=True):
+    seen.extend(images)
+    if len(seen) > 12:
+        time.sleep(0.3)
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(1.2)
+    return described(self, images, view, mirror)
+
+kind.descriptors = slowly
+features.describe(model, features.pictures_below(root), "drone", out)
+"""
+
+
+def test_a_kill_costs_about_a_second(
+    model: Model, model_file: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pictures take so long here that what was done before the last batches was saved, unlike after an error."""
+    out = tmp_path / "store"
+    command = [sys.executable, "-c", KILLED, str(model_file), str(folder), str(out)]
+    assert subprocess.run(command, capture_output=True, check=False).returncode == -signal.SIGKILL
+    count = Counting(model, monkeypatch)
+    store = features.describe(model, features.pictures_below(folder), "drone", out)
+    assert 0 < count.described <= 16
+    assert len(store.descriptors) == 20

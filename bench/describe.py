@@ -1,0 +1,164 @@
+"""Pictures per second into descriptors: `python -m bench.describe [--pictures N] [FOLDER] [INT8.onnx]`.
+
+The peer is the published test loop: a DataLoader with worker processes decodes with Pillow, resizes bicubically, and
+normalises; PyTorch in eager mode passes each batch of 32 and then its mirror, and the parts of the sum are normalised. Ours is
+`lpn.features.describe` into a store on disk, of the same network exported to ONNX, with its check of the pictures, manifest, and
+saves; and where a second .onnx is given, of that one, such as an int8 version of a ResNet-50 LPN. They take turns in one
+process, after a round that is not counted; the table gives medians: of the speed, and of its ratio to the peer in the same round,
+so that a busy moment distorts one round only. The limit is ONNX Runtime's bare passes, two for each picture, on as many
+threads as there are cores. FOLDER holds pictures with folders below it; without it, synthetic JPEG files of 512 x 512 pixels are
+made. Weights are random, which changes no time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from PIL import Image
+from rich.console import Console
+from rich.table import Table
+from torch.utils.data import DataLoader, Dataset
+
+from lpn import features, images
+from lpn.checkpoints import TorchModel, load_torch, save
+from lpn.engine import Engine
+from lpn.export import export
+from lpn.model import FloatArray, Model
+from lpn.network import LPN
+from lpn.spec import ModelSpec
+from lpn.streams import cores
+
+PICTURES = 96
+ROUNDS = 3
+BATCH = 32
+"""Of the published test script."""
+SPEC = ModelSpec("resnet50", views=("satellite", "drone"), classes=701)
+TARGET = 6.0
+
+
+def make_pictures(root: Path, count: int) -> Path:
+    """Synthetic JPEG files: blurred noise, which compresses about as photographs do."""
+    rng = np.random.default_rng(0)
+    for number in range(count):
+        noise = cv2.GaussianBlur(rng.integers(0, 256, (512, 512, 3), np.uint8), (5, 5), 1.5)
+        folder = root / f"{number // 16:04d}"
+        folder.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(folder / f"image-{number % 16:02d}.jpg"), noise)
+    return root
+
+
+class Files(Dataset[torch.Tensor]):
+    """Picture files as the published loop prepares them."""
+
+    def __init__(self, files: Sequence[Path], size: tuple[int, int]) -> None:
+        self.files, self.size = files, size
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __getitem__(self, index: int) -> torch.Tensor:
+        with Image.open(self.files[index]) as file:
+            picture = file.convert("RGB").resize(self.size[::-1], Image.Resampling.BICUBIC)
+        return torch.from_numpy(images.normalise(np.asarray(picture)))
+
+
+def published(network: TorchModel, files: Sequence[Path], workers: int) -> FloatArray:
+    """The published loop's descriptors, (N, n D)."""
+    rows = []
+    with torch.inference_mode():
+        for batch in DataLoader(Files(files, SPEC.input_size), BATCH, num_workers=workers):
+            raw = torch.zeros(len(batch), SPEC.n_parts, SPEC.embedding)
+            for mirrored in (False, True):
+                raw += network.network.embed(batch.flip(3) if mirrored else batch, "drone")[0]
+            norms = raw.norm(dim=2, keepdim=True) * SPEC.n_parts**0.5
+            rows.append((raw / norms).flatten(1))
+    return torch.cat(rows).numpy()  # type: ignore[no-any-return]
+
+
+def ours(model: Model, files: Sequence[Path], root: Path) -> FloatArray:
+    """A store's descriptors, made anew, (N, n D)."""
+    with tempfile.TemporaryDirectory() as out, redirect_stdout(io.StringIO()):
+        store = features.describe(model, files, "drone", out, root=root)
+        return np.array(store.descriptors).reshape(len(files), -1)
+
+
+def bare(engine: Engine, passes: int) -> None:
+    """Forward passes alone, on every core one after the other; the engine computes each on one thread."""
+    single = np.zeros((1, 3, *engine.input_size), np.float32)
+    with ThreadPoolExecutor(cores()) as pool:
+        list(pool.map(lambda _: engine.run(single, "drone"), range(passes)))
+
+
+def take_turns(tasks: dict[str, Callable[[], object]]) -> dict[str, list[float]]:
+    """Seconds of each task in each round that counts."""
+    times: dict[str, list[float]] = {name: [] for name in tasks}
+    for round_ in range(ROUNDS + 1):
+        for name, task in tasks.items():
+            started = time.perf_counter()
+            task()
+            if round_:
+                times[name].append(time.perf_counter() - started)
+    return times
+
+
+def agreement(a: FloatArray, b: FloatArray) -> float:
+    """Mean cosine between descriptors of the same pictures."""
+    return float((a * b).sum(1).mean())
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--pictures", type=int, default=PICTURES, help="how many are described in each turn, at most")
+    parser.add_argument("given", nargs="*", type=Path, help="a folder of pictures, and an int8 .onnx file")
+    options = parser.parse_args()
+    second = [path for path in options.given if path.suffix == ".onnx"]
+    folders = [path for path in options.given if path.suffix != ".onnx"]
+    torch.manual_seed(0)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        root = folders[0] if folders else make_pictures(folder / "pictures", options.pictures)
+        files = features.pictures_below(root)[: options.pictures]
+        save(LPN(SPEC), folder / "model.safetensors")
+        export(folder / "model.safetensors", folder / "model.onnx")
+        network, engine = load_torch(folder / "model.safetensors", "cpu"), Engine(folder / "model.onnx")
+        single = Engine(folder / "model.onnx", threads=1)
+        workers = max(1, (os.cpu_count() or 1) // 2)
+        tasks: dict[str, Callable[[], object]] = {
+            "published pipeline": lambda: published(network, files, workers),
+            "ours, fp32": lambda: ours(engine, files, root),
+        }
+        for path in second:
+            narrow = Engine(path)
+            tasks[f"ours, {path.name}"] = lambda narrow=narrow: ours(narrow, files, root)  # type: ignore[misc]
+        tasks["bare passes, fp32 (limit)"] = lambda: bare(single, 2 * len(files))
+        alike = agreement(published(network, files, workers), ours(engine, files, root))
+        times = take_turns(tasks)
+    shown = folders[0].name if folders else "synthetic 512 px JPEG files"
+    table = Table(title=f"{len(files)} pictures to descriptors, {shown}, ResNet-50, {cores()} cores, {ROUNDS} rounds")
+    for column in ("", "pictures/s", "ratio", "target"):
+        table.add_column(column, justify="left" if not column else "right")
+    peer = times["published pipeline"]
+    for name, values in times.items():
+        ratio = statistics.median(theirs / own for theirs, own in zip(peer, values, strict=True))
+        target = f">= {TARGET:g}" if name.endswith(".onnx") else ""
+        table.add_row(name, f"{len(files) / statistics.median(values):.2f}", f"{ratio:.2f}", target)
+    console = Console(width=120)
+    console.print(table)
+    console.print(f"Mean cosine between the published descriptors and ours in fp32: {alike:.6f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,255 @@
+"""Describing pictures past one machine: a map over partitions of them by Ray Data, into shards (`lpn.shards`).
+
+A worker takes a partition, reads its pictures from where they lie, describes them as one machine does, and writes the shard;
+only lists of names and counts travel. What is killed is done again: a worker's partition by another worker, a driver's
+missing partitions by the next run. A partition of which pictures were added, changed, or taken away is written anew, and the
+rows of the others are taken over.
+
+Broken pictures stop nothing here, unlike on one machine: among millions there are always some, and the first would cost all
+that was computed. They are named in `broken.csv`, kept in the notes of the shards, and counted at the end.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from lpn import geo, images
+from lpn.engine import Engine, graph_files
+from lpn.errors import DataError, InputError, StoreError
+from lpn.features import Box
+from lpn.files import alone
+from lpn.raystart import started
+from lpn.shards import BROKEN, PLAN, Broken, Item, Plan, Precision, digest, packed, read_notes
+from lpn.spec import View
+from lpn.storage import Storage
+from lpn.worker import Task, Worker
+
+_SAY_EVERY = 5.0
+"""Seconds between two lines of progress."""
+_RETRIES = 5
+"""Workers that a partition may cost before it is given up: it could be what kills them."""
+_MOST_BLOCKS = 4096
+"""Partitions are handed out in at most so many lots."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a run came to.
+
+    Attributes:
+        pictures: how many there are.
+        computed: how many were described now; the others were there.
+        broken: those that could not be described, in order of their names.
+    """
+
+    pictures: int
+    computed: int
+    broken: list[Broken]
+
+
+def describe_shards(
+    model: Path,
+    pictures: str | Path,
+    view: View,
+    out: str | Path,
+    precision: Precision = "float32",
+    address: str | None = None,
+    workers: int | None = None,
+    threads: int = 1,
+    shard: int = 256,
+    positions: str | Path | None = None,
+    boxes: Mapping[str, Box] | None = None,
+    say: Callable[[str], None] = print,
+    worker: type[Worker] = Worker,
+) -> Summary:
+    """Describe all pictures below a folder or prefix into shards; what is there already is not computed again.
+
+    Args:
+        model: an exported model, `.onnx`; only this machine needs the file.
+        pictures: a folder, or a URI such as s3://bucket/prefix. On a cluster all machines must see it.
+        view: what they show.
+        out: folder or URI of the shards, likewise.
+        precision: of the numbers in the shards.
+        address: of a Ray cluster, "auto" for the one this machine is part of; None starts workers on this machine.
+        workers: how many; by default as many as there are cores for.
+        threads: cores of one worker. Each worker holds the model once.
+        shard: pictures of one shard, about; what a killed worker costs at most. An existing folder keeps its own number.
+        positions: a file in the format of geo.csv, by default the `geo.csv` among the pictures, if there is one.
+        boxes: what pictures are cropped to, by their names below `pictures`.
+        say: told of the progress, a line each time.
+        worker: what does the work.
+
+    Raises:
+        InputError: when an option is of no use, or there is no such cluster.
+        DataError: when there are no pictures, or some have no position.
+        StoreError: when `out` holds shards of another model, view, or precision, or cannot be written.
+    """
+    if model.suffix != ".onnx":
+        raise InputError(f"{model.name} is no exported model, which workers run; make one with lpn export.")
+    for name, number in (("workers", workers), ("threads", threads), ("pictures of a shard", shard)):
+        if number is not None and number < 1:
+            raise InputError(f"The number of {name} is {number}; expected 1 or more.")
+    engine = Engine(model, threads=1)
+    engine.check_view(view)
+    source, target = Storage(pictures), Storage(out)
+    items = _items(source, positions, boxes or {})
+    wanted = Plan(
+        engine.fingerprint, view, engine.n_parts, engine.spec.embedding, precision, max(1, -(-len(items) // shard))
+    )
+    files = {path.name: path.read_bytes() for path in graph_files(model, engine.spec.groups())}
+    del engine
+    if target.folder is None:
+        return _run(source, target, items, wanted, files, model.name, address, workers, threads, say, worker)
+    try:
+        target.folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"{target.where} cannot be written ({error.strerror}); choose another folder.") from error
+    with alone(target.folder, wait=False):
+        return _run(source, target, items, wanted, files, model.name, address, workers, threads, say, worker)
+
+
+def _items(source: Storage, positions: str | Path | None, boxes: Mapping[str, Box]) -> list[Item]:
+    rows = source.files(images.SUFFIXES)
+    if not rows:
+        raise DataError(f"{source.where} holds no pictures; expected files ending in {', '.join(images.SUFFIXES)}.")
+    rows = [replace(row, box=boxes[row.file]) if row.file in boxes else row for row in rows]
+    found = _positions(source, positions)
+    if found is None:
+        return [Item(row) for row in rows]
+    places = geo.find_positions(found, [row.file for row in rows], str(positions or geo.NAME))
+    return [Item(row, (at.latitude, at.longitude)) for row, at in zip(rows, places, strict=True)]
+
+
+def _positions(source: Storage, given: str | Path | None) -> dict[str, geo.Position] | None:
+    try:
+        if given is None:
+            return geo.read_positions(source.read(geo.NAME))
+        folder, _, name = str(given).rpartition("/")
+        return geo.read_positions(Storage(folder or ".").read(name), str(given))
+    except FileNotFoundError as error:
+        if given is None:
+            return None
+        raise DataError(f"There is no file of positions at {given}; check the path.") from error
+    except OSError as error:
+        raise DataError(f"{given or geo.NAME} cannot be read ({error}); check your rights there.") from error
+
+
+def _run(
+    source: Storage,
+    target: Storage,
+    items: list[Item],
+    wanted: Plan,
+    files: dict[str, bytes],
+    model: str,
+    address: str | None,
+    workers: int | None,
+    threads: int,
+    say: Callable[[str], None],
+    worker: type[Worker],
+) -> Summary:
+    plan = _plan(target, wanted)
+    partitions: list[list[Item]] = [[] for _ in range(plan.partitions)]
+    for item in items:
+        partitions[plan.partition(item.row.file)].append(item)
+    held = read_notes(target, plan, range(plan.partitions))
+    todo = [p for p, notes in enumerate(held) if notes is None or notes.digest != digest(partitions[p])]
+    progress = _Progress(len(items), sum(len(partitions[p]) for p in todo), say)
+    if todo:
+        task = Task(source.where, target.where, plan, model, threads)
+        rows = [{"partition": p, "items": packed(partitions[p])} for p in todo]
+        with started(address, workers, threads) as (data, count, put):
+            progress.start()
+            reference = put(files)
+            handed_out = data.from_items(rows, override_num_blocks=min(len(rows), _MOST_BLOCKS))
+            with warnings.catch_warnings():
+                # Ray 2.60 announces another way to limit retries, and has none yet.
+                warnings.simplefilter("ignore")
+                results = handed_out.map_batches(
+                    worker,
+                    fn_constructor_args=(task, reference),
+                    batch_size=1,
+                    compute=data.ActorPoolStrategy(size=min(count, len(rows)), max_tasks_in_flight_per_actor=2),
+                    num_cpus=threads,
+                    ray_remote_args_fn=lambda: {"max_task_retries": _RETRIES},
+                )
+            for result in results.iter_rows():
+                if result["error"]:
+                    raise StoreError(str(result["error"]))
+                progress.add(result)
+    broken = _broken(target, plan)
+    _write_broken(target, broken)
+    progress.end()
+    return Summary(len(items), progress.computed, broken)
+
+
+def _plan(target: Storage, wanted: Plan) -> Plan:
+    held = Plan.read(target)
+    if held is None:
+        target.write(PLAN, wanted.to_json())
+        return wanted
+    if not held.comparable(wanted):
+        raise StoreError(
+            f"{target.where} holds shards of {held.view} descriptors of model {held.fingerprint} in {held.precision}, and "
+            f"these would be {wanted.view} of {wanted.fingerprint} in {wanted.precision}; choose another place."
+        )
+    return held
+
+
+def _broken(target: Storage, plan: Plan) -> list[Broken]:
+    """What all shards say, told from their notes: also of those that an earlier run wrote."""
+    notes = read_notes(target, plan, range(plan.partitions))
+    unseen = sum(one is None for one in notes)
+    if unseen:
+        raise StoreError(
+            f"{unseen} of {plan.partitions} shards are not to be seen in {target.where} from this machine; on a cluster give a "
+            "folder that all machines share, or object storage."
+        )
+    found = [broken for one in notes if one is not None for broken in one.broken]
+    return sorted(found, key=lambda one: one.item.row.file.split("/"))
+
+
+def _write_broken(target: Storage, broken: list[Broken]) -> None:
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    lines.writerow(("name", "reason"))
+    lines.writerows((one.item.row.file, one.reason) for one in broken)
+    target.write(BROKEN, text.getvalue().encode())
+
+
+class _Progress:
+    """Lines of progress, now and then."""
+
+    def __init__(self, pictures: int, todo: int, say: Callable[[str], None]) -> None:
+        self._pictures, self._done, self._broken, self._say = pictures, pictures - todo, 0, say
+        self._started = self._said = time.monotonic()
+        self.computed = 0
+        if self._done:
+            say(f"{self._done:,} of {pictures:,} pictures are there already.")
+
+    def start(self) -> None:
+        """Set the clock to zero: the workers are there."""
+        self._started = self._said = time.monotonic()
+
+    def add(self, result: Mapping[str, Any]) -> None:
+        self.computed += int(result["computed"])
+        self._broken += int(result["broken"])
+        self._done += int(result["described"]) + int(result["broken"])
+        if time.monotonic() - self._said >= _SAY_EVERY:
+            self._line()
+
+    def end(self) -> None:
+        if self.computed:
+            self._line()
+
+    def _line(self) -> None:
+        self._said = time.monotonic()
+        speed = self.computed / max(self._said - self._started, 1e-9)
+        broken = f", {self._broken:,} broken" if self._broken else ""
+        self._say(f"{self._done:,} of {self._pictures:,} pictures, {speed:.1f} per second{broken}")

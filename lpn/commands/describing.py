@@ -1,0 +1,102 @@
+"""Commands that describe pictures: describe, on one machine or on many, and gather."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import lpn
+from lpn.commands.using import ViewName
+from lpn.errors import InputError
+
+_FOR_RAY = ("address", "workers", "threads", "shard", "positions")
+
+
+@dataclass
+class Describe:
+    """Describe a folder of pictures into descriptors on disk; resumable. With --engine ray on many machines, into shards."""
+
+    model: Path
+    """Trained LPN: .onnx, .safetensors, or .pth; with --engine ray an .onnx, which is sent to the workers."""
+    images: str
+    """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""
+    view: ViewName
+    """The view the pictures show."""
+    out: str
+    """Folder of the store; with --engine ray folder or address of the shards, which every machine must see."""
+    precision: Literal["float32", "float16", "int8"] = "float32"
+    """Numbers on disk; float16 halves the store, int8 quarters it (not with --engine ray)."""
+    engine: Literal["local", "ray"] = "local"
+    """local describes on this machine, and refuses broken pictures before anything is computed. ray describes with many workers
+    and stops at no broken picture: it names them in broken.csv and ends with status 1 where there are any."""
+    address: str | None = None
+    """With --engine ray: the cluster, auto on one of its machines; by default workers are started on this machine."""
+    workers: int | None = None
+    """With --engine ray: how many; by default as many as there are cores for."""
+    threads: int | None = None
+    """With --engine ray: cores of one worker, 1 by default; each worker holds the model once, so more take less memory."""
+    shard: int | None = None
+    """With --engine ray: pictures of one shard, 256 by default; what a killed worker costs at most."""
+    positions: str | None = None
+    """With --engine ray: file in the format of geo.csv to take positions from; by default geo.csv among the pictures, if any."""
+
+    def run(self) -> int:
+        return self._shards() if self.engine == "ray" else self._store()
+
+    def _store(self) -> int:
+        from lpn import features
+
+        if given := [name for name in _FOR_RAY if getattr(self, name) is not None]:
+            raise InputError(f"--{given[0]} is for many workers; give it with --engine ray.")
+        if "://" in self.images + self.out:
+            raise InputError("Only --engine ray reads and writes addresses; give folders, or --engine ray.")
+        model, root, out = lpn.load(self.model), Path(self.images), Path(self.out)
+        model.check_view(self.view)
+        files = features.pictures_below(root)
+        store = features.describe(model, files, self.view, out, root=root, precision=self.precision)
+        shape = " x ".join(map(str, store.descriptors.shape))
+        print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")
+        return 0
+
+    def _shards(self) -> int:
+        from lpn.cluster import describe_shards
+        from lpn.shards import BROKEN
+
+        if self.precision == "int8":
+            raise InputError("Shards hold float32 or float16; give one of these as --precision.")
+        summary = describe_shards(
+            self.model,
+            self.images,
+            self.view,
+            self.out,
+            precision=self.precision,
+            address=self.address,
+            workers=self.workers,
+            threads=1 if self.threads is None else self.threads,
+            shard=256 if self.shard is None else self.shard,
+            positions=self.positions,
+            say=lambda line: print(line, flush=True),
+        )
+        broken = len(summary.broken)
+        print(f"{self.out} holds {summary.pictures - broken:,} descriptors, {summary.computed:,} of them computed now.")
+        if broken:
+            print(f"{broken:,} pictures could not be described; {BROKEN} there names them, each with the reason.")
+        return 1 if broken else 0
+
+
+@dataclass
+class Gather:
+    """Make a store of descriptors on this machine from the shards that describe --engine ray wrote."""
+
+    shards: str
+    """Folder or address of the shards."""
+    out: Path
+    """Folder of the store; its rows are in order of the pictures' names."""
+
+    def run(self) -> None:
+        from lpn.shards import to_store
+
+        store = to_store(self.shards, self.out)
+        shape = " x ".join(map(str, store.descriptors.shape))
+        print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")

@@ -1,0 +1,38 @@
+"""Descriptors of many pictures, kept on disk: `store` is what is kept, `describing` fills it, `unfinished` is what a kill
+leaves, and `cache` finds what was described before."""
+
+from __future__ import annotations
+
+from lpn.features.cache import (
+    STORES,
+    Reader,
+    cache_folder,
+    cached_descriptors,
+    known_descriptors,
+    passing_descriptors,
+    reader,
+    shipped_descriptors,
+)
+from lpn.features.describing import describe, pictures_below
+from lpn.features.store import BEFORE, FORMAT, Box, Manifest, Precision, Row, Store, open_store
+
+__all__ = [
+    "BEFORE",
+    "FORMAT",
+    "STORES",
+    "Box",
+    "Manifest",
+    "Precision",
+    "Reader",
+    "Row",
+    "Store",
+    "cache_folder",
+    "cached_descriptors",
+    "describe",
+    "known_descriptors",
+    "open_store",
+    "passing_descriptors",
+    "pictures_below",
+    "reader",
+    "shipped_descriptors",
+]

@@ -1,0 +1,137 @@
+"""Descriptors that are there already: in the user's cache, or brought along by the data set."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+
+from lpn.changes import UNCHANGED, Change
+from lpn.datasets import Picture
+from lpn.errors import OutputError, StoreError
+from lpn.features.describing import describe
+from lpn.features.store import Box, Manifest, open_store, row_of
+from lpn.features.unfinished import complete
+from lpn.files import printable
+from lpn.model import FloatArray, Model
+from lpn.spec import View
+
+STORES = "descriptors"
+"""Folder of a data set in which stores of its test split may come along: `query_drone`, `gallery_satellite`, ..."""
+
+Reader = Callable[[Model, Sequence[Picture], View, Change], FloatArray]
+"""Where descriptors (N, n, D) of changed pictures come from, such as `cached_descriptors`."""
+
+
+def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> FloatArray:
+    """Descriptors (N, n, D) of pictures within their boxes, from the user's cache where they were described before.
+
+    The cache is `$LPN_CACHE`, else `lpn-explorer` in `$XDG_CACHE_HOME` or `~/.cache`; it may be deleted at any time.
+    """
+    files = [picture.path.resolve() for picture in pictures]
+    # By their folder, not by their list: when a picture is added or mended, the others' rows are taken over.
+    common = os.path.commonpath([file.parent for file in files])
+    boxes = [picture.box for picture in pictures]
+    identity: list[Any] = [model.fingerprint, view, change.rotate, common]
+    # Only what differs from a picture as it is, so that caches from before there were such changes are still found.
+    identity += [f"shift {change.shift}"] if change.shift else []
+    identity += [f"scale {change.scale}"] if change.scale != 1 else []
+    identity += [f"down {change.down}"] if change.down else []
+    identity += ["around"] if change.around else []
+    identity += ["cropped"] if any(boxes) else []
+    folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
+    title = ", ".join(filter(None, (f"Describing {view}", change.describe())))
+    try:
+        if (held := _held(model, files, view, folder, change, boxes)) is not None:
+            return held
+        return describe(model, files, view, folder, change=change, boxes=boxes, title=title).float32
+    except (StoreError, OutputError) as error:
+        raise StoreError(
+            f"The cache of descriptors in {cache_folder()} cannot be used ({error}) Set LPN_CACHE to a folder that can be "
+            "written."
+        ) from error
+
+
+def shipped_descriptors(
+    model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False
+) -> FloatArray | None:
+    """Descriptors (N, n, D) from a store that came with the pictures, or None where it is not of this model and these.
+
+    Files are compared by name and size: a copy of a data set has other times than its original.
+
+    Args:
+        exact: take it only where it is in float32.
+    """
+    try:
+        held = open_store(store)
+    except StoreError:
+        return None
+    rows = [(printable(str(row.file)), row.size, row.box) for row in held.manifest.rows]
+    these = [("/".join(picture.path.parts[-2:]), picture.path.stat().st_size, picture.box) for picture in pictures]
+    wanted = (model.fingerprint, view, UNCHANGED, model.n_parts)
+    found = (held.manifest.fingerprint, held.manifest.view, held.manifest.change, held.manifest.n_parts)
+    if found != wanted or rows != these or (exact and held.manifest.precision != "float32"):
+        return None
+    return held.float32
+
+
+def known_descriptors(
+    model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Literal["query", "gallery"]
+) -> FloatArray:
+    """Descriptors (N, n, D) of one side of a test split: those that came with the data set in `root`, else from the cache."""
+    found = shipped_descriptors(model, pictures, view, root / STORES / f"{role}_{view}")
+    return cached_descriptors(model, pictures, view) if found is None else found
+
+
+def reader(root: Path) -> Reader:
+    """Reads descriptors of the pictures of the data set in `root` from the stores that came with it, else from the cache.
+
+    Only stores in float32 are taken, so that figures do not depend on how a data set was packed.
+    """
+
+    def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> FloatArray:
+        for store in [] if change else sorted((root / STORES).glob(f"*_{view}")):
+            found = shipped_descriptors(model, pictures, view, store, exact=True)
+            if found is not None:
+                return found
+        return cached_descriptors(model, pictures, view, change)
+
+    return read
+
+
+def passing_descriptors(
+    model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED
+) -> FloatArray:
+    """The same for a model that will soon be another, such as one in training: nothing is kept on disk."""
+    files, boxes = [picture.path for picture in pictures], [picture.box for picture in pictures]
+    with TemporaryDirectory(prefix="lpn-") as folder:
+        store = describe(model, files, view, folder, change=change, boxes=boxes, title=f"Describing {view}")
+        return np.array(store.descriptors)
+
+
+def _held(
+    model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[Box | None]
+) -> FloatArray | None:
+    """Descriptors of files that a store has, all or some, so that a part of a folder does not replace the whole."""
+    store = complete(folder)
+    if store is None or len(store.manifest.rows) < len(files):
+        return None
+    rows = {row: position for position, row in enumerate(store.manifest.rows)}
+    wanted = [rows.get(row_of(file, None, box)) for file, box in zip(files, boxes, strict=True)]
+    if None in wanted or not Manifest.of(model, view, change, ()).comparable(store.manifest):
+        return None
+    whole = wanted == list(range(len(rows)))
+    return store.float32 if whole else store.float32[np.array(wanted, np.int64)]
+
+
+def cache_folder() -> Path:
+    """Where descriptors are kept between runs."""
+    if given := os.environ.get("LPN_CACHE"):
+        return Path(given)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpn-explorer"

@@ -1,0 +1,202 @@
+"""What a store of descriptors is: a folder that a later step can read, resume, or check.
+
+    descriptors.npy   (N, n, D) float32, float16, or int8, memory-mapped when read; each part has norm 1/sqrt(n), and in int8
+                      the direction alone, its largest number brought to 127
+    manifest.json     format, model fingerprint, view, what was done to the pictures, and for each row its file with size and
+                      time, and the box it was cropped to where it was
+
+The manifest is written last, so a folder with a manifest is complete.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.changes import Change
+from lpn.errors import InputError, PictureError, StoreError
+from lpn.model import FloatArray, Model
+from lpn.spec import View
+
+FORMAT = "lpn-descriptors/2"
+BEFORE = "lpn-descriptors/1"
+"""Knew of no shift, scale, or boxes; what it says is true of such stores still."""
+Precision = Literal["float32", "float16", "int8"]
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Row:
+    """The file behind one row: its path (relative to the described folder), size in bytes, time of change, and the box
+    (left, top, right, bottom) in pixels that it was cropped to, None for the whole picture."""
+
+    file: str
+    size: int
+    time_ns: int
+    box: Box | None = None
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a store holds.
+
+    Attributes:
+        fingerprint: of the model; descriptors of another model cannot be compared with these.
+        view: the branch used.
+        rotate: degrees counter-clockwise the pictures were turned first.
+        n_parts, embedding: n and D.
+        rows: the file of each row.
+        precision: of the numbers on disk.
+        shift: pixels of the network's input they were moved to the right.
+        scale: factor they were zoomed by.
+        down: pixels of the network's input they were moved down; written only where they were.
+        around: they are panoramas, turned by moving their columns around; written only where they were.
+    """
+
+    fingerprint: str
+    view: str
+    rotate: float
+    n_parts: int
+    embedding: int
+    rows: tuple[Row, ...]
+    precision: Precision = "float32"
+    shift: int = 0
+    scale: float = 1.0
+    down: int = 0
+    around: bool = False
+    format: str = FORMAT
+
+    @classmethod
+    def of(
+        cls, model: Model, view: View, change: Change, rows: tuple[Row, ...], precision: Precision = "float32"
+    ) -> Manifest:
+        """The manifest of files described by a model."""
+        done = (change.shift, change.scale, change.down, change.around)
+        n, embedding = model.n_parts, model.spec.embedding
+        return cls(model.fingerprint, view, change.rotate, n, embedding, rows, precision, *done)
+
+    @property
+    def change(self) -> Change:
+        """What was done to the pictures."""
+        return Change(self.rotate, self.shift, self.scale, self.down, self.around)
+
+    @property
+    def cropped(self) -> bool:
+        """Whether any picture was cropped to a box."""
+        return any(row.box is not None for row in self.rows)
+
+    def to_json(self) -> bytes:
+        """The manifest as a JSON file."""
+        values = asdict(self)
+        for late in ("down", "around"):
+            if not values[late]:
+                del values[late]
+        for row in values["rows"]:
+            if row["box"] is None:
+                del row["box"]
+        return json.dumps(values, indent=1).encode()
+
+    @classmethod
+    def from_json(cls, data: bytes, name: str) -> Manifest:
+        """Read what `to_json` wrote; StoreError when it is something else."""
+        try:
+            values: Any = json.loads(data)
+            if values.pop("format") not in (FORMAT, BEFORE):
+                raise ValueError("another format")
+            rows = tuple(
+                Row(str(r["file"]), int(r["size"]), int(r["time_ns"]), box_of(r.get("box"))) for r in values.pop("rows")
+            )
+            if values.get("precision", "float32") not in get_args(Precision):
+                raise ValueError("another precision")
+            read = cls(rows=rows, **values)
+            _ = read.change  # checks its numbers
+            return read
+        except (ValueError, KeyError, TypeError, AttributeError, InputError) as error:
+            raise StoreError(
+                f"{name} is not a manifest of descriptors ({FORMAT}); describe the pictures again."
+            ) from error
+
+    def comparable(self, other: Manifest) -> bool:
+        """Whether rows of the same file may be taken over from another store."""
+        return self._kind == other._kind
+
+    @property
+    def _kind(self) -> tuple[str, str, Change, str]:
+        return self.fingerprint, self.view, self.change, self.precision
+
+
+@dataclass(frozen=True, eq=False)
+class Store:
+    """A complete store. `descriptors` is (N, n, D) in the manifest's precision, memory-mapped, read-only."""
+
+    manifest: Manifest
+    descriptors: FloatArray | npt.NDArray[np.float16] | npt.NDArray[np.int8]
+
+    @property
+    def float32(self) -> FloatArray:
+        """The descriptors (N, n, D) in float32: memory-mapped where they are stored so, else a copy."""
+        return self.rows(slice(None))
+
+    def rows(self, rows: slice | npt.NDArray[np.integer]) -> FloatArray:
+        """Some of them in float32, without reading the others."""
+        values = self.descriptors[rows].astype(np.float32, copy=False)
+        if self.manifest.precision == "int8":
+            norms = np.linalg.norm(values, axis=2, keepdims=True)
+            values *= np.float32(self.manifest.n_parts**-0.5) / np.maximum(norms, np.float32(1e-12))
+        return values
+
+
+def open_store(folder: str | Path) -> Store:
+    """Open a store.
+
+    Raises:
+        StoreError: when the folder is not a complete store or its files do not fit each other.
+    """
+    folder = Path(folder)
+    if not (folder / "manifest.json").is_file():
+        unfinished = (
+            " (its description was not finished; run lpn describe again)" if (folder / "planned.json").is_file() else ""
+        )
+        raise StoreError(f"{folder} has no manifest.json, so it is not a store of descriptors{unfinished}.")
+    manifest = Manifest.from_json((folder / "manifest.json").read_bytes(), "manifest.json")
+    expected = (len(manifest.rows), manifest.n_parts, manifest.embedding)
+    try:
+        descriptors = np.load(folder / "descriptors.npy", mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise StoreError(f"descriptors.npy in {folder} is missing or damaged; describe the pictures again.") from error
+    if descriptors.shape != expected or descriptors.dtype != np.dtype(manifest.precision):
+        raise StoreError(
+            f"descriptors.npy in {folder} is {descriptors.dtype} {descriptors.shape}, but its manifest says "
+            f"{manifest.precision} {expected}; describe the pictures again."
+        )
+    return Store(manifest, descriptors)
+
+
+def stored(descriptors: FloatArray, precision: Precision) -> npt.NDArray[Any]:
+    """Descriptors as they are kept on disk, see the top of this module."""
+    if precision == "int8":
+        largest = np.abs(descriptors).max(axis=2, keepdims=True)
+        directions: npt.NDArray[np.int8] = np.round(descriptors * (127 / np.maximum(largest, 1e-12))).astype(np.int8)
+        return directions
+    return descriptors.astype(precision, copy=False)
+
+
+def row_of(file: Path, root: Path | None, box: Box | None) -> Row:
+    try:
+        stat = file.stat()
+    except OSError as error:
+        raise PictureError(f"The picture {file} cannot be read ({error.strerror}); check the path.") from error
+    return Row(str(file.relative_to(root) if root else file), stat.st_size, stat.st_mtime_ns, box_of(box))
+
+
+def box_of(values: Any) -> Box | None:
+    """A box as it is compared: four floats, as JSON gives them back."""
+    if values is None:
+        return None
+    left, top, right, bottom = (float(value) for value in values)
+    return left, top, right, bottom

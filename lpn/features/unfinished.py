@@ -1,0 +1,157 @@
+"""What is in a store's folder while it is being filled, and after a kill.
+
+Rows lie in `descriptors.part`, `planned.json` is the manifest to be, and `progress.json` says which rows are good: a list of
+ranges, each with its first row and the one after its last.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.errors import LPNError, StoreError
+from lpn.features.store import FORMAT, Manifest, Store, open_store, stored
+from lpn.files import write_whole
+from lpn.model import FloatArray
+
+_SECONDS = 1.0
+"""What is computed between two saves, and so what a kill costs."""
+
+Mask = npt.NDArray[np.bool_]
+
+
+class Unfinished:
+    """The rows of a store to be; those that an interrupted run or an earlier store has are there from the start.
+
+    Attributes:
+        good: which rows are there, (N,) bool.
+    """
+
+    def __init__(self, out: Path, manifest: Manifest, before: Store | None) -> None:
+        self._part, planned, self._progress = (out / n for n in ("descriptors.part", "planned.json", "progress.json"))
+        self._precision = manifest.precision
+        left = _interrupted(manifest, self._part, planned, self._progress)
+        known = {} if before is None else _known(manifest, before.manifest, before.descriptors)
+        if left is not None and left[0] == manifest:
+            self.good = left[2]
+            self._array = np.lib.format.open_memmap(self._part, mode="r+")
+            self._take(known)
+        else:
+            known |= {} if left is None else _known(manifest, *left)
+            self.good = np.zeros(len(manifest.rows), np.bool_)
+            shape = (len(manifest.rows), manifest.n_parts, manifest.embedding)
+            fresh = self._part.with_name(self._part.name + ".new")
+            self._array = np.lib.format.open_memmap(fresh, mode="w+", dtype=manifest.precision, shape=shape)
+            self._take(known)
+            self._array.flush()
+            # What was left is let go of only when the new array has it.
+            self._progress.unlink(missing_ok=True)
+            os.replace(fresh, self._part)
+            write_whole(planned, manifest.to_json())
+        self.save()
+
+    def put(self, rows: Sequence[int], descriptors: FloatArray) -> None:
+        """Set rows from descriptors (B, n, D) float32; saved about once a second."""
+        self._array[rows] = stored(descriptors, self._precision)
+        self.good[rows] = True
+        if time.monotonic() - self._saved >= _SECONDS:
+            self.save()
+
+    def save(self) -> None:
+        """Bring the rows to the disk, then say so."""
+        self._array.flush()
+        edges = np.flatnonzero(np.diff(self.good, prepend=False, append=False))
+        write_whole(self._progress, json.dumps({"done": edges.reshape(-1, 2).tolist()}).encode())
+        self._saved = time.monotonic()
+
+    def _take(self, known: dict[int, npt.NDArray[Any]]) -> None:
+        for i, row in known.items():
+            if not self.good[i]:
+                self._array[i] = row
+                self.good[i] = True
+
+
+def renamed_only(folder: Path) -> bool:
+    """Whether a run was killed after its rows got their name and before its manifest was written."""
+    there = [
+        (folder / name).exists() for name in ("progress.json", "descriptors.npy", "descriptors.part", "manifest.json")
+    ]
+    return there == [True, True, False, False]
+
+
+def usable(out: Path, manifest: Manifest) -> Store | None:
+    """The complete store in `out` whose rows may be taken over; StoreError when they are of another kind."""
+    store = complete(out)
+    if store is not None and not manifest.comparable(store.manifest):
+        held = store.manifest
+        raise StoreError(
+            f"{out} holds {held.view} descriptors of model {held.fingerprint}, {held.change.describe() or 'unchanged'}, in "
+            f"{held.precision}, and these would be {manifest.view} of {manifest.fingerprint}, "
+            f"{manifest.change.describe() or 'unchanged'}, in {manifest.precision}; choose another folder, or delete that one."
+        )
+    return store
+
+
+def complete(folder: Path) -> Store | None:
+    """The complete store in a folder, or None when there is none or its array is damaged.
+
+    Raises:
+        StoreError: when the folder holds files of other origin under a store's names.
+    """
+    manifest = folder / "manifest.json"
+    if manifest.exists():
+        try:
+            Manifest.from_json(manifest.read_bytes(), manifest.name)
+        except (StoreError, OSError) as error:
+            raise StoreError(
+                f"{folder} has a manifest.json that is not one of {FORMAT}; choose another folder, or delete that file if it "
+                "is of no use."
+            ) from error
+    elif (folder / "descriptors.npy").exists() and not (folder / "planned.json").exists():
+        raise StoreError(
+            f"{folder} has a descriptors.npy without a manifest.json, so it is not ours to replace; choose another folder."
+        )
+    try:
+        return open_store(folder)
+    except StoreError:
+        return None
+
+
+def _interrupted(
+    manifest: Manifest, part: Path, planned: Path, progress: Path
+) -> tuple[Manifest, npt.NDArray[Any], Mask] | None:
+    """What an interrupted run with this model, view, and change left: the manifest it planned, the rows, and which are good."""
+    try:
+        plan = Manifest.from_json(planned.read_bytes(), planned.name)
+        array = np.load(part, mmap_mode="r", allow_pickle=False)
+        expected = (len(plan.rows), manifest.n_parts, manifest.embedding)
+        fits = array.shape == expected and array.dtype == np.dtype(manifest.precision)
+        if not fits or not manifest.comparable(plan):
+            return None
+        done: Any = json.loads(progress.read_bytes())["done"]
+        good = np.zeros(len(plan.rows), np.bool_)
+        # A number in older folders: that many rows from the first.
+        for start, end in [(0, done)] if isinstance(done, int) else done:
+            if not 0 <= start < end <= len(good):
+                return None
+            good[start:end] = True
+        return plan, array, good
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, LPNError):
+        return None
+
+
+def _known(
+    manifest: Manifest, other: Manifest, descriptors: npt.NDArray[Any], good: Mask | None = None
+) -> dict[int, npt.NDArray[Any]]:
+    """Rows of the same files that another manifest's descriptors have, all of them or the good ones."""
+    if not manifest.comparable(other):
+        return {}
+    have = {row: i for i, row in enumerate(other.rows) if good is None or good[i]}
+    return {i: descriptors[have[row]] for i, row in enumerate(manifest.rows) if row in have}

@@ -1,0 +1,325 @@
+"""Descriptors past one machine: a folder or a prefix of Parquet files, written by many workers. Needs the extra `ray`.
+
+    plan.json         format, model fingerprint, view, n and D, precision, and the number of partitions
+    000000.parquet    one file for each partition, which is all pictures whose name's hash falls to it:
+                      file, size, time_ns, box (or null), latitude, longitude (or null), descriptor (n D numbers in a row)
+    broken.csv        pictures that could not be described, with what is wrong
+
+A shard is written whole or not at all, and a partition has one name whoever writes it and however often: no picture is there
+twice. Its metadata, under the key `lpn`, hold what plan.json holds, which pictures could not be described, and a digest of the
+pictures that it settles, by which a later run tells a finished partition without reading its rows.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, cast
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from lpn.errors import StoreError
+from lpn.features import Manifest, Row, Store
+from lpn.features.describing import write_store
+from lpn.features.unfinished import Unfinished
+from lpn.model import FloatArray
+from lpn.storage import Storage
+
+FORMAT = "lpn-shards/1"
+PLAN = "plan.json"
+BROKEN = "broken.csv"
+Precision = Literal["float32", "float16"]
+Position = tuple[float, float] | None
+"""Latitude and longitude in degrees."""
+
+_AT_ONCE = 32
+"""Files whose metadata are read at once: it is the latency of the storage that takes the time."""
+
+
+class Item(NamedTuple):
+    """A picture to be described, and where it is."""
+
+    row: Row
+    position: Position = None
+
+
+class Broken(NamedTuple):
+    """A picture that could not be described.
+
+    Attributes:
+        item: the picture.
+        reason: the end of a sentence, such as "is cut short or damaged".
+        settled: the file itself is damaged, so that trying again is of no use until it changes; otherwise it could not be read.
+    """
+
+    item: Item
+    reason: str
+    settled: bool
+
+
+class Shard(NamedTuple):
+    """The pictures of one partition.
+
+    Attributes:
+        ids: their names below the described folder, with forward slashes.
+        descriptors: (B, n, D) float32.
+        positions: latitude and longitude in degrees, (B, 2) float64, NaN where a picture has none.
+    """
+
+    ids: list[str]
+    descriptors: FloatArray
+    positions: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a folder of shards holds.
+
+    Attributes:
+        fingerprint: of the model; descriptors of another model cannot be compared with these.
+        view: the branch used.
+        n_parts, embedding: n and D.
+        precision: of the numbers in the files.
+        partitions: how many shards there are when it is complete.
+    """
+
+    fingerprint: str
+    view: str
+    n_parts: int
+    embedding: int
+    precision: Precision
+    partitions: int
+    format: str = FORMAT
+
+    @classmethod
+    def read(cls, storage: Storage) -> Plan | None:
+        """The plan of a folder, None where there is none; StoreError when its plan.json is something else."""
+        try:
+            values: Any = json.loads(storage.read(PLAN))
+            plan = cls(**values)
+            if plan.format != FORMAT or plan.partitions < 1 or plan.precision not in ("float32", "float16"):
+                raise ValueError("another format")
+            return plan
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, TypeError) as error:
+            raise StoreError(
+                f"{PLAN} in {storage.where} cannot be read or is not one of {FORMAT}; choose another place for the shards."
+            ) from error
+
+    def to_json(self) -> bytes:
+        """The plan as a JSON file."""
+        return (json.dumps(asdict(self), indent=1) + "\n").encode()
+
+    def partition(self, name: str) -> int:
+        """The partition that a picture falls to, by its name alone."""
+        return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8]) % self.partitions
+
+    def comparable(self, other: Plan) -> bool:
+        """Whether shards of the other may lie beside these."""
+        return _kind(self) == _kind(other)
+
+
+def digest(items: Sequence[Item]) -> str:
+    """What tells whether a shard settles just these pictures, in any order."""
+    return hashlib.sha256(json.dumps(sorted(map(_plain, items), key=lambda values: values[0])).encode()).hexdigest()
+
+
+def shard_name(partition: int) -> str:
+    """The file of a partition."""
+    return f"{partition:06d}.parquet"
+
+
+def write_shard(
+    storage: Storage,
+    plan: Plan,
+    partition: int,
+    items: Sequence[Item],
+    descriptors: FloatArray,
+    broken: Sequence[Broken] = (),
+) -> None:
+    """Write a partition: the items that were described, with descriptors (B, n, D) float32, and those that could not be.
+
+    Raises:
+        OutputError: when it cannot be written; what was there before is there still.
+    """
+    settled = [*items, *(one.item for one in broken if one.settled)]
+    notes = {
+        **asdict(plan),
+        "partition": partition,
+        "digest": digest(settled),
+        "broken": [[_plain(one.item), one.reason, one.settled] for one in broken],
+    }
+    numbers = descriptors.astype(plan.precision).reshape(-1)
+    columns = {
+        "file": pa.array([item.row.file for item in items], pa.string()),
+        "size": pa.array([item.row.size for item in items], pa.int64()),
+        "time_ns": pa.array([item.row.time_ns for item in items], pa.int64()),
+        "box": pa.array([item.row.box for item in items], pa.list_(pa.float64(), 4)),
+        "latitude": pa.array([item.position and item.position[0] for item in items], pa.float64()),
+        "longitude": pa.array([item.position and item.position[1] for item in items], pa.float64()),
+        "descriptor": pa.FixedSizeListArray.from_arrays(pa.array(numbers), plan.n_parts * plan.embedding),
+    }
+    table = pa.table(columns).replace_schema_metadata({"lpn": json.dumps(notes)})
+    buffer = io.BytesIO()
+    # Descriptors are as good as random: compressing them takes time and saves nothing.
+    pq.write_table(table, buffer, compression="NONE", use_dictionary=False)
+    storage.write(shard_name(partition), buffer.getvalue())
+
+
+class Contents(NamedTuple):
+    """A shard as it was written; descriptors (B, n, D) in its precision."""
+
+    items: list[Item]
+    descriptors: npt.NDArray[Any]
+    broken: list[Broken]
+
+
+def read_shard(storage: Storage, plan: Plan, partition: int) -> Contents | None:
+    """A partition's shard, None where there is none or it is damaged or of another plan."""
+    try:
+        table = pq.read_table(pa.BufferReader(storage.read(shard_name(partition))))
+        notes = _notes(table.schema, plan, partition)
+        if notes is None:
+            return None
+        column = table.column("descriptor").combine_chunks()
+        numbers = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, plan.n_parts, plan.embedding)
+        values = [
+            table.column(name).to_pylist() for name in ("file", "size", "time_ns", "box", "latitude", "longitude")
+        ]
+        return Contents([_item(one) for one in zip(*values, strict=True)], numbers, notes.broken)
+    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
+        return None
+
+
+class Notes(NamedTuple):
+    """What a shard says of itself: which pictures it settles, and those that could not be described."""
+
+    digest: str
+    broken: list[Broken]
+
+
+def read_notes(storage: Storage, plan: Plan, partitions: Sequence[int]) -> list[Notes | None]:
+    """The notes of partitions' shards, without reading their rows; None for a shard that is missing or damaged."""
+
+    def read(partition: int) -> Notes | None:
+        try:
+            with storage.open(shard_name(partition)) as file:
+                return _notes(pq.read_schema(file), plan, partition)
+        except (OSError, ValueError, pa.ArrowException):
+            return None
+
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        return list(pool.map(read, partitions))
+
+
+def open_shards(where: str | Path) -> tuple[Storage, Plan]:
+    """A complete folder of shards.
+
+    Raises:
+        StoreError: when there is none, or a shard is missing.
+    """
+    storage = Storage(where)
+    plan = Plan.read(storage)
+    if plan is None:
+        raise StoreError(
+            f"{where} has no {PLAN}, so it is no folder of shards; write them with lpn describe --engine ray."
+        )
+    missing = sum(notes is None for notes in read_notes(storage, plan, range(plan.partitions)))
+    if missing:
+        raise StoreError(
+            f"{missing} of {plan.partitions} shards in {where} are missing or damaged; run lpn describe --engine ray again, "
+            "which computes only those."
+        )
+    return storage, plan
+
+
+def shards(where: str | Path) -> Iterator[Shard]:
+    """All descriptors of a complete folder of shards, a partition at a time, each picture once; for builders of indexes.
+
+    Raises:
+        StoreError: when there is no such folder, or a shard is missing or damaged.
+    """
+    storage, plan = open_shards(where)
+    for partition in range(plan.partitions):
+        contents = _whole(storage, plan, partition)
+        positions = np.array([item.position or (np.nan, np.nan) for item in contents.items], np.float64).reshape(-1, 2)
+        yield Shard([item.row.file for item in contents.items], contents.descriptors.astype(np.float32), positions)
+
+
+def to_store(where: str | Path, out: str | Path) -> Store:
+    """A complete folder of shards as a store of descriptors on this machine, in order of the pictures' names.
+
+    The store is what `lpn.features.describe` makes of the same pictures, so it can be gone on with there.
+
+    Raises:
+        StoreError: when there are no complete shards, or `out` cannot be written or holds something else.
+    """
+    storage, plan = open_shards(where)
+    rows: list[Row] = []
+    for partition in range(plan.partitions):
+        rows += [item.row for item in _whole(storage, plan, partition).items]
+    if not rows:
+        raise StoreError(f"The shards in {where} hold no picture, all being broken; see {BROKEN} there.")
+    rows.sort(key=lambda row: row.file.split("/"))
+    position = {row.file: i for i, row in enumerate(rows)}
+    manifest = Manifest(plan.fingerprint, plan.view, 0.0, plan.n_parts, plan.embedding, tuple(rows), plan.precision)
+
+    def fill(unfinished: Unfinished) -> None:
+        for partition in range(plan.partitions):
+            contents = _whole(storage, plan, partition)
+            if contents.items:
+                places = [position[item.row.file] for item in contents.items]
+                unfinished.put(places, contents.descriptors.astype(np.float32))
+
+    return write_store(Path(out), manifest, fill)
+
+
+def _whole(storage: Storage, plan: Plan, partition: int) -> Contents:
+    contents = read_shard(storage, plan, partition)
+    if contents is None:
+        raise StoreError(
+            f"{shard_name(partition)} in {storage.where} is damaged; run lpn describe --engine ray again, which computes it."
+        )
+    return contents
+
+
+def _notes(schema: pa.Schema, plan: Plan, partition: int) -> Notes | None:
+    notes = json.loads((schema.metadata or {}).get(b"lpn", b"{}"))
+    if {key: notes.get(key) for key in asdict(plan)} != asdict(plan) or notes.get("partition") != partition:
+        return None
+    broken = [Broken(_item(item), str(reason), bool(settled)) for item, reason, settled in notes["broken"]]
+    return Notes(str(notes["digest"]), broken)
+
+
+def _kind(plan: Plan) -> tuple[object, ...]:
+    return plan.fingerprint, plan.view, plan.n_parts, plan.embedding, plan.precision
+
+
+def _plain(item: Item) -> list[Any]:
+    row, place = item
+    return [row.file, row.size, row.time_ns, row.box and list(row.box), *(place or (None, None))]
+
+
+def _item(values: Sequence[Any]) -> Item:
+    file, size, time_ns, box, latitude, longitude = values
+    kept = None if box is None else cast("tuple[float, float, float, float]", tuple(float(side) for side in box))
+    return Item(Row(file, size, time_ns, kept), None if latitude is None else (latitude, longitude))
+
+
+def packed(items: Sequence[Item]) -> str:
+    """Items as text, to send them to a worker."""
+    return json.dumps([_plain(item) for item in items])
+
+
+def unpacked(text: str) -> list[Item]:
+    """What `packed` wrote."""
+    return [_item(values) for values in json.loads(text)]

@@ -1,0 +1,124 @@
+"""A folder on this machine or a prefix in object storage, read and written alike. Needs the extra `ray`.
+
+What pyarrow knows is opened by it (s3://, gs://, abfss://, hdfs://, file://), anything else by fsspec, where that is installed
+with what the scheme needs.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow
+from pyarrow import fs
+
+from lpn.errors import DataError, InputError, OutputError
+from lpn.features import Row
+from lpn.files import printable, write_whole
+
+_TRIES = 3
+_PAUSE = 0.5
+"""Seconds before a file that could not be read is tried again."""
+
+
+class Storage:
+    """A place of files.
+
+    Args:
+        where: a path, or a URI such as s3://bucket/prefix.
+
+    Attributes:
+        where: as it is told to people.
+        folder: the path where it is on this machine, else None.
+
+    Raises:
+        InputError: when no package knows the scheme, or it refuses the address.
+    """
+
+    def __init__(self, where: str | Path) -> None:
+        self.where = str(where)
+        try:
+            self._files, root = _opened(self.where)
+        except (pyarrow.ArrowException, OSError, ValueError, ImportError) as error:
+            raise InputError(
+                f"{self.where} cannot be opened ({_first_line(error)}); give a folder, or an address such as s3://bucket/prefix."
+            ) from error
+        self._root = root.rstrip("/") or "/"
+        self.folder = Path(root) if isinstance(self._files, fs.LocalFileSystem) else None
+
+    def files(self, suffixes: tuple[str, ...]) -> list[Row]:
+        """All files below with one of these endings, in order of their path; what is hidden is passed over.
+
+        Raises:
+            DataError: when there is no such place, or it cannot be listed.
+        """
+        try:
+            return sorted(self._listed(suffixes), key=lambda row: row.file.split("/"))
+        except UnicodeDecodeError as error:
+            raise DataError(f"{self.where} holds file names that are not UTF-8; rename those files.") from error
+        except OSError as error:
+            raise DataError(f"{self.where} cannot be listed ({_first_line(error)}); check the address.") from error
+
+    def read(self, name: str) -> bytes:
+        """A whole file; OSError after three tries, FileNotFoundError at once."""
+        for attempt in range(1, _TRIES + 1):
+            try:
+                with self._files.open_input_stream(self._path(name)) as stream:
+                    return bytes(stream.read())
+            except FileNotFoundError:
+                raise
+            except OSError:
+                if attempt == _TRIES:
+                    raise
+                time.sleep(_PAUSE * attempt)
+        raise AssertionError
+
+    def open(self, name: str) -> Any:
+        """A file to read here and there in, as pyarrow takes it; FileNotFoundError where there is none."""
+        return self._files.open_input_file(self._path(name))
+
+    def write(self, name: str, data: bytes) -> None:
+        """Write a file whole or not at all: a reader sees the old one or the new one.
+
+        Raises:
+            OutputError: when it cannot be written.
+        """
+        if self.folder is not None:
+            write_whole(self.folder / name, data)
+            return
+        try:
+            # Object storage shows a file when it is closed.
+            with self._files.open_output_stream(self._path(name)) as stream:
+                stream.write(data)
+        except OSError as error:
+            raise OutputError(
+                f"{name} cannot be written to {self.where} ({_first_line(error)}); check its space and your rights there."
+            ) from error
+
+    def _listed(self, suffixes: tuple[str, ...]) -> Iterator[Row]:
+        for info in self._files.get_file_info(fs.FileSelector(self._root, recursive=True)):
+            name = info.path.removeprefix(self._root).lstrip("/")
+            hidden = any(part.startswith(".") for part in name.split("/"))
+            if info.type == fs.FileType.File and name.lower().endswith(suffixes) and not hidden:
+                yield Row(name, int(info.size or 0), int(info.mtime_ns or 0))
+
+    def _path(self, name: str) -> str:
+        return f"{self._root.rstrip('/')}/{name}"
+
+
+def _opened(where: str) -> tuple[fs.FileSystem, str]:
+    if "://" not in where:
+        return fs.LocalFileSystem(), str(Path(where).absolute())
+    try:
+        return fs.FileSystem.from_uri(where)  # type: ignore[no-any-return]
+    except pyarrow.ArrowInvalid:
+        from fsspec.core import url_to_fs
+
+        found, root = url_to_fs(where)
+        return fs.PyFileSystem(fs.FSSpecHandler(found)), str(root)
+
+
+def _first_line(error: BaseException) -> str:
+    return printable((str(error).splitlines() or [type(error).__name__])[0])

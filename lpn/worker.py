@@ -1,0 +1,115 @@
+"""One of many workers that describe a partition of the pictures at a time, see `lpn.cluster`. Needs the extra `ray`."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from lpn import images
+from lpn.changes import UNCHANGED
+from lpn.engine import Engine
+from lpn.errors import LPNError, PictureError
+from lpn.features.describing import prepared
+from lpn.integrity import DAMAGED, flaw_within
+from lpn.model import FloatArray
+from lpn.shards import Broken, Item, Plan, read_shard, unpacked, write_shard
+from lpn.spec import View
+from lpn.storage import Storage
+from lpn.streams import describe_each
+
+
+@dataclass(frozen=True)
+class Task:
+    """What all workers are told.
+
+    Attributes:
+        images, out: where the pictures are and where the shards go, as `lpn.storage.Storage` takes it.
+        plan: what the shards hold.
+        model: name of the model's first file.
+        threads: of one worker.
+    """
+
+    images: str
+    out: str
+    plan: Plan
+    model: str
+    threads: int
+
+
+class Worker:
+    """Describes partitions, one at a time; opens the model once.
+
+    Args:
+        task: what all workers are told.
+        files: Ray's reference to the model's files, name to bytes, so that no machine but the driver's needs them.
+    """
+
+    def __init__(self, task: Task, files: Any) -> None:
+        import cv2
+        import ray
+
+        cv2.setNumThreads(1)
+        self.task, self.images, self.out = task, Storage(task.images), Storage(task.out)
+        with tempfile.TemporaryDirectory(prefix="lpn-") as folder:
+            for name, data in ray.get(files).items():
+                Path(folder, name).write_bytes(data)
+            self.model = Engine(Path(folder, task.model), threads=1)
+
+    def __call__(self, batch: Mapping[str, Any]) -> dict[str, list[Any]]:
+        """Ray Data's batch of one partition to one row of what came of it; an error is a row too, in words."""
+        partition = int(batch["partition"][0])
+        try:
+            computed, described, broken = self.describe(partition, unpacked(str(batch["items"][0])))
+        except LPNError as error:
+            return {"partition": [partition], "computed": [0], "described": [0], "broken": [0], "error": [str(error)]}
+        counts = {"computed": [computed], "described": [described], "broken": [broken]}
+        return {"partition": [partition], **counts, "error": [""]}
+
+    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
+        """Write a partition's shard; returns how many of its pictures were computed, are described, and are broken."""
+        plan = self.task.plan
+        before = read_shard(self.out, plan, partition)
+        rows = {item.row: row for item, row in zip(before.items, before.descriptors, strict=True)} if before else {}
+        known = {one.item.row: one for one in before.broken if one.settled} if before else {}
+        missing = [item for item in items if item.row not in rows and item.row not in known]
+        broken = [known[item.row]._replace(item=item) for item in items if item.row in known]
+        streams = describe_each(self.model, missing, self._prepare, cast(View, plan.view), self.task.threads + 1)
+        computed = 0
+        for some in streams:
+            computed += len(some.items)
+            for i, row in zip(some.items, some.descriptors, strict=True):
+                rows[missing[i].row] = row
+            for i, error in some.broken:
+                broken.append(Broken(missing[i], str(error), not isinstance(error, _UnreadError)))
+        kept = [item for item in items if item.row in rows]
+        numbers = np.zeros((len(kept), plan.n_parts, plan.embedding), np.float32)
+        for i, item in enumerate(kept):
+            numbers[i] = rows[item.row]
+        write_shard(self.out, plan, partition, kept, numbers, broken)
+        return computed, len(kept), len(broken)
+
+    def _prepare(self, item: Item) -> FloatArray:
+        try:
+            data = self.images.read(item.row.file)
+        except OSError as error:
+            raise _UnreadError(f"cannot be read ({(str(error).splitlines() or ['?'])[0]})") from error
+        if (found := flaw_within(io.BytesIO(data))) is not None:
+            raise PictureError(found)
+        try:
+            picture = images.decode_picture(data, item.row.file)
+        except PictureError as error:
+            raise PictureError(DAMAGED) from error
+        try:
+            return prepared(self.model, picture, item.row, UNCHANGED, cast(View, self.task.plan.view))
+        except PictureError as error:
+            raise PictureError(f"cannot be cropped ({error})") from error
+
+
+class _UnreadError(PictureError):
+    """The picture's file could not be read, which may be another time."""

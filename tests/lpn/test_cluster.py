@@ -1,0 +1,291 @@
+"""Describing with many workers. Ray is started once for the module, with two workers."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ray", reason="the extra ray is not installed")
+pytest.importorskip("pyarrow", reason="the extra ray is not installed")
+
+from lpn import cli, features
+from lpn.cluster import Summary, describe_shards
+from lpn.engine import Engine
+from lpn.errors import DataError, InputError, LPNError, StoreError
+from lpn.raystart import started
+from lpn.shards import Item, open_shards, read_shard, shards, to_store
+from lpn.storage import Storage
+from lpn.worker import Worker
+from tests import worlds
+
+pytestmark = [
+    # Of Ray and what it starts: deprecations within its own modules, processes and sockets it leaves to the system.
+    pytest.mark.filterwarnings("ignore::DeprecationWarning:ray"),
+    pytest.mark.filterwarnings("ignore::FutureWarning:ray"),
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+
+PICTURES = 40
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _ray() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with started(None, 2, 1):
+            yield
+
+
+@pytest.fixture(scope="module")
+def described(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Summary, list[str]]:
+    """Pictures, their shards, and what was said; no test may change them."""
+    root, lines = tmp_path_factory.mktemp("described"), []
+    for i in range(PICTURES):
+        worlds.write(root / "pictures" / f"{i % 3}" / f"{i:02d}.png", worlds.place(i))
+    out = root / "shards"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        summary = describe_shards(model_file, root / "pictures", "drone", out, workers=2, shard=8, say=lines.append)
+    return root / "pictures", out, summary, lines
+
+
+@pytest.fixture
+def folder(described: tuple[Path, Path, Summary, list[str]], tmp_path: Path) -> Path:
+    """The same pictures, with the same times, for one test."""
+    return shutil.copytree(described[0], tmp_path / "pictures")
+
+
+@pytest.fixture
+def done(described: tuple[Path, Path, Summary, list[str]], tmp_path: Path) -> Path:
+    """Their shards, for one test."""
+    return shutil.copytree(described[1], tmp_path / "shards")
+
+
+def describe(model_file: Path, folder: Path, out: Path, **given: object) -> Summary:
+    return describe_shards(model_file, folder, "drone", out, workers=2, shard=8, say=lambda _: None, **given)  # type: ignore[arg-type]
+
+
+def expected(model_file: Path, folder: Path, out: Path) -> features.Store:
+    return features.describe(Engine(model_file), features.pictures_below(folder), "drone", out, root=folder)
+
+
+def held(out: Path) -> dict[str, np.ndarray]:
+    """Descriptors by name, each name once."""
+    found = [(name, row) for shard in shards(out) for name, row in zip(shard.ids, shard.descriptors, strict=True)]
+    assert len(dict(found)) == len(found)
+    return dict(found)
+
+
+def test_two_workers_say_what_one_machine_says(
+    model_file: Path, described: tuple[Path, Path, Summary, list[str]], tmp_path: Path
+) -> None:
+    pictures, out, summary, lines = described
+    assert (summary.pictures, summary.computed, summary.broken) == (PICTURES, PICTURES, [])
+    assert "40 of 40 pictures" in lines[-1]
+    assert "per second" in lines[-1]
+    alone = expected(model_file, pictures, tmp_path / "alone")
+    store = to_store(out, tmp_path / "store")
+    assert store.manifest == alone.manifest
+    np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
+    found = held(out)
+    for row, descriptor in zip(alone.manifest.rows, alone.descriptors, strict=True):
+        np.testing.assert_allclose(found[row.file], descriptor, atol=1e-6)
+    assert (out / "broken.csv").read_text() == "name,reason\n"
+    before = {path.name: path.stat().st_mtime_ns for path in out.glob("*.parquet")}
+    assert describe(model_file, pictures, out).computed == 0
+    assert {path.name: path.stat().st_mtime_ns for path in out.glob("*.parquet")} == before
+
+
+class Killed(Worker):
+    """Is killed once, in the middle of its second partition."""
+
+    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
+        fuse = Path(self.task.out).parent / "killed"
+        seen = getattr(self, "seen", 0)
+        self.seen = seen + 1
+        if seen == 1:
+            try:
+                fuse.touch(exist_ok=False)
+            except FileExistsError:
+                pass
+            else:
+                os.kill(os.getpid(), signal.SIGKILL)
+        return super().describe(partition, items)
+
+
+def test_a_killed_worker_costs_its_partition_alone(model_file: Path, folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "shards"
+    summary = describe(model_file, folder, out, worker=Killed)
+    assert (tmp_path / "killed").exists()
+    assert (summary.pictures, summary.broken) == (PICTURES, [])
+    alone = expected(model_file, folder, tmp_path / "alone")
+    store = to_store(out, tmp_path / "store")
+    assert store.manifest == alone.manifest
+    np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
+
+
+class Odd(Worker):
+    """Fails at every partition, as a fault of ours would make it."""
+
+    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
+        raise ZeroDivisionError(f"partition {partition} of {len(items)}")
+
+
+def test_what_workers_cannot_mend_is_one_sentence(model_file: Path, folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"^The workers failed \(ZeroDivisionError: partition .*run this again\.$"):
+        describe(model_file, folder, tmp_path / "shards", worker=Odd)
+
+
+def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
+    model_file: Path, folder: Path, done: Path, tmp_path: Path
+) -> None:
+    broken = ["0/cut.png", "1/text.jpg", "2/spoilt.png"]
+    (folder / broken[0]).write_bytes((folder / "0" / "00.png").read_bytes()[:-500])
+    (folder / broken[1]).write_bytes(b"no picture")
+    worlds.spoilt_png(folder / broken[2])
+    worlds.write(folder / "0" / "00.png", worlds.place(51))
+    worlds.write(folder / "3" / "new.png", worlds.place(52))
+    (folder / "2" / "02.png").unlink()
+    names = [path.relative_to(folder).as_posix() for path in features.pictures_below(folder)]
+    (folder / "geo.csv").write_text("path,latitude,longitude\n" + "".join(f"{name},46.5,7.25\n" for name in names))
+    summary = describe(model_file, folder, done)
+    assert (summary.pictures, summary.computed) == (len(names), 2)
+    assert [one.item.row.file for one in summary.broken] == broken
+    reasons = ["is cut short or damaged", "is not a picture that can be read", "is damaged"]
+    rows = list(csv.reader((done / "broken.csv").read_text().splitlines()))
+    assert rows == [["name", "reason"], *map(list, zip(broken, reasons, strict=True))]
+    assert set(held(done)) == set(names) - set(broken)
+    assert all((shard.positions == (46.5, 7.25)).all() for shard in shards(done))
+    again = describe(model_file, folder, done)
+    assert (again.computed, again.broken) == (0, summary.broken)
+    for name in broken:
+        (folder / name).unlink()
+    alone = expected(model_file, folder, tmp_path / "alone")
+    np.testing.assert_allclose(to_store(done, tmp_path / "store").descriptors, alone.descriptors, atol=1e-6)
+
+
+DRIVER = """
+import sys, time
+from pathlib import Path
+from lpn.cluster import describe_shards
+from lpn.worker import Worker
+
+class Slow(Worker):
+    def describe(self, partition, items):
+        time.sleep(1.0)
+        return super().describe(partition, items)
+
+describe_shards(Path(sys.argv[1]), sys.argv[2], "drone", sys.argv[3], workers=2, shard=8, worker=Slow)
+"""
+
+
+def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "shards"
+    driver = subprocess.Popen(
+        [sys.executable, "-c", DRIVER, str(model_file), str(folder), str(out)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        end = time.monotonic() + 120
+        while not list(out.glob("*.parquet")):
+            assert driver.poll() is None, "the driver ended before it was killed"
+            assert time.monotonic() < end
+            time.sleep(0.02)
+    finally:
+        driver.kill()
+        driver.wait()
+    with pytest.raises(StoreError, match="missing or damaged; run lpn describe --engine ray again"):
+        list(shards(out))
+    summary = describe(model_file, folder, out)
+    assert 0 < summary.computed < PICTURES
+    assert len(held(out)) == PICTURES
+
+
+def test_commands_say_what_they_did(
+    model_file: Path, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "1" / "text.jpg").write_bytes(b"no picture")
+    out = tmp_path / "shards"
+    common = ["describe", "--model", str(model_file), "--view", "drone", "--engine", "ray", "--workers", "2"]
+    given = [*common, "--images", f"file://{folder}", "--out", str(out), "--precision", "float16"]
+    assert cli.main(given) == 1
+    said = capsys.readouterr().out
+    assert f"{out} holds 40 descriptors, 40 of them computed now." in said
+    assert "1 pictures could not be described; broken.csv there names them" in said
+    (folder / "1" / "text.jpg").unlink()
+    assert cli.main(["gather", "--shards", str(out), "--out", str(tmp_path / "store")]) == 0
+    store = features.open_store(tmp_path / "store")
+    alone = expected(model_file, folder, tmp_path / "alone")
+    assert (store.manifest.precision, store.manifest.rows) == ("float16", alone.manifest.rows)
+    np.testing.assert_allclose(store.float32, alone.descriptors, atol=2e-4)
+    assert cli.main([*given[:-2], "--precision", "float32"]) == 2
+    assert "choose another place" in capsys.readouterr().err
+    assert cli.main([*given[:-2], "--precision", "int8"]) == 2
+    assert "float32 or float16" in capsys.readouterr().err
+    locally = [*common[:5], "--images", str(folder), "--out", str(out), "--workers", "2"]
+    assert cli.main(locally) == 2
+    assert "--workers is for many workers" in capsys.readouterr().err
+
+
+def test_object_storage_is_read_like_a_folder(folder: Path) -> None:
+    names = [str(path.relative_to(folder)) for path in features.pictures_below(folder)]
+    (folder / ".hidden").mkdir()
+    worlds.write(folder / ".hidden" / "a.png", worlds.place(0))
+    for where in (folder, f"file://{folder}", f"local://{folder}"):  # the last is opened by fsspec
+        storage = Storage(where)
+        rows = storage.files((".png",))
+        assert [row.file for row in rows] == names
+        assert [row.size for row in rows] == [(folder / name).stat().st_size for name in names]
+        assert storage.read(names[0]) == (folder / names[0]).read_bytes()
+        storage.write("new.txt", b"whole")
+        assert (folder / "new.txt").read_bytes() == b"whole"
+        with pytest.raises(FileNotFoundError):
+            storage.read("absent")
+
+
+def test_bad_options_are_refused_in_words(model_file: Path, folder: Path, tmp_path: Path) -> None:
+    empty = tmp_path / "empty.csv"
+    empty.write_text("path,latitude,longitude\n")
+    cases: list[tuple[type[LPNError], str, dict[str, object]]] = [
+        (InputError, "expected 1 or more", {"threads": 0}),
+        (InputError, "no 'street' view", {"view": "street"}),
+        (InputError, "make one with lpn export", {"model": model_file.with_suffix(".safetensors")}),
+        (InputError, "cannot be opened", {"pictures": "nowhere://bucket/tiles"}),
+        (DataError, "cannot be listed", {"pictures": folder / "absent"}),
+        (DataError, "holds no pictures", {"pictures": model_file.parent}),
+        (DataError, "no file of positions", {"positions": folder / "absent.csv"}),
+        (DataError, "no position for 40 of 40 pictures", {"positions": empty}),
+    ]
+    for kind, said, given in cases:
+        options = {"model": model_file, "pictures": folder, "view": "drone", "out": tmp_path / "out"} | given
+        with pytest.raises(kind, match=said):
+            describe_shards(**options)  # type: ignore[arg-type]
+    assert not list(tmp_path.glob("out/*.parquet"))
+    with pytest.raises(StoreError, match="no folder of shards"):
+        list(shards(tmp_path))
+
+
+def test_damaged_shards_are_computed_again(model_file: Path, folder: Path, done: Path) -> None:
+    storage, plan = open_shards(done)
+    lost = read_shard(storage, plan, 1)
+    assert lost is not None
+    damaged = done / "000001.parquet"
+    damaged.write_bytes(damaged.read_bytes()[:-100])
+    (done / "000000.parquet").rename(done / "000002.parquet")
+    with pytest.raises(StoreError, match="3 of 5 shards"):
+        open_shards(done)
+    assert describe(model_file, folder, done).computed > len(lost.items)
+    assert len(held(done)) == PICTURES
