@@ -1,9 +1,9 @@
-"""Pictures per second into descriptors: `python -m bench.describe [--pictures N] [FOLDER] [INT8.onnx]`.
+"""Pictures per second into descriptors: `python -m bench.describe [--pictures N] [FOLDER]`.
 
 The peer is the published test loop: a DataLoader with worker processes decodes with Pillow, resizes bicubically, and
 normalises; PyTorch in eager mode passes each batch of 32 and then its mirror, and the parts of the sum are normalised. Ours is
 `lpn.features.describe` into a store on disk, of the same network exported to ONNX, with its check of the pictures, manifest, and
-saves; and where a second .onnx is given, of that one, such as an int8 version of a ResNet-50 LPN. They take turns in one
+saves; and of the same network quantised. They take turns in one
 process, after a round that is not counted; the table gives medians: of the speed, and of its ratio to the peer in the same round,
 so that a busy moment distorts one round only. The limit is ONNX Runtime's bare passes, two for each picture, on as many
 threads as there are cores. FOLDER holds pictures with folders below it; without it, synthetic JPEG files of 512 x 512 pixels are
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import os
 import statistics
 import tempfile
 import time
@@ -27,25 +26,26 @@ import cv2
 import numpy as np
 import torch
 from PIL import Image
-from rich.console import Console
-from rich.table import Table
 from torch.utils.data import DataLoader, Dataset
 
+from bench.figures import Figure, against_peer, show
+from bench.train import make_pictures as train_split
 from lpn import features, images
 from lpn.checkpoints import TorchModel, load_torch, save
+from lpn.datasets import open_dataset
 from lpn.engine import Engine
 from lpn.export import export
+from lpn.machine import usable_cores
 from lpn.model import FloatArray, Model
 from lpn.network import LPN
+from lpn.quantize import quantize
 from lpn.spec import ModelSpec
-from lpn.streams import cores
 
 PICTURES = 96
 ROUNDS = 3
 BATCH = 32
 """Of the published test script."""
 SPEC = ModelSpec("resnet50", views=("satellite", "drone"), classes=701)
-TARGET = 6.0
 
 
 def make_pictures(root: Path, count: int) -> Path:
@@ -97,7 +97,7 @@ def ours(model: Model, files: Sequence[Path], root: Path) -> FloatArray:
 def bare(engine: Engine, passes: int) -> None:
     """Forward passes alone, on every core one after the other; the engine computes each on one thread."""
     single = np.zeros((1, 3, *engine.input_size), np.float32)
-    with ThreadPoolExecutor(cores()) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         list(pool.map(lambda _: engine.run(single, "drone"), range(passes)))
 
 
@@ -118,47 +118,37 @@ def agreement(a: FloatArray, b: FloatArray) -> float:
     return float((a * b).sum(1).mean())
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--pictures", type=int, default=PICTURES, help="how many are described in each turn, at most")
-    parser.add_argument("given", nargs="*", type=Path, help="a folder of pictures, and an int8 .onnx file")
-    options = parser.parse_args()
-    second = [path for path in options.given if path.suffix == ".onnx"]
-    folders = [path for path in options.given if path.suffix != ".onnx"]
+def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
+    """The figures of a folder of pictures, at most `count` of them."""
     torch.manual_seed(0)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        root = folders[0] if folders else make_pictures(folder / "pictures", options.pictures)
-        files = features.pictures_below(root)[: options.pictures]
+        root = given or make_pictures(folder / "pictures", count)
+        files = features.pictures_below(root)[:count]
         save(LPN(SPEC), folder / "model.safetensors")
         export(folder / "model.safetensors", folder / "model.onnx")
-        network, engine = load_torch(folder / "model.safetensors", "cpu"), Engine(folder / "model.onnx")
-        single = Engine(folder / "model.onnx", threads=1)
-        workers = max(1, (os.cpu_count() or 1) // 2)
-        tasks: dict[str, Callable[[], object]] = {
-            "published pipeline": lambda: published(network, files, workers),
-            "ours, fp32": lambda: ours(engine, files, root),
-        }
-        for path in second:
-            narrow = Engine(path)
-            tasks[f"ours, {path.name}"] = lambda narrow=narrow: ours(narrow, files, root)  # type: ignore[misc]
-        tasks["bare passes, fp32 (limit)"] = lambda: bare(single, 2 * len(files))
-        alike = agreement(published(network, files, workers), ours(engine, files, root))
-        times = take_turns(tasks)
-    shown = folders[0].name if folders else "synthetic 512 px JPEG files"
-    table = Table(title=f"{len(files)} pictures to descriptors, {shown}, ResNet-50, {cores()} cores, {ROUNDS} rounds")
-    for column in ("", "pictures/s", "ratio", "target"):
-        table.add_column(column, justify="left" if not column else "right")
-    peer = times["published pipeline"]
-    for name, values in times.items():
-        ratio = statistics.median(theirs / own for theirs, own in zip(peer, values, strict=True))
-        target = f">= {TARGET:g}" if name.endswith(".onnx") else ""
-        table.add_row(name, f"{len(files) / statistics.median(values):.2f}", f"{ratio:.2f}", target)
-    console = Console(width=120)
-    console.print(table)
-    console.print(f"Mean cosine between the published descriptors and ours in fp32: {alike:.6f}")
+        quantize(folder / "model.onnx", open_dataset(train_split(folder / "places")), folder / "int8.onnx", 32)
+        network = load_torch(folder / "model.safetensors", "cpu")
+        workers = max(1, usable_cores() // 2)
+        tasks: dict[str, Callable[[], object]] = {"peer": lambda: published(network, files, workers)}
+        for kind, file in (("float32", "model.onnx"), ("int8", "int8.onnx")):
+            engine, single = Engine(folder / file), Engine(folder / file, threads=1)
+            tasks[kind] = lambda engine=engine: ours(engine, files, root)  # type: ignore[misc]
+            tasks[f"{kind} bare"] = lambda single=single: bare(single, 2 * len(files))  # type: ignore[misc]
+        apart = 1 - agreement(published(network, files, workers), ours(Engine(folder / "model.onnx"), files, root))
+        speed = {name: len(files) / statistics.median(values) for name, values in take_turns(tasks).items()}
+    what = f"ResNet-50, {len(files)} pictures of a folder to a store"
+    peer = speed["peer"]
+    return [
+        against_peer(f"{what}, int8", speed["int8"], peer, 6, "pictures/s", limit=speed["int8 bare"], more=True),
+        Figure(f"{what}, float32", speed["float32"], "pictures/s", peer, speed["float32 bare"], more=True),
+        Figure("1 - mean cosine of the published descriptors and ours in float32", apart, ""),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--pictures", type=int, default=PICTURES, help="how many are described in each turn, at most")
+    parser.add_argument("folder", nargs="?", type=Path, help="a folder of pictures")
+    options = parser.parse_args()
+    show("A folder of pictures", figures(options.pictures, options.folder))

@@ -21,7 +21,7 @@ class Figure:
     Attributes:
         what: the step and its size.
         ours: as measured, in `unit`.
-        unit: "ms", "s", "pictures/s", "GB", ...; of the last two kinds, more and less is better as said by `more`.
+        unit: "ms", "pictures/s", "GB", ...
         peer: of the same work done the peer's way, measured in the same run; None without one.
         limit: what no program of this kind can be better than, measured in the same run; None without one.
         target: what is aimed at, such as "3 x peer" or "1.15 x limit"; empty without one.
@@ -48,7 +48,9 @@ class Figure:
     @property
     def excess(self) -> float | None:
         """How many times the limit."""
-        return None if self.limit is None else self.ours / self.limit
+        if self.limit is None:
+            return None
+        return self.limit / self.ours if self.more else self.ours / self.limit
 
 
 def against_peer(

@@ -3,7 +3,7 @@
 The peers are NumPy's product with the whole gallery and a partial sort, and faiss's flat index. Ours is
 `lpn.index.ExactIndex`, memory-mapped, in the three precisions, with equal and with other part weights; it gives names, scores,
 and the vectors of the top 100, as the peers do. The limit is reading the vectors once, by the quickest of a few ways to
-read them, and for float16 and int8 a half and a quarter of that. All take turns in one process, and the tables give medians.
+read them; float16 and int8 are to take half of what float32 may. All take turns in one process, and the tables give medians.
 
 Descriptors are drawn about centres, as those of places are. `--growth` makes the table of larger galleries, up to a million
 tiles, of which one index at a time lies on disk (8 kB a tile, at most 12, and as much again while segments are gathered);
@@ -13,13 +13,11 @@ tiles, of which one index at a time lies on disk (8 kB a tile, at most 12, and a
 from __future__ import annotations
 
 import argparse
-import os
-import platform
+import itertools
 import resource
-import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
@@ -29,15 +27,21 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+import bench.figures
+from bench.figures import Figure, below, machine, show, within
 from lpn import explain
 from lpn.index import ExactIndex, Kind
 from lpn.index.scan import PRECISIONS
+from lpn.machine import usable_cores
 from lpn.model import FloatArray, normalise
 
 KIND = Kind("bench", 4, 512)
+TILES = (951, 51_355)
+SMALL = 1000
+"""Tiles up to which a search is to take a millisecond at most."""
 OTHER = (0.5, 0.3, 0.2, 0.0)
 TOP = 100
-THREADS = min(8, os.cpu_count() or 1)
+THREADS = min(8, usable_cores())
 BLOCK = 4096
 QUERIES = 20
 Task = Callable[[int], object]
@@ -63,15 +67,10 @@ def queries(gallery: FloatArray) -> FloatArray:
 
 
 def medians(tasks: dict[str, Task], rounds: int) -> dict[str, float]:
-    """Median seconds of each task, the tasks taking turns; each round has another query."""
-    times: dict[str, list[float]] = {name: [] for name in tasks}
-    for number in range(rounds + 2):
-        for name, task in tasks.items():
-            started = time.perf_counter()
-            task(number % QUERIES)
-            if number >= 2:
-                times[name].append(time.perf_counter() - started)
-    return {name: statistics.median(values) for name, values in times.items()}
+    """Median milliseconds of each task; each round has another query."""
+    numbers = {name: itertools.count() for name in tasks}
+    each = {name: lambda name=name: tasks[name](next(numbers[name]) % QUERIES) for name in tasks}
+    return bench.figures.medians(each, rounds)
 
 
 def readers(rows: FloatArray) -> dict[str, Task]:
@@ -125,8 +124,8 @@ def filled(index: Any, count: int) -> Any:
     return index
 
 
-def compare(count: int, folder: Path, rounds: int, console: Console) -> None:
-    """The table of one gallery."""
+def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
+    """The figures of one gallery."""
     gallery = np.concatenate([block for _, block in drawn(count)])
     asked = queries(gallery)
     equal, other = explain.part_weights(KIND.n_parts), explain.part_weights(KIND.n_parts, OTHER)
@@ -134,24 +133,29 @@ def compare(count: int, folder: Path, rounds: int, console: Console) -> None:
     tasks = readers(gallery) | peers(gallery, asked, equal)
     for name, index in indexes.items():
         for said, weights in (("", equal), (", other weights", other)):
-            tasks[f"ours {name}{said}"] = lambda i, index=index, weights=weights: index.search(asked[i], weights, TOP)
+            tasks[f"{name}{said}"] = lambda i, index=index, weights=weights: index.search(asked[i], weights, TOP)
     found = medians(tasks, rounds)
-    limit = min(value for name, value in found.items() if name.startswith("read"))
-    table = Table(title=f"{count} tiles x {KIND.numbers}, top {TOP} with vectors, {_machine()}, medians of {rounds}")
-    for column in ("", "ms", "limit, ms", "ratio", "NumPy / it"):
-        table.add_column(column, justify="right" if column else "left")
-    for name, value in found.items():
-        least = limit / (4 if "int8" in name else 2 if "float16" in name else 1)
-        shown = (f"{1000 * value:.2f}", f"{1000 * least:.2f}", f"{value / least:.2f}", f"{found['NumPy'] / value:.2f}")
-        table.add_row(name, *shown)
-    console.print(table)
     for index in indexes.values():
         index.close()
+    limit = min(value for name, value in found.items() if name.startswith("read"))
+    faiss = found.get("faiss flat")
+    title = f"search {count:,} x {KIND.numbers}, top {TOP} with vectors"
+    made = []
+    for name in (name for name in found if name.startswith(PRECISIONS)):
+        what = f"{title}, {name}"
+        if count <= SMALL:
+            made.append(below(what, found[name], 1, peer=faiss))
+        elif name.startswith("float32"):
+            made.append(within(what, found[name], limit, 1.3, peer=faiss))
+        else:
+            made.append(Figure(what, found[name], "ms", faiss, limit, "0.65 x limit", found[name] <= 0.65 * limit))
+    made.append(Figure(f"the same by NumPy, {count:,} x {KIND.numbers}", found["NumPy"], "ms", faiss, limit))
+    return made
 
 
 def grow(counts: list[int], folder: Path, rounds: int, console: Console) -> None:
     """Time, disk, and memory against the size of the gallery, one index on disk at a time."""
-    table = Table(title=f"growth, top {TOP} with vectors, {_machine()}, medians of {rounds}")
+    table = Table(title=f"growth, top {TOP} with vectors, {machine()}, medians of {rounds}")
     for column in ("tiles", "index", "add, s", "first search, ms", "search, ms", "disk, MB", "process's peak, MB"):
         table.add_column(column, justify="right")
     for count in counts:
@@ -168,7 +172,7 @@ def grow(counts: list[int], folder: Path, rounds: int, console: Console) -> None
                 disk = sum(file.stat().st_size for file in Path(place).rglob("*") if file.is_file())
                 index.close()
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            shown = (f"{added:.1f}", f"{1000 * first:.1f}", f"{1000 * took:.2f}", f"{disk / 1e6:.0f}", f"{peak:.0f}")
+            shown = (f"{added:.1f}", f"{1000 * first:.1f}", f"{took:.2f}", f"{disk / 1e6:.0f}", f"{peak:.0f}")
             table.add_row(str(count), name, *shown)
     console.print(table)
 
@@ -190,7 +194,7 @@ def recall(count: int, folder: Path, rounds: int, codes: Any, console: Console) 
     """Recall at 10 against time of faiss's inverted lists, by how many are looked through."""
     from lpn.index.faiss import FaissIndex
 
-    table = Table(title=f"faiss {codes} on {count} tiles x {KIND.numbers}, top 10, {_machine()}, medians of {rounds}")
+    table = Table(title=f"faiss {codes} on {count} tiles x {KIND.numbers}, top 10, {machine()}, medians of {rounds}")
     for column in ("nprobe", "depth", "recall@10, %", "ms"):
         table.add_column(column, justify="right")
     asked = queries(next(drawn(count))[1])
@@ -204,19 +208,21 @@ def recall(count: int, folder: Path, rounds: int, codes: Any, console: Console) 
             index.nprobe, index.depth = nprobe, depth
             hits = sum(len(truth[i] & set(index.search(query, None, 10).ids)) for i, query in enumerate(asked))
             took = medians({"": lambda i: index.search(asked[i], None, 10)}, rounds)[""]
-            table.add_row(str(nprobe), str(depth), f"{100 * hits / (10 * len(asked)):.1f}", f"{1000 * took:.2f}")
+            table.add_row(str(nprobe), str(depth), f"{100 * hits / (10 * len(asked)):.1f}", f"{took:.2f}")
         index.close()
     console.print(table, f"Added in {added:.0f} s, lists and codes learnt.")
 
 
-def _machine() -> str:
-    return f"{THREADS} threads, {platform.machine()}"
+def figures(counts: Sequence[int] = TILES, folder: Path | None = None, rounds: int = 20) -> list[Figure]:
+    """The figures of some galleries."""
+    with tempfile.TemporaryDirectory(dir=folder) as place:
+        return [figure for count in counts for figure in compare(count, Path(place), rounds)]
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tiles", type=int, nargs="+", default=[951, 51_355], help="sizes of the galleries compared")
+    parser.add_argument("--tiles", type=int, nargs="+", default=TILES, help="sizes of the galleries compared")
     parser.add_argument(
         "--growth", type=int, nargs="*", help="sizes of the growth table; 10^3 to 10^6 when none is given"
     )
@@ -228,9 +234,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="where indexes are made")
     given = parser.parse_args()
     console = Console(width=120)
-    with tempfile.TemporaryDirectory(dir=given.folder) as place:
-        for count in given.tiles:
-            compare(count, Path(place), given.rounds, console)
+    show("One query against a gallery", figures(given.tiles, given.folder, given.rounds))
     if given.growth is not None:
         grow(given.growth or [10**3, 10**4, 10**5, 10**6], given.folder, given.rounds, console)
     if given.recall:
