@@ -69,9 +69,7 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.browser
-	$(BIN)/python -m bench.forward
-	$(BIN)/python -m bench.train
-	$(BIN)/python -m bench.page $(DATA) $(MODEL)
+	$(BIN)/python -m bench $(BENCH)
 
 # The demo made again, in runs/: a city rendered, a network trained on it, both packed. Every step goes on where it stopped.
 # INIT=file: ImageNet weights of a ResNet-18, with torchvision's names.
