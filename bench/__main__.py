@@ -1,7 +1,7 @@
 """Every bench in one table: `python -m bench [NAME ...]`.
 
-Names are query, search, evaluate, describe, page, large, and train; without one, all are run, each in a process of its own. The page's
-are measured on the demo.
+Names are query, search, evaluate, describe, page, large, and train; without one, all are run, each in a process of its own. The
+page is measured on the demo.
 """
 
 from __future__ import annotations
