@@ -116,7 +116,17 @@ def main() -> None:
         raise SystemExit(f"The share is {share:g}; expected more than 0 and at most 1.")
     title = f"Evaluation of {LENGTH} numbers each, {os.cpu_count()} cores, {platform.machine()}, the best of 3 to 4"
     table = Table(title=title)
-    for column in ("", "published, s", "ours, s", "product alone, s", "of product", "ours, peak GB", "R@1", "AP", "apart"):
+    for column in (
+        "",
+        "published, s",
+        "ours, s",
+        "product alone, s",
+        "of product",
+        "ours, peak GB",
+        "R@1",
+        "AP",
+        "apart",
+    ):
         table.add_column(column, justify="right")
     for number, size in enumerate(SIZES):
         command = [sys.executable, "-m", "bench.evaluate", "ours", str(number), str(share)]

@@ -121,8 +121,8 @@ class _Block:
             begins = np.cumsum(counts) - counts
             self._find_false()
             self._single(begins[counts == 1])
-            for row in np.flatnonzero((counts > 1) & ~self._wide):
-                self._several(int(row), slice(begins[row], begins[row] + counts[row]))
+            for row in np.flatnonzero((counts > 1) & ~self._wide).tolist():
+                self._several(row, slice(begins[row], begins[row] + counts[row]))
             self._settle_wide()
         return Ranked(self._first, self._nearest, self._false, self._precision)
 
@@ -134,7 +134,7 @@ class _Block:
         self._false = np.where(self._top > -np.inf, found, -1)
         floor = _below(self._top - self._gap)
         near = _count(self._block >= floor[:, None])
-        for row in np.flatnonzero((near > 1) & (self._false >= 0) & ~self._wide):
+        for row in np.flatnonzero((near > 1) & (self._false >= 0) & ~self._wide).tolist():
             if near[row] > self._few:
                 self._wide[row] = True
                 continue
@@ -167,29 +167,31 @@ class _Block:
         tiles, score, gap = self._tile[entries], self._true[entries].astype(np.float64), self._gap[row]
         low, high = _below(score - gap), _over(score + gap)
         line = self._block[row]
-        near = np.flatnonzero(line >= low.min())
-        order = near[np.argsort(line[near])]
+        near = (line >= low.min()).nonzero()[0]
+        order = near[line[near].argsort()]
         held = line[order]
-        start, stop = np.searchsorted(held, low, "left"), np.searchsorted(held, high, "right")
-        above, unsure = len(held) - stop, np.flatnonzero(stop > start)
-        rivals = np.flatnonzero(score >= score.max() - gap)
+        start, stop = held.searchsorted(low, "left"), held.searchsorted(high, "right")
+        above, unsure = len(held) - stop, (stop > start).nonzero()[0]
+        rivals = (score >= score.max() - gap).nonzero()[0]
         exact = np.zeros(len(tiles))
         asked = np.union1d(unsure, rivals) if len(rivals) > 1 else unsure
-        exact[asked] = self._exact(row, tiles[asked])
-        # Now only one of the two scores can be off.
-        start = np.searchsorted(held, _below(exact[unsure] - gap / 2), "left")
-        stop = np.searchsorted(held, _over(exact[unsure] + gap / 2), "right")
-        between = [order[a:b] for a, b in zip(start, stop, strict=True)]
-        close = np.unique(np.concatenate([_NONE, *between]))
-        if len(close) > self._few:
-            self._wide[row] = True
-            return
-        known = self._exact(row, close)
-        above[unsure] = len(held) - stop
-        for i, others in zip(unsure, between, strict=True):
-            above[i] += np.count_nonzero(_ahead(exact[i], tiles[i], known[np.searchsorted(close, others)], others))
-        self._take(row, np.sort(above) + np.arange(len(above)))
-        self._nearest[row] = tiles[rivals[np.argmax(exact[rivals])]]
+        if len(asked):
+            exact[asked] = self._exact(row, tiles[asked])
+            # Now only one of the two scores can be off.
+            start = held.searchsorted(_below(exact[unsure] - gap / 2), "left")
+            stop = held.searchsorted(_over(exact[unsure] + gap / 2), "right")
+            counts = stop - start
+            if counts.sum() > self._few:
+                self._wide[row] = True
+                return
+            owner = unsure.repeat(counts)
+            close = order[np.arange(len(owner)) + (start - counts.cumsum() + counts).repeat(counts)]
+            before = _ahead(exact[owner], tiles[owner], self._exact(row, close), close)
+            above[unsure] = len(held) - stop
+            above += np.bincount(owner[before], minlength=len(above))
+        above.sort()
+        self._take(row, above + np.arange(len(above)))
+        self._nearest[row] = tiles[rivals[exact[rivals].argmax()]]
 
     def _settle_wide(self) -> None:
         """Queries whose scores are too close together, or too large, for single precision."""
@@ -216,7 +218,7 @@ class _Block:
         self._first[row], self._precision[row] = ranks[0], average_precision(ranks)
 
     def _exact(self, row: int, tiles: IntArray) -> FloatArray:
-        return self._scores.exact(self._start + int(row), tiles)
+        return self._scores.exact(self._start + row, tiles)
 
 
 def average_precision(ranks: IntArray) -> float:
@@ -224,7 +226,7 @@ def average_precision(ranks: IntArray) -> float:
     hits = np.arange(len(ranks))
     after = (hits + 1) / (ranks + 1)
     before = np.where(ranks == 0, 1.0, hits / np.maximum(ranks, 1))
-    return float(np.mean((after + before) / 2))
+    return float(((after + before) / 2).mean())
 
 
 def _ahead(

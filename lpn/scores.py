@@ -104,7 +104,7 @@ class Scores:
         _, kind, counts = np.unique(sums, return_inverse=True, return_counts=True)
         first: dict[bytes, int] = {}
         for tile in np.flatnonzero(counts[kind] > 1).tolist():
-            key = hashlib.blake2b(np.ascontiguousarray(self._tiles[tile]), digest_size=16).digest()
+            key = hashlib.blake2b(self._tiles[tile].tobytes(), digest_size=16).digest()
             found[tile] = first.setdefault(key, tile)
         return found
 
