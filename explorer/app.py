@@ -20,6 +20,7 @@ import viser
 from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, why
 from explorer.bridge import Bridge
 from explorer.exhibit import Analyst, Exhibit
+from explorer.follower import Follower
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
 from explorer.link import Links
@@ -78,6 +79,7 @@ class Visitor:
             commands.add(client.gui, exhibit, self._panels, self.change, self._bridge, further)
             self._stage = Stage(client, exhibit, self._selected)
             self._worker = Worker(self._work, self._failed)
+            self._follower = Follower(self._panels.show_results, self._worker.wake)
             self._opening = Patience(GREETING, self._worker.wake)
 
     def change(self, change: Change) -> None:
@@ -103,6 +105,7 @@ class Visitor:
     def leave(self) -> None:
         """The browser is gone: stop its worker."""
         self._opening.there()
+        self._follower.leave()
         self._reporter.leave()
         self._reasons.leave()
         self._worker.stop()
@@ -148,6 +151,8 @@ class Visitor:
         finally:
             slow.there()
         self._panels.show(answer, self._sequence, started)
+        beside = self._exhibit.beside
+        self._follower.follow(answer.task, None if beside is None else beside.tasks.get(answer.task.name))
         self._bridge.address(self._links.write(answer.state), self._links.keys)
 
     def _failed(self, error: Exception) -> None:

@@ -98,12 +98,15 @@ def build(
     # Equal weights scale no score, so that ranks are those of the published protocol to the last tie.
     factors = None if weights is None else np.repeat(n * used, size)
     found = metrics.retrieve(queries, query_labels, gallery, labels, truth, factors, progress)
-    return outcomes_of(found, queries, gallery, used)
+    return outcomes_of(found, queries, gallery, weights)
 
 
-def outcomes_of(found: Retrieval, queries: Descriptors, gallery: Descriptors, used: npt.ArrayLike) -> Outcomes:
-    """The outcomes of queries (Q, n, D) that are ranked already, with the part weights (n,), summing to one, that did it."""
-    used = np.asarray(used, np.float64)
+def outcomes_of(
+    found: Retrieval, queries: Descriptors, gallery: Descriptors, weights: npt.ArrayLike | None = None
+) -> Outcomes:
+    """The outcomes of queries (Q, n, D) that have been ranked already, under the same part weights (n,)."""
+    used = explain.part_weights(queries.shape[1], weights).astype(np.float64)
+    used /= used.sum()
     rank, true, false = found.first, found.true, found.false
     parts = _part_margins(queries, gallery, true, false, len(used) * used)
     margin = parts.sum(axis=1)

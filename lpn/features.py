@@ -148,10 +148,14 @@ class Manifest:
 
 @dataclass(frozen=True, eq=False)
 class Store:
-    """A complete store. `descriptors` is (N, n, D) in the manifest's precision, memory-mapped, read-only."""
+    """A complete store. `descriptors` is (N, n, D) in the manifest's precision, memory-mapped, read-only.
+
+    `identity` is a text that no other store has: of the manifest's contents, and of the array's size and time.
+    """
 
     manifest: Manifest
     descriptors: FloatArray | npt.NDArray[np.float16] | npt.NDArray[np.int8]
+    identity: str = ""
 
     @property
     def float32(self) -> FloatArray:
@@ -175,9 +179,15 @@ def open_store(folder: str | Path) -> Store:
             " (its description was not finished; run lpn describe again)" if (folder / "planned.json").is_file() else ""
         )
         raise StoreError(f"{folder} has no manifest.json, so it is not a store of descriptors{unfinished}.")
-    manifest = Manifest.from_json((folder / "manifest.json").read_bytes(), "manifest.json")
+    written = (folder / "manifest.json").read_bytes()
+    return _with_array(folder, Manifest.from_json(written, "manifest.json"), written)
+
+
+def _with_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
+    """The store of a manifest and of the bytes it was read from; StoreError when its array does not fit."""
     expected = (len(manifest.rows), manifest.n_parts, manifest.embedding)
     try:
+        stat = (folder / "descriptors.npy").stat()
         descriptors = np.load(folder / "descriptors.npy", mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise StoreError(f"descriptors.npy in {folder} is missing or damaged; describe the pictures again.") from error
@@ -186,7 +196,8 @@ def open_store(folder: str | Path) -> Store:
             f"descriptors.npy in {folder} is {descriptors.dtype} {descriptors.shape}, but its manifest says "
             f"{manifest.precision} {expected}; describe the pictures again."
         )
-    return Store(manifest, descriptors)
+    told = f"{stat.st_size} {stat.st_mtime_ns}".encode()
+    return Store(manifest, descriptors, hashlib.sha256(written + told).hexdigest())
 
 
 def describe(
@@ -265,9 +276,13 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ch
 
     The cache is `$LPN_CACHE`, else `lpn-explorer` in `$XDG_CACHE_HOME` or `~/.cache`; it may be deleted at any time.
     """
-    files = [picture.path.resolve() for picture in pictures]
+    return _cached(model, pictures, view, change).descriptors
+
+
+def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Side:
+    files = _resolved(pictures)
     # By their folder, not by their list: when a picture is added or mended, the others' rows are taken over.
-    common = os.path.commonpath([file.parent for file in files])
+    common = os.path.commonpath({file.parent for file in files})
     boxes = [picture.box for picture in pictures]
     identity: list[Any] = [model.fingerprint, view, change.rotate, common]
     # Only what differs from a picture as it is, so that caches from before there were such changes are still found.
@@ -281,7 +296,8 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ch
     try:
         if (held := _held(model, files, view, folder, change, boxes)) is not None:
             return held
-        return describe(model, files, view, folder, change=change, boxes=boxes, title=title).float32
+        store = describe(model, files, view, folder, change=change, boxes=boxes, title=title)
+        return Side(store.float32, store.identity)
     except (StoreError, OutputError) as error:
         raise StoreError(
             f"The cache of descriptors in {cache_folder()} cannot be used ({error}) Set LPN_CACHE to a folder that can be "
@@ -289,28 +305,62 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ch
         ) from error
 
 
+def _resolved(pictures: Sequence[Picture]) -> list[Path]:
+    """The file behind each picture, links followed; a folder is followed once for all that is in it."""
+    folders: dict[Path, Path] = {}
+    files = []
+    for picture in pictures:
+        parent = picture.path.parent
+        if parent not in folders:
+            folders[parent] = parent.resolve()
+        file = folders[parent] / picture.path.name
+        files.append(file.resolve() if file.is_symlink() else file)
+    return files
+
+
 def shipped_descriptors(model: Model, pictures: Sequence[Picture], view: View, store: Path) -> FloatArray | None:
     """Descriptors (N, n, D) from a store that came with the pictures, or None where it is not of this model and these.
 
     Files are compared by name and size: a copy of a data set has other times than its original.
     """
+    found = _shipped(model, pictures, view, store)
+    return None if found is None else found.descriptors
+
+
+def _shipped(model: Model, pictures: Sequence[Picture], view: View, store: Path) -> Side | None:
     try:
         held = open_store(store)
     except StoreError:
         return None
     rows = [(printable(str(row.file)), row.size, row.box) for row in held.manifest.rows]
-    these = [("/".join(picture.path.parts[-2:]), picture.path.stat().st_size, picture.box) for picture in pictures]
+    if len(rows) != len(pictures):
+        return None
+    these = [(f"{p.path.parent.name}/{p.path.name}", p.path.stat().st_size, p.box) for p in pictures]
     wanted = (model.fingerprint, view, UNCHANGED, model.n_parts)
     found = (held.manifest.fingerprint, held.manifest.view, held.manifest.change, held.manifest.n_parts)
-    return held.float32 if found == wanted and rows == these else None
+    return Side(held.float32, held.identity) if found == wanted and rows == these else None
 
 
-def known_descriptors(
-    model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Literal["query", "gallery"]
-) -> FloatArray:
-    """Descriptors (N, n, D) of one side of a test split: those that came with the data set in `root`, else from the cache."""
-    found = shipped_descriptors(model, pictures, view, root / STORES / f"{role}_{view}")
-    return cached_descriptors(model, pictures, view) if found is None else found
+Role = Literal["query", "gallery"]
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """Descriptors (N, n, D) of one side of a test split, and a text that no other descriptors have."""
+
+    descriptors: FloatArray
+    identity: str
+
+
+def known_side(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> Side:
+    """One side of a test split: descriptors that came with the data set in `root`, else from the cache."""
+    found = _shipped(model, pictures, view, root / STORES / f"{role}_{view}")
+    return _cached(model, pictures, view, UNCHANGED) if found is None else found
+
+
+def known_descriptors(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> FloatArray:
+    """The descriptors (N, n, D) of `known_side` alone."""
+    return known_side(model, pictures, view, root, role).descriptors
 
 
 def passing_descriptors(
@@ -325,17 +375,22 @@ def passing_descriptors(
 
 def _held(
     model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[Box | None]
-) -> FloatArray | None:
+) -> Side | None:
     """Descriptors of files that a store has, all or some, so that a part of a folder does not replace the whole."""
     store = _complete(folder)
     if store is None or len(store.manifest.rows) < len(files):
         return None
-    rows = {row: position for position, row in enumerate(store.manifest.rows)}
-    wanted = [rows.get(_row(file, None, box)) for file, box in zip(files, boxes, strict=True)]
-    if None in wanted or not Manifest.of(model, view, change, ()).comparable(store.manifest):
+    if not Manifest.of(model, view, change, ()).comparable(store.manifest):
         return None
-    whole = wanted == list(range(len(rows)))
-    return store.float32 if whole else store.float32[np.array(wanted, np.int64)]
+    asked = tuple(_row(file, None, box) for file, box in zip(files, boxes, strict=True))
+    if asked == store.manifest.rows:
+        return Side(store.float32, store.identity)
+    rows = {row: position for position, row in enumerate(store.manifest.rows)}
+    wanted = [rows.get(row) for row in asked]
+    if None in wanted:
+        return None
+    some = np.array(wanted, np.int64)
+    return Side(store.float32[some], hashlib.sha256(store.identity.encode() + some.tobytes()).hexdigest())
 
 
 def cache_folder() -> Path:
@@ -406,20 +461,22 @@ def _complete(folder: Path) -> Store | None:
     manifest = folder / "manifest.json"
     if manifest.exists():
         try:
-            Manifest.from_json(manifest.read_bytes(), manifest.name)
+            written = manifest.read_bytes()
+            read = Manifest.from_json(written, manifest.name)
         except (StoreError, OSError) as error:
             raise StoreError(
                 f"{folder} has a manifest.json that is not one of {FORMAT}; choose another folder, or delete that file if it "
                 "is of no use."
             ) from error
-    elif (folder / "descriptors.npy").exists() and not (folder / "planned.json").exists():
+        try:
+            return _with_array(folder, read, written)
+        except StoreError:
+            return None
+    if (folder / "descriptors.npy").exists() and not (folder / "planned.json").exists():
         raise StoreError(
             f"{folder} has a descriptors.npy without a manifest.json, so it is not ours to replace; choose another folder."
         )
-    try:
-        return open_store(folder)
-    except StoreError:
-        return None
+    return None
 
 
 def _fill(model: Model, files: Sequence[Path], manifest: Manifest, out: Path, before: Store | None, title: str) -> None:

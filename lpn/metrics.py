@@ -17,28 +17,19 @@ from lpn import ranks
 from lpn.datasets import Truth
 from lpn.errors import InputError
 from lpn.model import as_array
-from lpn.ranks import JUNK, Marks
+from lpn.ranks import JUNK, Marks, Ranked
 from lpn.scores import FloatArray, IntArray, Scores, norms
 
 __all__ = ["JUNK", "IntArray", "Retrieval", "check_truth", "checked_labels", "evaluate", "flat_sides", "retrieve"]
 
 
 @dataclass(frozen=True, eq=False)
-class Retrieval:
-    """What one pass of the queries over the gallery found.
+class Retrieval(Ranked):
+    """What one pass of the queries over the gallery found, (Q,) each.
 
-    Attributes:
-        first: 0-based rank of each query's first true match, junk left out; -1 where it has none, (Q,).
-        true, false: gallery positions of each query's nearest true match and nearest picture that is neither that nor junk, the
-            first of equals; -1 where there is none, (Q,).
-        precision: average precision of each query, 0 .. 1, (Q,).
-        gallery: number of gallery pictures, junk included.
+    `gallery` is the number of gallery pictures, junk included; for the rest see `lpn.ranks.Ranked`.
     """
 
-    first: IntArray
-    true: IntArray
-    false: IntArray
-    precision: FloatArray
     gallery: int
 
     @property
@@ -120,10 +111,15 @@ def retrieve(
         found.append(ranks.rank(scores, marks, rows, block, errors))
         if progress is not None:
             progress(rows.stop, len(queries))
+    return joined(found, len(tiles))
+
+
+def joined(parts: Sequence[Ranked], gallery: int) -> Retrieval:
+    """What was found for some queries after the other, as one; `gallery` is the number of tiles, junk included."""
     first, true, false, precision = (
-        np.concatenate([getattr(part, name) for part in found]) for name in ("first", "true", "false", "precision")
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("first", "true", "false", "precision")
     )
-    return Retrieval(first, true, false, precision, len(tiles))
+    return Retrieval(first, true, false, precision, gallery)
 
 
 def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:

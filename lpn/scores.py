@@ -25,7 +25,7 @@ IntArray = npt.NDArray[np.int64]
 
 _BLOCK_BYTES = 160_000_000
 _ROWS = 1024
-_COLUMNS = 2048
+_COLUMNS = 4096
 """Tiles multiplied at a time, so that what is added to their products is still in the processor's cache."""
 _CHUNK = 512
 """Numbers of a descriptor that are summed in one go: the shorter, the tighter the bound, and the more there is to add."""
