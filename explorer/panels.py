@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from random import Random
 from typing import Any, cast
@@ -43,7 +43,7 @@ class Panels:
         self, client: viser.ClientHandle, exhibit: Exhibit, state: State, change: Callable[[Change], None], rng: Random
     ) -> None:
         self._client, self._exhibit, self._change, self._rng = client, exhibit, change, rng
-        self._shown: Sequence[int] = []
+        self._shown: list[int] = []
         self._shown_of: tuple[str, str] | None = None
         self._answer: Answer | None = None
         self.order: Callable[[State], IntArray | None] = lambda _: None

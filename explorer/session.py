@@ -217,9 +217,9 @@ def flip_dark(state: State) -> State:
     return replace(state, dark=not state.dark)
 
 
-def found(names: Sequence[str], text: str) -> Sequence[int]:
+def found(names: Sequence[str], text: str) -> list[int]:
     """Positions of the names that contain a text, upper and lower case alike."""
     wanted = text.strip().casefold()
     if not wanted:
-        return range(len(names))
+        return list(range(len(names)))
     return [i for i, name in enumerate(names) if wanted in name.casefold()]

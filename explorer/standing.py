@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
 from dataclasses import dataclass
 
@@ -93,6 +95,8 @@ class Standing:
         return self.found
 
     def _rank(self, progress: Progress) -> Found:
+        if sys.platform == "linux":  # there, a thread has a niceness of its own: what a browser asks for goes first
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
         with self._turn:  # one that was given up may still be at its last block
             ranking = self._ranking.finish(progress)
         rankings.keep(self._sides, ranking)
