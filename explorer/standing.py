@@ -96,7 +96,7 @@ class Standing:
 
     def _rank(self, progress: Progress) -> Found:
         if sys.platform == "linux":  # there, a thread has a niceness of its own: what a browser asks for goes first
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
         with self._turn:  # one that was given up may still be at its last block
             ranking = self._ranking.finish(progress)
         rankings.keep(self._sides, ranking)
