@@ -21,6 +21,7 @@ from explorer import against, beside, commands, labstyle, pages, profiles, regio
 from explorer.bridge import Bridge
 from explorer.cards import SHOWN
 from explorer.exhibit import Analyst, Exhibit
+from explorer.follower import Follower
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
 from explorer.link import Links
@@ -79,6 +80,7 @@ class Visitor:
             commands.add(client.gui, exhibit, self._panels, self.change, self._bridge, further)
             self._stage = Stage(client, exhibit, self._selected)
             self._worker = Worker(self._work, self._failed)
+            self._follower = Follower(self._panels.show_results, self._worker.wake)
             self._opening = Patience(GREETING, self._worker.wake)
 
     def change(self, change: Change) -> None:
@@ -104,6 +106,7 @@ class Visitor:
     def leave(self) -> None:
         """The browser is gone: stop its worker."""
         self._opening.there()
+        self._follower.leave()
         self._reporter.leave()
         self._reasons.leave()
         self._worker.stop()
@@ -149,6 +152,8 @@ class Visitor:
         finally:
             slow.there()
         self._panels.show(answer, self._sequence, started)
+        beside = self._exhibit.beside
+        self._follower.follow(answer.task, None if beside is None else beside.tasks.get(answer.task.name))
         self._bridge.address(self._links.write(answer.state), self._links.keys)
 
     def _failed(self, error: Exception) -> None:

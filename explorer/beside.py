@@ -59,9 +59,10 @@ def _column(answer: Answer, exhibit: Exhibit) -> str:
         f"{SIGNS[match.true]} {escape(task.gallery[match.index].name)}<br>{match.distance2:.3f}</figcaption></figure>"
         for match in answer.matches[:_SHOWN]
     )
+    recall = "R@1 not known yet" if task.found is None else f"R@1 {task.results['recall@1']:.1f} %"
     return (
-        f"<div><h2>{escape(exhibit.model_name)}</h2><div class='dim'>{escape(exhibit.description)}, R@1 "
-        f"{task.results['recall@1']:.1f} %</div><div class='said'><b>{SIGNS[first.true]}</b> {rank}</div>"
+        f"<div><h2>{escape(exhibit.model_name)}</h2><div class='dim'>{escape(exhibit.description)}, {recall}</div>"
+        f"<div class='said'><b>{SIGNS[first.true]}</b> {rank}</div>"
         f"<div class='tops'>{tiles}</div>{_evidence(answer, exhibit)}</div>"
     )
 
@@ -85,6 +86,8 @@ def _evidence(answer: Answer, exhibit: Exhibit) -> str:
 
 def _changes(task: Task, theirs: Task, names: tuple[str, str], exhibit: Exhibit) -> str:
     """How many queries each finds alone, and those whose rank differs most."""
+    if task.found is None or theirs.found is None:
+        return "<div class='said dim'>Which queries one of them finds alone is said when both have ranked all of them.</div>"
     one, other = task.ranks, theirs.ranks
     known = (one >= 0) & (other >= 0)
     only = [int((known & (one == 0) & (other > 0)).sum()), int((known & (other == 0) & (one > 0)).sum())]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import cast
 
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from lpn import geo, images, overlays
 from lpn.geo import Position
 from lpn.images import Picture
+from lpn.metrics import IntArray
 
 LARGEST = 1536
 """Pixels of the longer side of the picture of all tiles."""
@@ -41,7 +43,15 @@ class Places:
 
     def off(self, query: int) -> geo.FloatArray:
         """Metres from what a query shows to the centre of each tile: (G,)."""
-        return geo.metres([self.queries[query]] * len(self.tiles), self.tiles)
+        return geo.metres_between(geo.radians([self.queries[query]]), self._radians)
+
+    def errors(self, found: IntArray) -> geo.FloatArray:
+        """Metres from what each query shows to a tile that was found for it, by its position: (Q,)."""
+        return geo.metres_between(geo.radians(self.queries), self._radians[found])
+
+    @cached_property
+    def _radians(self) -> geo.FloatArray:
+        return geo.radians(self.tiles)
 
     def bounds(self) -> tuple[float, float, float, float]:
         """West, south, east, and north border of all tiles, in metres from the origin."""

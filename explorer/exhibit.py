@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from threading import Lock
 
@@ -15,6 +15,7 @@ from explorer import chart, session
 from explorer.chart import Places
 from explorer.layout import layout_for
 from explorer.session import TRUTH, State
+from explorer.standing import Found, Standing
 from lpn import explain, geo, images, overlays, retrieval
 from lpn.city import CityModel
 from lpn.datasets import Picture as Entry
@@ -22,6 +23,7 @@ from lpn.datasets import Truth
 from lpn.errors import InputError
 from lpn.explain import Evidence, Mates
 from lpn.images import Picture
+from lpn.metrics import IntArray
 from lpn.model import FloatArray, Model
 from lpn.retrieval import Described, Match, Ranking
 from lpn.spec import ModelSpec, View
@@ -34,7 +36,7 @@ CARDS = 256
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One direction of retrieval with everything precomputed.
+    """One direction of retrieval, described; its queries may still be being ranked.
 
     Attributes:
         name: such as "drone-to-satellite".
@@ -43,9 +45,8 @@ class Task:
         truth: true matches and junk of each query where labels do not say them, else None.
         asked: descriptors of the queries as they are, (Q, n, D).
         descriptors: of the gallery, (G, n, D).
-        ranks: 0-based rank of the first true match of each query, -1 when it has none, (Q,).
-        results: recall and AP in percent, see `lpn.metrics.evaluate`; with positions, `median error m` and more.
         places: where the pictures are, None where the data set has no `geo.csv`.
+        standing: what became of all queries, or will be known of them.
     """
 
     name: str
@@ -58,9 +59,30 @@ class Task:
     truth: list[Truth] | None
     asked: FloatArray
     descriptors: FloatArray
-    ranks: npt.NDArray[np.int64]
-    results: dict[str, float]
     places: Places | None
+    standing: Standing
+
+    @property
+    def found(self) -> Found | None:
+        """What became of all queries; None while they are being ranked."""
+        return self.standing.found
+
+    @property
+    def ranks(self) -> IntArray:
+        """0-based rank of the first true match of each query, -1 when it has none, (Q,); only where it is known."""
+        assert self.found is not None
+        return self.found.ranking.first
+
+    @property
+    def results(self) -> dict[str, float]:
+        """See `Found`; only where they are known."""
+        assert self.found is not None
+        return self.found.results
+
+    @cached_property
+    def names(self) -> list[str]:
+        """What the queries are called."""
+        return [entry.name for entry in self.queries]
 
     def rank(
         self, query: int | None, cosines: FloatArray, weights: FloatArray, lengths: FloatArray | None = None
@@ -115,7 +137,7 @@ class Exhibit:
 
     def open_with(self, query: str | None) -> None:
         """Choose the query of the first task that a browser shows first, by its name; InputError when there is none."""
-        names = [entry.name for entry in next(iter(self.tasks.values())).queries]
+        names = next(iter(self.tasks.values())).names
         if query is not None and query not in names:
             raise InputError(f"{self.data_name} has no query {query}; its names are such as {names[0]}.")
         self.first = 0 if query is None else names.index(query)

@@ -42,6 +42,11 @@ class Job(Generic[T]):
         threading.Thread(target=self._run, name="explorer-job", daemon=True).start()
 
     @property
+    def given_up(self) -> bool:
+        """Whether everybody left before it ended."""
+        return self._given_up
+
+    @property
     def seconds(self) -> float:
         """Since it was begun."""
         return time.monotonic() - self._began

@@ -108,9 +108,9 @@ class Laboratory:
 
     def _build(self, task: Task, progress: Progress) -> None:
         progress(0, len(task.queries))
-        outcomes = failures.build(
-            task.asked, task.descriptors, task.query_labels, task.labels, task.truth, progress=progress
-        )
+        ranking = task.standing.wait(self, progress).ranking
+        outcomes = failures.outcomes_of(ranking, task.asked, task.descriptors)
+        progress(len(task.queries), len(task.queries))
         made = failures.table(self._exhibit.root, task.queries, task.gallery, outcomes, self._exhibit.part_names)
         with self._lock:
             said, flaw = self._said()

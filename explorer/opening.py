@@ -12,14 +12,15 @@ from rich.console import Console
 import lpn
 from explorer import chart
 from explorer.exhibit import Exhibit, Task
+from explorer.standing import Standing
 from lpn import features, geo, metrics
 from lpn.city import CityModel, city_model
 from lpn.datasets import Dataset, open_dataset
 from lpn.datasets import Picture as Entry
 from lpn.errors import DataError
-from lpn.evaluate import error_shares
+from lpn.features import Side
 from lpn.files import printable
-from lpn.model import FloatArray
+from lpn.rankings import Sides
 from lpn.saved import Saved
 from lpn.spec import Layout, ModelSpec, View, views_of
 
@@ -54,9 +55,9 @@ def open_model(data: Path, model: Path, query: str | None = None, beside: Path |
     tasks = []
     for views in known:
         queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
-        described = features.known_descriptors(opened, queries, views[0], data, "query")
-        tiles = features.known_descriptors(opened, gallery, views[1], data, "gallery")
-        tasks.append(_task(dataset, where, views, queries, gallery, described, tiles))
+        asked = features.known_side(opened, queries, views[0], data, "query")
+        tiles = features.known_side(opened, gallery, views[1], data, "gallery")
+        tasks.append(_task(dataset, where, views, queries, gallery, asked, tiles))
     map_sizes = {view: opened.map_size(view) for view in opened.views}
     city = None if where is None else _city(data)
     exhibited = Exhibit(printable(model.name), data_name, tasks, opened.spec, map_sizes, opened, city, dataset.root)
@@ -79,7 +80,8 @@ def open_saved(data: Path, saved: Saved, query: str | None = None) -> Exhibit:
     views, queries, gallery = saved.pictures(dataset)
     where = geo.positions(data)
     labels = saved.query_labels, saved.gallery_labels
-    task = _task(dataset, where, views, queries, gallery, saved.query, saved.gallery, labels)
+    asked, tiles = (features.Side(values, "") for values in (saved.query, saved.gallery))
+    task = _task(dataset, where, views, queries, gallery, asked, tiles, labels)
     layout: Layout = "cvusa" if dataset.panoramas else "university"
     spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)
     map_sizes = dict.fromkeys(spec.views, SAVED_MAP)
@@ -95,8 +97,8 @@ def _task(
     views: tuple[View, View],
     queries: list[Entry],
     gallery: list[Entry],
-    query: FloatArray,
-    tiles: FloatArray,
+    asked: Side,
+    tiles: Side,
     given: tuple[metrics.IntArray, metrics.IntArray] | None = None,
 ) -> Task:
     """Everything about one direction; labels are the pictures' own unless others are given."""
@@ -105,11 +107,10 @@ def _task(
     own = tuple(np.array([entry.label for entry in entries], np.int64) for entries in (queries, gallery))
     query_labels, labels = given or own
     truth = None if given else dataset.truth(name)
+    identity = f"{asked.identity} {tiles.identity}" if asked.identity and tiles.identity else ""
+    standing = Standing(Sides(asked.descriptors, tiles.descriptors, query_labels, labels, truth, identity), laid)
     with _saying(f"Ranking {len(gallery):,} pictures for {len(queries):,} queries, {name}"):
-        found = metrics.retrieve(query, query_labels, tiles, labels, truth)
-    near: dict[str, float] = {}
-    if laid is not None:
-        near = error_shares(geo.metres(laid.queries, [laid.tiles[index] for index in found.best]))
+        standing.begin()
     return Task(
         name,
         *views,
@@ -118,11 +119,10 @@ def _task(
         query_labels,
         labels,
         truth,
-        query,
-        tiles,
-        found.first,
-        found.figures() | near,
+        asked.descriptors,
+        tiles.descriptors,
         laid,
+        standing,
     )
 
 

@@ -65,16 +65,31 @@ _ACTS = (
 
 def header(exhibit: Exhibit, task: Task) -> str:
     """Which model, data set, task, n, and how good it is on it."""
-    results = task.results
     return (
         f"<div class='lpn' id='lpn-header'><div class='top'><h2>{escape(exhibit.model_name)} "
         f"<span class='dim'>on</span> {escape(exhibit.data_name)}</h2>{_ACTS}</div>"
         f"<div class='facts dim'><span>{escape(exhibit.description)}</span></div>"
         f"<div class='facts'><span>{escape(task.query_view)} → {escape(task.gallery_view)}</span>"
         f"<span class='num'>{len(task.queries):,} queries</span><span class='num'>{len(task.gallery):,} tiles</span></div>"
+        f"{_results(task)}</div>"
+    )
+
+
+def _results(task: Task) -> str:
+    """How good it is, or how far the ranking of all queries is that says so."""
+    if task.found is None:
+        done, flaw = task.standing.done, task.standing.flaw
+        said = (
+            f"⚠ Results: none. {escape(flaw)}"
+            if flaw
+            else f"<span class='busy'></span>Results: ranking {done:,} of {len(task.queries):,} queries"
+        )
+        return f"<div class='facts num' id='lpn-ranking'><span>{said}</span></div>"
+    results = task.results
+    return (
         f"<div class='facts num'><span><span class='big'>{results['recall@1']:.1f} %</span> R@1</span>"
         f"<span class='dim'>R@5 {results['recall@5']:.1f} %</span><span class='dim'>R@10 {results['recall@10']:.1f} %</span>"
-        f"<span class='dim'>AP {results['ap']:.1f} %</span></div>{_metres(results)}</div>"
+        f"<span class='dim'>AP {results['ap']:.1f} %</span></div>{_metres(results)}"
     )
 
 
@@ -197,6 +212,8 @@ def picker(
 
 
 def _sign(task: Task, query: int) -> str:
+    if task.found is None:
+        return ""
     true = bool(task.ranks[query] == 0)
     return f"<b style='color:{verdict_ink(true)}'>{SIGNS[true]}</b>"
 

@@ -13,7 +13,7 @@ import viser
 
 from explorer import pages, session
 from explorer.cards import SHOWN
-from explorer.exhibit import Answer, Exhibit
+from explorer.exhibit import Answer, Exhibit, Task
 from explorer.html import Html
 from explorer.session import State, Upload
 from lpn import images
@@ -252,6 +252,11 @@ class Panels:
             self._said = pages.status(answer, sequence, time.perf_counter() - started)
             self._status.show(self._said)
 
+    def show_results(self, task: Task) -> None:
+        """Say how good the model is on a task, or how far the ranking is that says so."""
+        with self._client.atomic():
+            self._header.show(pages.header(self._exhibit, task))
+
     def busy(self) -> None:
         """Show that the next answer is being computed; the one that is shown stays until then."""
         self._status.show(pages.busy(self._said))
@@ -294,7 +299,13 @@ class Panels:
 
     def failure(self, state: State) -> State | None:
         """Any other query whose true tile is not first."""
-        failed = session.random_failure(state, self._exhibit.tasks[state.task].ranks.tolist(), self._rng)
+        task = self._exhibit.tasks[state.task]
+        if task.found is None:
+            self._client.add_notification(
+                "Not known yet", "All queries are still being ranked; ask again when they are."
+            )
+            return None
+        failed = session.random_failure(state, task.ranks.tolist(), self._rng)
         if failed is None:
             self._client.add_notification("No failure", "Every query of this task finds its true tile first.")
         return failed
@@ -327,13 +338,13 @@ class Panels:
 
     def _searched(self, state: State) -> State:
         """A name typed in full is chosen at once."""
-        names = [entry.name for entry in self._exhibit.tasks[state.task].queries]
+        names = self._exhibit.tasks[state.task].names
         hits = session.found(names, state.find) if state.find.strip() else []
         return session.choose(state, hits[0], len(names)) if len(hits) == 1 else state
 
     def _show_picker(self, answer: Answer) -> None:
         state, task = answer.state, answer.task
-        hits = session.found([entry.name for entry in task.queries], state.find)
+        hits = session.found(task.names, state.find)
         last = max(-(-len(hits) // THUMBS), 1)
         page = state.page % last
         self._shown, self._shown_of = hits[page * THUMBS : (page + 1) * THUMBS], (state.task, state.find)

@@ -220,4 +220,6 @@ def flip_dark(state: State) -> State:
 def found(names: Sequence[str], text: str) -> list[int]:
     """Positions of the names that contain a text, upper and lower case alike."""
     wanted = text.strip().casefold()
+    if not wanted:
+        return list(range(len(names)))
     return [i for i, name in enumerate(names) if wanted in name.casefold()]

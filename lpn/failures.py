@@ -21,7 +21,7 @@ from lpn.datasets import Picture, Truth
 from lpn.errors import InputError
 from lpn.geo import FloatArray
 from lpn.metadata import NOTE, TAGS
-from lpn.metrics import JUNK, IntArray
+from lpn.metrics import IntArray, Retrieval
 from lpn.model import FloatArray as Descriptors
 from lpn.tables import Column, Table, number_column, text_column
 
@@ -76,7 +76,7 @@ def build(
 ) -> Outcomes:
     """Find the outcome of every query; ranks are those of `metrics.retrieve`.
 
-    Memory: a few blocks of 64 MB beside the gallery in double precision, whatever the number of queries.
+    Memory: blocks of 160 MB beside the descriptors, whatever the number of queries.
 
     Args:
         queries, gallery: descriptors with parts of norm 1/sqrt(n), (Q, n, D) and (G, n, D).
@@ -95,26 +95,23 @@ def build(
     n, size = queries.shape[1:]
     used = explain.part_weights(n, weights).astype(np.float64)
     used /= used.sum()
-    flat, tiles = metrics.flat_sides(queries, gallery)
-    marks = (
-        _ByLists(truth, len(flat), len(tiles)) if truth is not None else _ByLabels(query_labels, labels, flat, tiles)
-    )
-    kept = marks.kept
     # Equal weights scale no score, so that ranks are those of the published protocol to the last tie.
     factors = None if weights is None else np.repeat(n * used, size)
-    rank, first, true, false = (np.full(len(flat), -1, np.int64) for _ in range(4))
-    for rows, scores in metrics.score_blocks(flat, tiles if len(kept) == len(tiles) else tiles[kept], factors):
-        if len(kept):
-            good, junk = marks.block(rows)
-            scores[junk] = -np.inf
-            rank[rows], *found = _outcome(scores, good)
-            first[rows], true[rows], false[rows] = (np.where(tile >= 0, kept[tile], -1) for tile in found)
-        if progress is not None:
-            progress(rows.stop, len(flat))
-    parts = _part_margins(queries, gallery, true, false, n * used)
+    found = metrics.retrieve(queries, query_labels, gallery, labels, truth, factors, progress)
+    return outcomes_of(found, queries, gallery, weights)
+
+
+def outcomes_of(
+    found: Retrieval, queries: Descriptors, gallery: Descriptors, weights: npt.ArrayLike | None = None
+) -> Outcomes:
+    """The outcomes of queries (Q, n, D) that have been ranked already, under the same part weights (n,)."""
+    used = explain.part_weights(queries.shape[1], weights).astype(np.float64)
+    used /= used.sum()
+    rank, true, false = found.first, found.true, found.false
+    parts = _part_margins(queries, gallery, true, false, len(used) * used)
     margin = parts.sum(axis=1)
     decides = np.where(rank == 0, np.argmax(parts, axis=1), np.argmin(parts, axis=1))
-    return Outcomes(rank, first, true, false, parts, margin, np.where(np.isnan(margin), -1, decides), used)
+    return Outcomes(rank, found.best, true, false, parts, margin, np.where(np.isnan(margin), -1, decides), used)
 
 
 def table(
@@ -180,72 +177,6 @@ def _distance(root: Path, queries: Sequence[Picture], gallery: Sequence[Picture]
     shown, tiles = where.of(queries), where.of(gallery)
     metres = geo.metres(shown, [tiles[index] for index in outcomes.first])
     return [number_column("distance", np.where(outcomes.first < 0, np.nan, metres), "m")]
-
-
-class _ByLabels:
-    """True matches are the tiles of the query's label; tiles labelled junk are no tiles."""
-
-    def __init__(
-        self,
-        query_labels: npt.ArrayLike | None,
-        labels: npt.ArrayLike | None,
-        queries: npt.NDArray[np.float32],
-        tiles: npt.NDArray[np.float32],
-    ) -> None:
-        self._of_query = metrics.checked_labels(query_labels, queries, "query")
-        of_tile = metrics.checked_labels(labels, tiles, "gallery")
-        self.kept = np.flatnonzero(of_tile != JUNK)
-        self._of_tile = of_tile[self.kept]
-
-    def block(self, rows: slice) -> tuple[npt.NDArray[np.bool_], tuple[IntArray, IntArray]]:
-        """Which tiles are true (B, G), and rows and columns of junk."""
-        none = np.zeros(0, np.int64)
-        return self._of_query[rows, None] == self._of_tile, (none, none)
-
-
-class _ByLists:
-    """True matches and junk are what the data set's lists say."""
-
-    def __init__(self, truth: Sequence[Truth], queries: int, gallery: int) -> None:
-        metrics.check_truth(truth, queries, gallery)
-        self._truth = truth
-        self.kept = np.arange(gallery)
-
-    def block(self, rows: slice) -> tuple[npt.NDArray[np.bool_], tuple[IntArray, IntArray]]:
-        of = self._truth[rows]
-        good = np.zeros((len(of), len(self.kept)), bool)
-        good[_cells([one.good for one in of])] = True
-        return good, _cells([one.junk for one in of])
-
-
-def _cells(lists: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
-    """Row and column of each entry of some lists, one list for each row."""
-    return np.repeat(np.arange(len(lists)), [len(one) for one in lists]), np.concatenate(lists).astype(np.int64)
-
-
-def _outcome(scores: FloatArray, good: npt.NDArray[np.bool_]) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """Rank of the nearest true match, and columns of the first, the nearest true, and the best false tile: (B,) each.
-
-    Equal scores are in the order of the columns, as a stable sort has them.
-
-    Args:
-        scores: (B, G), -inf for junk.
-        good: which are true, (B, G).
-    """
-    lines = np.arange(len(scores))
-    true = np.argmax(np.where(good, scores, -np.inf), axis=1)
-    reached = scores[lines, true].copy()
-    has_true = good[lines, true]
-    rank = np.count_nonzero(scores > reached[:, None], axis=1)
-    equals = np.flatnonzero(np.count_nonzero(scores == reached[:, None], axis=1) > 1)
-    before = np.arange(scores.shape[1]) < true[equals, None]
-    rank[equals] += np.count_nonzero((scores[equals] == reached[equals, None]) & before, axis=1)
-    first = np.argmax(scores, axis=1)
-    first = np.where(scores[lines, first] > -np.inf, first, -1)
-    scores[good] = -np.inf
-    false = np.argmax(scores, axis=1)
-    false = np.where(scores[lines, false] > -np.inf, false, -1)
-    return np.where(has_true, rank, -1), first, np.where(has_true, true, -1), false
 
 
 def _part_margins(

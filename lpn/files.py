@@ -93,6 +93,8 @@ def alone(folder: Path, wait: bool) -> Iterator[None]:
 
 def printable(name: str) -> str:
     """A file's name as text that can be shown and sent: bytes that are not UTF-8 and control characters become "?"."""
+    if name.isascii() and name.isprintable():
+        return name
     return "".join(c if c.isprintable() else "?" for c in name.encode("utf-8", "replace").decode())
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,11 +95,22 @@ class Positions:
         Raises:
             DataError: when one has none.
         """
-        return self.below([picture.path.relative_to(self._root).as_posix() for picture in pictures])
+        return self.below(names_below(self._root, pictures))
 
     def below(self, names: Sequence[str]) -> list[Position]:
         """The position of each picture by its path below the folder, with forward slashes; DataError as for `of`."""
         return find_positions(self._by_path, names)
+
+
+def names_below(root: Path, pictures: Sequence[Picture]) -> list[str]:
+    """The path of each picture below a folder, with forward slashes."""
+    start = os.path.join(root, "")  # noqa: PTH118 (a text, to be compared with texts)
+    names = []
+    for picture in pictures:
+        path = str(picture.path)
+        inside = path.startswith(start) and os.sep == "/"
+        names.append(path[len(start) :] if inside else picture.path.relative_to(root).as_posix())
+    return names
 
 
 def positions(root: Path) -> Positions | None:
@@ -115,7 +127,12 @@ def metres(a: Sequence[Position], b: Sequence[Position]) -> FloatArray:
 
     On a sphere of the mean radius, which differs from the ellipsoid of `on_plane` by up to 0.6 %.
     """
-    (lat_a, lon_a), (lat_b, lon_b) = _radians(a), _radians(b)
+    return metres_between(radians(a), radians(b))
+
+
+def metres_between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The same for latitudes and longitudes in radians, (N, 2), or (1, 2) for one place against many."""
+    lat_a, lon_a, lat_b, lon_b = a[:, 0], a[:, 1], b[:, 0], b[:, 1]
     square = np.sin((lat_b - lat_a) / 2) ** 2 + np.cos(lat_a) * np.cos(lat_b) * np.sin((lon_b - lon_a) / 2) ** 2
     return cast(FloatArray, 2 * EARTH_RADIUS * np.arcsin(np.sqrt(np.minimum(square, 1.0))))
 
@@ -154,9 +171,10 @@ def camera(place: Position, origin: Position) -> FloatArray | None:
     return np.array([east - away * math.sin(heading), north - away * math.cos(heading), place.altitude])
 
 
-def _radians(places: Sequence[Position]) -> tuple[FloatArray, FloatArray]:
+def radians(places: Sequence[Position]) -> FloatArray:
+    """Latitude and longitude of each place in radians, (N, 2)."""
     degrees = np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
-    return np.radians(degrees[:, 0]), np.radians(degrees[:, 1])
+    return cast(FloatArray, np.radians(degrees))
 
 
 def read_positions(data: bytes, said: str = NAME) -> dict[str, Position]:
@@ -208,12 +226,16 @@ def _read(path: Path) -> dict[str, Position]:
 def _position(header: Sequence[str], values: Sequence[str], line: str) -> tuple[str, Position]:
     if len(values) != len(header):
         raise DataError(f"{line} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
-    row = {name: value.strip() for name, value in zip(header, values, strict=True)}
-    if not row["path"]:
+    path, numbers = "", {}
+    for name, value in zip(header, values, strict=True):
+        text = value.strip()
+        if name == "path":
+            path = text
+        elif text or name in _REQUIRED:
+            numbers[name] = _number(text, name, line)
+    if not path:
         raise DataError(f"{line} has no path; expected the picture's, relative to the folder.")
-    numbers = {name: _number(row[name], name, line) for name in ("latitude", "longitude")}
-    more = {name: _number(row[name], name, line) if row.get(name) else None for name in _OPTIONAL}
-    return row["path"].removeprefix("./"), Position(numbers["latitude"], numbers["longitude"], **more)
+    return path.removeprefix("./"), Position(**numbers)
 
 
 def _number(text: str, name: str, line: str) -> float:

@@ -39,7 +39,7 @@ _SIGNS = set('<>=!~"')
 
 def relative(root: Path, pictures: Sequence[Picture]) -> list[str]:
     """The path of each picture below the data set's folder, with forward slashes."""
-    return [picture.path.relative_to(root).as_posix() for picture in pictures]
+    return geo.names_below(root, pictures)
 
 
 def columns(root: Path, paths: Sequence[str], taken: Sequence[str] = ()) -> list[Column]:

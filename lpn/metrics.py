@@ -6,41 +6,36 @@ same way, in one pass over the queries.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lpn import ranks
 from lpn.datasets import Truth
 from lpn.errors import InputError
 from lpn.model import as_array
+from lpn.ranks import JUNK, Marks, Ranked
+from lpn.scores import FloatArray, IntArray, Scores, norms
 
-JUNK = -1
-"""Label of gallery pictures that are ignored."""
-
-IntArray = npt.NDArray[np.int64]
-
-_BLOCK_BYTES = 64_000_000
-_NONE = np.zeros(0, np.int64)
+__all__ = ["JUNK", "IntArray", "Retrieval", "check_truth", "checked_labels", "evaluate", "flat_sides", "retrieve"]
 
 
 @dataclass(frozen=True, eq=False)
-class Retrieval:
-    """What one pass of the queries over the gallery found.
+class Retrieval(Ranked):
+    """What one pass of the queries over the gallery found, (Q,) each.
 
-    Attributes:
-        first: 0-based rank of each query's first true match, junk left out; -1 where it has none, (Q,).
-        best: gallery position of each query's nearest picture that is not junk, the first of equals; -1 where all is junk, (Q,).
-        precision: average precision of each query, 0 .. 1, (Q,).
-        gallery: number of gallery pictures, junk included.
+    `gallery` is the number of gallery pictures, junk included; for the rest see `lpn.ranks.Ranked`.
     """
 
-    first: IntArray
-    best: IntArray
-    precision: npt.NDArray[np.float64]
     gallery: int
+
+    @property
+    def best(self) -> IntArray:
+        """Gallery position of each query's nearest picture that is not junk, the first of equals; -1 where all is, (Q,)."""
+        return np.where(self.first == 0, self.true, self.false)
 
     def figures(self) -> dict[str, float]:
         """See `evaluate`."""
@@ -92,65 +87,39 @@ def retrieve(
     gallery: npt.ArrayLike,
     gallery_labels: npt.ArrayLike | None,
     truth: Sequence[Truth] | None = None,
+    factors: FloatArray | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Retrieval:
     """Rank the gallery for every query; arguments and errors as for `evaluate`.
 
-    Memory: two blocks of scores, 64 MB each, beside the gallery in double precision.
-    """
-    queries, tiles = flat_sides(query, gallery)
-    kept = np.arange(len(tiles))
-    truths: Iterator[Truth]
-    if truth is None:
-        of_query, of_tile = (
-            checked_labels(query_labels, queries, "query"),
-            checked_labels(gallery_labels, tiles, "gallery"),
-        )
-        kept = np.flatnonzero(of_tile != JUNK)
-        truths = _same_label(of_query, of_tile[kept])
-    else:
-        check_truth(truth, len(queries), len(tiles))
-        truths = iter(truth)
-    first, best = (np.full(len(queries), -1, np.int64) for _ in range(2))
-    precision = np.zeros(len(queries))
-    blocks = score_blocks(queries, tiles if len(kept) == len(tiles) else tiles[kept])
-    rows = (row for _, block in blocks for row in block)
-    for i, (scores, of) in enumerate(zip(rows, truths, strict=True)):
-        scores[of.junk] = -np.inf
-        true_ranks = _ranks_in_row(scores, of.good)
-        if len(true_ranks):
-            first[i], precision[i] = true_ranks[0], _average_precision(true_ranks)
-        top = int(np.argmax(scores)) if len(kept) else -1
-        if top >= 0 and scores[top] > -np.inf:
-            best[i] = kept[top]
-    return Retrieval(first, best, precision, len(tiles))
-
-
-def score_blocks(
-    queries: npt.NDArray[Any], tiles: npt.NDArray[Any], factors: npt.NDArray[np.float64] | None = None
-) -> Iterator[tuple[slice, npt.NDArray[np.float64]]]:
-    """Inner products (B, G) of queries (Q, F) with tiles (G, F), block by block of queries, each of 64 MB at most.
+    Ranks are those of scores in double precision, equal scores in gallery order, whatever the precision that most are
+    computed in. Memory: blocks of 160 MB beside the descriptors, whatever the number of queries.
 
     Args:
         factors: what each number of a query is multiplied by first, (F,).
-
-    Returns:
-        The rows of each block, and its products, which are the caller's to change.
+        progress: told after each block how many queries are done, and of how many; what it raises ends the work.
     """
-    # In single precision, tiles closer than its rounding change places with the order of summation.
-    tiles = tiles.astype(np.float64)
-    block = max(1, _BLOCK_BYTES // (8 * max(len(tiles), 1)))
-    for start in range(0, len(queries), block):
-        rows = slice(start, min(start + block, len(queries)))
-        asked = queries[rows].astype(np.float64)
-        yield rows, (asked if factors is None else asked * factors) @ tiles.T
+    (queries, tiles), lengths = _sides(query, gallery)
+    if truth is None:
+        of_query = checked_labels(query_labels, queries, "query")
+        marks = Marks.by_labels(of_query, checked_labels(gallery_labels, tiles, "gallery"))
+    else:
+        check_truth(truth, len(queries), len(tiles))
+        marks = Marks.by_lists(truth)
+    scores, found = Scores(queries, tiles, lengths, factors), []
+    for rows, block, errors in scores.blocks():
+        found.append(ranks.rank(scores, marks, rows, block, errors))
+        if progress is not None:
+            progress(rows.stop, len(queries))
+    return joined(found, len(tiles))
 
 
-def _same_label(of_query: IntArray, of_tile: IntArray) -> Iterator[Truth]:
-    """For each query, the tiles of its label."""
-    by_label = np.argsort(of_tile, kind="stable")
-    in_order = of_tile[by_label]
-    begins, ends = (np.searchsorted(in_order, of_query, side) for side in ("left", "right"))
-    return (Truth(by_label[begin:end], _NONE) for begin, end in zip(begins, ends, strict=True))
+def joined(parts: Sequence[Ranked], gallery: int) -> Retrieval:
+    """What was found for some queries after the other, as one; `gallery` is the number of tiles, junk included."""
+    first, true, false, precision = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("first", "true", "false", "precision")
+    )
+    return Retrieval(first, true, false, precision, gallery)
 
 
 def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
@@ -169,57 +138,25 @@ def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
             )
 
 
-def _ranks_in_row(scores: npt.NDArray[Any], true: IntArray) -> IntArray:
-    """Ranks of some entries of a row of scores, highest first, equal scores in gallery order.
-
-    Only the few true scores are sorted; every other score is counted against them.
-    """
-    if len(true) == 0:
-        return np.zeros(0, np.int64)
-    if len(true) == 1:
-        score = scores[true[0]]
-        above = np.count_nonzero(scores > score) + np.count_nonzero(scores[: true[0]] == score)
-        return np.array([above], np.int64)
-    thresholds = np.sort(scores[true])
-    if (np.diff(thresholds) == 0).any():
-        return _ranks_by_sorting(scores, true)
-    slot = np.searchsorted(thresholds, scores, "right")
-    at_least = np.cumsum(np.bincount(slot, minlength=len(true) + 1)[::-1])[::-1][1:]
-    result = at_least[::-1] - 1
-    exact = np.searchsorted(thresholds, scores, "left")
-    if np.count_nonzero(exact != slot) != len(true):
-        return _ranks_by_sorting(scores, true)
-    return result.astype(np.int64)
-
-
-def _ranks_by_sorting(scores: npt.NDArray[Any], true: IntArray) -> IntArray:
-    """The same where a true score equals another, which only the gallery's order tells apart."""
-    position = np.empty(len(scores), np.int64)
-    position[np.argsort(-scores, kind="stable")] = np.arange(len(scores))
-    return np.sort(position[true])
-
-
-def _average_precision(true_ranks: IntArray) -> float:
-    if len(true_ranks) == 0:
-        return 0.0
-    hits = np.arange(len(true_ranks))
-    after = (hits + 1) / (true_ranks + 1)
-    before = np.where(true_ranks == 0, 1.0, hits / np.maximum(true_ranks, 1))
-    return float(np.mean((after + before) / 2))
-
-
 def flat_sides(query: npt.ArrayLike, gallery: npt.ArrayLike) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Descriptors of both sides as (Q, F) and (G, F); InputError when they are not what `evaluate` takes."""
-    queries, tiles = _flat(query, "query"), _flat(gallery, "gallery")
+    return _sides(query, gallery)[0]
+
+
+def _sides(
+    query: npt.ArrayLike, gallery: npt.ArrayLike
+) -> tuple[tuple[npt.NDArray[Any], npt.NDArray[Any]], tuple[FloatArray, FloatArray]]:
+    """The same, and bounds on the norms of their rows."""
+    (queries, of_query), (tiles, of_tile) = _flat(query, "query"), _flat(gallery, "gallery")
     if queries.shape[1] != tiles.shape[1]:
         raise InputError(
             f"Query descriptors have {queries.shape[1]} numbers and gallery descriptors {tiles.shape[1]}; "
             "describe both with the same model and parts."
         )
-    return queries, tiles
+    return (queries, tiles), (of_query, of_tile)
 
 
-def _flat(values: Any, side: str) -> npt.NDArray[Any]:
+def _flat(values: Any, side: str) -> tuple[npt.NDArray[Any], FloatArray]:
     array = as_array(values)
     if array.ndim not in (2, 3) or len(array) == 0 or not np.issubdtype(array.dtype, np.floating):
         raise InputError(
@@ -227,9 +164,10 @@ def _flat(values: Any, side: str) -> npt.NDArray[Any]:
             "(N, n, D) or (N, F)."
         )
     flat = array.reshape(len(array), -1)
-    if not np.isfinite(flat).all():
+    lengths = norms(flat)
+    if not np.isfinite(flat[~np.isfinite(lengths)]).all():  # a sound number's square may be too large
         raise InputError(f"The {side} descriptors hold values that are not finite; describe the pictures again.")
-    return cast("npt.NDArray[Any]", flat)
+    return flat, lengths
 
 
 def checked_labels(values: Any, rows: npt.NDArray[Any], side: str) -> IntArray:

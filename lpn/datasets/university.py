@@ -8,9 +8,10 @@ The label of a picture is its folder's integer name.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
-from lpn.datasets.base import Dataset, Picture, Size, hidden, tasks_between
+from lpn.datasets.base import Dataset, Picture, Size, tasks_between
 from lpn.errors import DataError
 from lpn.files import printable
 from lpn.images import SUFFIXES
@@ -84,17 +85,23 @@ class University(Dataset):
 
 def _pictures(folder: Path) -> list[Picture]:
     pictures: list[Picture] = []
-    places = sorted(p for p in folder.iterdir() if p.is_dir() and not hidden(p)) if folder.is_dir() else []
-    for place in places:
-        if not place.name.isdecimal():
+    for name in _names(folder, folders=True) if folder.is_dir() else []:
+        place = folder / name
+        if not name.isdecimal():
             raise DataError(
-                f"The folder {place.name} in {folder.parent.name}/{folder.name} is not a number; expected one folder per "
+                f"The folder {name} in {folder.parent.name}/{folder.name} is not a number; expected one folder per "
                 "place, named by its number, so rename or remove it."
             )
-        files = sorted(
-            file for file in place.iterdir() if file.suffix.lower() in SUFFIXES and not hidden(file) and file.is_file()
-        )
+        label, files = int(name), [file for file in _names(place, folders=False) if file.lower().endswith(SUFFIXES)]
         for file in files:
-            name = place.name if len(files) == 1 else f"{place.name}/{file.stem.removeprefix('image-')}"
-            pictures.append(Picture(file, int(place.name), printable(name)))
+            shown = name if len(files) == 1 else f"{name}/{file.rpartition('.')[0].removeprefix('image-')}"
+            pictures.append(Picture(place / file, label, printable(shown)))
     return pictures
+
+
+def _names(folder: Path, folders: bool) -> list[str]:
+    """Names in a folder, sorted: of its folders or of its files. The folder itself says which is which, links aside."""
+    with os.scandir(folder) as entries:
+        return sorted(
+            e.name for e in entries if not e.name.startswith(".") and (e.is_dir() if folders else e.is_file())
+        )

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
@@ -25,8 +26,17 @@ from lpn.spec import View
 STORES = "descriptors"
 """Folder of a data set in which stores of its test split may come along: `query_drone`, `gallery_satellite`, ..."""
 
+Role = Literal["query", "gallery"]
 Reader = Callable[[Model, Sequence[Picture], View, Change], FloatArray]
 """Where descriptors (N, n, D) of changed pictures come from, such as `cached_descriptors`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """Descriptors (N, n, D) of one side of a test split, and a text that no other descriptors have."""
+
+    descriptors: FloatArray
+    identity: str
 
 
 def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> FloatArray:
@@ -34,9 +44,13 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ch
 
     The cache is `$LPN_CACHE`, else `lpn-explorer` in `$XDG_CACHE_HOME` or `~/.cache`; it may be deleted at any time.
     """
-    files = [picture.path.resolve() for picture in pictures]
+    return _cached(model, pictures, view, change).descriptors
+
+
+def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Side:
+    files = _resolved(pictures)
     # By their folder, not by their list: when a picture is added or mended, the others' rows are taken over.
-    common = os.path.commonpath([file.parent for file in files])
+    common = os.path.commonpath({file.parent for file in files})
     boxes = [picture.box for picture in pictures]
     identity: list[Any] = [model.fingerprint, view, change.rotate, common]
     # Only what differs from a picture as it is, so that caches from before there were such changes are still found.
@@ -50,12 +64,26 @@ def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, ch
     try:
         if (held := _held(model, files, view, folder, change, boxes)) is not None:
             return held
-        return describe(model, files, view, folder, change=change, boxes=boxes, title=title).float32
+        store = describe(model, files, view, folder, change=change, boxes=boxes, title=title)
+        return Side(store.float32, store.identity)
     except (StoreError, OutputError) as error:
         raise StoreError(
             f"The cache of descriptors in {cache_folder()} cannot be used ({error}) Set LPN_CACHE to a folder that can be "
             "written."
         ) from error
+
+
+def _resolved(pictures: Sequence[Picture]) -> list[Path]:
+    """The file behind each picture, links followed; a folder is followed once for all that is in it."""
+    folders: dict[Path, Path] = {}
+    files = []
+    for picture in pictures:
+        parent = picture.path.parent
+        if parent not in folders:
+            folders[parent] = parent.resolve()
+        file = folders[parent] / picture.path.name
+        files.append(file.resolve() if file.is_symlink() else file)
+    return files
 
 
 def shipped_descriptors(
@@ -68,25 +96,34 @@ def shipped_descriptors(
     Args:
         exact: take it only where it is in float32.
     """
+    found = _shipped(model, pictures, view, store, exact)
+    return None if found is None else found.descriptors
+
+
+def _shipped(model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False) -> Side | None:
     try:
         held = open_store(store)
     except StoreError:
         return None
-    rows = [(printable(str(row.file)), row.size, row.box) for row in held.manifest.rows]
-    these = [("/".join(picture.path.parts[-2:]), picture.path.stat().st_size, picture.box) for picture in pictures]
-    wanted = (model.fingerprint, view, UNCHANGED, model.n_parts)
-    found = (held.manifest.fingerprint, held.manifest.view, held.manifest.change, held.manifest.n_parts)
-    if found != wanted or rows != these or (exact and held.manifest.precision != "float32"):
+    manifest = held.manifest
+    wanted = (model.fingerprint, view, UNCHANGED, model.n_parts, len(pictures))
+    found = (manifest.fingerprint, manifest.view, manifest.change, manifest.n_parts, len(manifest.rows))
+    if found != wanted or (exact and manifest.precision != "float32"):
         return None
-    return held.float32
+    rows = [(printable(str(row.file)), row.size, row.box) for row in manifest.rows]
+    these = [(f"{p.path.parent.name}/{p.path.name}", p.path.stat().st_size, p.box) for p in pictures]
+    return Side(held.float32, held.identity) if rows == these else None
 
 
-def known_descriptors(
-    model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Literal["query", "gallery"]
-) -> FloatArray:
-    """Descriptors (N, n, D) of one side of a test split: those that came with the data set in `root`, else from the cache."""
-    found = shipped_descriptors(model, pictures, view, root / STORES / f"{role}_{view}")
-    return cached_descriptors(model, pictures, view) if found is None else found
+def known_side(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> Side:
+    """One side of a test split: descriptors that came with the data set in `root`, else from the cache."""
+    found = _shipped(model, pictures, view, root / STORES / f"{role}_{view}")
+    return _cached(model, pictures, view, UNCHANGED) if found is None else found
+
+
+def known_descriptors(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> FloatArray:
+    """The descriptors (N, n, D) of `known_side` alone."""
+    return known_side(model, pictures, view, root, role).descriptors
 
 
 def reader(root: Path) -> Reader:
@@ -117,17 +154,22 @@ def passing_descriptors(
 
 def _held(
     model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[Box | None]
-) -> FloatArray | None:
+) -> Side | None:
     """Descriptors of files that a store has, all or some, so that a part of a folder does not replace the whole."""
     store = complete(folder)
     if store is None or len(store.manifest.rows) < len(files):
         return None
-    rows = {row: position for position, row in enumerate(store.manifest.rows)}
-    wanted = [rows.get(row_of(file, None, box)) for file, box in zip(files, boxes, strict=True)]
-    if None in wanted or not Manifest.of(model, view, change, ()).comparable(store.manifest):
+    if not Manifest.of(model, view, change, ()).comparable(store.manifest):
         return None
-    whole = wanted == list(range(len(rows)))
-    return store.float32 if whole else store.float32[np.array(wanted, np.int64)]
+    asked = tuple(row_of(file, None, box) for file, box in zip(files, boxes, strict=True))
+    if asked == store.manifest.rows:
+        return Side(store.float32, store.identity)
+    rows = {row: position for position, row in enumerate(store.manifest.rows)}
+    wanted = [rows.get(row) for row in asked]
+    if None in wanted:
+        return None
+    some = np.array(wanted, np.int64)
+    return Side(store.rows(some), hashlib.sha256(store.identity.encode() + some.tobytes()).hexdigest())
 
 
 def cache_folder() -> Path:

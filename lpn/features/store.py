@@ -10,6 +10,7 @@ The manifest is written last, so a folder with a manifest is complete.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -132,10 +133,14 @@ class Manifest:
 
 @dataclass(frozen=True, eq=False)
 class Store:
-    """A complete store. `descriptors` is (N, n, D) in the manifest's precision, memory-mapped, read-only."""
+    """A complete store. `descriptors` is (N, n, D) in the manifest's precision, memory-mapped, read-only.
+
+    `identity` is a text that no other store has: of the manifest's contents, and of the array's size and time.
+    """
 
     manifest: Manifest
     descriptors: FloatArray | npt.NDArray[np.float16] | npt.NDArray[np.int8]
+    identity: str = ""
 
     @property
     def float32(self) -> FloatArray:
@@ -163,9 +168,15 @@ def open_store(folder: str | Path) -> Store:
             " (its description was not finished; run lpn describe again)" if (folder / "planned.json").is_file() else ""
         )
         raise StoreError(f"{folder} has no manifest.json, so it is not a store of descriptors{unfinished}.")
-    manifest = Manifest.from_json((folder / "manifest.json").read_bytes(), "manifest.json")
+    written = (folder / "manifest.json").read_bytes()
+    return with_array(folder, Manifest.from_json(written, "manifest.json"), written)
+
+
+def with_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
+    """The store of a manifest and of the bytes it was read from; StoreError when its array does not fit."""
     expected = (len(manifest.rows), manifest.n_parts, manifest.embedding)
     try:
+        stat = (folder / "descriptors.npy").stat()
         descriptors = np.load(folder / "descriptors.npy", mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise StoreError(f"descriptors.npy in {folder} is missing or damaged; describe the pictures again.") from error
@@ -174,7 +185,8 @@ def open_store(folder: str | Path) -> Store:
             f"descriptors.npy in {folder} is {descriptors.dtype} {descriptors.shape}, but its manifest says "
             f"{manifest.precision} {expected}; describe the pictures again."
         )
-    return Store(manifest, descriptors)
+    told = f"{stat.st_size} {stat.st_mtime_ns}".encode()
+    return Store(manifest, descriptors, hashlib.sha256(written + told).hexdigest())
 
 
 def stored(descriptors: FloatArray, precision: Precision) -> npt.NDArray[Any]:

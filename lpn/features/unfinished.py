@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.errors import LPNError, StoreError
-from lpn.features.store import FORMAT, Manifest, Store, open_store, stored
+from lpn.features.store import FORMAT, Manifest, Store, stored, with_array
 from lpn.files import write_whole
 from lpn.model import FloatArray
 
@@ -108,20 +108,22 @@ def complete(folder: Path) -> Store | None:
     manifest = folder / "manifest.json"
     if manifest.exists():
         try:
-            Manifest.from_json(manifest.read_bytes(), manifest.name)
+            written = manifest.read_bytes()
+            read = Manifest.from_json(written, manifest.name)
         except (StoreError, OSError) as error:
             raise StoreError(
                 f"{folder} has a manifest.json that is not one of {FORMAT}; choose another folder, or delete that file if it "
                 "is of no use."
             ) from error
-    elif (folder / "descriptors.npy").exists() and not (folder / "planned.json").exists():
+        try:
+            return with_array(folder, read, written)
+        except StoreError:
+            return None
+    if (folder / "descriptors.npy").exists() and not (folder / "planned.json").exists():
         raise StoreError(
             f"{folder} has a descriptors.npy without a manifest.json, so it is not ours to replace; choose another folder."
         )
-    try:
-        return open_store(folder)
-    except StoreError:
-        return None
+    return None
 
 
 def _interrupted(

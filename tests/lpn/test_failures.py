@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import breakdown, cli, explain, geo, metrics, notes, retrieval
+from lpn import breakdown, cli, explain, geo, metrics, notes, retrieval, scores
 from lpn.datasets import Picture, Truth, open_dataset
 from lpn.errors import DataError, InputError
 from lpn.failures import OUTCOME, Outcomes, build, described_by, labels_of, table
@@ -68,7 +68,7 @@ def compare(outcomes: Outcomes, expected: list[tuple[int, int, int, int, float, 
 def test_outcomes_are_those_of_each_query_ranked_alone(
     block: int, weights: list[float] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(metrics, "_BLOCK_BYTES", block)
+    monkeypatch.setattr(scores, "_BLOCK_BYTES", block)
     monkeypatch.setattr("lpn.failures._CHUNK_BYTES", block)
     rng = np.random.default_rng(1)
     queries, gallery = descriptors(50), descriptors(30, seed=1)
@@ -120,7 +120,7 @@ def test_equal_scores_are_in_the_gallerys_order() -> None:
 
 
 def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metrics, "_BLOCK_BYTES", 8 * 5 * 4)
+    monkeypatch.setattr(scores, "_BLOCK_BYTES", 4 * 5 * 4)
     told: list[tuple[int, int]] = []
     build(descriptors(10), descriptors(5), range(10), range(5), progress=lambda done, of: told.append((done, of)))  # type: ignore[arg-type]
     assert told == [(4, 10), (8, 10), (10, 10)]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn import metrics
+from lpn import metrics, scores
 from lpn.datasets import Truth
 from lpn.errors import InputError
 from tests import seeded
@@ -193,7 +193,7 @@ def test_lists_that_say_what_labels_say_give_the_same_figures() -> None:
 def test_blocks_of_queries_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     made = case(12, 50, 20, 4, 8, 1.2, absent=3, junk=9)
     whole = metrics.retrieve(*made)
-    monkeypatch.setattr(metrics, "_BLOCK_BYTES", 8 * 80 * 7)
+    monkeypatch.setattr(scores, "_BLOCK_BYTES", 4 * 80 * 7)
     blocks = metrics.retrieve(*made)
     assert whole.figures() == blocks.figures()
     np.testing.assert_array_equal(whole.best, blocks.best)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize
 
-from lpn import explain, metrics, retrieval, versus
+from lpn import explain, metrics, retrieval, scores, versus
 from lpn.datasets import Truth
 from lpn.errors import InputError
 from lpn.least_distance import shortest
@@ -204,7 +204,7 @@ def test_the_least_distance_to_half_spaces() -> None:
 
 @pytest.mark.parametrize("listed", [False, True])
 def test_the_effect_on_a_data_set_is_that_of_each_query_ranked(listed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metrics, "_BLOCK_BYTES", 8 * 30 * 4)  # several blocks
+    monkeypatch.setattr(scores, "_BLOCK_BYTES", 4 * 30 * 4)  # several blocks
     rng = np.random.default_rng(3)
     gallery = described(4, 30, 3)
     labels, of_query = rng.integers(-1, 12, 30), rng.integers(0, 12, 25)

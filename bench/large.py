@@ -1,0 +1,183 @@
+"""The explorer on a data set of 40,000 queries and 51,355 tiles: `python -m bench.large [SHARE] [FOLDER]`.
+
+Makes such a data set in University-1652's layout with descriptors that came along, and measures the real app on it in headless
+Chromium. Its pictures are links to a few small files and its descriptors are drawn, both of which change no time. SHARE,
+0 .. 1, is how much of it is made, 1 by default; FOLDER is where it is kept for the next time.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import statistics
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from playwright.sync_api import Page, sync_playwright
+from rich.console import Console
+from rich.table import Table
+
+import lpn
+from bench.evaluate import Size, draw
+from bench.page import QUIET, Process, free_port, page_seconds
+from lpn import datasets
+from lpn.changes import UNCHANGED
+from lpn.features import STORES, Manifest, Row
+from lpn.model import Model
+from lpn.spec import View
+
+QUERIES, TILES, PLACES = 40_000, 51_355, 951
+PICTURES = 64
+TURNS = 10
+SHOWN = """
+([selector, before]) => new Promise(done => {
+  const started = performance.now(), check = () => {
+    const found = document.querySelector(selector);
+    if (performance.now() - started > 20000) return done(NaN);
+    if (!found || found.outerHTML === before) return requestAnimationFrame(check);
+    requestAnimationFrame(() => requestAnimationFrame(() => done(performance.now() - started)));
+  };
+  check();
+})
+"""
+
+
+def make(folder: Path, share: float) -> tuple[Path, Path]:
+    """The data set and its model, made where they are not there yet."""
+    from tests import worlds
+
+    data, model = folder / "large", folder / "model.onnx"
+    if not model.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        worlds.make_model(folder, size=256)
+    if (data / "done").is_file():
+        return data, model
+    shutil.rmtree(data, ignore_errors=True)
+    for number in range(PICTURES):
+        worlds.write(data / "pictures" / f"{number}.jpg", worlds.place(number))
+    pictures = sorted((data / "pictures").iterdir())
+    opened = lpn.load(model)
+    size = Size("large", round(share * QUERIES), round(share * TILES), max(round(share * TILES) // PLACES, 1))
+    queries, asked, tiles, labels = draw(size, 1.0)
+    # Pictures of one place lie together, and files are listed by place.
+    queries = queries[np.argsort(asked, kind="stable")]
+    for role, view, of, values in (
+        ("query", "drone", np.sort(asked), queries),
+        ("gallery", "satellite", labels, tiles),
+    ):
+        first = np.searchsorted(of, of)
+        for index, label in enumerate(of.tolist()):
+            file = data / "test" / f"{role}_{view}" / f"{label:04d}" / f"image-{index - first[index]:03d}.jpg"
+            if first[index] == index:
+                file.parent.mkdir(parents=True)
+            os.link(pictures[index % PICTURES], file)
+        _keep(data, role, view, opened, values)
+    (data / "done").touch()
+    return data, model
+
+
+def _keep(data: Path, role: str, view: View, model: Model, values: np.ndarray) -> None:
+    """The descriptors as a store that comes along."""
+    dataset = datasets.open_dataset(data)
+    listed = dataset.queries(view) if role == "query" else dataset.gallery(view)
+    rows = tuple(Row("/".join(p.path.parts[-2:]), p.path.stat().st_size, 0, None) for p in listed)
+    store = data / STORES / f"{role}_{view}"
+    store.mkdir(parents=True)
+    np.save(store / "descriptors.npy", values.reshape(len(values), model.n_parts, -1))
+    (store / "manifest.json").write_bytes(Manifest.of(model, view, UNCHANGED, rows).to_json())
+
+
+def seconds_until(page: Page, selector: str, act: str) -> float:
+    """From an act in the page, as JavaScript, to two frames after an element has changed."""
+    before = page.evaluate("s => document.querySelector(s)?.outerHTML ?? ''", selector)
+    page.evaluate(act)
+    return float(page.evaluate(SHOWN, [selector, before])) / 1000
+
+
+def turns(page: Page) -> float:
+    """Median time from a press on "later" to the next page of pictures."""
+    times = []
+    for _ in range(TURNS):
+        times.append(
+            seconds_until(page, "#lpn-picker", "document.querySelector('#lpn-picker .pager a:last-child').click()")
+        )
+        page.wait_for_timeout(100)
+    return statistics.median(times)
+
+
+def picks(page: Page) -> float:
+    """Median time from a press on a picture to its answer."""
+    times = []
+    for number in range(TURNS):
+        act = f"document.querySelectorAll('#lpn-picker .thumb:not(.chosen)')[{number % 4}].click()"
+        times.append(seconds_until(page, "#lpn-matches", act))
+        page.wait_for_timeout(100)
+    return statistics.median(times)
+
+
+def memory(process: int) -> tuple[float, float]:
+    """Bytes of a process that are resident, and those of them that are of no file."""
+    status = Path(f"/proc/{process}/status").read_text()
+    found = dict(re.findall(r"^(VmRSS|RssAnon):\s+(\d+) kB", status, re.MULTILINE))
+    return 1024.0 * int(found["VmRSS"]), 1024.0 * int(found["RssAnon"])
+
+
+def measure(app: Process) -> list[tuple[str, str]]:
+    """What is measured on a running app, in words."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=QUIET)
+        opened, page = page_seconds(browser, app.url)
+        meanwhile = turns(page), picks(page)
+        started = time.perf_counter()
+        page.wait_for_selector("#lpn-header .big", state="attached", timeout=3_600_000)
+        ranked = time.perf_counter() - started
+        page.wait_for_timeout(2000)
+        rows = [
+            ("command to address", f"{app.seconds:.2f} s"),
+            ("address to complete page", f"{opened:.2f} s"),
+            ("turn a page of pictures; while queries are ranked", f"{turns(page):.3f} s; {meanwhile[0]:.3f} s"),
+            ("pick a picture; while queries are ranked", f"{picks(page):.3f} s; {meanwhile[1]:.3f} s"),
+            ("until all queries are ranked, after that", f"{ranked:.0f} s"),
+        ]
+        started = time.perf_counter()
+        page.keyboard.press("b")
+        page.wait_for_selector("#lpn-lab-table", timeout=60_000)
+        rows.append(("open the failure laboratory", f"{time.perf_counter() - started:.2f} s"))
+        resident, own = memory(app.process)
+        rows.append(("resident memory; of it in no file", f"{resident / 1e9:.2f} GB; {own / 1e9:.2f} GB"))
+        browser.close()
+    return rows
+
+
+def main() -> None:
+    """Measure and print."""
+    share = float(sys.argv[1]) if len(sys.argv) > 1 else 1.0
+    if not 0 < share <= 1:
+        raise SystemExit(f"The share is {share:g}; expected more than 0 and at most 1.")
+    with ExitStack() as stack:
+        folder = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        data, model = make(folder, share)
+        cache = stack.enter_context(tempfile.TemporaryDirectory())
+        environment = {**os.environ, "LPN_CACHE": cache}
+        command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(data), "--model", str(model), "--port"]
+        with Process([*command, str(free_port())], environment) as app:
+            rows = measure(app)
+        with Process([*command, str(free_port())], environment) as again:
+            rows.append(("command to address, all ranked before", f"{again.seconds:.2f} s"))
+    table = Table(
+        title=f"{round(share * QUERIES):,} queries and {round(share * TILES):,} tiles, {os.cpu_count()} cores"
+    )
+    table.add_column("step")
+    table.add_column("measured", justify="right")
+    for row in rows:
+        table.add_row(*row)
+    Console(width=110).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""What became of all queries of a task: known at once where that is quick, else ranked once for all browsers, meanwhile."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from dataclasses import dataclass
+
+from explorer.chart import Places
+from explorer.jobs import Job, Jobs, Progress
+from lpn import rankings
+from lpn.errors import LPNError
+from lpn.evaluate import error_shares
+from lpn.metrics import Retrieval
+from lpn.rankings import Progressing, Sides
+
+QUICK = 20_000_000_000
+"""Multiplications that are done before the first page is served: half a second of two cores."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What became of all queries of a task.
+
+    Attributes:
+        ranking: of the gallery for each.
+        results: recall and AP in percent, see `lpn.metrics.evaluate`; with positions, `median error m` and more.
+    """
+
+    ranking: Retrieval
+    results: dict[str, float]
+
+
+class Standing:
+    """Ranks a task's queries; thread-safe.
+
+    Args:
+        places: where the pictures are, None where that is not known.
+    """
+
+    def __init__(self, sides: Sides, places: Places | None) -> None:
+        self._sides, self._places = sides, places
+        self._ranking, self._jobs, self._turn = Progressing(sides), Jobs(), threading.Lock()
+        self._job: Job[Found] | None = None
+        self.found: Found | None = None
+        """None until all are ranked."""
+
+    def begin(self) -> None:
+        """Rank at once where that is quick, and take what is kept of another time; InputError when that cannot be done."""
+        if self._sides.work <= QUICK:
+            self.found = self._told(self._ranking.finish(lambda *_: None))
+        elif (kept := rankings.kept(self._sides)) is not None:
+            self.found = self._told(kept)
+
+    @property
+    def done(self) -> int:
+        """How many queries are ranked."""
+        job = self._job
+        return 0 if job is None else job.done
+
+    @property
+    def flaw(self) -> str:
+        """Why they cannot be ranked; empty where they can."""
+        job = self._job
+        return "" if job is None or job.given_up else job.flaw or ""
+
+    def ask(self, who: object) -> Job[Found]:
+        """Wait for the ranking, begun or gone on with; a ranking that nobody waits for stands still."""
+        self._job = job = self._jobs.ask("ranking", who, self._rank)
+        return job
+
+    def leave(self, who: object) -> None:
+        """Wait for it no longer."""
+        self._jobs.leave(who)
+
+    def wait(self, who: object, progress: Progress) -> Found:
+        """What became of the queries, waited for.
+
+        Args:
+            progress: told how many are ranked, and of how many; what it raises ends the waiting.
+
+        Raises:
+            LPNError: when they cannot be ranked.
+        """
+        try:
+            while self.found is None:
+                job = self.ask(who)
+                if not job.wait(0.2):
+                    progress(job.done, job.total)
+                elif job.flaw is not None and not job.given_up:
+                    raise LPNError(job.flaw)
+        finally:
+            self.leave(who)
+        return self.found
+
+    def _rank(self, progress: Progress) -> Found:
+        if sys.platform == "linux":  # there, a thread has a niceness of its own: what a browser asks for goes first
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
+        with self._turn:  # one that was given up may still be at its last block
+            ranking = self._ranking.finish(progress)
+        rankings.keep(self._sides, ranking)
+        self.found = self._told(ranking)
+        return self.found
+
+    def _told(self, ranking: Retrieval) -> Found:
+        near: dict[str, float] = {}
+        if self._places is not None:
+            near = error_shares(self._places.errors(ranking.best))
+        return Found(ranking, ranking.figures() | near)

@@ -1,0 +1,45 @@
+"""A data set whose queries are still being ranked when the page opens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import BrowserContext, expect
+
+from explorer import standing
+from explorer.app import App
+from explorer.opening import open_model
+from tests import worlds
+from tests.e2e.conftest import Explorer
+
+
+def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
+    tmp_path: Path, model_file: Path, contexts: Callable[[], BrowserContext], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(standing, "QUICK", 0)
+    exhibit = open_model(worlds.make_dataset(tmp_path / "places"), model_file)
+    task = exhibit.tasks["drone-to-satellite"]
+    app = App(exhibit, "127.0.0.1", 0)
+    try:
+        explorer = Explorer(contexts().new_page())
+        header, picker = explorer.page.locator("#lpn-header"), explorer.page.locator("#lpn-picker")
+        with task.standing._turn:  # no ranking begins meanwhile
+            explorer.open(f"http://127.0.0.1:{app.server.get_port()}")
+            expect(header).to_contain_text("Results: ranking 0 of 14 queries")
+            expect(picker.locator(".thumb b")).to_have_count(0)
+            explorer.key("n")
+            explorer.expect_status("query", "1")
+            explorer.key("f")
+            expect(explorer.page.get_by_text("All queries are still being ranked")).to_be_visible()
+            explorer.key("b")
+            expect(explorer.page.locator("#lpn-lab-waiting")).to_contain_text("Ranking 14 queries")
+        assert task.standing.ask("test").wait(20)
+        expect(header).to_contain_text(f"{task.results['recall@1']:.1f} %", timeout=20_000)
+        expect(picker.locator(".thumb b")).to_have_count(12)
+        expect(explorer.page.locator("#lpn-lab-table")).to_be_visible()
+        explorer.expect_status("query", "1")
+    finally:
+        app.close()
