@@ -9,8 +9,6 @@ the noise that leaves a trained network's Recall@1. Ours is measured in a proces
 from __future__ import annotations
 
 import json
-import os
-import platform
 import resource
 import subprocess
 import sys
@@ -19,9 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from rich.console import Console
-from rich.table import Table
 
+from bench.figures import Figure, below, show, within
 from lpn import metrics
 
 LENGTH, PARTS, LATENT, NOISE = 2048, 4, 96, 1.2
@@ -106,28 +103,9 @@ def ours(size: Size, share: float) -> None:
     print(json.dumps(told))
 
 
-def main() -> None:
-    """Measure and print."""
-    if len(sys.argv) == 4:
-        ours(SIZES[int(sys.argv[2])], float(sys.argv[3]))
-        return
-    share = float(sys.argv[1]) if len(sys.argv) > 1 else 1.0
-    if not 0 < share <= 1:
-        raise SystemExit(f"The share is {share:g}; expected more than 0 and at most 1.")
-    title = f"Evaluation of {LENGTH} numbers each, {os.cpu_count()} cores, {platform.machine()}, the best of 3 to 4"
-    table = Table(title=title)
-    for column in (
-        "",
-        "published, s",
-        "ours, s",
-        "product alone, s",
-        "of product",
-        "ours, peak GB",
-        "R@1",
-        "AP",
-        "apart",
-    ):
-        table.add_column(column, justify="right")
+def figures(share: float = 1.0) -> list[Figure]:
+    """The figures of both sizes."""
+    made: list[Figure] = []
     for number, size in enumerate(SIZES):
         command = [sys.executable, "-m", "bench.evaluate", "ours", str(number), str(share)]
         found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
@@ -136,19 +114,25 @@ def main() -> None:
         theirs = published(*drawn)
         loop = time.perf_counter() - started
         apart = max(abs(theirs[key] - found["figures"][key]) for key in KEYS)
-        table.add_row(
-            f"{size.name}, {len(drawn[0]):,} x {len(drawn[2]):,}",
-            f"{loop:.2f}",
-            f"{found['seconds']:.2f}",
-            f"{found['product']:.2f}",
-            f"{found['seconds'] / found['product']:.2f}",
-            f"{found['peak'] / 1e9:.2f}",
-            f"{theirs['recall@1']:.2f}",
-            f"{theirs['ap']:.2f}",
-            f"{apart:.1e}",
-        )
-    Console(width=150).print(table)
+        what = f"evaluate {len(drawn[0]):,} x {len(drawn[2]):,}"
+        made += [
+            within(f"{what} (limit: the float32 product)", found["seconds"], found["product"], 1.5, "s", loop),
+            below(f"{what}, peak memory", found["peak"] / 1e9, 2, "GB"),
+            Figure(f"{what}, largest difference of R@K and AP from the published loop's", apart, "points"),
+        ]
+    return made
+
+
+def main(arguments: list[str]) -> None:
+    """Measure and print."""
+    if arguments[:1] == ["ours"]:
+        ours(SIZES[int(arguments[1])], float(arguments[2]))
+        return
+    share = float(arguments[0]) if arguments else 1.0
+    if not 0 < share <= 1:
+        raise SystemExit(f"The share is {share:g}; expected more than 0 and at most 1.")
+    show("Evaluation", figures(share))
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

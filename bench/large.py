@@ -15,15 +15,15 @@ import sys
 import tempfile
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
-from rich.console import Console
-from rich.table import Table
 
 import lpn
 from bench.evaluate import Size, draw
+from bench.figures import Figure, below, show
 from bench.page import QUIET, Process, free_port, page_seconds
 from lpn import datasets
 from lpn.changes import UNCHANGED
@@ -127,57 +127,55 @@ def memory(process: int) -> tuple[float, float]:
     return 1024.0 * int(found["VmRSS"]), 1024.0 * int(found["RssAnon"])
 
 
-def measure(app: Process) -> list[tuple[str, str]]:
-    """What is measured on a running app, in words."""
+def measure(app: Process) -> list[Figure]:
+    """The figures of a running app."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=QUIET)
+        page_seconds(browser, app.url)[1].context.close()  # the browser's own start is nobody's
         opened, page = page_seconds(browser, app.url)
         meanwhile = turns(page), picks(page)
         started = time.perf_counter()
         page.wait_for_selector("#lpn-header .big", state="attached", timeout=3_600_000)
         ranked = time.perf_counter() - started
         page.wait_for_timeout(2000)
-        rows = [
-            ("command to address", f"{app.seconds:.2f} s"),
-            ("address to complete page", f"{opened:.2f} s"),
-            ("turn a page of pictures; while queries are ranked", f"{turns(page):.3f} s; {meanwhile[0]:.3f} s"),
-            ("pick a picture; while queries are ranked", f"{picks(page):.3f} s; {meanwhile[1]:.3f} s"),
-            ("until all queries are ranked, after that", f"{ranked:.0f} s"),
+        found = [
+            below("command to address", app.seconds, 5, "s"),
+            Figure("address to complete page", opened, "s"),
+            Figure("turn a page of pictures", turns(page), "s"),
+            Figure("turn a page of pictures while queries are ranked", meanwhile[0], "s"),
+            Figure("pick a picture", picks(page), "s"),
+            Figure("pick a picture while queries are ranked", meanwhile[1], "s"),
+            Figure("until all queries are ranked, after that", ranked, "s"),
         ]
         started = time.perf_counter()
         page.keyboard.press("b")
         page.wait_for_selector("#lpn-lab-table", timeout=60_000)
-        rows.append(("open the failure laboratory", f"{time.perf_counter() - started:.2f} s"))
-        resident, own = memory(app.process)
-        rows.append(("resident memory; of it in no file", f"{resident / 1e9:.2f} GB; {own / 1e9:.2f} GB"))
+        found.append(Figure("open the failure laboratory", time.perf_counter() - started, "s"))
+        resident, own = memory(app.pid)
+        found.append(Figure("resident memory, mapped descriptors included", resident / 1e9, "GB"))
+        found.append(Figure("resident memory of no file", own / 1e9, "GB"))
         browser.close()
-    return rows
+    return found
 
 
-def main() -> None:
-    """Measure and print."""
-    share = float(sys.argv[1]) if len(sys.argv) > 1 else 1.0
-    if not 0 < share <= 1:
-        raise SystemExit(f"The share is {share:g}; expected more than 0 and at most 1.")
+def figures(share: float = 1.0, kept: Path | None = None) -> list[Figure]:
+    """The figures of such a data set, made in `kept` where it is not there yet."""
     with ExitStack() as stack:
-        folder = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        folder = kept or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         data, model = make(folder, share)
         cache = stack.enter_context(tempfile.TemporaryDirectory())
         environment = {**os.environ, "LPN_CACHE": cache}
         command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(data), "--model", str(model), "--port"]
         with Process([*command, str(free_port())], environment) as app:
-            rows = measure(app)
+            found = measure(app)
         with Process([*command, str(free_port())], environment) as again:
-            rows.append(("command to address, all ranked before", f"{again.seconds:.2f} s"))
-    table = Table(
-        title=f"{round(share * QUERIES):,} queries and {round(share * TILES):,} tiles, {os.cpu_count()} cores"
-    )
-    table.add_column("step")
-    table.add_column("measured", justify="right")
-    for row in rows:
-        table.add_row(*row)
-    Console(width=110).print(table)
+            found.append(below("command to address, all ranked before", again.seconds, 5, "s"))
+    what = f"{round(share * QUERIES):,} queries, {round(share * TILES):,} tiles: "
+    return [replace(figure, what=what + figure.what) for figure in found]
 
 
 if __name__ == "__main__":
-    main()
+    part = float(sys.argv[1]) if len(sys.argv) > 1 else 1.0
+    if not 0 < part <= 1:
+        raise SystemExit(f"The share is {part:g}; expected more than 0 and at most 1.")
+    show("A large data set", figures(part, Path(sys.argv[2]) if len(sys.argv) > 2 else None))
