@@ -141,11 +141,6 @@ class Process:
             self.__exit__()
             raise
 
-    @property
-    def process(self) -> int:
-        """Its number."""
-        return self._process.pid
-
     def __exit__(self, *_: object) -> None:
         self._process.kill()
         self._process.communicate()
