@@ -51,7 +51,7 @@ def make(folder: Path, share: float) -> tuple[Path, Path]:
     """The data set and its model, made where they are not there yet."""
     from tests import worlds
 
-    data, model = folder / "large", folder / "model.onnx"
+    data, model = folder / f"large-{round(share * TILES)}", folder / "model.onnx"
     if not model.is_file():
         folder.mkdir(parents=True, exist_ok=True)
         worlds.make_model(folder, size=256)
@@ -96,7 +96,10 @@ def seconds_until(page: Page, selector: str, act: str) -> float:
     """From an act in the page, as JavaScript, to two frames after an element has changed."""
     before = page.evaluate("s => document.querySelector(s)?.outerHTML ?? ''", selector)
     page.evaluate(act)
-    return float(page.evaluate(SHOWN, [selector, before])) / 1000
+    seconds = float(page.evaluate(SHOWN, [selector, before])) / 1000
+    if seconds != seconds:
+        raise SystemExit(f"{selector} did not change within 20 s.")
+    return seconds
 
 
 def turns(page: Page) -> float:
@@ -134,6 +137,8 @@ def measure(app: Process) -> list[Figure]:
         page_seconds(browser, app.url)[1].context.close()  # the browser's own start is nobody's
         opened, page = page_seconds(browser, app.url)
         meanwhile = turns(page), picks(page)
+        if page.query_selector("#lpn-header .big"):
+            raise SystemExit("All queries were ranked before the page was turned; give a larger share.")
         started = time.perf_counter()
         page.wait_for_selector("#lpn-header .big", state="attached", timeout=3_600_000)
         ranked = time.perf_counter() - started

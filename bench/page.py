@@ -242,6 +242,10 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         command = [sys.executable, "-m", "lpn.cli", *options]
         with Process([*command, str(free_port())], environment) as cold:
             pass
+        starts = []
+        for _ in range(5):
+            with Process([*command, str(free_port())], environment) as again:
+                starts.append(again.seconds)
         warm = stack.enter_context(Process([*command, str(free_port())], environment))
         idle = stack.enter_context(Process([sys.executable, "-c", IDLE, *options, str(free_port())], environment))
         browser = stack.enter_context(sync_playwright()).chromium.launch(
@@ -268,16 +272,17 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
     wasted, last = max(lost for lost, _ in drags), all(shown for _, shown in drags)
     nodes = f"{numbers[0]} pictures, {sum(map(int, numbers[1:]))} controls"
     return [
-        below("command to address, descriptors at hand", warm.seconds, 1.5, "s"),
+        below("command to address, descriptors at hand", statistics.median(starts), 1.5, "s"),
         Figure("command to address, nothing described yet", cold.seconds, "s"),
         within(f"address to complete page (limit: bare viser page, {nodes})", full_page, bare_page, 1.5, "s"),
         within("turned, to the changed picture (limit: passes + idle page)", turn, forward + idle_turn, 1.3, "s"),
         within("picked, to the changed picture (limit: passes + idle page)", pick, forward + idle_pick, 1.3, "s"),
-        below(
-            f"{EVENTS} turns in a second: answers nobody saw{'' if last else ', AND THE LAST IS NOT SHOWN'}",
+        Figure(
+            f"{EVENTS} turns in a second: answers nobody saw{'' if last else ', and the last is not shown'}",
             wasted,
-            2,
             "passes",
+            target="2 passes, the last shown",
+            met=wasted <= 2 and last,
         ),
         below("resident memory of the server", after, 700, "MB"),
         Figure(f"its growth over {5 * EVENTS} turns", after - before, "MB"),

@@ -13,7 +13,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-import cv2
 import numpy as np
 import onnxruntime as ort
 import torch
@@ -27,6 +26,7 @@ from lpn.checkpoints import TorchModel, load_torch, save
 from lpn.datasets import Dataset, open_dataset
 from lpn.engine import Engine
 from lpn.export import export
+from lpn.machine import usable_cores
 from lpn.model import normalise
 from lpn.network import LPN
 from lpn.quantize import quantize
@@ -101,6 +101,7 @@ def measure(name: str, spec: ModelSpec, dataset: Dataset, folder: Path) -> list[
 
 def figures(root: Path | None = None) -> list[Figure]:
     """The figures of both networks."""
+    torch.set_num_threads(usable_cores())
     torch.manual_seed(0)
     found: list[Figure] = []
     with tempfile.TemporaryDirectory() as made:
@@ -112,5 +113,4 @@ def figures(root: Path | None = None) -> list[Figure]:
 
 
 if __name__ == "__main__":
-    cv2.setNumThreads(torch.get_num_threads())
     show("One query", figures(Path(sys.argv[1]) if len(sys.argv) > 1 else None))

@@ -7,14 +7,17 @@ read them; float16 and int8 are to take half of what float32 may. All take turns
 
 Descriptors are drawn about centres, as those of places are. `--growth` makes the table of larger galleries, up to a million
 tiles, of which one index at a time lies on disk (8 kB a tile, at most 12, and as much again while segments are gathered);
-`--recall` that of faiss's inverted lists.
+`--recall` that of faiss's inverted lists; both leave out the other figures.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
+import json
 import resource
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -154,27 +157,34 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
 
 
 def grow(counts: list[int], folder: Path, rounds: int, console: Console) -> None:
-    """Time, disk, and memory against the size of the gallery, one index on disk at a time."""
+    """Time, disk, and memory against the size of the gallery; a process for each row, and one index on disk at a time."""
     table = Table(title=f"growth, top {TOP} with vectors, {machine()}, medians of {rounds}")
     for column in ("tiles", "index", "add, s", "first search, ms", "search, ms", "disk, MB", "process's peak, MB"):
         table.add_column(column, justify="right")
     for count in counts:
-        asked = queries(next(drawn(count))[1])
         for name in PRECISIONS:
-            with tempfile.TemporaryDirectory(dir=folder) as place:
-                started = time.perf_counter()
-                index = filled(ExactIndex.create(Path(place) / "index", KIND, name), count)
-                added = time.perf_counter() - started
-                started = time.perf_counter()
-                index.search(asked[0], None, TOP)
-                first = time.perf_counter() - started
-                took = medians({"": lambda i, index=index, asked=asked: index.search(asked[i], None, TOP)}, rounds)[""]
-                disk = sum(file.stat().st_size for file in Path(place).rglob("*") if file.is_file())
-                index.close()
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            shown = (f"{added:.1f}", f"{1000 * first:.1f}", f"{took:.2f}", f"{disk / 1e6:.0f}", f"{peak:.0f}")
-            table.add_row(str(count), name, *shown)
+            command = [sys.executable, "-m", "bench.search", "--row", name, "--tiles", str(count)]
+            command += ["--rounds", str(rounds), "--folder", str(folder)]
+            done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+            table.add_row(f"{count:,}", name, *json.loads(done.stdout))
     console.print(table)
+
+
+def row(count: int, name: Any, folder: Path, rounds: int) -> list[str]:
+    """One row of the growth table, in this process."""
+    asked = queries(next(drawn(count))[1])
+    with tempfile.TemporaryDirectory(dir=folder) as place:
+        started = time.perf_counter()
+        index = filled(ExactIndex.create(Path(place) / "index", KIND, name), count)
+        added = time.perf_counter() - started
+        started = time.perf_counter()
+        index.search(asked[0], None, TOP)
+        first = time.perf_counter() - started
+        took = medians({"": lambda i: index.search(asked[i], None, TOP)}, rounds)[""]
+        disk = sum(file.stat().st_size for file in Path(place).rglob("*") if file.is_file())
+        index.close()
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return [f"{added:.1f}", f"{1000 * first:.1f}", f"{took:.2f}", f"{disk / 1e6:,.0f}", f"{peak:,.0f}"]
 
 
 def nearest(count: int, asked: FloatArray, k: int) -> list[set[str]]:
@@ -232,9 +242,14 @@ def main() -> None:
     parser.add_argument("--codes", choices=("sq8", "pq"), default="pq", help="of faiss in that table")
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="where indexes are made")
+    parser.add_argument("--row", choices=PRECISIONS, help=argparse.SUPPRESS)
     given = parser.parse_args()
+    if given.row:
+        print(json.dumps(row(given.tiles[0], given.row, given.folder, given.rounds)))
+        return
     console = Console(width=120)
-    show("One query against a gallery", figures(given.tiles, given.folder, given.rounds))
+    if given.growth is None and not given.recall:
+        show("One query against a gallery", figures(given.tiles, given.folder, given.rounds))
     if given.growth is not None:
         grow(given.growth or [10**3, 10**4, 10**5, 10**6], given.folder, given.rounds, console)
     if given.recall:

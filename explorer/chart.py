@@ -46,8 +46,9 @@ class Places:
         return geo.metres_between(geo.radians([self.queries[query]]), self._radians)
 
     def errors(self, found: IntArray) -> geo.FloatArray:
-        """Metres from what each query shows to a tile that was found for it, by its position: (Q,)."""
-        return geo.metres_between(geo.radians(self.queries), self._radians[found])
+        """Metres from what each query shows to the tile that was found for it; infinite where none was, -1: (Q,)."""
+        metres = geo.metres_between(geo.radians(self.queries), self._radians[found])
+        return np.where(found < 0, np.inf, metres)
 
     @cached_property
     def _radians(self) -> geo.FloatArray:

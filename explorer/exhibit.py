@@ -246,6 +246,8 @@ class Analyst:
         self._searched_key: object = None
         self._lengths: FloatArray | None = None
         self._cosines: FloatArray
+        self._ranking: Ranking | None = None
+        self._ranking_key: object = None
 
     def answer(self, state: State, k: int) -> Answer:
         """Describe, compare, and rank; only what changed since the last state is computed."""
@@ -267,7 +269,12 @@ class Analyst:
             self._cosines = explain.part_cosines(descriptor, task.descriptors)
             self._lengths = state.n_parts * (descriptor**2).sum(axis=1) if state.region else None
             self._searched_key = searched
-        ranking = task.rank(None if state.upload else state.query, self._cosines, weights, self._lengths)
+        ranked = (searched, state.part_values())
+        if self._ranking is None or self._ranking_key != ranked:
+            of = None if state.upload else state.query
+            self._ranking = task.rank(of, self._cosines, weights, self._lengths)
+            self._ranking_key = ranked
+        ranking = self._ranking
         matches = ranking.top(k)
         truth = ranking.truth()
         chosen = matches[0]

@@ -24,13 +24,14 @@ class Follower:
         self._waiting: tuple[Task, ...] = ()
         self._shown: Task | None = None
         self._thread: threading.Thread | None = None
+        self._left = False
 
     def follow(self, shown: Task, other: Task | None = None) -> None:
         """Wait for the task that is shown, then for another, and for no others."""
         tasks = [task for task in (shown, other) if task is not None]
         waiting = tuple(task for task in tasks if task.found is None and not task.standing.flaw)
         with self._lock:
-            if waiting == self._waiting:
+            if waiting == self._waiting or self._left:
                 return
             for task in self._waiting:
                 if task not in waiting:
@@ -46,9 +47,17 @@ class Follower:
         with self._lock:
             for task in self._waiting:
                 task.standing.leave(self)
-            self._waiting = ()
+            self._waiting, self._left = (), True
 
     def _loop(self) -> None:
+        try:
+            self._wait()
+        except BaseException:
+            with self._lock:
+                self._waiting, self._thread = (), None
+            raise
+
+    def _wait(self) -> None:
         while True:
             with self._lock:
                 if not self._waiting:

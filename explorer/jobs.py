@@ -87,7 +87,8 @@ class Job(Generic[T]):
 
 
 class Jobs:
-    """One job for each kind of work; a job that was given up or failed is begun anew when it is asked for again."""
+    """One job for each kind of work. One that was given up is begun anew when it is asked for again; one that failed, once it
+    is forgotten."""
 
     def __init__(self) -> None:
         self._jobs: dict[Hashable, Job[Any]] = {}

@@ -81,7 +81,7 @@ class Standing:
             progress: told how many are ranked, and of how many; what it raises ends the waiting.
 
         Raises:
-            LPNError: when they cannot be ranked.
+            LPNError: when they cannot be ranked; who waits next begins anew.
         """
         try:
             while self.found is None:
@@ -89,6 +89,7 @@ class Standing:
                 if not job.wait(0.2):
                     progress(job.done, job.total)
                 elif job.flaw is not None and not job.given_up:
+                    self._jobs.forget("ranking")
                     raise LPNError(job.flaw)
         finally:
             self.leave(who)

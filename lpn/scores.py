@@ -81,7 +81,8 @@ class Scores:
             some = slice(start, start + _PAIRS)
             # Not as a matrix product, which may sum one row in another order than the next.
             asked = self._asked(queries[some]).astype(np.float64, copy=False)
-            found[some] = np.einsum("pf,pf->p", asked, self._tiles[tiles[some]].astype(np.float64, copy=False))
+            # And not by einsum, which cuts long rows by where they lie in its buffer.
+            found[some] = (asked * self._tiles[tiles[some]]).sum(axis=1)
         return found
 
     def double(self, queries: IntArray) -> Iterator[tuple[int, FloatArray]]:
@@ -99,7 +100,7 @@ class Scores:
     @cached_property
     def _twins(self) -> IntArray:
         """For each tile the first that is equal: a matrix product may sum the columns at its edge in another order."""
-        sums = np.einsum("gf->g", self._tiles)  # equal for equal tiles, and rarely for others
+        sums = self._tiles.sum(axis=1)  # equal for equal tiles, and rarely for others
         found = np.arange(len(sums))
         _, kind, counts = np.unique(sums, return_inverse=True, return_counts=True)
         first: dict[bytes, int] = {}

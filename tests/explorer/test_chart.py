@@ -35,6 +35,9 @@ def test_tiles_lie_where_their_positions_say(root: Path) -> None:
     assert (east - west, north - south) == pytest.approx((3 * 100 + 90, 4 * 100 + 90), rel=0.02)
     np.testing.assert_allclose(laid.off(3), geo.metres([laid.queries[3]] * 14, laid.tiles))
     assert laid.off(3)[3] == pytest.approx(0, abs=1e-6)
+    found = laid.errors(np.where(np.arange(len(laid.queries)) == 2, -1, 0))
+    assert np.isinf(found).tolist() == [query == 2 for query in range(len(found))]
+    assert found[1] == pytest.approx(laid.off(1)[0])
 
 
 def test_the_picture_of_all_tiles_shows_each_at_its_place(tmp_path: Path) -> None:

@@ -52,6 +52,10 @@ def test_answers_reuse_what_did_not_change_and_are_exact(exhibit: Exhibit) -> No
     first = analyst.answer(state, 10)
     reweighted = analyst.answer(replace(state, enabled=(True, True, False, True)), 10)
     assert reweighted.query is first.query
+    assert reweighted.ranking is not first.ranking
+    assert (
+        analyst.answer(replace(state, enabled=(True, True, False, True), rings=False), 10).ranking is reweighted.ranking
+    )
     turned = analyst.answer(replace(state, angle=40), 10)
     assert turned.query is not first.query
     again = analyst.answer(state, 10)

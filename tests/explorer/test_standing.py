@@ -137,6 +137,9 @@ def test_a_page_that_is_gone_waits_no_longer(exhibit: Exhibit) -> None:
     assert job.given_up
     assert not ended
     until(lambda: follower._thread is None)
+    follower.follow(task)  # an answer that was under way when it left
+    assert follower._thread is None
+    assert task.standing._job is job
 
 
 def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(exhibit: Exhibit) -> None:
@@ -147,3 +150,29 @@ def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(exhibit: Exh
     with pytest.raises(LPNError, match="not finite"):
         broken.wait("me", lambda *_: None)
     assert "not finite" in broken.flaw
+
+
+def test_a_ranking_that_failed_once_can_be_asked_for_again(exhibit: Exhibit, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = exhibit.tasks[TASK]
+    with monkeypatch.context() as patched:
+        patched.setattr(rankings, "keep", lambda *_: 1 / 0)
+        with pytest.raises(LPNError, match="ZeroDivisionError"):
+            task.standing.wait("me", lambda *_: None)
+    assert task.standing.wait("me", lambda *_: None) is task.standing.found
+
+
+def test_a_page_whose_telling_fails_can_follow_again(exhibit: Exhibit, monkeypatch: pytest.MonkeyPatch) -> None:
+    task, told = exhibit.tasks[TASK], []
+
+    def tell(shown: Task) -> None:
+        told.append(shown)
+        if threading.current_thread().name == "explorer-follower" and len(told) < 3:
+            raise RuntimeError("the page is not there yet")
+
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    ended = threading.Event()
+    follower = Follower(tell, ended.set)
+    follower.follow(task)
+    until(lambda: follower._thread is None)
+    follower.follow(task)
+    assert task.found is not None or ended.wait(20)
