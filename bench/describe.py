@@ -3,10 +3,10 @@
 The peer is the published test loop: a DataLoader with worker processes decodes with Pillow, resizes bicubically, and
 normalises; PyTorch in eager mode passes each batch of 32 and then its mirror, and the parts of the sum are normalised. Ours is
 `lpn.features.describe` into a store on disk, of the same network exported to ONNX, with its check of the pictures, manifest, and
-saves; and of the same network quantised. They take turns in one
-process, after a round that is not counted; the table gives medians. The limit is bare passes of ONNX Runtime, two for each picture,
-on as many threads as there are cores. FOLDER holds pictures with folders below it; without it, synthetic JPEG files of 512 x 512
-pixels are made. Weights are random, which changes no time.
+saves; and of the same network quantised. They take turns in one process, after a round that is not counted; the table gives
+medians. The limit is ONNX Runtime's bare passes, two for each picture, on as many threads as there are cores. FOLDER holds
+pictures with folders below it; without it, synthetic JPEG files of 512 x 512 pixels are made. Weights are random, which changes
+no time.
 """
 
 from __future__ import annotations

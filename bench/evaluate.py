@@ -3,8 +3,8 @@
 The peer is the published evaluation: query by query, all scores, a full sort, and a walk over the true matches. The limit is
 the matrix product of the two sides in single precision, which ranks nothing. The loop runs once, the others several times, of
 which the median counts. SHARE, 0 .. 1, is how much of both sizes is measured, 1 by default. Descriptors are drawn: places are
-points in a space of few dimensions, mapped to unit parts, with the noise that leaves a trained network's Recall@1. Ours is measured in a
-process of its own, which tells its peak memory.
+points in a space of few dimensions, mapped to unit parts, with the noise that leaves a trained network's Recall@1. Ours is
+measured in a process of its own, which tells its peak memory.
 """
 
 from __future__ import annotations
