@@ -110,7 +110,9 @@ def describe_shards(
     try:
         target.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StoreError(f"{target.where} cannot be written ({error.strerror}); choose another folder.") from error
+        raise StoreError(
+            f"{target.where} cannot be written ({error.strerror or error}); choose another folder."
+        ) from error
     with alone(target.folder, wait=False):
         return _run(source, target, items, wanted, files, model.name, address, workers, threads, say, worker)
 

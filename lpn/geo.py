@@ -220,7 +220,9 @@ def _read(path: Path) -> dict[str, Position]:
     try:
         return read_positions(path.read_bytes())
     except OSError as error:
-        raise DataError(f"{path} cannot be read ({error.strerror}); check that it is there and readable.") from error
+        raise DataError(
+            f"{path} cannot be read ({error.strerror or error}); check that it is there and readable."
+        ) from error
 
 
 def _position(header: Sequence[str], values: Sequence[str], line: str) -> tuple[str, Position]:
