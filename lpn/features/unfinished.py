@@ -3,9 +3,9 @@
 Rows lie in `descriptors.part`, `planned.json` is the manifest to be, and `progress.json` says which rows are good: a list of
 ranges, each with its first row and the one after its last.
 
-When the list of files has changed, all three are made anew under names that end in `.new`, `progress.json.new` last, and then take
-the place of the old ones, progress last: while it is there, what is new is whole, under one name or the other, and the next
-run ends the change. A kill at any step loses no row.
+When the list of files has changed, all three are made anew under names that end in `.new`, `progress.json.new` last, and then
+take the place of the old ones, progress last: while it is there, what is new is whole, under one name or the other, and the
+next run ends the change. A kill at any step loses no row.
 """
 
 from __future__ import annotations
