@@ -58,7 +58,9 @@ def city_model(root: Path) -> CityModel | None:
             )
         data = path.read_bytes()
     except OSError as error:
-        raise DataError(f"{path} cannot be read ({error.strerror}); check that it is there and readable.") from error
+        raise DataError(
+            f"{path} cannot be read ({error.strerror or error}); check that it is there and readable."
+        ) from error
     return CityModel(data, _origin(_header(data)))
 
 

@@ -81,13 +81,14 @@ def describe_shards(
         workers: how many; by default as many as there are cores for.
         threads: cores of one worker. Each worker holds the model once.
         shard: pictures of one shard, about; what a killed worker costs at most. An existing folder keeps its own number.
-        positions: a file in the format of geo.csv, by default the `geo.csv` among the pictures, if there is one.
+        positions: a file in the format of geo.csv, by default the `geo.csv` among the pictures, if there is one. Its paths may
+            begin further up than the pictures' names, see `lpn.geo.match`.
         boxes: what pictures are cropped to, by their names below `pictures`.
         say: told of the progress, a line each time.
         worker: what does the work.
 
     Raises:
-        InputError: when an option is of no use, or there is no such cluster.
+        InputError: when an option is of no use, there is no such cluster, or `positions` fit the pictures in two ways.
         DataError: when there are no pictures, or some have no position.
         StoreError: when `out` holds shards of another model, view, or precision, or cannot be written.
     """
@@ -110,7 +111,9 @@ def describe_shards(
     try:
         target.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StoreError(f"{target.where} cannot be written ({error.strerror}); choose another folder.") from error
+        raise StoreError(
+            f"{target.where} cannot be written ({error.strerror or error}); choose another folder."
+        ) from error
     with alone(target.folder, wait=False):
         return _run(source, target, items, wanted, files, model.name, address, workers, threads, say, worker)
 
@@ -123,7 +126,11 @@ def _items(source: Storage, positions: str | Path | None, boxes: Mapping[str, Bo
     found = _positions(source, positions)
     if found is None:
         return [Item(row) for row in rows]
-    places = geo.find_positions(found, [row.file for row in rows], str(positions or geo.NAME))
+    names, said = [row.file for row in rows], str(positions or geo.NAME)
+    if positions is not None:
+        matched = zip(names, geo.match(found, names, said), strict=True)
+        found = {name: place for name, place in matched if place is not None}
+    places = geo.find_positions(found, names, said)
     return [Item(row, (at.latitude, at.longitude)) for row, at in zip(rows, places, strict=True)]
 
 
@@ -162,6 +169,8 @@ def _run(
     todo = [p for p, notes in enumerate(held) if notes is None or notes.digest != digest(partitions[p])]
     progress = _Progress(len(items), sum(len(partitions[p]) for p in todo), say)
     if todo:
+        # From here to the end the shards may be of pictures old and new.
+        target.write(PLAN, replace(plan, finished=False).to_json())
         task = Task(source.where, target.where, plan, model, threads)
         rows = [{"partition": p, "items": packed(partitions[p])} for p in todo]
         with started(address, workers, threads) as (data, count, put):
@@ -185,6 +194,8 @@ def _run(
                 progress.add(result)
     broken = _broken(target, plan)
     _write_broken(target, broken)
+    if todo or not plan.finished:
+        target.write(PLAN, replace(plan, finished=True).to_json())
     progress.end()
     return Summary(len(items), progress.computed, broken)
 

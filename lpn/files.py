@@ -110,4 +110,4 @@ def _prepare(path: Path) -> None:
 
 
 def _unwritable(path: Path, error: OSError) -> OutputError:
-    return OutputError(f"{path} cannot be written ({error.strerror}); free space or choose another place.")
+    return OutputError(f"{path} cannot be written ({error.strerror or error}); free space or choose another place.")

@@ -18,6 +18,7 @@ import csv
 import io
 import math
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.datasets import Picture
-from lpn.errors import DataError
+from lpn.errors import DataError, InputError
 
 NAME = "geo.csv"
 EARTH_RADIUS = 6_371_008.8
@@ -96,6 +97,10 @@ class Positions:
             DataError: when one has none.
         """
         return self.below(names_below(self._root, pictures))
+
+    def match(self, names: Sequence[str]) -> list[Position | None]:
+        """The position of each picture by its name below a folder that was described, see the function `match`."""
+        return match(self._by_path, names, f"{NAME} in {self._root}")
 
     def below(self, names: Sequence[str]) -> list[Position]:
         """The position of each picture by its path below the folder, with forward slashes; DataError as for `of`."""
@@ -216,11 +221,45 @@ def find_positions(found: Mapping[str, Position], names: Sequence[str], said: st
     return [found[name] for name in names]
 
 
+def match(found: Mapping[str, Position], names: Sequence[str], said: str = NAME) -> list[Position | None]:
+    """The position of each picture by its name below a folder that was described, None where it has none.
+
+    That folder may lie further down than the file of positions: it is the one below which the most of these names are in the
+    file, and of several, the folder of the file itself.
+
+    Raises:
+        InputError: when there are as many below two folders, at other places.
+    """
+    wanted = set(names)
+    counts: Counter[str] = Counter()
+    for path in found:
+        parts = path.split("/")
+        for depth in range(len(parts)):
+            if "/".join(parts[depth:]) in wanted:
+                counts["".join(f"{part}/" for part in parts[:depth])] += 1
+    most = max(counts.values(), default=0)
+    above = sorted(folder for folder, count in counts.items() if count == most) or [""]
+    if above[0]:
+        for other in above[1:]:
+            if any(_place(found.get(above[0] + name)) != _place(found.get(other + name)) for name in names):
+                raise InputError(
+                    f"{said} has the pictures below both {above[0]} and {other}, at other places; give a file of positions, or "
+                    "the folder of one (as --data takes it), that has only the described one."
+                )
+    return [found.get(above[0] + name) for name in names]
+
+
+def _place(position: Position | None) -> tuple[float, float] | None:
+    return None if position is None else (position.latitude, position.longitude)
+
+
 def _read(path: Path) -> dict[str, Position]:
     try:
         return read_positions(path.read_bytes())
     except OSError as error:
-        raise DataError(f"{path} cannot be read ({error.strerror}); check that it is there and readable.") from error
+        raise DataError(
+            f"{path} cannot be read ({error.strerror or error}); check that it is there and readable."
+        ) from error
 
 
 def _position(header: Sequence[str], values: Sequence[str], line: str) -> tuple[str, Position]:

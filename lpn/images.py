@@ -45,7 +45,7 @@ def load_picture(path: str | Path) -> Picture:
         data = path.read_bytes()
     except OSError as error:
         raise PictureError(
-            f"The picture {printable(str(path))} cannot be read ({error.strerror}); check the path."
+            f"The picture {printable(str(path))} cannot be read ({error.strerror or error}); check the path."
         ) from error
     return decode_picture(data, printable(str(path)))
 

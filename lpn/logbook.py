@@ -42,7 +42,7 @@ class Logbook:
             self._board = SummaryWriter(str(folder))
         except OSError as error:
             raise OutputError(
-                f"{folder} cannot be written ({error.strerror}); free space or choose another --out."
+                f"{folder} cannot be written ({error.strerror or error}); free space or choose another --out."
             ) from error
 
     def save(self) -> None:

@@ -48,7 +48,7 @@ def load(
         if missing := [name for name in names if name not in values]:
             raise ValueError(f"it has no {', '.join(missing)}")
     except Exception as error:  # scipy raises anything on what it does not know
-        said = error.strerror if isinstance(error, OSError) else str(error).strip().partition("\n")[0]
+        said = error.strerror or str(error) if isinstance(error, OSError) else str(error).strip().partition("\n")[0]
         raise DataError(
             f"{path.name} cannot be read ({printable(said or type(error).__name__)}); expected {expected}."
         ) from error

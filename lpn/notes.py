@@ -57,7 +57,7 @@ def read_notes(file: Path) -> dict[str, Note]:
         text = file.read_text(encoding="utf-8-sig")
         return _parsed(csv.reader(io.StringIO(text, newline=""), strict=True), file)
     except OSError as error:
-        raise DataError(f"{file} cannot be read ({error.strerror}); check that it is readable.") from error
+        raise DataError(f"{file} cannot be read ({error.strerror or error}); check that it is readable.") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"{file} is not text of comma-separated values in UTF-8; mend it, or move it away.") from error
 
@@ -96,7 +96,9 @@ def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dic
                 notes[path] = note
             write_whole(file, _written(notes))
     except OSError as error:
-        raise OutputError(f"{file} cannot be written ({error.strerror}); choose another place for notes.") from error
+        raise OutputError(
+            f"{file} cannot be written ({error.strerror or error}); choose another place for notes."
+        ) from error
     return notes
 
 

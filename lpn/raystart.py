@@ -10,11 +10,12 @@ import shutil
 import socket
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from lpn.errors import InputError, StoreError
+from lpn.errors import InputError, OutputError, StoreError
+from lpn.files import alone
 from lpn.machine import usable_cores
 
 _QUIET = {
@@ -24,6 +25,8 @@ _QUIET = {
     "RAY_DATA_DISABLE_PROGRESS_BARS": "1",
 }
 _NO_CLUSTER = "There is no Ray cluster at {}; start one with ray start, or check the address."
+_PREFIX = "lpn-ray-"
+_OURS = re.compile(rf"{_PREFIX}\w{{8}}")
 _OBJECTS = 512 << 20
 """Bytes of the store that workers on one machine share: the model's files and lists of names."""
 
@@ -39,7 +42,7 @@ def started(address: str | None, workers: int | None, threads: int) -> Iterator[
 
     Raises:
         InputError: when there is no cluster at the address, or none of its machines has so many cores.
-        StoreError: when Ray gives up in the body.
+        StoreError: when Ray does not start on this machine, or gives up in the body.
     """
     for name, value in _QUIET.items():
         os.environ.setdefault(name, value)
@@ -48,21 +51,32 @@ def started(address: str | None, workers: int | None, threads: int) -> Iterator[
         with _in_words(ray):
             yield _data(), workers or _room(ray, threads), ray.put
         return
-    folder = _folder() if address is None else None
     quiet = {"logging_level": logging.ERROR, "log_to_driver": False}
-    try:
+    with ExitStack() as ending:
         if address is None:
             count = workers or max(1, usable_cores() // threads)
-            with _silent():
-                ray.init(
-                    address="local",
-                    num_cpus=count * threads,
-                    include_dashboard=False,
-                    object_store_memory=_OBJECTS,
-                    _temp_dir=str(folder),
-                    **quiet,
-                )
+            folder = ending.enter_context(
+                _folder(Path("/tmp") if Path("/tmp").is_dir() else Path(tempfile.gettempdir()))
+            )
+            ending.callback(ray.shutdown)
+            try:
+                with _silent():
+                    ray.init(
+                        address="local",
+                        num_cpus=count * threads,
+                        include_dashboard=False,
+                        object_store_memory=_OBJECTS,
+                        _temp_dir=str(folder),
+                        **quiet,
+                    )
+            except Exception as error:  # Ray raises plain ones, too
+                said = (str(error).strip().splitlines() or [type(error).__name__])[0]
+                raise StoreError(
+                    f"Ray does not start on this machine ({said[:200]}); see whether there are memory, processes, and room in "
+                    f"{folder.parent} enough, or describe without --engine ray."
+                ) from error
         else:
+            ending.callback(ray.shutdown)
             _check_address(address)
             try:
                 with _silent():
@@ -72,10 +86,6 @@ def started(address: str | None, workers: int | None, threads: int) -> Iterator[
             count = workers or _room(ray, threads)
         with _in_words(ray):
             yield _data(), count, ray.put
-    finally:
-        ray.shutdown()
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager
@@ -93,24 +103,30 @@ def _in_words(ray: Any) -> Iterator[None]:
         ) from error
 
 
-def _folder() -> Path:
-    """A folder for Ray's sockets, whose paths may have 107 characters; those of processes that were killed are deleted."""
-    short = Path("/tmp") if Path("/tmp").is_dir() else Path(tempfile.gettempdir())
-    for left in short.glob("lpn-ray-*-*"):
-        number = left.name.split("-")[2]
-        if number.isdecimal() and not _alive(int(number)):
-            shutil.rmtree(left, ignore_errors=True)
-    return Path(tempfile.mkdtemp(prefix=f"lpn-ray-{os.getpid()}-", dir=short))
+@contextmanager
+def _folder(short: Path) -> Iterator[Path]:
+    """A folder for Ray's sockets, deleted at the end; those of processes that were killed are deleted too.
 
+    A live one is told by its lock, which the system lets go of with the process: unlike a process's number it is also
+    seen where containers share the folder above.
 
-def _alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        pass
-    return True
+    Args:
+        short: the folder above; the sockets' paths may have 107 characters.
+    """
+    for left in short.glob(f"{_PREFIX}*"):
+        # Without locks nothing tells a live one, and none is deleted.
+        if os.name == "posix" and _OURS.fullmatch(left.name):
+            with suppress(OSError, OutputError), alone(left, wait=False):
+                shutil.rmtree(left, ignore_errors=True)
+    while True:
+        made = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=short))
+        with alone(made, wait=True):
+            if made.is_dir():  # else another process found it before it was locked
+                try:
+                    yield made
+                finally:
+                    shutil.rmtree(made, ignore_errors=True)
+                return
 
 
 def _check_address(address: str) -> None:

@@ -1,13 +1,15 @@
 """Descriptors past one machine: a folder or a prefix of Parquet files, written by many workers. Needs the extra `ray`.
 
-    plan.json         format, model fingerprint, view, n and D, precision, and the number of partitions
+    plan.json         format, model fingerprint, view, n and D, precision, the number of partitions, and whether the last run
+                      ended: from its first shard to its end a run leaves that at false
     000000.parquet    one file for each partition, which is all pictures whose name's hash falls to it:
                       file, size, time_ns, box (or null), latitude, longitude (or null), descriptor (n D numbers in a row)
     broken.csv        pictures that could not be described, with what is wrong
 
 A shard is written whole or not at all, and a partition has one name whoever writes it and however often: no picture is there
 twice. Its metadata, under the key `lpn`, hold what plan.json holds, which pictures could not be described, and a digest of the
-pictures that it settles, by which a later run tells a finished partition without reading its rows.
+pictures that it settles, by which a later run tells a finished partition without reading its rows. `lpn.gather` reads what is
+complete.
 """
 
 from __future__ import annotations
@@ -15,21 +17,17 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, NamedTuple, cast
 
-import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lpn.errors import StoreError
-from lpn.features import Manifest, Row, Store
-from lpn.features.describing import write_store
-from lpn.features.unfinished import Unfinished
+from lpn.features import Row
 from lpn.model import FloatArray
 from lpn.storage import Storage
 
@@ -40,7 +38,7 @@ Precision = Literal["float32", "float16"]
 Position = tuple[float, float] | None
 """Latitude and longitude in degrees."""
 
-_AT_ONCE = 32
+AT_ONCE = 32
 """Files whose metadata are read at once: it is the latency of the storage that takes the time."""
 
 
@@ -65,20 +63,6 @@ class Broken(NamedTuple):
     settled: bool
 
 
-class Shard(NamedTuple):
-    """The pictures of one partition.
-
-    Attributes:
-        ids: their names below the described folder, with forward slashes.
-        descriptors: (B, n, D) float32.
-        positions: latitude and longitude in degrees, (B, 2) float64, NaN where a picture has none.
-    """
-
-    ids: list[str]
-    descriptors: FloatArray
-    positions: npt.NDArray[np.float64]
-
-
 @dataclass(frozen=True)
 class Plan:
     """What a folder of shards holds.
@@ -89,6 +73,7 @@ class Plan:
         n_parts, embedding: n and D.
         precision: of the numbers in the files.
         partitions: how many shards there are when it is complete.
+        finished: whether the last run ended, so that all shards are of one state of the pictures.
     """
 
     fingerprint: str
@@ -98,6 +83,7 @@ class Plan:
     precision: Precision
     partitions: int
     format: str = FORMAT
+    finished: bool = field(default=False, compare=False)
 
     @classmethod
     def read(cls, storage: Storage) -> Plan | None:
@@ -153,7 +139,7 @@ def write_shard(
     """
     settled = [*items, *(one.item for one in broken if one.settled)]
     notes = {
-        **asdict(plan),
+        **_noted(plan),
         "partition": partition,
         "digest": digest(settled),
         "broken": [[_plain(one.item), one.reason, one.settled] for one in broken],
@@ -217,84 +203,20 @@ def read_notes(storage: Storage, plan: Plan, partitions: Sequence[int]) -> list[
         except (OSError, ValueError, pa.ArrowException):
             return None
 
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
+    with ThreadPoolExecutor(AT_ONCE) as pool:
         return list(pool.map(read, partitions))
 
 
-def open_shards(where: str | Path) -> tuple[Storage, Plan]:
-    """A complete folder of shards.
-
-    Raises:
-        StoreError: when there is none, or a shard is missing.
-    """
-    storage = Storage(where)
-    plan = Plan.read(storage)
-    if plan is None:
-        raise StoreError(
-            f"{where} has no {PLAN}, so it is no folder of shards; write them with lpn describe --engine ray."
-        )
-    missing = sum(notes is None for notes in read_notes(storage, plan, range(plan.partitions)))
-    if missing:
-        raise StoreError(
-            f"{missing} of {plan.partitions} shards in {where} are missing or damaged; run lpn describe --engine ray again, "
-            "which computes only those."
-        )
-    return storage, plan
-
-
-def shards(where: str | Path) -> Iterator[Shard]:
-    """All descriptors of a complete folder of shards, a partition at a time, each picture once; for builders of indexes.
-
-    Raises:
-        StoreError: when there is no such folder, or a shard is missing or damaged.
-    """
-    storage, plan = open_shards(where)
-    for partition in range(plan.partitions):
-        contents = _whole(storage, plan, partition)
-        positions = np.array([item.position or (np.nan, np.nan) for item in contents.items], np.float64).reshape(-1, 2)
-        yield Shard([item.row.file for item in contents.items], contents.descriptors.astype(np.float32), positions)
-
-
-def to_store(where: str | Path, out: str | Path) -> Store:
-    """A complete folder of shards as a store of descriptors on this machine, in order of the pictures' names.
-
-    The store is what `lpn.features.describe` makes of the same pictures, so it can be gone on with there.
-
-    Raises:
-        StoreError: when there are no complete shards, or `out` cannot be written or holds something else.
-    """
-    storage, plan = open_shards(where)
-    rows: list[Row] = []
-    for partition in range(plan.partitions):
-        rows += [item.row for item in _whole(storage, plan, partition).items]
-    if not rows:
-        raise StoreError(f"The shards in {where} hold no picture, all being broken; see {BROKEN} there.")
-    rows.sort(key=lambda row: row.file.split("/"))
-    position = {row.file: i for i, row in enumerate(rows)}
-    manifest = Manifest(plan.fingerprint, plan.view, 0.0, plan.n_parts, plan.embedding, tuple(rows), plan.precision)
-
-    def fill(unfinished: Unfinished) -> None:
-        for partition in range(plan.partitions):
-            contents = _whole(storage, plan, partition)
-            if contents.items:
-                places = [position[item.row.file] for item in contents.items]
-                unfinished.put(places, contents.descriptors.astype(np.float32))
-
-    return write_store(Path(out), manifest, fill)
-
-
-def _whole(storage: Storage, plan: Plan, partition: int) -> Contents:
-    contents = read_shard(storage, plan, partition)
-    if contents is None:
-        raise StoreError(
-            f"{shard_name(partition)} in {storage.where} is damaged; run lpn describe --engine ray again, which computes it."
-        )
-    return contents
+def _noted(plan: Plan) -> dict[str, Any]:
+    """What every shard repeats of its plan."""
+    values = asdict(plan)
+    del values["finished"]
+    return values
 
 
 def _notes(schema: pa.Schema, plan: Plan, partition: int) -> Notes | None:
     notes = json.loads((schema.metadata or {}).get(b"lpn", b"{}"))
-    if {key: notes.get(key) for key in asdict(plan)} != asdict(plan) or notes.get("partition") != partition:
+    if {key: notes.get(key) for key in _noted(plan)} != _noted(plan) or notes.get("partition") != partition:
         return None
     broken = [Broken(_item(item), str(reason), bool(settled)) for item, reason, settled in notes["broken"]]
     return Notes(str(notes["digest"]), broken)

@@ -39,7 +39,8 @@ class Describe:
     shard: int | None = None
     """With --engine ray: pictures of one shard, 256 by default; what a killed worker costs at most."""
     positions: str | None = None
-    """With --engine ray: file in the format of geo.csv to take positions from; by default geo.csv among the pictures, if any."""
+    """With --engine ray: file in the format of geo.csv to take positions from, its paths below --images or further up; by default
+    geo.csv among the pictures, if any."""
 
     def run(self) -> int:
         return self._shards() if self.engine == "ray" else self._store()
@@ -95,8 +96,12 @@ class Gather:
     """Folder of the store; its rows are in order of the pictures' names."""
 
     def run(self) -> None:
-        from lpn.shards import to_store
+        from lpn.gather import open_shards, to_store
+        from lpn.shards import BROKEN
 
-        store = to_store(self.shards, self.out)
+        shards = open_shards(self.shards)
+        store = to_store(shards, self.out)
         shape = " x ".join(map(str, store.descriptors.shape))
         print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")
+        if shards.broken:
+            print(f"{len(shards.broken):,} pictures are broken and not in it; {BROKEN} in {self.shards} names them.")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,69 +10,65 @@ from typing import TYPE_CHECKING, Any, Literal
 import lpn
 from lpn.commands.reasons import part_values
 from lpn.commands.using import ViewName
-from lpn.errors import InputError
 from lpn.files import printable
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
-    from lpn.geo import Positions
     from lpn.index import Found
     from lpn.model import FloatArray, Model
-
-_BATCH_BYTES = 64 << 20
-"""Of descriptors added at once: what a killed run does over again."""
 
 
 @dataclass
 class MakeIndex:
     """Put the descriptors of a store into an index that lpn search searches; resumable."""
 
-    descriptors: Path
-    """Store that lpn describe wrote, of the tiles to find."""
+    descriptors: str
+    """Store of the tiles that lpn describe wrote, or folder or address of the shards that describe --engine ray wrote."""
     out: str
     """Folder of the index, or milvus://host:port/collection; what is there already is added to."""
     data: Path | None = None
-    """Folder whose geo.csv gives the tiles' positions; the described pictures lie in it."""
+    """Folder whose geo.csv gives the tiles' positions, in place of those in shards; the described pictures lie in it."""
     engine: Literal["exact", "faiss", "milvus"] | None = None
     """exact misses nothing; faiss is for millions of tiles on one machine, milvus for a server. By default what --out is."""
     precision: Literal["float32", "float16", "int8"] = "float32"
     """Of the copy that exact scans: float16 and int8 take more disk and are searched faster, with the same answers."""
+    codes: Literal["flat", "sq8", "pq"] | None = None
+    """For faiss: sq8, by default, keeps a byte for each number, pq one for 32 and misses more; flat compares every vector."""
+    structure: Literal["flat", "ivf", "hnsw"] | None = None
+    """For milvus: flat, by default, compares every vector; ivf and hnsw look at some, quicker among many, and miss a few."""
     replace: bool = False
-    """Add all tiles anew, also those whose names are there, as after a picture has changed."""
+    """Add all tiles anew, also those whose names are there, as after pictures or positions have changed."""
 
     def run(self) -> None:
         import numpy as np
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        from lpn import features
-        from lpn.index import Kind, create_index
+        from lpn.index import create_index
+        from lpn.index.tiles import open_tiles
 
-        store = features.open_store(self.descriptors)
-        manifest = store.manifest
-        names = [Path(row.file).as_posix() for row in manifest.rows]
-        if manifest.cropped:
-            raise InputError(
-                f"{self.descriptors} holds cropped pictures, of which several can share a file; index whole ones."
-            )
-        places = _positions(self.data, names)
-        kind = Kind(manifest.fingerprint, manifest.n_parts, manifest.embedding)
-        step = max(1, _BATCH_BYTES // (4 * kind.numbers))
+        tiles = open_tiles(self.descriptors, self.data)
         added = 0
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with create_index(self.out, kind, self.engine, self.precision) as index, Progress(*columns) as bar:
-            task = bar.add_task("Indexing", total=len(names))
-            for start in range(0, len(names), step):
-                some = np.arange(start, min(start + step, len(names)))
+        with (
+            create_index(self.out, tiles.kind, self.engine, self.precision, self.codes, self.structure) as index,
+            Progress(*columns) as bar,
+        ):
+            task = bar.add_task("Indexing", total=len(tiles.names))
+            for lot in tiles.lots:
+                some = np.array(lot, np.int64)
                 if not self.replace:
-                    some = some[~index.holds(names[start : start + step])]
+                    some = some[~index.holds(tiles.names[lot.start : lot.stop])]
                 if len(some):
-                    chosen = [names[i] for i in some.tolist()]
-                    index.add(chosen, store.rows(some), None if places is None else places[some])
+                    chosen = [tiles.names[i] for i in some.tolist()]
+                    index.add(chosen, tiles.rows(some), None if tiles.positions is None else tiles.positions[some])
                     added += len(some)
-                bar.update(task, completed=min(start + step, len(names)))
+                bar.update(task, completed=lot.stop)
             print(f"{printable(_shown(self.out))} holds {index.count()} tiles, {added} of them added now.")
+        if there := len(tiles.names) - added:
+            print(
+                f"{there} were there already and were left as they are; give --replace where pictures or positions changed."
+            )
+        if tiles.broken:
+            print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the shards names them.")
 
 
 @dataclass
@@ -103,7 +98,9 @@ class Search:
         from lpn import explain, images, retrieval
         from lpn.files import check_writable, write_whole
         from lpn.index import open_index
+        from lpn.index.base import check_count
 
+        check_count(self.top)
         if self.json is not None:
             check_writable(self.json)
         model = lpn.load(self.model)
@@ -113,8 +110,9 @@ class Search:
             query = retrieval.describe_picture(
                 model, images.load_picture(self.picture), self.view, self.rotate
             ).descriptor
-            # One more than is listed, for the gap after the last.
-            found = index.search(query, weights, self.top + 1, self.box)
+            # One more than is listed, for the gap after the last, where the index gives so many.
+            asked_for = self.top + (index.most is None or self.top < index.most)
+            found = index.search(query, weights, asked_for, self.box)
         matches = _matches(found, query, weights, self.top, model, self.view)
         _show(matches, model.spec.partition(self.view).names())
         if self.json is not None:
@@ -166,54 +164,6 @@ def _show(matches: list[dict[str, Any]], names: list[str]) -> None:
         table.add_row(str(match["rank"]), Text(printable(match["tile"])), f"{match['score']:.4f}", gap, *shares)
     console = Console(width=max(100, Console().width))
     console.print(table if matches else "There is no tile to compare with.")
-
-
-def _positions(root: Path | None, names: list[str]) -> npt.NDArray[np.float64] | None:
-    """Latitude and longitude of each tile by `geo.csv`, (N, 2), NaN where it has none; None without a data set.
-
-    Raises:
-        DataError: when there is no such file, or it cannot be read.
-        InputError: when it has none of the tiles.
-    """
-    import numpy as np
-
-    from lpn import geo
-    from lpn.errors import DataError
-
-    if root is None:
-        return None
-    known = geo.positions(root)
-    if known is None:
-        raise DataError(f"{root} has no {geo.NAME}; leave --data out, or write one (docs/data.md).")
-    paths = _paths(known, names)
-    held = set(known.paths)
-    if not any(path in held for path in paths):
-        raise InputError(
-            f"{geo.NAME} in {root} has no position for any of the {len(names)} tiles, the first being {printable(names[0])}; "
-            "give the data set that was described."
-        )
-    found = np.full((len(names), 2), np.nan)
-    for i, path in enumerate(paths):
-        if path in held:
-            place = known.below([path])[0]
-            found[i] = place.latitude, place.longitude
-    return found
-
-
-def _paths(known: Positions, names: list[str]) -> list[str]:
-    """The tiles' paths below the data set's folder, of which the described folder may be one inside.
-
-    Which one, those paths in `geo.csv` say that end as the tiles' do: the folder that has most of them.
-    """
-    wanted = set(names)
-    folders: Counter[str] = Counter()
-    for path in known.paths:
-        parts = path.split("/")
-        for depth in range(len(parts)):
-            if "/".join(parts[depth:]) in wanted:
-                folders["".join(f"{part}/" for part in parts[:depth])] += 1
-    above = folders.most_common(1)[0][0] if folders else ""
-    return [above + name for name in names]
 
 
 def _shown(where: str) -> str:

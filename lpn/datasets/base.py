@@ -257,7 +257,9 @@ def read_lines(path: Path, name: str) -> list[str]:
             raise DataError(f"{name} has more than {INDEX_BYTES // 1_000_000} MB; expected a list of pictures as text.")
         return path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
-        raise DataError(f"{name} cannot be read ({error.strerror}); check that it is there and readable.") from error
+        raise DataError(
+            f"{name} cannot be read ({error.strerror or error}); check that it is there and readable."
+        ) from error
     except UnicodeDecodeError as error:
         raise DataError(f"{name} is not text in UTF-8; expected a list of pictures.") from error
 

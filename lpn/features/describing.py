@@ -91,7 +91,7 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[Unfinished], None
                 _finish(out, manifest)
     except OSError as error:
         raise StoreError(
-            f"The store {out} cannot be written ({error.strerror}); free space or choose another folder."
+            f"The store {out} cannot be written ({error.strerror or error}); free space or choose another folder."
         ) from error
     return open_store(out)
 

@@ -202,7 +202,7 @@ def row_of(file: Path, root: Path | None, box: Box | None) -> Row:
     try:
         stat = file.stat()
     except OSError as error:
-        raise PictureError(f"The picture {file} cannot be read ({error.strerror}); check the path.") from error
+        raise PictureError(f"The picture {file} cannot be read ({error.strerror or error}); check the path.") from error
     return Row(str(file.relative_to(root) if root else file), stat.st_size, stat.st_mtime_ns, box_of(box))
 
 

@@ -2,6 +2,10 @@
 
 Rows lie in `descriptors.part`, `planned.json` is the manifest to be, and `progress.json` says which rows are good: a list of
 ranges, each with its first row and the one after its last.
+
+When the list of files has changed, all three are made anew under names that end in `.new`, `progress.json.new` last, and then
+take the place of the old ones, progress last: while it is there, what is new is whole, under one name or the other, and the
+next run ends the change. A kill at any step loses no row.
 """
 
 from __future__ import annotations
@@ -24,6 +28,9 @@ from lpn.model import FloatArray
 _SECONDS = 1.0
 """What is computed between two saves, and so what a kill costs."""
 
+_NAMES = ("descriptors.part", "planned.json", "progress.json")
+"""In the order in which new files take the place of old ones."""
+
 Mask = npt.NDArray[np.bool_]
 
 
@@ -35,8 +42,9 @@ class Unfinished:
     """
 
     def __init__(self, out: Path, manifest: Manifest, before: Store | None) -> None:
-        self._part, planned, self._progress = (out / n for n in ("descriptors.part", "planned.json", "progress.json"))
+        self._part, planned, self._progress = (out / name for name in _NAMES)
         self._precision = manifest.precision
+        _take_place(out)
         left = _interrupted(manifest, self._part, planned, self._progress)
         known = {} if before is None else _known(manifest, before.manifest, before.descriptors)
         if left is not None and left[0] == manifest:
@@ -47,14 +55,12 @@ class Unfinished:
             known |= {} if left is None else _known(manifest, *left)
             self.good = np.zeros(len(manifest.rows), np.bool_)
             shape = (len(manifest.rows), manifest.n_parts, manifest.embedding)
-            fresh = self._part.with_name(self._part.name + ".new")
-            self._array = np.lib.format.open_memmap(fresh, mode="w+", dtype=manifest.precision, shape=shape)
+            self._array = np.lib.format.open_memmap(_new(self._part), mode="w+", dtype=manifest.precision, shape=shape)
             self._take(known)
             self._array.flush()
-            # What was left is let go of only when the new array has it.
-            self._progress.unlink(missing_ok=True)
-            os.replace(fresh, self._part)
-            write_whole(planned, manifest.to_json())
+            write_whole(_new(planned), manifest.to_json())
+            write_whole(_new(self._progress), self._good_ranges())
+            _take_place(out)
         self.save()
 
     def put(self, rows: Sequence[int], descriptors: FloatArray) -> None:
@@ -67,15 +73,33 @@ class Unfinished:
     def save(self) -> None:
         """Bring the rows to the disk, then say so."""
         self._array.flush()
-        edges = np.flatnonzero(np.diff(self.good, prepend=False, append=False))
-        write_whole(self._progress, json.dumps({"done": edges.reshape(-1, 2).tolist()}).encode())
+        write_whole(self._progress, self._good_ranges())
         self._saved = time.monotonic()
+
+    def _good_ranges(self) -> bytes:
+        edges = np.flatnonzero(np.diff(self.good, prepend=False, append=False))
+        return json.dumps({"done": edges.reshape(-1, 2).tolist()}).encode()
 
     def _take(self, known: dict[int, npt.NDArray[Any]]) -> None:
         for i, row in known.items():
             if not self.good[i]:
                 self._array[i] = row
                 self.good[i] = True
+
+
+def _new(path: Path) -> Path:
+    return path.with_name(path.name + ".new")
+
+
+def _take_place(out: Path) -> None:
+    """Give new files their names where all of them are whole, and delete them where the run was killed before they were."""
+    files = [out / name for name in _NAMES]
+    whole = _new(files[-1]).exists()
+    for file in files:
+        if not whole:
+            _new(file).unlink(missing_ok=True)
+        elif _new(file).exists():
+            os.replace(_new(file), file)
 
 
 def renamed_only(folder: Path) -> bool:

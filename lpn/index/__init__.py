@@ -15,11 +15,13 @@ from typing import Literal, get_args
 from lpn.errors import InputError, StoreError
 from lpn.index.base import Box, Found, Index, Kind
 from lpn.index.exact import ExactIndex
+from lpn.index.faiss import Codes, FaissIndex
 from lpn.index.folder import Manifest
+from lpn.index.milvus import SCHEME, MilvusIndex, Structure
 from lpn.index.scan import Precision
 
 Engine = Literal["exact", "faiss", "milvus"]
-_SCHEME = "milvus:"
+_SCHEME = f"{SCHEME}:"
 
 
 def open_index(where: str | Path, fingerprint: str | None = None) -> Index:
@@ -45,7 +47,12 @@ def open_index(where: str | Path, fingerprint: str | None = None) -> Index:
 
 
 def create_index(
-    where: str | Path, kind: Kind, engine: Engine | None = None, precision: Precision = "float32"
+    where: str | Path,
+    kind: Kind,
+    engine: Engine | None = None,
+    precision: Precision = "float32",
+    codes: Codes | None = None,
+    structure: Structure | None = None,
 ) -> Index:
     """Make an empty index, or open the one of the same kind that is there.
 
@@ -53,10 +60,12 @@ def create_index(
         where: a folder, or milvus://host:port/collection.
         engine: by default milvus for its addresses, and exact for folders.
         precision: of the copy that `exact` scans.
+        codes: of `faiss`, see there; sq8 by default.
+        structure: of `milvus`, see there; flat by default.
 
     Raises:
         StoreError: when something else is there, or nothing can be written.
-        InputError: when engine, precision, and place do not go together.
+        InputError: when place, engine, and what is asked of it do not go together.
     """
     is_url = str(where).startswith(_SCHEME)
     engine = engine or ("milvus" if is_url else "exact")
@@ -66,32 +75,44 @@ def create_index(
         raise InputError(
             f"The engine {engine} does not go with this place; milvus takes milvus://host:port/collection, others a folder."
         )
-    if engine != "exact" and precision != "float32":
-        raise InputError(
-            f"The engine {engine} has no precision to choose; leave {precision} out, or use the engine exact."
-        )
+    asked = (
+        ("exact", "precision", None if precision == "float32" else precision),
+        ("faiss", "codes", codes),
+        ("milvus", "structure", structure),
+    )
+    for owner, what, value in asked:
+        if value is not None and engine != owner:
+            raise InputError(
+                f"The engine {engine} has no {what} to choose; leave {value} out, or use the engine {owner}."
+            )
     if engine == "exact":
         return ExactIndex.create(where, kind, precision)
     if engine == "faiss":
-        from lpn.index.faiss import FaissIndex
-
-        return FaissIndex.create(where, kind)
-    from lpn.index.milvus import MilvusIndex
-
-    return MilvusIndex.create(str(where), kind)
+        return FaissIndex.create(where, kind, codes or "sq8")
+    return MilvusIndex.create(str(where), kind, structure or "flat")
 
 
 def _opened(where: str | Path) -> Index:
     if str(where).startswith(_SCHEME):
-        from lpn.index.milvus import MilvusIndex
-
         return MilvusIndex(str(where))
     engine = Manifest.read(Path(where)).engine
     if engine == ExactIndex.engine:
         return ExactIndex(where)
-    from lpn.index.faiss import FaissIndex
-
     return FaissIndex(where)
 
 
-__all__ = ["Box", "Engine", "ExactIndex", "Found", "Index", "Kind", "Precision", "create_index", "open_index"]
+__all__ = [
+    "Box",
+    "Codes",
+    "Engine",
+    "ExactIndex",
+    "FaissIndex",
+    "Found",
+    "Index",
+    "Kind",
+    "MilvusIndex",
+    "Precision",
+    "Structure",
+    "create_index",
+    "open_index",
+]

@@ -115,9 +115,11 @@ class Index(ABC):
 
     Attributes:
         kind: what descriptors it holds.
+        most: tiles that a search can ask for; None: any number.
     """
 
     kind: Kind
+    most: int | None = None
 
     @abstractmethod
     def add(

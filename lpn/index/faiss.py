@@ -87,14 +87,13 @@ class FaissIndex(FolderIndex):
         """See `Index.search`; of equal scores, those proposed keep the order of insertion."""
         wanted = self.kind.rescaled(query, weights)
         k, box = check_count(k), check_box(box)
-        segments = self._current()
-        proposed: list[npt.NDArray[np.int64]] = [np.zeros(0, np.int64)]
-        start = 0
-        for segment in segments:
-            proposed.append(self._proposed(segment, wanted.astype(np.float32), segment.chosen(box), k) + start)
-            start += segment.rows
-        places = np.concatenate(proposed)
-        return self._found(segments, Candidates.of(segments, places, wanted), k)
+        while True:
+            segments = self._current()
+            try:
+                places = self._places(segments, wanted.astype(np.float32), k, box)
+            except _ReplacedError:
+                continue
+            return self._found(segments, Candidates.of(segments, places, wanted), k)
 
     def close(self) -> None:
         """See `Index.close`."""
@@ -104,6 +103,17 @@ class FaissIndex(FolderIndex):
     @cached_property
     def _lists(self) -> bool:
         return self.codes != "flat"
+
+    def _places(
+        self, segments: list[Segment], wanted: npt.NDArray[np.float32], k: int, box: Box | None
+    ) -> npt.NDArray[np.int64]:
+        """Places, among the rows of all segments, of the tiles that are to be scored."""
+        proposed: list[npt.NDArray[np.int64]] = [np.zeros(0, np.int64)]
+        start = 0
+        for segment in segments:
+            proposed.append(self._proposed(segment, wanted, segment.chosen(box), k) + start)
+            start += segment.rows
+        return np.concatenate(proposed)
 
     def _proposed(
         self, segment: Segment, wanted: npt.NDArray[np.float32], rows: npt.NDArray[np.int64] | None, k: int
@@ -146,6 +156,8 @@ class FaissIndex(FolderIndex):
                     str(segment.folder / FILE), self._faiss.IO_FLAG_MMAP if self._lists else 0
                 )
             except RuntimeError as error:
+                if self._stamp() != self._state.stamp:
+                    raise _ReplacedError from error
                 raise StoreError(
                     f"{FILE} in {segment.folder} is missing or damaged; delete the index and make it again."
                 ) from error
@@ -171,6 +183,10 @@ class FaissIndex(FolderIndex):
             self._faiss.write_index(index, str(folder / FILE))
         except RuntimeError as error:
             raise StoreError(f"{folder / FILE} cannot be written; free space or choose another folder.") from error
+
+
+class _ReplacedError(Exception):
+    """Another process has gathered a segment into a new one since the manifest was read."""
 
 
 def _factory(codes: Codes, rows: int, kind: Kind) -> str:

@@ -217,7 +217,7 @@ class FolderIndex(Index):
         try:
             stat = (self.folder / MANIFEST).stat()
         except OSError as error:
-            raise StoreError(f"{self.folder} cannot be read ({error.strerror}); check the path.") from error
+            raise StoreError(f"{self.folder} cannot be read ({error.strerror or error}); check the path.") from error
         return stat.st_ino, stat.st_mtime_ns, stat.st_size
 
     def _read(self) -> _State:
@@ -362,5 +362,5 @@ def _said(manifest: Manifest, what: str) -> str:
 
 
 def _unwritable(folder: Path, error: OSError | OutputError) -> StoreError:
-    why = error.strerror if isinstance(error, OSError) else str(error)
+    why = error.strerror or str(error) if isinstance(error, OSError) else str(error)
     return StoreError(f"The index {folder} cannot be written ({why}); free space or choose another folder.")

@@ -51,8 +51,6 @@ Structure = Literal["flat", "ivf", "hnsw"]
 _NOWHERE = 1000.0
 """Latitude and longitude of a tile that has none: 2.3 knows no null, and no box reaches so far."""
 _NAME_BYTES = 4 * ID_LENGTH
-_MOST = 16384
-"""Tiles that Milvus gives at most."""
 _BYTES = 8 << 20
 """Of one message's vectors, far below the 64 MB that a server takes."""
 _ROWS = 1000
@@ -63,8 +61,8 @@ _BUILD: dict[Structure, dict[str, Any]] = {
     "ivf": {"index_type": "IVF_FLAT", "params": {"nlist": 1024}},
     "hnsw": {"index_type": "HNSW", "params": {"M": 32, "efConstruction": 200}},
 }
-_REFUSED = {65, 1100, 1101, 1800}
-"""Milvus's codes for what no trying again mends: a wrong parameter, or no right to ask."""
+_REFUSED = {65, 100, 1100, 1101, 1800}
+"""Milvus's codes for what no trying again mends: a collection that is gone, a wrong parameter, or no right to ask."""
 _COLLECTION = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
 _T = TypeVar("_T")
 
@@ -83,13 +81,19 @@ class MilvusIndex(Index):
         ModuleNotFoundError: when pymilvus is not installed.
     """
 
+    most = 16384
+
     def __init__(self, url: str, patience: float = 60.0, effort: int = 128) -> None:
         self._open(url, patience, effort)
-        description = self._description()
-        if description is None:
-            raise StoreError(f"{self._shown} has no such collection; make it with lpn index.")
-        self.kind, self.structure = _read(description, self._shown)
-        self._call(lambda client: client.load_collection(self._name))
+        try:
+            description = self._description()
+            if description is None:
+                raise StoreError(f"{self._shown} has no such collection; make it with lpn index.")
+            self.kind, self.structure = _read(description, self._shown)
+            self._call(lambda client: client.load_collection(self._name))
+        except BaseException:
+            self.close()
+            raise
 
     @classmethod
     def create(
@@ -107,7 +111,10 @@ class MilvusIndex(Index):
             raise InputError(f"The structure is {structure!r}; expected one of {', '.join(get_args(Structure))}.")
         made = cls.__new__(cls)
         made._open(url, patience, effort)
-        made._make(kind, structure)
+        try:
+            made._make(kind, structure)
+        finally:
+            made.close()
         index = cls(url, patience, effort)
         if (index.kind, index.structure) != (kind, structure):
             one = f"{_said(index.kind)} ({index.structure})"
@@ -143,8 +150,8 @@ class MilvusIndex(Index):
         """See `Index.search`; at most 16,384 tiles; equal scores by name."""
         wanted = self.kind.rescaled(query, weights)
         k, box = check_count(k), check_box(box)
-        if k > _MOST:
-            raise InputError(f"The number of tiles asked for is {k}; Milvus gives {_MOST} at most.")
+        if k > self.most:
+            raise InputError(f"The number of tiles asked for is {k}; Milvus gives {self.most} at most.")
         hits = self._call(partial(self._searched, wanted, k, box))
         vectors = np.array([hit["vector"] for hit in hits], np.float32).reshape(len(hits), self.kind.numbers)
         names = [str(hit["name"]) for hit in hits]
@@ -175,10 +182,6 @@ class MilvusIndex(Index):
     def close(self) -> None:
         """See `Index.close`."""
         self._let_go()
-
-    def drop(self) -> None:
-        """Delete the collection with all that it holds."""
-        self._call(lambda client: client.drop_collection(self._name))
 
     def _open(self, url: str, patience: float, effort: int) -> None:
         self._milvus = cast(Any, import_module("pymilvus"))
@@ -249,6 +252,8 @@ class MilvusIndex(Index):
                         uri=f"http://{self._address}", token=self._token, timeout=_CALL
                     )
                 return task(self._client)
+            except (StoreError, InputError):
+                raise
             except Exception as error:  # pymilvus lets errors of grpc and of its own through
                 if not self._passing(error):
                     raise StoreError(f"{self._shown} refuses: {_short(error)}.") from error
@@ -267,7 +272,7 @@ class MilvusIndex(Index):
         refused = isinstance(error, (errors.ParamError, errors.DataNotMatchException)) or getattr(
             error, "is_input_error", False
         )
-        mine = isinstance(error, (TypeError, KeyError, AttributeError, StoreError, InputError))
+        mine = isinstance(error, (TypeError, KeyError, AttributeError))
         return not refused and not mine and getattr(error, "code", None) not in _REFUSED
 
     def _let_go(self) -> None:

@@ -12,6 +12,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,12 +20,15 @@ import pytest
 pytest.importorskip("ray", reason="the extra ray is not installed")
 pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 
-from lpn import cli, features
+from lpn import cli, features, raystart
 from lpn.cluster import Summary, describe_shards
 from lpn.engine import Engine
 from lpn.errors import DataError, InputError, LPNError, StoreError
+from lpn.files import alone
+from lpn.gather import open_shards, to_store
+from lpn.index import open_index
 from lpn.raystart import started
-from lpn.shards import Item, open_shards, read_shard, shards, to_store
+from lpn.shards import Item
 from lpn.storage import Storage
 from lpn.worker import Worker
 from tests import worlds
@@ -83,7 +87,9 @@ def expected(model_file: Path, folder: Path, out: Path) -> features.Store:
 
 def held(out: Path) -> dict[str, np.ndarray]:
     """Descriptors by name, each name once."""
-    found = [(name, row) for shard in shards(out) for name, row in zip(shard.ids, shard.descriptors, strict=True)]
+    shards = open_shards(out)
+    parts = [(part.names, shards.descriptors(i, part.names)) for i, part in enumerate(shards.tiles())]
+    found = [both for names, descriptors in parts for both in zip(names, descriptors, strict=True)]
     assert len(dict(found)) == len(found)
     return dict(found)
 
@@ -96,7 +102,7 @@ def test_two_workers_say_what_one_machine_says(
     assert "40 of 40 pictures" in lines[-1]
     assert "per second" in lines[-1]
     alone = expected(model_file, pictures, tmp_path / "alone")
-    store = to_store(out, tmp_path / "store")
+    store = to_store(open_shards(out), tmp_path / "store")
     assert store.manifest == alone.manifest
     np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
     found = held(out)
@@ -131,7 +137,7 @@ def test_a_killed_worker_costs_its_partition_alone(model_file: Path, folder: Pat
     assert (tmp_path / "killed").exists()
     assert (summary.pictures, summary.broken) == (PICTURES, [])
     alone = expected(model_file, folder, tmp_path / "alone")
-    store = to_store(out, tmp_path / "store")
+    store = to_store(open_shards(out), tmp_path / "store")
     assert store.manifest == alone.manifest
     np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
 
@@ -167,13 +173,15 @@ def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
     rows = list(csv.reader((done / "broken.csv").read_text().splitlines()))
     assert rows == [["name", "reason"], *map(list, zip(broken, reasons, strict=True))]
     assert set(held(done)) == set(names) - set(broken)
-    assert all((shard.positions == (46.5, 7.25)).all() for shard in shards(done))
+    assert all((part.positions == (46.5, 7.25)).all() for part in open_shards(done).tiles())
     again = describe(model_file, folder, done)
     assert (again.computed, again.broken) == (0, summary.broken)
     for name in broken:
         (folder / name).unlink()
     alone = expected(model_file, folder, tmp_path / "alone")
-    np.testing.assert_allclose(to_store(done, tmp_path / "store").descriptors, alone.descriptors, atol=1e-6)
+    np.testing.assert_allclose(
+        to_store(open_shards(done), tmp_path / "store").descriptors, alone.descriptors, atol=1e-6
+    )
 
 
 DRIVER = """
@@ -208,10 +216,93 @@ def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tm
         driver.kill()
         driver.wait()
     with pytest.raises(StoreError, match="missing or damaged; run lpn describe --engine ray again"):
-        list(shards(out))
+        open_shards(out)
     summary = describe(model_file, folder, out)
     assert 0 < summary.computed < PICTURES
     assert len(held(out)) == PICTURES
+
+
+class Dying(Worker):
+    """Gives up at its second partition, as when the driver is killed there."""
+
+    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
+        if partition:
+            raise StoreError("The driver is gone.")
+        return super().describe(partition, items)
+
+
+def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
+    model_file: Path, folder: Path, done: Path, tmp_path: Path
+) -> None:
+    for file in features.pictures_below(folder):
+        worlds.write(file, worlds.place(90))
+    with pytest.raises(StoreError, match="The driver is gone"):
+        describe(model_file, folder, done, worker=Dying)
+    with pytest.raises(StoreError, match="the run that wrote them has not ended"):
+        open_shards(done)
+    assert cli.main(["gather", f"--shards={done}", f"--out={tmp_path / 's'}"]) == 2
+    assert not (tmp_path / "s").exists()
+    assert describe(model_file, folder, done).computed > 0
+    rows = np.array(list(held(done).values()))
+    np.testing.assert_allclose(rows, rows[:1].repeat(PICTURES, 0), atol=1e-6)
+
+
+def test_shards_are_indexed_with_their_positions(
+    model_file: Path, folder: Path, done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Given to describe in a file above the pictures, and so named as `lpn index --data` takes them."""
+    names = [path.relative_to(folder).as_posix() for path in features.pictures_below(folder)]
+    lines = [f"{folder.name}/{name},{i},{2 * i}\n" for i, name in enumerate(names)]
+    (tmp_path / "geo.csv").write_text("path,latitude,longitude\n" + "".join(lines))
+    (folder / "0" / "text.jpg").write_bytes(b"no picture")
+    with (tmp_path / "geo.csv").open("a") as more:
+        more.write(f"{folder.name}/0/text.jpg,1,1\n")
+    assert describe(model_file, folder, done, positions=tmp_path / "geo.csv").computed == 0
+    for where, more in ((str(done), []), (f"file://{done}", []), (str(done), ["--data", str(tmp_path)])):
+        out = tmp_path / f"index{len(list(tmp_path.iterdir()))}"
+        making = ["index", "--descriptors", where, "--out", str(out), *more]
+        assert cli.main(making) == 0
+        said = capsys.readouterr().out
+        assert "holds 40 tiles, 40 of them added now" in said
+        assert "1 pictures are broken and not in it" in said
+        assert cli.main(making) == 0
+        assert "40 were there already" in capsys.readouterr().out
+        with open_index(out) as index:
+            for name, row in list(held(done).items())[:5]:
+                found = index.search(row, None, 1, (names.index(name), -180, names.index(name), 180))
+                assert found.ids == [name]
+                np.testing.assert_array_equal(found.vectors[0], row)
+                np.testing.assert_array_equal(found.positions[0], (names.index(name), 2 * names.index(name)))
+
+
+def test_a_live_runs_folder_is_kept_and_a_killed_ones_deleted(tmp_path: Path) -> None:
+    """Whatever their process numbers say: a live one may be in another container."""
+    for name in ("lpn-ray-lives_01", "lpn-ray-killed01", "lpn-ray-of-another"):
+        (tmp_path / name).mkdir()
+    with alone(tmp_path / "lpn-ray-lives_01", wait=False), raystart._folder(tmp_path) as one:
+        with raystart._folder(tmp_path) as other:
+            held = {path.name for path in tmp_path.iterdir()}
+            assert held == {"lpn-ray-lives_01", "lpn-ray-of-another", one.name, other.name}
+        assert one.is_dir()
+        assert not other.exists()
+    assert not one.exists()
+
+
+def test_that_ray_does_not_start_is_told_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def init(**_: object) -> None:
+        raise Exception("The current node timed out during startup.\nSee the logs.")
+
+    ended: list[bool] = []
+    ray = SimpleNamespace(is_initialized=lambda: False, init=init, shutdown=lambda: ended.append(True))
+    monkeypatch.setattr(raystart, "importlib", SimpleNamespace(import_module=lambda _: ray))
+    with (
+        pytest.raises(
+            StoreError, match=r"^Ray does not start on this machine \(The current node timed out during startup\.\); "
+        ),
+        started(None, 1, 1),
+    ):
+        pass
+    assert ended == [True]
 
 
 def test_commands_say_what_they_did(
@@ -225,8 +316,9 @@ def test_commands_say_what_they_did(
     said = capsys.readouterr().out
     assert f"{out} holds 40 descriptors, 40 of them computed now." in said
     assert "1 pictures could not be described; broken.csv there names them" in said
-    (folder / "1" / "text.jpg").unlink()
     assert cli.main(["gather", "--shards", str(out), "--out", str(tmp_path / "store")]) == 0
+    assert f"1 pictures are broken and not in it; broken.csv in {out} names them." in capsys.readouterr().out
+    (folder / "1" / "text.jpg").unlink()
     store = features.open_store(tmp_path / "store")
     alone = expected(model_file, folder, tmp_path / "alone")
     assert (store.manifest.precision, store.manifest.rows) == ("float16", alone.manifest.rows)
@@ -275,13 +367,11 @@ def test_bad_options_are_refused_in_words(model_file: Path, folder: Path, tmp_pa
             describe_shards(**options)  # type: ignore[arg-type]
     assert not list(tmp_path.glob("out/*.parquet"))
     with pytest.raises(StoreError, match="no folder of shards"):
-        list(shards(tmp_path))
+        open_shards(tmp_path)
 
 
 def test_damaged_shards_are_computed_again(model_file: Path, folder: Path, done: Path) -> None:
-    storage, plan = open_shards(done)
-    lost = read_shard(storage, plan, 1)
-    assert lost is not None
+    lost = open_shards(done).read(1)
     damaged = done / "000001.parquet"
     damaged.write_bytes(damaged.read_bytes()[:-100])
     (done / "000000.parquet").rename(done / "000002.parquet")

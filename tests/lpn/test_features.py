@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +19,7 @@ from lpn import features, images
 from lpn.changes import Change
 from lpn.errors import DataError, LPNError, PictureError, StoreError
 from lpn.features import describing
+from lpn.files import write_whole
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 from tests import worlds
@@ -32,6 +35,19 @@ def folder(tmp_path: Path) -> Path:
     for i in range(20):
         worlds.write(tmp_path / "pictures" / f"{i % 3}" / f"{i:02d}.png", worlds.place(i))
     return tmp_path / "pictures"
+
+
+class Killed(BaseException):
+    """In place of the process's end."""
+
+
+def _killed_after(steps: Iterator[int], original: Callable[..., None]) -> Callable[..., None]:
+    def step(*given: object, **more: object) -> None:
+        if next(steps, None) is None:
+            raise Killed
+        original(*given, **more)
+
+    return step
 
 
 class Counting:
@@ -107,6 +123,50 @@ def test_a_removed_picture_costs_nothing_that_was_done(
     assert count.described == 20
     expected = features.describe(model, rest, "drone", tmp_path / "other").descriptors
     np.testing.assert_allclose(store.descriptors, expected, atol=1e-6)
+
+
+def test_a_kill_while_a_changed_list_is_taken_over_loses_no_row(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At each step in turn that changes a name in the folder."""
+    files = features.pictures_below(folder)
+    rest = [*files[:3], *files[4:]]
+    with monkeypatch.context() as patch:
+        Counting(model, patch, die_after=16)
+        with pytest.raises(KeyboardInterrupt):
+            features.describe(model, files, "drone", tmp_path / "left")
+    expected = features.describe(model, rest, "drone", tmp_path / "other").descriptors
+    count = Counting(model, monkeypatch, die_after=0)
+    for step in range(20):
+        out = shutil.copytree(tmp_path / "left", tmp_path / f"{step}")
+        with monkeypatch.context() as patch:
+            steps = iter(range(step))
+            for owner, name in ((os, "replace"), (Path, "unlink")):
+                patch.setattr(owner, name, _killed_after(steps, getattr(owner, name)))
+            with pytest.raises((Killed, KeyboardInterrupt)) as ended:
+                features.describe(model, rest, "drone", out)
+        before, count.die_after = count.described, None
+        np.testing.assert_allclose(features.describe(model, rest, "drone", out).descriptors, expected, atol=1e-6)
+        assert count.described - before == 4, step
+        assert sorted(path.name for path in out.iterdir()) == ["descriptors.npy", "manifest.json"]
+        if ended.type is KeyboardInterrupt:  # it came as far as computing
+            break
+        count.die_after = 0
+    assert step > 5
+
+
+def test_an_error_that_the_system_has_no_name_for_is_told(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def short(*_: object) -> None:
+        raise OSError("512 requested and 0 written")  # as NumPy says of a full disk
+
+    monkeypatch.setattr(describing.Unfinished, "save", short)
+    with pytest.raises(StoreError, match=r"cannot be written \(512 requested and 0 written\)"):
+        features.describe(model, features.pictures_below(folder), "drone", tmp_path / "store")
+    monkeypatch.setattr(Path, "write_bytes", short)
+    with pytest.raises(LPNError, match=r"cannot be written \(512 requested and 0 written\)"):
+        write_whole(tmp_path / "file", b"")
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "descriptors.npy"])
@@ -292,7 +352,6 @@ def test_a_kill_before_the_new_manifest_leaves_no_old_one_and_loses_nothing(
     files = features.pictures_below(folder)
     store = tmp_path / "store"
     features.describe(model, files, "drone", store)
-    write_whole = describing.write_whole
 
     def killed(path: Path, data: bytes) -> None:
         if path.name == "manifest.json":

@@ -9,7 +9,7 @@ import pytest
 
 from lpn import cli, geo
 from lpn.datasets import Picture, open_dataset
-from lpn.errors import DataError
+from lpn.errors import DataError, InputError
 from lpn.geo import Position, Positions
 from tests import worlds
 
@@ -46,6 +46,22 @@ def test_positions_are_read_with_or_without_altitude_and_heading(tmp_path: Path)
     write(tmp_path, "\ufeffLongitude,Latitude,Path\n9,8,a/1.jpg\n")
     assert Positions(tmp_path).of(pictures[1:]) == [Position(8, 9)]
     assert geo.positions(tmp_path / "a") is None
+
+
+def test_names_of_a_folder_further_down_find_their_positions() -> None:
+    def found(*paths: str) -> dict[str, geo.Position]:
+        return {path: geo.Position(i, 0) for i, path in enumerate(paths)}
+
+    def matched(known: dict[str, geo.Position], *names: str) -> list[float | None]:
+        return [None if place is None else place.latitude for place in geo.match(known, names)]
+
+    assert matched(found("a.png", "b/a.png"), "a.png", "b/a.png", "c.png") == [0, 1, None]
+    assert matched(found("x/y/a.png", "z/a.png", "x/y/b/a.png"), "a.png", "b/a.png") == [0, 2]
+    assert matched(found("x/a.png", "a.png"), "a.png") == [1]  # the file's own folder
+    assert matched({}, "a.png") == [None]
+    with pytest.raises(InputError, match="below both x/ and y/, at other places"):
+        geo.match(found("x/a.png", "y/a.png"), ["a.png"])
+    assert geo.match(dict.fromkeys(("x/a.png", "y/a.png"), geo.Position(1, 2)), ["a.png"]) == [geo.Position(1, 2)]
 
 
 def test_a_camera_stands_behind_what_it_shows() -> None:

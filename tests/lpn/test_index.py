@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,15 +11,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
-from lpn import explain
+from lpn import explain, features
 from lpn.cli import main
 from lpn.errors import InputError, LPNError, StoreError
-from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan
+from lpn.index import Box, ExactIndex, Found, Index, Kind, Structure, create_index, folder, open_index, scan
 from lpn.model import FloatArray, normalise
 from tests import worlds
 from tests.lpn.milvus_server import Server, milvus_python
@@ -378,6 +379,35 @@ def test_an_index_that_is_open_sees_what_another_adds(tmp_path: Path) -> None:
         tiles.check(one.search(query, None, 200), query, None, 200, None)
 
 
+@pytest.mark.parametrize("codes", ["flat", "sq8"])
+def test_a_reader_finds_what_another_gathers_while_it_searches(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, codes: str
+) -> None:
+    """The segment, whose codes are opened at the first search, is gone between its manifest and that."""
+    tiles, adder = Tiles.draw(9200), _faiss(tmp_path / "index", codes)
+    adder.add(tiles.names[:4600], tiles.descriptors[:4600], tiles.positions[:4600])
+    reader = _faiss(tmp_path / "index", codes)
+    current, waiting = reader._current, [True]  # type: ignore[attr-defined]
+
+    def added_meanwhile() -> Any:
+        segments = current()
+        if waiting:
+            waiting.clear()
+            adder.add(tiles.names[4600:], tiles.descriptors[4600:], tiles.positions[4600:])
+        return segments
+
+    monkeypatch.setattr(reader, "_current", added_meanwhile)
+    query = tiles.descriptors[5000]
+    with adder, reader:
+        tiles.check(reader.search(query, None, 10), query, None, 10, None)
+        (next(path for path in (tmp_path / "index").iterdir() if path.is_dir()) / "faiss.index").unlink()
+        with (
+            _faiss(tmp_path / "index", codes) as damaged,
+            pytest.raises(StoreError, match="missing or damaged; delete"),
+        ):
+            damaged.search(query, None, 10)
+
+
 def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
     ExactIndex.create(tmp_path / "index", KIND).close()
     open_index(tmp_path / "index", KIND.fingerprint).close()
@@ -391,6 +421,10 @@ def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
         create_index(tmp_path / "other", KIND, "milvus")
     with pytest.raises(InputError, match="no precision to choose"):
         create_index(tmp_path / "other", KIND, "faiss", "int8")
+    with pytest.raises(InputError, match="engine exact has no codes to choose; leave pq out, or use the engine faiss"):
+        create_index(tmp_path / "other", KIND, codes="pq")
+    with pytest.raises(InputError, match="leave ivf out, or use the engine milvus"):
+        create_index(tmp_path / "other", KIND, "faiss", structure="ivf")
 
 
 def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
@@ -434,6 +468,14 @@ def test_a_full_disk_is_told_in_a_sentence(tmp_path: Path, monkeypatch: pytest.M
             patch.setattr("lpn.index.segments._Array.write", full)
             with pytest.raises(StoreError, match=r"cannot be written \(No space left on device\)"):
                 index.add(["more"], tiles.descriptors[:1])
+
+        def short(*_: Any) -> None:
+            raise OSError("512 requested and 0 written")  # as NumPy says it
+
+        with monkeypatch.context() as patch:
+            patch.setattr(np, "save", short)
+            with pytest.raises(StoreError, match=r"cannot be written \(512 requested and 0 written\)"):
+                index.add(["more"], tiles.descriptors[:1])
         index.add(["more"], tiles.descriptors[:1])
         assert index.count() == 51
 
@@ -445,6 +487,98 @@ def test_no_server_is_told_in_a_sentence() -> None:
     with pytest.raises(StoreError, match="does not answer, tried for 1 s") as told:
         MilvusIndex("milvus://someone:secret@127.0.0.1:9/tiles", patience=1)
     assert "secret" not in str(told.value)
+
+
+class Client:
+    """In place of pymilvus's: a collection with a description, and what goes wrong where it is asked for."""
+
+    clients: ClassVar[list[Client]] = []
+    description = ""
+    error: Exception | None = None
+
+    def __init__(self, **_: Any) -> None:
+        self.closed = False
+        self.clients.append(self)
+
+    def has_collection(self, *_: Any, **__: Any) -> bool:
+        return True
+
+    def describe_collection(self, *_: Any, **__: Any) -> dict[str, str]:
+        return {"description": self.description}
+
+    def list_indexes(self, *_: Any) -> list[str]:
+        return ["vector"]
+
+    def load_collection(self, *_: Any) -> None:
+        if self.error is not None:
+            raise self.error
+
+    def query(self, *_: Any, **__: Any) -> None:
+        self.load_collection()
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def client(monkeypatch: pytest.MonkeyPatch) -> type[Client]:
+    """What a client of this test meets."""
+    pymilvus = pytest.importorskip("pymilvus", reason="pymilvus is not installed (the extra milvus)")
+    said = json.dumps({"format": "lpn-milvus/1", **vars(KIND), "structure": "flat"})
+    made = type("Made", (Client,), {"clients": [], "description": said})
+    monkeypatch.setattr(pymilvus, "MilvusClient", made)
+    return made
+
+
+COLLECTION = "milvus://127.0.0.1:9/tiles"
+
+
+def test_no_connection_is_left_open(client: type[Client]) -> None:
+    with create_index(COLLECTION, KIND):
+        assert [one.closed for one in client.clients] == [True, False]
+    assert all(one.closed for one in client.clients)
+    client.error = TypeError("not so")
+    with pytest.raises(StoreError, match="refuses: not so"):
+        open_index(COLLECTION)
+    client.description = "a diary"
+    for using in (lambda: open_index(COLLECTION), lambda: create_index(COLLECTION, KIND)):
+        with pytest.raises(StoreError) as told:
+            using()
+        assert str(told.value) == (
+            "milvus://127.0.0.1:9/tiles is a collection that lpn index did not make (lpn-milvus/1); choose another name."
+        )
+    assert len(client.clients) == 5
+    assert all(one.closed for one in client.clients)
+
+
+def test_a_collection_that_is_gone_is_told_at_once(client: type[Client], monkeypatch: pytest.MonkeyPatch) -> None:
+    from pymilvus.exceptions import MilvusException
+
+    monkeypatch.setattr(time, "sleep", lambda _: pytest.fail("it waited"))
+    with open_index(COLLECTION) as index:
+        client.error = MilvusException(100, "collection not found[collection=tiles]")
+        with pytest.raises(StoreError, match="refuses: collection not found"):
+            index.count()
+
+
+@pytest.mark.parametrize("structure", ["ivf", "hnsw"])
+def test_a_milvus_collection_has_the_structure_asked_for(server: Server, structure: Structure) -> None:
+    from pymilvus import MilvusClient
+
+    tiles, url = Tiles.draw(300), f"{server.url}/of_{structure}"
+    with create_index(url, KIND, structure=structure) as index:
+        tiles.add_to(index)
+        query = tiles.descriptors[7]
+        tiles.check(index.search(query, None, 1), query, None, 1, None)
+        client = MilvusClient(uri=f"http://{server.url.removeprefix('milvus://')}")
+        built = client.describe_index(f"of_{structure}", "vector")["index_type"]
+        assert built == {"ivf": "IVF_FLAT", "hnsw": "HNSW"}[structure]
+        client.drop_collection(f"of_{structure}")
+        client.close()
+        started = time.monotonic()
+        with pytest.raises(StoreError, match="refuses"):
+            index.count()
+        assert time.monotonic() - started < 20
 
 
 def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server: Server) -> None:
@@ -513,9 +647,13 @@ def test_a_store_is_indexed_and_a_picture_found(
     assert main(making) == 0
     assert "holds 14 tiles, 14 of them added now" in capsys.readouterr().out
     assert main(making) == 0
-    assert "holds 14 tiles, 0 of them added now" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "holds 14 tiles, 0 of them added now" in said
+    assert "14 were there already and were left as they are; give --replace where pictures or positions" in said
     assert main([*making, "--replace"]) == 0
-    assert "holds 14 tiles, 14 of them added now" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "holds 14 tiles, 14 of them added now" in said
+    assert "were there already" not in said
     json_file = tmp_path / "found.json"
     given = _options(
         index=tmp_path / "i", model=described.model, picture=described.tile, view="satellite", json=json_file
@@ -538,6 +676,85 @@ def test_a_store_is_indexed_and_a_picture_found(
     assert {match["latitude"] <= 45.9975 for match in found["matches"]} == {True}
     assert main(["search", *given, "--box", "0", "0", "1", "1"]) == 0
     assert "no tile to compare with" in capsys.readouterr().out
+
+
+def test_names_are_checked_before_anything_is_added(
+    described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lpn.index.tiles._LOT_BYTES", 1)  # a lot for each tile
+    for name, said in (("\udcff.png", "is not UTF-8"), ("x" * 513, "1 to 512 characters")):
+        store = Path(shutil.copytree(described.store, tmp_path / f"store{len(name)}"))
+        manifest = json.loads((store / "manifest.json").read_text())
+        manifest["rows"][-1]["file"] = name
+        (store / "manifest.json").write_text(json.dumps(manifest))
+        assert main(["index", *_options(descriptors=store, out=tmp_path / "i")]) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
+        assert not (tmp_path / "i").exists()
+
+
+def test_positions_that_fit_two_folders_are_asked_about(
+    described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = [row.file for row in features.open_store(described.store).manifest.rows]
+    given = ["index", *_options(descriptors=described.store, data=tmp_path, out=tmp_path / "i")]
+
+    def write(**folders: float) -> None:
+        lines = [f"{folder}/{name},{at},{i}\n" for folder, at in folders.items() for i, name in enumerate(names)]
+        (tmp_path / "geo.csv").write_text("path,latitude,longitude\n" + "".join(lines))
+
+    write(gallery=1, query=2)
+    assert main(given) == 2
+    assert "has the pictures below both gallery/ and query/, at other places" in capsys.readouterr().err
+    assert not (tmp_path / "i").exists()
+    write(gallery=1, query=1)
+    assert main(given) == 0
+    with open_index(tmp_path / "i") as index:
+        assert (
+            len(
+                index.search(
+                    index.search(np.eye(1, 4 * 512).reshape(4, 512), None, 1).vectors[0], None, 20, (1, -180, 1, 180)
+                )
+            )
+            == 14
+        )
+
+
+def test_the_number_of_tiles_is_checked_first(
+    described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["index", *_options(descriptors=described.store, out=tmp_path / "i")]) == 0
+    monkeypatch.setattr(ExactIndex, "most", 3)
+    asked: list[int] = []
+    search = ExactIndex.search
+    monkeypatch.setattr(ExactIndex, "search", lambda self, q, w, k, box: asked.append(k) or search(self, q, w, k, box))
+    searching = [
+        "search",
+        *_options(index=tmp_path / "i", model=described.model, picture=described.tile, view="satellite"),
+    ]
+    for top in (0, -1):
+        assert main([*searching, f"--top={top}"]) == 2
+        assert f"asked for is {top}; expected 1 or more" in capsys.readouterr().err
+    for top in (2, 3, 4):
+        assert main([*searching, f"--top={top}"]) == 0
+    assert asked == [3, 3, 4]
+
+
+def test_codes_and_structure_can_be_chosen(described: Described, tmp_path: Path, client: type[Client]) -> None:
+    from lpn.index import FaissIndex, MilvusIndex
+
+    pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
+    store = _options(descriptors=described.store)
+    assert main(["index", *store, *_options(out=tmp_path / "i", engine="faiss", codes="pq")]) == 0
+    with open_index(tmp_path / "i") as index:
+        assert isinstance(index, FaissIndex)
+        assert index.codes == "pq"
+    client.description = client.description.replace("flat", "hnsw")
+    with create_index(COLLECTION, KIND, structure="hnsw") as index:
+        assert isinstance(index, MilvusIndex)
+        assert index.structure == "hnsw"
+    assert main(["index", *store, *_options(out=COLLECTION, structure="ivf")]) == 2
 
 
 def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
