@@ -22,6 +22,7 @@ from explorer.session import State
 from explorer.sweep import Sweep
 from explorer.worker import Worker
 from lpn import versus
+from lpn.retrieval import Ranking
 from lpn.versus import Effect
 
 _WIDTH, _HEIGHT = 1000, 900
@@ -54,6 +55,8 @@ class Reasons:
         self._answer: Answer | None = None
         self._contest: Contest | None = None
         self._effect: Effect | None = None
+        self._argued: tuple[Ranking, int] | None = None
+        """What the contest is of: a ranking, and the tile that is compared."""
         self._sweep: Sweep | None = None
         self._wanted: Contest | None = None
         """The contest whose change of weights is to be tried on all queries."""
@@ -127,14 +130,15 @@ class Reasons:
 
     def show(self, answer: Answer) -> None:
         """Open or close the window, and fill it."""
-        before, self._answer = self._answer, answer
+        self._answer = answer
         sweep = self._sweep
         if sweep is not None and not sweep.is_of(answer):
             self._cancel(None)
             self._sweep = None
         if answer.state.why:
-            if before is None or before.ranking is not answer.ranking or before.chosen.index != answer.chosen.index:
+            if self._argued is None or self._argued[0] is not answer.ranking or self._argued[1] != answer.chosen.index:
                 self._contest, self._effect = Contest.of(answer), None
+                self._argued = answer.ranking, answer.chosen.index
             self._draw(answer)
         if answer.state.why != self._open:
             self._open = answer.state.why
