@@ -14,6 +14,11 @@ from rich.console import Console
 from rich.table import Table
 
 
+PAUSE = 0.1
+"""Seconds before each measurement, in which the threads of the one before go to sleep: they spin for a while, on the cores that the
+next one wants."""
+
+
 @dataclass(frozen=True)
 class Figure:
     """One line of the table.
@@ -78,6 +83,7 @@ def medians(tasks: Mapping[str, Callable[[], object]], rounds: int = 15) -> dict
     times: dict[str, list[float]] = {name: [] for name in tasks}
     for round_ in range(rounds + 2):
         for name, task in tasks.items():
+            time.sleep(PAUSE)
             started = time.perf_counter()
             task()
             if round_ >= 2:
