@@ -13,10 +13,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-
 PAUSE = 0.1
-"""Seconds before each measurement, in which the threads of the one before go to sleep: they spin for a while, on the cores that the
-next one wants."""
+"""Seconds before each measurement, in which threads of the one before go to sleep: they spin for a while, on cores that it wants."""
 
 
 @dataclass(frozen=True)
