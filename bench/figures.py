@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 PAUSE = 0.1
-"""Seconds before each measurement, in which threads of the one before go to sleep: they spin for a while, on cores that it wants."""
+"""Seconds before each measurement, in which threads of the one before go to sleep; until then they spin, on cores it wants."""
 
 
 @dataclass(frozen=True)
