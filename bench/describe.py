@@ -15,7 +15,6 @@ import argparse
 import io
 import statistics
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
@@ -27,7 +26,7 @@ import torch
 from PIL import Image
 from torch.utils.data import DataLoader, Dataset
 
-from bench.figures import Figure, against_peer, show
+from bench.figures import Figure, against_peer, show, take_turns
 from bench.train import make_pictures as train_split
 from lpn import features, images
 from lpn.checkpoints import TorchModel, load_torch, save
@@ -100,18 +99,6 @@ def bare(engine: Engine, passes: int) -> None:
         list(pool.map(lambda _: engine.run(single, "drone"), range(passes)))
 
 
-def take_turns(tasks: dict[str, Callable[[], object]]) -> dict[str, list[float]]:
-    """Seconds of each task in each round that counts."""
-    times: dict[str, list[float]] = {name: [] for name in tasks}
-    for round_ in range(ROUNDS + 1):
-        for name, task in tasks.items():
-            started = time.perf_counter()
-            task()
-            if round_:
-                times[name].append(time.perf_counter() - started)
-    return times
-
-
 def agreement(a: FloatArray, b: FloatArray) -> float:
     """Mean cosine between descriptors of the same pictures."""
     return float((a * b).sum(1).mean())
@@ -135,7 +122,7 @@ def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
             tasks[kind] = lambda engine=engine: ours(engine, files, root)  # type: ignore[misc]
             tasks[f"{kind} bare"] = lambda single=single: bare(single, 2 * len(files))  # type: ignore[misc]
         apart = 1 - agreement(published(network, files, workers), ours(Engine(folder / "model.onnx"), files, root))
-        speed = {name: len(files) / statistics.median(values) for name, values in take_turns(tasks).items()}
+        speed = {name: len(files) / statistics.median(values) for name, values in take_turns(tasks, ROUNDS).items()}
     what = f"ResNet-50, {len(files)} pictures of a folder to a store"
     peer = speed["peer"]
     return [

@@ -76,17 +76,22 @@ def below(what: str, ours: float, most: float, unit: str = "ms", peer: float | N
     return Figure(what, ours, unit, peer, None, f"{most:g} {unit}", ours <= most)
 
 
-def medians(tasks: Mapping[str, Callable[[], object]], rounds: int = 15) -> dict[str, float]:
-    """Median milliseconds of each task, the tasks taking turns so that a busy moment hits all alike; two rounds warm up."""
+def take_turns(tasks: Mapping[str, Callable[[], object]], rounds: int, warm: int = 1) -> dict[str, list[float]]:
+    """Seconds of each task in each round, all taking turns so that a busy moment hits them alike; `warm` rounds go before."""
     times: dict[str, list[float]] = {name: [] for name in tasks}
-    for round_ in range(rounds + 2):
+    for round_ in range(rounds + warm):
         for name, task in tasks.items():
             time.sleep(PAUSE)
             started = time.perf_counter()
             task()
-            if round_ >= 2:
-                times[name].append(1000 * (time.perf_counter() - started))
-    return {name: statistics.median(values) for name, values in times.items()}
+            if round_ >= warm:
+                times[name].append(time.perf_counter() - started)
+    return times
+
+
+def medians(tasks: Mapping[str, Callable[[], object]], rounds: int = 15) -> dict[str, float]:
+    """Median milliseconds of each task, see `take_turns`; two rounds warm up."""
+    return {name: 1000 * statistics.median(values) for name, values in take_turns(tasks, rounds, 2).items()}
 
 
 def show(title: str, figures: Iterable[Figure]) -> None:

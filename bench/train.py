@@ -15,7 +15,6 @@ from __future__ import annotations
 import statistics
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -30,7 +29,7 @@ import torch.nn.functional as F
 from PIL import Image
 from rich.console import Console
 
-from bench.figures import Figure, show
+from bench.figures import Figure, show, take_turns
 from lpn import images
 from lpn.datasets import open_dataset
 from lpn.network import LPN
@@ -137,13 +136,7 @@ def measure(data: Path, recipe: Recipe, folder: Path) -> dict[str, tuple[float, 
         "ours": ours(trainer("kept")),
         "ours, float32": ours(trainer("float32", precision="float32")),
     }
-    times: dict[str, list[float]] = {name: [] for name in tasks}
-    for round_ in range(ROUNDS + 1):
-        for name, task in tasks.items():
-            started = time.perf_counter()
-            task()
-            if round_:
-                times[name].append(time.perf_counter() - started)
+    times = take_turns(tasks, ROUNDS)
     pictures = STEPS * recipe.batch * len(places.views)
     plainly = times["plain loop"]
     return {
