@@ -85,17 +85,18 @@ class Entry:
         host: address that is listened on.
         token: what is asked for; None for nothing.
         allowed: further names that the server may be asked for by, such as a reverse proxy's.
+        told: whether the link shows the token; not one that somebody keeps elsewhere.
 
     Raises:
         InputError: when a token is too short to be one, or a name is none.
     """
 
-    def __init__(self, host: str, token: str | None = None, allowed: Sequence[str] = ()) -> None:
+    def __init__(self, host: str, token: str | None = None, allowed: Sequence[str] = (), told: bool = False) -> None:
         if token is not None and len(token) < SHORTEST:
             raise InputError(
                 f"The token has {len(token)} characters; expected at least {SHORTEST}, so that it cannot be guessed."
             )
-        self.host, self.token = host, token
+        self.host, self.token, self._told = host, token, told
         self._names = set(_LOOPBACK) | {_name(name) for name in allowed}
         self._anywhere = host in _ANY
         if self._anywhere:
@@ -139,11 +140,11 @@ class Entry:
         secure = "; Secure" if request.one("x-forwarded-proto").lower() == "https" else ""
         return f"{_cookie(port)}={self.pass_key}; HttpOnly; SameSite=Strict{secure}"
 
-    def link(self, port: int, given: bool = False) -> str:
-        """The address to open, with the token unless it was `given` by who reads this."""
+    def link(self, port: int) -> str:
+        """The address to open."""
         shown = "127.0.0.1" if self._anywhere else f"[{self.host}]" if ":" in self.host else self.host
-        asked = "" if self.token is None else "/?token=<yours>" if given else f"/?token={quote(self.token, safe='')}"
-        return f"http://{shown}:{port}{asked}"
+        token = "" if self.token is None else quote(self.token, safe="") if self._told else "<yours>"
+        return f"http://{shown}:{port}" + (f"/?token={token}" if token else "")
 
     def _misdirected(self, host: str) -> Refusal | None:
         found = _HOST.fullmatch(host)
@@ -198,7 +199,7 @@ def entry(
             )
         token = found
     if token is None and (ask or not is_loopback(host)):
-        token = secrets.token_urlsafe(32)
+        return Entry(host, secrets.token_urlsafe(32), allowed, told=True)
     return Entry(host, token, allowed)
 
 

@@ -170,7 +170,7 @@ async def _attended(handler: Callable[[ServerConnection], Awaitable[None]], conn
     except ConnectionClosed:
         pass
     except Exception as error:
-        log.warning("Closed a connection: %s", _said(error))
+        log.info("Closed a connection: %s", _said(error))
         await connection.close(1011)
 
 
