@@ -17,6 +17,7 @@ from urllib.parse import urlsplit
 
 import cv2
 import msgspec
+import numpy as np
 import pytest
 import viser._messages as viser_messages
 from websockets.exceptions import InvalidStatus
