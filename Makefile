@@ -7,7 +7,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c co
 HOST   ?= 127.0.0.1
 PORT   ?= 8080
 
-.PHONY: explore setup test check bench demo format clean
+.PHONY: explore setup test check bench demo format audit clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -79,6 +79,16 @@ demo: $(VENV)/.world
 	  $(if $(wildcard runs/demo/state.pt),--resume)
 	$(BIN)/lpn export --model runs/demo/last.safetensors --out runs/demo/lpn.onnx --storage int8
 	test -d runs/demo/packed || $(BIN)/python assets/pack.py runs/world runs/demo/lpn.onnx runs/demo/packed
+
+# Known weaknesses of the packages that people install, and their licenses. It needs the network, so no test calls it.
+$(VENV)/.audit: | $(BIN)/python
+	$(PYTHON) -m venv $(VENV)/audit
+	$(VENV)/audit/bin/python -m pip --disable-pip-version-check install --quiet pip-audit pip-licenses
+	touch $@
+
+audit: $(VENV)/.train $(VENV)/.audit
+	$(VENV)/audit/bin/pip-licenses --python=$(BIN)/python --order=license
+	$(VENV)/audit/bin/pip-audit --vulnerability-service=osv --progress-spinner=off --skip-editable --path "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')"
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache *.egg-info

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -20,8 +21,10 @@ import viser
 from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, why
 from explorer.bridge import Bridge
 from explorer.cards import SHOWN
+from explorer.entry import Entry, entry, is_loopback
 from explorer.exhibit import Analyst, Exhibit
 from explorer.follower import Follower
+from explorer.guard import Guard
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
 from explorer.link import Links
@@ -168,14 +171,20 @@ class Visitor:
 class App:
     """The running server.
 
+    Args:
+        door: who may come in; by default, whoever has a random token, or anybody on this machine's own address.
+
     Raises:
         InputError: when the address or port cannot be listened on.
+        MissingPackageError: when viser's page cannot be guarded.
     """
 
-    def __init__(self, exhibit: Exhibit, host: str, port: int) -> None:
+    def __init__(self, exhibit: Exhibit, host: str, port: int, door: Entry | None = None) -> None:
         _check_free(host, port)
+        self.door = door or entry(host, None, False, ())
+        make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
         with redirect_stdout(io.StringIO()):  # viser announces itself; people need one address, once
-            self.server = viser.ViserServer(host=host, port=port, label="LPN Explorer", verbose=False)
+            self.server = Guard(self.door).before(make)
         # Any page could otherwise ask for a public tunnel to this machine.
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False
@@ -208,34 +217,45 @@ def run(
     host: str = "127.0.0.1",
     port: int = 8080,
     beside: Path | None = None,
+    door: Entry | None = None,
 ) -> None:
     """Open a model and a data set, serve the explorer, print its address, and return when interrupted.
 
     Args:
         beside: another model to compare it with.
+        door: who may come in; by default as `App` has it.
 
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
-    _serve(lambda: open_model(data, model, query, beside), host, port)
+    _serve(lambda: open_model(data, model, query, beside), host, port, door)
 
 
 def run_saved(
-    data: Path, saved: Path, n_parts: int = 1, query: str | None = None, host: str = "127.0.0.1", port: int = 8080
+    data: Path,
+    saved: Path,
+    n_parts: int = 1,
+    query: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    door: Entry | None = None,
 ) -> None:
     """The same for a saved `pytorch_result.mat` of descriptors of `n_parts` parts, and the pictures it is of."""
-    _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port)
+    _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port, door)
 
 
-def _serve(opened: Callable[[], Exhibit], host: str, port: int) -> None:
+def _serve(opened: Callable[[], Exhibit], host: str, port: int, door: Entry | None) -> None:
     host = host or "0.0.0.0"
     _check_free(host, port)
-    app = App(opened(), host, port)
+    app = App(opened(), host, port, door)
     port = app.server.get_port()
-    shown = "127.0.0.1" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-    if host not in ("127.0.0.1", "localhost", "::1"):
-        print(f"Listening on {host}: anyone who reaches port {port} can use this, without a password.", flush=True)
-    print(f"LPN Explorer is ready: http://{shown}:{port}  (stop with Ctrl-C)", flush=True)
+    if not is_loopback(host):
+        print(
+            f"Listening on {host}: who reaches port {port} and has the token can use this. What is sent is not encrypted: "
+            "docs/serving.md says how to have it so.",
+            flush=True,
+        )
+    print(f"LPN Explorer is ready: {app.door.link(port)}  (stop with Ctrl-C)", flush=True)
     try:
         while True:
             time.sleep(3600)

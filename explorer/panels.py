@@ -10,21 +10,17 @@ from random import Random
 from typing import Any, cast
 
 import viser
+from viser import UploadedFile
 
-from explorer import pages, session
+from explorer import pages, session, upload
 from explorer.cards import SHOWN
 from explorer.exhibit import Answer, Exhibit, Task
 from explorer.html import Html
-from explorer.session import State, Upload
-from lpn import images
-from lpn.errors import LPNError, PictureError
-from lpn.files import printable
+from explorer.session import State
+from lpn.errors import LPNError
 from lpn.metrics import IntArray
 
 THUMBS = 12
-MAX_UPLOAD = 30_000_000
-LARGEST_SIDE = 1600
-"""Uploads are shrunk to this many pixels a side, so that turning them stays quick."""
 LEFT, RIGHT, NARROW = 290, 370, 330
 """Pixels of the panels' widths; NARROW is the right one's where the left one is folded to a strip."""
 ALL_PARTS = "All parts"
@@ -49,6 +45,7 @@ class Panels:
         self.order: Callable[[State], IntArray | None] = lambda _: None
         """The queries that next and previous go through; None for all of them."""
         self._writer: int | None = None
+        self._reading = threading.Lock()
         gui = client.gui
         self._left = left = gui.add_panel()
         with left.add_tab("Query", viser.Icon.DRONE):
@@ -373,18 +370,21 @@ class Panels:
         return compared
 
     def _uploaded(self, _: Any) -> None:
-        file = self._upload.value
+        if not self._reading.acquire(blocking=False):
+            self.say("Picture not taken", "The one before it is still being read; send it again.")
+            return
         try:
-            if len(file.content) > MAX_UPLOAD:
-                raise PictureError(
-                    f"The picture has {len(file.content) / 1e6:.0f} MB; up to 30 MB are taken, so make it smaller."
-                )
-            name = printable(file.name.replace("\\", "/").rsplit("/", 1)[-1][:80])
-            upload = Upload(name, images.shrink(images.decode_picture(file.content, name), LARGEST_SIDE))
+            file = self._upload.value
+            if not file.name:  # two came at once, and the later has been read in place of both
+                return
+            self._upload._impl.value = UploadedFile("", b"")  # viser would keep the bytes
+            taken = upload.read(file.name, file.content)
         except LPNError as error:
             self.say("Picture not taken", str(error))
             return
-        self._change(lambda s: replace(session.upright(s), upload=upload, selected=None))
+        finally:
+            self._reading.release()
+        self._change(lambda s: replace(session.upright(s), upload=taken, selected=None))
 
     def _watch(self, *handles: Any) -> None:
         """Any control that changes makes all be read: the page may have merged two changes into one."""

@@ -48,19 +48,27 @@ class Explore:
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
     host: str = "127.0.0.1"
-    """Address to listen on; any other than 127.0.0.1 lets other machines in, without a password."""
+    """Address to listen on; any other than 127.0.0.1 lets other machines in, who need the token in the link that is printed."""
     port: int = 8080
     """Port to listen on."""
+    token: str | None = None
+    """Token to ask for, of 12 characters or more; others see it in the list of processes, so better set LPN_TOKEN to it."""
+    ask_token: bool = False
+    """Ask for a token on 127.0.0.1 too, where other users of this machine could come in otherwise."""
+    allow_host: tuple[str, ...] = ()
+    """Further names the page is opened by, such as that of a reverse proxy (docs/serving.md)."""
 
     def run(self) -> None:
         from explorer.app import run, run_saved
+        from explorer.entry import entry
 
+        door = entry(self.host or "0.0.0.0", self.token, self.ask_token, self.allow_host)
         if self.saved is not None:
             if self.data is None or self.model is not None or self.beside is not None:
                 raise InputError(
                     "A saved result is explored with its data set and without a model; give --saved and --data."
                 )
-            run_saved(self.data, self.saved, _parts_of(self.n_parts), self.query, self.host, self.port)
+            run_saved(self.data, self.saved, _parts_of(self.n_parts), self.query, self.host, self.port, door)
             return
         _only_saved(self.n_parts)
         if self.data is not None and self.model is None:
@@ -70,7 +78,7 @@ class Explore:
                 "The demo is not part of this installation; give a data set with --data and a model with --model."
             )
         query = DEMO_QUERY if self.data is None and self.query is None else self.query
-        run(self.data or DEMO, self.model or DEMO / "lpn.onnx", query, self.host, self.port, self.beside)
+        run(self.data or DEMO, self.model or DEMO / "lpn.onnx", query, self.host, self.port, self.beside, door)
 
 
 @dataclass

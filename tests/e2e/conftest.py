@@ -8,7 +8,7 @@ import shutil
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,7 +47,13 @@ class Running:
 
 @contextmanager
 def started(
-    data: Path, model: Path, cache: Path, default: bool = False, saved: Path | None = None, beside: Path | None = None
+    data: Path,
+    model: Path,
+    cache: Path,
+    default: bool = False,
+    saved: Path | None = None,
+    beside: Path | None = None,
+    options: Sequence[str] = (),
 ) -> Iterator[Running]:
     """`lpn explore` as a process of its own; by default it is told neither data nor model, or a saved result for a model."""
     with socket.socket() as probe:
@@ -56,7 +62,7 @@ def started(
     source = ["--model", model] if saved is None else ["--saved", saved, "--n-parts", "4"]
     source += [] if beside is None else ["--beside", beside]
     chosen = [] if default else ["--data", data, *source]
-    command = [sys.executable, "-m", "lpn.cli", "explore", *chosen, "--port", str(port)]
+    command = [sys.executable, "-m", "lpn.cli", "explore", *chosen, "--port", str(port), *options]
     environment = {**os.environ, "LPN_CACHE": str(cache)}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert process.stdout is not None

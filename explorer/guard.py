@@ -1,0 +1,251 @@
+"""Stands in front of viser's page and websocket: nothing of a request or message reaches viser before it was looked at.
+
+viser 1.1.1 hands its page, its websocket's handler, and its limits to `websockets.asyncio.server.serve`, and offers no place
+for a check of its own. While it does so, `Guard.before` gives it another `serve`, which puts the checks in front; viser's own
+code is not changed, and where it does otherwise than expected nobody is let in.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import http
+import inspect
+import logging
+import threading
+from collections.abc import Awaitable, Callable
+from html import escape
+from typing import Any
+
+import viser
+import viser._messages as viser_messages
+import viser.infra._infra as viser_infra
+import websockets.asyncio.server
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request as WebRequest
+from websockets.http11 import Response
+
+from explorer.entry import Entry, Onward, Refusal, Request
+from explorer.inbox import MESSAGE_BYTES, Inbox, UnfitError, strange
+from explorer.turnstile import Turnstile
+from lpn.errors import MissingPackageError
+
+log = logging.getLogger(__name__)
+
+Page = Callable[[ServerConnection, WebRequest], Any]
+
+_MAKING = threading.Lock()
+_BUSY = Refusal(
+    429, "Too many wrong tokens", "Too many wrong tokens came from your address. Wait some seconds.", ask=True
+)
+_BROKEN = Refusal(503, "The server is not ready", "Its parts do not fit together; its log says more.")
+_BARE = "form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
+_STYLE = (
+    "body{font:16px/1.5 system-ui,sans-serif;max-width:34em;margin:12vh auto;padding:0 1em;color:#222;background:#fff}"
+    "h1{font-size:1.3em}input,button{font:inherit;padding:.3em .6em}"
+    "@media(prefers-color-scheme:dark){body{color:#ddd;background:#1a1b1e}a{color:#56b4e9}}"
+)
+
+
+class Guard:
+    """The guard of one server.
+
+    Args:
+        entry: the rules.
+
+    Raises:
+        MissingPackageError: when viser is not one that the guard knows.
+    """
+
+    def __init__(self, entry: Entry) -> None:
+        self.entry = entry
+        self._turnstile = Turnstile()
+        self._served = False
+        if found := strange(viser_messages):
+            raise _unknown(", ".join(found))
+        if not hasattr(viser_infra, "websockets"):
+            raise _unknown("the way it starts its server")
+
+    def before(self, make: Callable[[], viser.ViserServer]) -> viser.ViserServer:
+        """The server that `make` makes, with this guard before it.
+
+        Raises:
+            MissingPackageError: when viser did not take the guard; the server is stopped.
+        """
+        infra: Any = viser_infra
+        with _MAKING:
+            plain = infra.websockets
+            serving = _Instead(plain.asyncio.server, serve=self._serve)
+            infra.websockets = _Instead(plain, asyncio=_Instead(plain.asyncio, server=serving))
+            try:
+                server = make()
+            finally:
+                infra.websockets = plain
+        if not self._served:
+            server.stop()
+            raise _unknown("the way it starts its server")
+        return server
+
+    def _serve(self, handler: Callable[[ServerConnection], Awaitable[None]], *where: Any, **settings: Any) -> Any:
+        """What viser calls in place of websockets' own. It must not raise: viser would wait for ever."""
+        self._served = True
+        page = settings.pop("process_request", None)
+        settings |= {"max_size": MESSAGE_BYTES, "create_connection": _Connection, "server_header": None}
+        return websockets.asyncio.server.serve(
+            functools.partial(_attended, handler),
+            *where,
+            process_request=functools.partial(self._answer, page),
+            **settings,
+        )
+
+    async def _answer(self, page: Page | None, connection: ServerConnection, asked: WebRequest) -> Response | None:
+        """The answer to a request; None to go on to the websocket."""
+        if page is None:
+            return _refused(_BROKEN)
+        port = int(connection.local_address[1])
+        request = _read(connection, asked)
+        if self.entry.guessed_at(request) and self._turnstile.full(request.address):
+            return _refused(_BUSY)
+        found = self.entry.check(request, port)
+        if isinstance(found, Onward):
+            return _led_on(found, self.entry.cookie(request, port))
+        if found is not None:
+            return _refused(await self._slowed(found, request.address))
+        answer = page(connection, asked)
+        answer = await answer if inspect.isawaitable(answer) else answer
+        if request.upgrade:
+            return None if answer is None else _refused(_BROKEN)
+        return _refused(_BROKEN) if answer is None else _hardened(answer, request.one("host"))
+
+    async def _slowed(self, refusal: Refusal, address: str) -> Refusal:
+        if not refusal.guessed:
+            return refusal
+        seconds = self._turnstile.enter(address)
+        log.warning("A wrong token came from %s", address)
+        try:
+            await asyncio.sleep(seconds)
+        finally:
+            self._turnstile.leave(address)
+        return refusal
+
+
+class _Instead:
+    """A module with some of its names replaced."""
+
+    def __init__(self, module: Any, **names: Any) -> None:
+        self.__dict__.update(names)
+        self._module = module
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+
+class _Connection(ServerConnection):
+    """A browser's connection, of which viser reads only messages that fit."""
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self._inbox = Inbox()
+
+    async def recv(self, decode: bool | None = None) -> Any:
+        """The next message that fits, as bytes."""
+        while True:
+            raw = await super().recv(decode)
+            if seconds := self._inbox.wait():
+                await asyncio.sleep(seconds)
+            if (message := self._inbox.read(raw)) is not None:
+                return message
+
+
+async def _attended(handler: Callable[[ServerConnection], Awaitable[None]], connection: ServerConnection) -> None:
+    """viser's handler; what a browser breaks ends its own connection, with one line in the log."""
+    asyncio.get_running_loop().set_exception_handler(_failed)
+    try:
+        await handler(connection)
+    except UnfitError as error:
+        log.info("Closed a connection that sent %s", error)
+        await connection.close(1007, "no message")
+    except ConnectionClosed:
+        pass
+    except Exception as error:
+        log.info("Closed a connection: %s", _said(error))
+        await connection.close(1011)
+
+
+def _failed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """viser runs each message in a task of its own, where a value that a control cannot have fails."""
+    error = context.get("exception")
+    if isinstance(error, Exception):
+        log.debug("A message failed: %s", _said(error))
+    else:
+        loop.default_exception_handler(context)
+
+
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {str(error)[:200]!r}"
+
+
+def _read(connection: ServerConnection, asked: WebRequest) -> Request:
+    headers: dict[str, list[str]] = {}
+    for name, value in asked.headers.raw_items():
+        headers.setdefault(name.lower(), []).append(value)
+    remote = connection.remote_address
+    address = str(remote[0]) if isinstance(remote, tuple) else ""
+    upgrade = any("websocket" in value.lower() for value in headers.get("upgrade", ()))
+    return Request(asked.path, headers, upgrade, address)
+
+
+def _hardened(answer: Response, host: str) -> Response:
+    """viser's page, told to load and to connect to nothing but its own server, and to be in no other site's frame."""
+    own = f"'self' ws://{host} wss://{host}"  # not every browser takes 'self' for the websocket's, too
+    answer.headers["Content-Security-Policy"] = (
+        "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
+        f"img-src 'self' data: blob:; font-src 'self' data:; connect-src {own} data: blob:; worker-src 'self' blob: data:; "
+        "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'self'"
+    )
+    answer.headers["X-Content-Type-Options"] = "nosniff"
+    answer.headers["Referrer-Policy"] = "no-referrer"
+    return answer
+
+
+def _refused(refusal: Refusal) -> Response:
+    form = (
+        "<form method=get action=./><input name=token type=password aria-label=Token placeholder=Token autofocus> "
+        "<button>Open</button></form><p><a href=./>Open again</a></p>"
+    )
+    body = f"<h1>{escape(refusal.title)}</h1><p>{escape(refusal.text)}</p>{form if refusal.ask else ''}"
+    return _html(refusal.status, refusal.title, body)
+
+
+def _led_on(onward: Onward, cookie: str) -> Response:
+    location = escape(onward.location)
+    body = f'<meta http-equiv=refresh content="0;url={location}"><p><a href="{location}">Go on</a></p>'
+    answer = _html(200, "LPN Explorer", body)
+    if onward.sign_in:
+        answer.headers["Set-Cookie"] = cookie
+    return answer
+
+
+def _html(status: int, title: str, body: str) -> Response:
+    head = f'<meta charset=utf-8><meta name=viewport content="width=device-width"><title>{title}</title>'
+    content = f"<!doctype html><html lang=en>{head}<style>{_STYLE}</style>{body}</html>".encode("utf-8", "replace")
+    headers = Headers(
+        {
+            "Content-Type": "text/html; charset=utf-8",
+            "Content-Length": str(len(content)),
+            "Content-Security-Policy": f"default-src 'none'; style-src 'unsafe-inline'; {_BARE}",
+            "X-Content-Type-Options": "nosniff",
+            "Referrer-Policy": "no-referrer",
+            "Cache-Control": "no-store",
+            "Connection": "close",
+        }
+    )
+    return Response(status, http.HTTPStatus(status).phrase, headers, content)
+
+
+def _unknown(what: str) -> MissingPackageError:
+    return MissingPackageError(
+        f"viser {viser.__version__} differs from 1.1.1 in {what}, so its page cannot be guarded; install viser==1.1.1."
+    )

@@ -1,0 +1,252 @@
+"""Names and texts that are scripts, other web sites, and the token, in a real browser."""
+
+from __future__ import annotations
+
+import csv
+import functools
+import http.server
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from PIL import Image, PngImagePlugin
+from playwright.sync_api import Browser, BrowserContext, Page, expect
+
+from tests import worlds
+from tests.e2e.conftest import Explorer, Running, started
+
+# Without slashes, so that a folder can have such a name.
+NAMES = [
+    "<img src=x onerror=window.hurt=1>",
+    '"><img src=x onerror=window.hurt=2>',
+    "'><svg onload=window.hurt=3>",
+    "');window.hurt=4;('",
+    "[x](javascript:window.hurt=5)",
+    "&lt;img src=x onerror=window.hurt=6&gt;",
+    "`+(window.hurt=7)+`${window.hurt=7}",
+]
+TEXT = (
+    "</textarea></style><script>window.hurt=8</script><img src=x onerror=window.hurt=9>\"'>"
+    "<iframe src='javascript:parent.hurt=10'>"
+)
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Pairs of drawn places whose names, notes, and data are scripts."""
+    root = tmp_path_factory.mktemp("hostile") / "<b onclick=window.hurt=11>"
+    told = PngImagePlugin.PngInfo()
+    for key in ("Title", "Comment", "Software"):
+        told.add_text(key, TEXT)
+    pairs, positions, weather, notes = [], [], [], []
+    for number, name in enumerate(NAMES):
+        tile, photo = f"tiles/{name}/tile.png", f"photos/{name}/<img src=x onerror=window.hurt=12>.png"
+        for path, picture in ((tile, worlds.place(number)), (photo, worlds.from_drone(worlds.place(number), number))):
+            worlds.write(root / path, picture)
+            Image.open(root / path).save(root / path, pnginfo=told)
+            positions.append([path, f"{46 + 0.001 * number:.4f}", "7"])
+            weather.append([path, TEXT, NAMES[1]])
+        pairs.append([tile, photo])
+        notes.append([photo, "onerror javascript", TEXT])
+    written(root / "pairs.csv", ["satellite", "drone"], pairs)
+    written(root / "geo.csv", ["path", "latitude", "longitude"], positions)
+    written(root / "metadata.csv", ["path", "weather", "it's &lt;b&gt;"], weather)
+    written(root / "notes.csv", ["path", "tags", "note"], notes)
+    return root
+
+
+def written(file: Path, header: list[str], rows: list[list[str]]) -> None:
+    """Write a table."""
+    with file.open("w", newline="") as stream:
+        csv.writer(stream).writerows([header, *rows])
+
+
+@dataclass
+class Walk:
+    """What a walk through all of the page met."""
+
+    page: Page
+    url: str
+    asked: list[str] = field(default_factory=list)
+    sockets: list[str] = field(default_factory=list)
+    alarms: list[str] = field(default_factory=list)
+    seen: set[str] = field(default_factory=set)
+
+
+@pytest.fixture(scope="module")
+def walk(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Iterator[Walk]:
+    """Every room of the page visited: the pair, the map, the laboratory's tabs, the window of reasons, an upload."""
+    folder = tmp_path_factory.mktemp("walk")
+    with started(places, model_file, folder / "cache") as running:
+        context = browser.new_context(viewport={"width": 1456, "height": 835})
+        context.add_init_script("localStorage.setItem('lpn-tour', 'seen')")
+        walked = Walk(context.new_page(), running.url)
+        page = walked.page
+        page.on("request", lambda request: walked.asked.append(request.url))
+        page.on("websocket", lambda socket: walked.sockets.append(socket.url))
+        page.on("dialog", lambda dialog: (walked.alarms.append(dialog.message), dialog.dismiss()))
+        page.on("pageerror", lambda error: walked.alarms.append(str(error)))
+        visit(walked, folder)
+        yield walked
+        context.close()
+
+
+def visit(walk: Walk, folder: Path) -> None:
+    """Go through the rooms, and note which of the texts each shows."""
+    explorer, page = Explorer(walk.page), walk.page
+
+    def look() -> None:
+        page.wait_for_timeout(400)
+        shown = page.locator("body").inner_text()
+        walk.seen |= {text for text in (*NAMES, TEXT[:40]) if text in shown}
+
+    explorer.open(walk.url)
+    look()
+    for number in range(1, len(NAMES)):
+        explorer.key("n")
+        explorer.expect_status("query", str(number))
+        look()
+    explorer.key("m")
+    look()
+    explorer.key("m")
+    explorer.key("b")
+    rows = page.locator("#lpn-lab-table tbody tr")
+    expect(rows.first).to_be_visible(timeout=30_000)
+    look()
+    for tab in page.locator(".lab-bar .seg a").all():
+        tab.click()
+        look()
+    page.locator(".lab-bar .seg a").first.click()
+    rows.nth(1).click()
+    expect(page.locator("#lpn-lab-table tr.chosen")).to_have_count(1)
+    expect(page.locator("#lpn-lab-note")).to_have_value(TEXT)
+    page.locator("#lpn-lab-tags").fill("onload night")
+    page.locator("#lpn-lab-tags").blur()
+    expect(page.locator("#lpn-lab-message")).to_contain_text("Saved")
+    page.locator("#lpn-lab-tags").fill("<img/src=x/onerror=window.hurt=13>")
+    page.locator("#lpn-lab-tags").blur()
+    expect(page.locator("#lpn-lab-message")).to_contain_text("Not saved")
+    page.locator("#lpn-lab-where").fill('note ~ "<img src=x onerror=window.hurt=14>"')
+    page.locator("#lpn-lab-where").blur()
+    look()
+    explorer.key("b")
+    explorer.key("y")
+    for tab in ("True against wrong", "Turn, shift, zoom", "Search by region", "Two models"):
+        found = page.get_by_role("tab", name=tab)
+        if found.count():
+            found.click()
+            look()
+    explorer.key("y")
+    own = folder / NAMES[0]
+    worlds.write(own.with_suffix(".png"), worlds.place(77))
+    page.locator("input[type=file]").set_input_files(str(own.with_suffix(".png")))
+    explorer.expect_status("name", own.with_suffix(".png").name)
+    look()
+    explorer.fill("Find name", NAMES[1])
+    look()
+    own.write_bytes(b"<svg onload=window.hurt=15>")
+    page.locator("input[type=file]").set_input_files(str(own))
+    expect(page.get_by_text("is not a picture that can be read")).to_be_visible()
+    look()
+
+
+def test_names_and_texts_are_shown_as_text_and_none_of_them_runs(walk: Walk) -> None:
+    assert walk.page.evaluate("window.hurt") is None
+    assert not walk.alarms
+    assert walk.seen >= set(NAMES)
+
+
+def test_the_browser_asks_nobody_but_the_server(walk: Walk) -> None:
+    server = urlsplit(walk.url).netloc
+    asked = {urlsplit(url) for url in walk.asked}
+    assert {url.netloc for url in asked if url.scheme not in ("data", "blob")} == {server}
+    assert {url.scheme for url in asked} <= {"http", "data", "blob"}
+    assert {urlsplit(url).netloc for url in walk.sockets} == {server}
+
+
+def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
+    app: Running, contexts: Callable[..., BrowserContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("LPN_TOKEN", raising=False)
+    with started(app.data, app.model, tmp_path / "cache", options=["--ask-token"]) as running:
+        plain, _, query = running.url.partition("?")
+        context = contexts()
+        page = context.new_page()
+        page.goto(plain)
+        expect(page.get_by_role("heading")).to_have_text("A token is needed")
+        page.get_by_label("Token").fill("a wrong one given")
+        page.get_by_role("button", name="Open").click()
+        expect(page.get_by_role("heading")).to_have_text("Wrong token")
+        explorer = Explorer(page)
+        explorer.open(f"{running.url}&query=0008")
+        explorer.expect_status("name", "0008")
+        assert "token" not in page.url
+        assert query.partition("=")[2] not in page.content()
+        assert "lpn-" not in page.evaluate("document.cookie"), "no script reads it"
+        with elsewhere(tmp_path, f"<a href='{plain}?query=0009'>a link in somebody's message</a>") as site:
+            other = context.new_page()
+            other.goto(site)
+            other.get_by_role("link").click()
+            Explorer(other).expect_status("name", "0009")
+            stranger = contexts().new_page()
+            stranger.goto(site)
+            stranger.get_by_role("link").click()
+            expect(stranger.get_by_role("heading")).to_have_text("A token is needed")
+            stranger.goto(site)
+            stranger.evaluate(f"document.querySelector('a').href = {running.url!r}")
+            stranger.get_by_role("link").click()
+            Explorer(stranger).expect_status("name", "0007")
+
+
+def test_another_site_cannot_drive_a_server_on_this_machine(
+    app: Running, contexts: Callable[..., BrowserContext], tmp_path: Path
+) -> None:
+    page = contexts().new_page()
+    with elsewhere(tmp_path, "<p>another site") as site:
+        page.goto(site)
+        said = page.evaluate(
+            """url => new Promise(done => {
+                const socket = new WebSocket(url.replace("http", "ws"), ["viser-v1.1.1"]);
+                socket.onopen = () => done("open");
+                socket.onerror = () => done("refused");
+            })""",
+            app.url,
+        )
+        assert said == "refused"
+        framed = page.evaluate(
+            """url => new Promise(done => {
+                const frame = document.body.appendChild(document.createElement("iframe"));
+                frame.onload = () => setTimeout(() => done(frame.contentWindow.length), 500);
+                frame.src = url;
+            })""",
+            app.url,
+        )
+        assert framed == 0
+        assert all("blocked" in frame.url or "chrome-error" in frame.url for frame in page.frames[1:])
+        page.goto(f"{app.url}/?websocket={site.replace('http', 'ws')}")
+        expect(page.get_by_role("heading")).to_have_text("This address leads elsewhere")
+
+
+@contextmanager
+def elsewhere(folder: Path, content: str) -> Iterator[str]:
+    """The address of another site, with one page."""
+
+    class Quiet(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            pass
+
+    (folder / "site").mkdir(exist_ok=True)
+    (folder / "site" / "index.html").write_text(f"<!doctype html><body>{content}")
+    handler = functools.partial(Quiet, directory=os.fspath(folder / "site"))
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://localhost:{server.server_address[1]}/"  # another host than 127.0.0.1, so another site
+    finally:
+        server.shutdown()
+        server.server_close()
