@@ -15,6 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
+from lpn.checksums import BLANK, SEAL, check_entries, check_seal, sealed
 from lpn.errors import ModelFileError
 from lpn.files import fingerprint, write_whole
 from lpn.model import FloatArray, Heads, Model, Pass
@@ -25,6 +26,7 @@ from lpn.spec import BRANCH, ModelSpec, View
 log = logging.getLogger(__name__)
 
 FORMAT = "lpn-explorer/1"
+_AGAIN = "copy it again from where it came, or make it again"
 
 
 class TorchModel(Model):
@@ -93,8 +95,8 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None) ->
     """
     own = _own_keys(network)
     tensors = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items() if k in own}
-    metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json()}
-    write_whole(Path(path), save_tensors(tensors, metadata))
+    metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json(), SEAL: BLANK}
+    write_whole(Path(path), sealed(save_tensors(tensors, metadata)))
 
 
 def backbone_in(path: Path) -> str:
@@ -188,6 +190,9 @@ def _fill(network: LPN, state: State, name: str) -> None:
 
 
 def _read_pth(path: Path) -> State:
+    check_entries(
+        path, f"{_AGAIN}, or save it again where it was saved with torch.serialization.set_crc32_options(False)"
+    )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -212,11 +217,15 @@ def _read_pth(path: Path) -> State:
 
 
 def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
+    sealed_file = check_seal(path, _AGAIN)
     try:
         with safe_open(str(path), framework="pt") as file:
-            return {key: file.get_tensor(key) for key in file.keys()}, file.metadata() or {}  # noqa: SIM118
+            state, metadata = {key: file.get_tensor(key) for key in file.keys()}, file.metadata() or {}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise ModelFileError(f"{path.name} is not a .safetensors file or is truncated ({error}).") from error
+    if SEAL in metadata and not sealed_file:
+        raise ModelFileError(f"{path.name} is damaged, its checksum being none; {_AGAIN}.")
+    return state, metadata
 
 
 def _read_safetensors(path: Path) -> tuple[ModelSpec, State]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 
+from lpn.checksums import check_entries
 from lpn.errors import InputError, ModelFileError
 from lpn.files import write_whole
 from lpn.recipes import Recipe
@@ -60,6 +61,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> State:
     """
     if not path.is_file():
         raise InputError(f"There is no {path.name} in {path.parent} to resume from; start without --resume.")
+    check_entries(path, "start the run again without --resume, in another --out")
     try:
         values: Any = torch.load(path, map_location="cpu", weights_only=True)
         saved = json.loads(values["recipe"])

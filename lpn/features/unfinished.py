@@ -38,7 +38,7 @@ class Unfinished:
         self._part, planned, self._progress = (out / n for n in ("descriptors.part", "planned.json", "progress.json"))
         self._precision = manifest.precision
         left = _interrupted(manifest, self._part, planned, self._progress)
-        known = {} if before is None else _known(manifest, before.manifest, before.descriptors)
+        known = {} if before is None else _known(manifest, before.manifest, before.descriptors, ~before.damaged())
         if left is not None and left[0] == manifest:
             self.good = left[2]
             self._array = np.lib.format.open_memmap(self._part, mode="r+")
