@@ -78,6 +78,9 @@ def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchMod
     else:
         state = _read_pth(path)
         spec = infer_spec(state, read_options(path.with_name("opts.yaml")), path.name)
+    # Without memory first: what a file claims to be may be far larger than what is in it.
+    with torch.device("meta"):
+        _check_fits(LPN(spec), state, path.name)
     network = LPN(spec)
     _fill(network, state, path.name)
     return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()))
@@ -162,11 +165,18 @@ def _own_keys(network: LPN) -> set[str]:
     return {key for key in network.state_dict() if not key.startswith(aliases or ("\0",))}
 
 
-def _fill(network: LPN, state: State, name: str) -> None:
+def _entries(network: LPN, state: State) -> tuple[State, State]:
+    """A network's own tensors, and those of a file under the network's names."""
     own = _own_keys(network)
     target = {k: v for k, v in network.state_dict().items() if k in own}
     if network.spec.n_parts == 1:
         state = {re.sub(r"^classifier0\.", "classifier.", k): v for k, v in state.items()}
+    return target, state
+
+
+def _check_fits(network: LPN, state: State, name: str) -> None:
+    """Refuse a file that lacks entries of the network, or has some of another shape or kind."""
+    target, state = _entries(network, state)
     needed = [k for k in target if not k.endswith("num_batches_tracked") and ".classifier." not in k]
     missing = [k for k in needed if k not in state]
     if missing:
@@ -181,6 +191,10 @@ def _fill(network: LPN, state: State, name: str) -> None:
             f"In {name}, {key} has shape {tuple(state[key].shape)}; expected {tuple(target[key].shape)} for "
             f"{network.spec.describe()}."
         )
+
+
+def _fill(network: LPN, state: State, name: str) -> None:
+    target, state = _entries(network, state)
     for key, tensor in target.items():
         if key in state:
             tensor.copy_(state[key])

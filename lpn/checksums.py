@@ -75,7 +75,7 @@ def check_entries(path: Path, remedy: str) -> None:
             damaged = archive.testzip()
     except zipfile.BadZipFile:  # no archive, or one that PyTorch will refuse
         return
-    except (NotImplementedError, RuntimeError, EOFError, zlib.error, ValueError, OverflowError):
+    except (NotImplementedError, RuntimeError, EOFError, zlib.error, ValueError, OverflowError, OSError):
         damaged = "an entry"
     if damaged is not None:
         raise ModelFileError(f"{path.name} is damaged: an entry of it is not what its checksum was made of; {remedy}.")

@@ -73,7 +73,17 @@ def read_state(path: Path, recipe: Recipe, places: str) -> State:
         history, digest = json.loads(values["history"]), values["places"]
         tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler")}
         state = State(history, float(values["first_loss"]), int(values["processes"]), tensors)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, TypeError) as error:
+    except (
+        pickle.UnpicklingError,
+        RuntimeError,
+        EOFError,
+        OSError,
+        KeyError,
+        IndexError,
+        ValueError,
+        TypeError,
+        AttributeError,
+    ) as error:
         raise ModelFileError(f"{path} is damaged; start the run again without --resume, in another --out.") from error
     differs = [k for k, v in json.loads(recipe.to_json()).items() if saved.get(k) != v]
     if differs:

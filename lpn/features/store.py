@@ -23,6 +23,7 @@ import numpy.typing as npt
 from lpn.changes import Change
 from lpn.checksums import Checksums, crc_of_blocks, crc_of_values
 from lpn.errors import InputError, PictureError, StoreError
+from lpn.files import mapped
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 
@@ -227,8 +228,8 @@ def with_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
     expected = (len(manifest.rows), manifest.n_parts, manifest.embedding)
     try:
         stat = (folder / "descriptors.npy").stat()
-        descriptors = np.load(folder / "descriptors.npy", mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        descriptors = mapped(folder / "descriptors.npy")
+    except (OSError, ValueError) as error:
         raise StoreError(f"descriptors.npy in {folder} is missing or damaged; describe the pictures again.") from error
     if descriptors.shape != expected or descriptors.dtype != np.dtype(manifest.precision):
         raise StoreError(

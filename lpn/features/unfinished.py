@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from lpn.errors import LPNError, StoreError
 from lpn.features.store import FORMAT, Manifest, Store, stored, with_array
-from lpn.files import write_whole
+from lpn.files import mapped, write_whole
 from lpn.model import FloatArray
 
 _SECONDS = 1.0
@@ -132,7 +132,7 @@ def _interrupted(
     """What an interrupted run with this model, view, and change left: the manifest it planned, the rows, and which are good."""
     try:
         plan = Manifest.from_json(planned.read_bytes(), planned.name)
-        array = np.load(part, mmap_mode="r", allow_pickle=False)
+        array = mapped(part)
         expected = (len(plan.rows), manifest.n_parts, manifest.embedding)
         fits = array.shape == expected and array.dtype == np.dtype(manifest.precision)
         if not fits or not manifest.comparable(plan):
