@@ -208,9 +208,7 @@ def onnx(folder: Path) -> list[Case]:
     """Exported models, sealed and as before there were seals."""
     from fuzz.small_models import SPEC, onnx_file
     from lpn.engine import Engine
-    from tests.worlds import SIZE
 
-    del SIZE
     blank = np.ones((1, 3, *SPEC.input_size), np.float32)
 
     def read(data: bytes) -> None:
@@ -252,7 +250,6 @@ def safetensors(folder: Path) -> list[Case]:
 
 def pth(folder: Path) -> list[Case]:
     """Published checkpoints, the options beside them, and the state of a training."""
-    from dataclasses import asdict
 
     from fuzz.small_models import pth_file, state_dict
     from lpn.checkpoints import load_torch
@@ -262,9 +259,9 @@ def pth(folder: Path) -> list[Case]:
     file, options = folder / "net.pth", folder / "opts.yaml"
     whole = pth_file(state_dict())
     recipe = RECIPES["small"]
-    State([{"epoch": 1, "loss": 1.0}], 2.0, 1, dict.fromkeys(("network", "average", "optimizer", "scaler"), {})).write(
-        folder / "state.pt", recipe, "0" * 16
-    )
+    State(
+        [{"epoch": 1, "loss": 1.0}], 2.0, 1, {key: {} for key in ("network", "average", "optimizer", "scaler")}
+    ).write(folder / "state.pt", recipe, "0" * 16)
     state = (folder / "state.pt").read_bytes()
     text = (
         b"h: 64\nw: 64\nstride: 1\npool: avg\ndroprate: 0.5\nLPN: true\nblock: 2\nviews: 2\nuse_vgg16: false\nname: x\n"
@@ -279,7 +276,6 @@ def pth(folder: Path) -> list[Case]:
         (folder / "state.pt").write_bytes(data)
         read_state(folder / "state.pt", recipe, "0" * 16)
 
-    assert asdict(recipe)
     return [
         Case([whole], model),
         Case([_entry(whole, "data.pkl")], lambda data: model(_with_entry(whole, "data.pkl", data))),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import warnings
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -27,6 +28,7 @@ Picture = npt.NDArray[np.uint8]
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 MAX_PIXELS = 50_000_000
 
+_HEIC = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
 _MEAN = np.array([0.485, 0.456, 0.406], dtype=np.float32)
 _STD = np.array([0.229, 0.224, 0.225], dtype=np.float32)
 SCALE = (1.0 / (255.0 * _STD)).astype(np.float32)
@@ -79,10 +81,33 @@ def header_flaw(file: BinaryIO) -> str | None:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(file) as header:
                 width, height = header.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return "is not a picture that can be read"
+    except Image.DecompressionBombError:
+        return "has far too many pixels to be read"
+    except (
+        OSError,
+        ValueError,
+        SyntaxError,
+        RuntimeError,
+        OverflowError,
+        MemoryError,
+        LookupError,
+        TypeError,
+        struct.error,
+    ):
+        return _other_kind(file) or "is not a picture that can be read"
     if width * height > MAX_PIXELS:
         return f"has {width} x {height} pixels, too many to be read"
+    return None
+
+
+def _other_kind(file: BinaryIO) -> str | None:
+    """What a file is that people take for a picture of a usual kind."""
+    file.seek(0)
+    start = file.read(512).lstrip(b"\xef\xbb\xbf \t\r\n")
+    if start[4:8] == b"ftyp" and start[8:12] in _HEIC:
+        return "is a HEIC picture, which phones take; save it as JPEG"
+    if start.startswith(b"<svg") or (start.startswith((b"<?xml", b"<!--", b"<!DOCTYPE svg")) and b"<svg" in start):
+        return "is a drawing (SVG), not a photo; save it as PNG"
     return None
 
 

@@ -64,7 +64,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> State:
     check_entries(path, "start the run again without --resume, in another --out")
     try:
         values: Any = torch.load(path, map_location="cpu", weights_only=True)
-        saved = json.loads(values["recipe"])
+        saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         if values.get("format") != FORMAT:
             raise ModelFileError(
                 f"{path} was written by another version of lpn, whose runs cannot be resumed exactly; start anew in another "
@@ -78,8 +78,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> State:
         RuntimeError,
         EOFError,
         OSError,
-        KeyError,
-        IndexError,
+        LookupError,
         ValueError,
         TypeError,
         AttributeError,
