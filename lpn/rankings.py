@@ -130,7 +130,7 @@ def kept(sides: Sides) -> Retrieval | None:
             gallery = int(held["gallery"])
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, zlib.error, NotImplementedError):
         return None
-    except (SyntaxError, TokenError, OverflowError, MemoryError):  # a header that NumPy cannot make sense of
+    except (SyntaxError, TokenError, OverflowError, MemoryError, RuntimeError):  # a header that cannot be made sense of
         return None
     if not all(isinstance(column, np.ndarray) for column in columns):
         return None

@@ -139,7 +139,7 @@ class Manifest:
             read = cls(rows=rows, **values, checksums=None if told is None else Checksums.from_json(told))
             read._check()
             return read
-        except (ValueError, KeyError, TypeError, AttributeError, InputError) as error:
+        except (ValueError, OverflowError, KeyError, TypeError, AttributeError, RecursionError, InputError) as error:
             raise StoreError(
                 f"{name} is not a manifest of descriptors ({FORMAT}); describe the pictures again."
             ) from error

@@ -145,7 +145,7 @@ def _interrupted(
                 return None
             good[start:end] = True
         return plan, array, good
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, LPNError):
+    except (OSError, ValueError, OverflowError, KeyError, TypeError, AttributeError, RecursionError, LPNError):
         return None
 
 
