@@ -40,6 +40,17 @@ Precision = Literal["float32", "float16"]
 Position = tuple[float, float] | None
 """Latitude and longitude in degrees."""
 
+_DAMAGED = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    ArithmeticError,
+    RecursionError,
+    pa.ArrowException,
+)
+"""What is raised on a file that is no shard, by whoever notices."""
 _AT_ONCE = 32
 """Files whose metadata are read at once: it is the latency of the storage that takes the time."""
 
@@ -110,7 +121,7 @@ class Plan:
             return plan
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, TypeError) as error:
+        except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
             raise StoreError(
                 f"{PLAN} in {storage.where} cannot be read or is not one of {FORMAT}; choose another place for the shards."
             ) from error
@@ -171,7 +182,7 @@ def write_shard(
     table = pa.table(columns).replace_schema_metadata({"lpn": json.dumps(notes)})
     buffer = io.BytesIO()
     # Descriptors are as good as random: compressing them takes time and saves nothing.
-    pq.write_table(table, buffer, compression="NONE", use_dictionary=False)
+    pq.write_table(table, buffer, compression="NONE", use_dictionary=False, write_page_checksum=True)
     storage.write(shard_name(partition), buffer.getvalue())
 
 
@@ -186,7 +197,7 @@ class Contents(NamedTuple):
 def read_shard(storage: Storage, plan: Plan, partition: int) -> Contents | None:
     """A partition's shard, None where there is none or it is damaged or of another plan."""
     try:
-        table = pq.read_table(pa.BufferReader(storage.read(shard_name(partition))))
+        table = pq.read_table(pa.BufferReader(storage.read(shard_name(partition))), page_checksum_verification=True)
         notes = _notes(table.schema, plan, partition)
         if notes is None:
             return None
@@ -196,7 +207,7 @@ def read_shard(storage: Storage, plan: Plan, partition: int) -> Contents | None:
             table.column(name).to_pylist() for name in ("file", "size", "time_ns", "box", "latitude", "longitude")
         ]
         return Contents([_item(one) for one in zip(*values, strict=True)], numbers, notes.broken)
-    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
+    except _DAMAGED:
         return None
 
 
@@ -214,7 +225,7 @@ def read_notes(storage: Storage, plan: Plan, partitions: Sequence[int]) -> list[
         try:
             with storage.open(shard_name(partition)) as file:
                 return _notes(pq.read_schema(file), plan, partition)
-        except (OSError, ValueError, pa.ArrowException):
+        except _DAMAGED:
             return None
 
     with ThreadPoolExecutor(_AT_ONCE) as pool:

@@ -20,7 +20,7 @@ import pytest
 
 import lpn
 from lpn import features, index
-from lpn.errors import LPNError, StoreError
+from lpn.errors import StoreError
 from tests import worlds
 from tests.killing import Killer
 
@@ -90,11 +90,11 @@ def test_describe(model_file: Path, places: Path, tmp_path: Path, killer: Killer
     out = tmp_path / "out"
 
     def whole() -> object:
-        try:
-            store = features.open_store(out)
-        except StoreError as error:
-            assert "has no manifest.json" in str(error)
+        if not (out / "manifest.json").exists():
+            with pytest.raises(StoreError, match="has no manifest"):
+                features.open_store(out)
             return None
+        store = features.open_store(out)
         assert not store.damaged().any()
         assert not store.manifest.damaged
         return np.array(store.descriptors).round(5).tobytes(), store.manifest.rows
@@ -198,11 +198,9 @@ def test_a_store_read_while_it_is_written_is_none_or_whole(
         shutil.rmtree(out)
         shutil.copytree(before, out)
         killer.run(arguments, step=step)
-        try:
+        if (out / "manifest.json").exists():
             store = features.open_store(out)
             assert not store.damaged().any()
             assert len(store.descriptors) == len(store.manifest.rows)
-        except LPNError as error:
-            assert "has no manifest.json" in str(error)
         assert killer.run(arguments)[0] == 0, killer.log.read_text()
         assert len(features.open_store(out).descriptors) == len(features.pictures_below(pictures))
