@@ -163,7 +163,7 @@ def main() -> int:
         done, found = run(name, given.inputs, given.seed, given.keep)
         bad += len(found)
         print(f"{name}: {done:,} inputs in {time.monotonic() - started:.0f} s, {len(found)} findings", flush=True)
-        for finding in found:
+        for finding in found[:_MOST]:
             print(f"  {finding.number}: {finding.said}", flush=True)
     return 1 if bad else 0
 

@@ -216,7 +216,7 @@ def _read_pth(path: Path) -> State:
             f"{path.name} is not a PyTorch file of tensors alone, so it was not opened further (it may run code); "
             "expected a saved state_dict()."
         ) from error
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
+    except Exception as error:  # the unpickler raises anything on what it does not know
         raise ModelFileError(
             f"{path.name} is not a PyTorch file or is truncated; expected a saved state_dict."
         ) from error

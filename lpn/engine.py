@@ -130,7 +130,9 @@ def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
         raise ModelFileError(f"{path} cannot be read ({error.strerror}); check that it is readable.") from error
     try:
         session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0)
-        _ = session.get_modelmeta(), session.get_inputs(), session.get_outputs()  # whose texts may be none
+        # Whose texts may be none, which is found when they are asked for.
+        _ = session.get_modelmeta().custom_metadata_map
+        _ = [(value.name, value.shape) for value in (*session.get_inputs(), *session.get_outputs())]
     except Exception as error:  # ONNX Runtime's own classes all derive from RuntimeError or from Exception directly
         raise ModelFileError(f"{path.name} is not an ONNX model or is truncated; export the model again.") from error
     if SEAL in session.get_modelmeta().custom_metadata_map and not sealed:

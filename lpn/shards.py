@@ -116,7 +116,10 @@ class Plan:
         try:
             values: Any = json.loads(storage.read(PLAN))
             plan = cls(**values)
-            if plan.format != FORMAT or plan.partitions < 1 or plan.precision not in ("float32", "float16"):
+            whole = all(type(n) is int and 0 < n < 2**31 for n in (plan.n_parts, plan.embedding, plan.partitions))
+            if not whole or not isinstance(plan.fingerprint, str) or not isinstance(plan.view, str):
+                raise ValueError("values of another kind")
+            if plan.format != FORMAT or plan.precision not in ("float32", "float16"):
                 raise ValueError("another format")
             return plan
         except FileNotFoundError:

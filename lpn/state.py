@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,16 +72,9 @@ def read_state(path: Path, recipe: Recipe, places: str) -> State:
         history, digest = json.loads(values["history"]), values["places"]
         tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler")}
         state = State(history, float(values["first_loss"]), int(values["processes"]), tensors)
-    except (
-        pickle.UnpicklingError,
-        RuntimeError,
-        EOFError,
-        OSError,
-        LookupError,
-        ValueError,
-        TypeError,
-        AttributeError,
-    ) as error:
+    except ModelFileError:
+        raise
+    except Exception as error:  # the unpickler raises anything on what it does not know
         raise ModelFileError(f"{path} is damaged; start the run again without --resume, in another --out.") from error
     differs = [k for k, v in json.loads(recipe.to_json()).items() if saved.get(k) != v]
     if differs:
