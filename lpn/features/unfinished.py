@@ -48,7 +48,7 @@ class Unfinished:
             self.good = np.zeros(len(manifest.rows), np.bool_)
             shape = (len(manifest.rows), manifest.n_parts, manifest.embedding)
             fresh = self._part.with_name(self._part.name + ".new")
-            self._array = np.lib.format.open_memmap(fresh, mode="w+", dtype=manifest.precision, shape=shape)
+            self._array = _reserved(fresh, manifest.precision, shape)
             self._take(known)
             self._array.flush()
             # What was left is let go of only when the new array has it.
@@ -76,6 +76,19 @@ class Unfinished:
             if not self.good[i]:
                 self._array[i] = row
                 self.good[i] = True
+
+
+def _reserved(path: Path, precision: str, shape: tuple[int, ...]) -> np.memmap[Any, Any]:
+    """A new array on disk that has its room there: a disk that fills up under a mapped file ends the process without a word."""
+    try:
+        array: np.memmap[Any, Any] = np.lib.format.open_memmap(path, mode="w+", dtype=precision, shape=shape)
+        if hasattr(os, "posix_fallocate"):
+            with path.open("r+b") as file:
+                os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
+    return array
 
 
 def renamed_only(folder: Path) -> bool:
