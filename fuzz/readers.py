@@ -22,6 +22,7 @@ from random import Random
 from typing import Any
 
 from fuzz.mutation import mutated
+from fuzz import targets
 from fuzz.targets import TARGETS, Case, complaint, described
 
 SLOW = 2.0
@@ -49,11 +50,14 @@ def an_input(name: str, cases: Sequence[Case], number: int, seed: int = 0) -> tu
     return case, mutated(case.seeds, rng)
 
 
-def run(name: str, inputs: int, seed: int = 0, keep: Path | None = None) -> tuple[int, list[Finding]]:
+def run(
+    name: str, inputs: int, seed: int = 0, keep: Path | None = None, stuck: float = STUCK
+) -> tuple[int, list[Finding]]:
     """Give a reader damaged inputs in processes that are watched.
 
     Args:
         keep: folder for inputs that were not borne.
+        stuck: seconds after which an input is taken to come to no end.
 
     Returns:
         How many inputs were read, and what was found; after 20 findings it is given up.
@@ -61,11 +65,11 @@ def run(name: str, inputs: int, seed: int = 0, keep: Path | None = None) -> tupl
     found: list[Finding] = []
     first = 0
     while first < inputs and len(found) < _MOST:
-        first = _watched(name, range(first, inputs), seed, keep, found)
+        first = _watched(name, range(first, inputs), seed, keep, found, stuck)
     return first, found
 
 
-def _watched(name: str, numbers: range, seed: int, keep: Path | None, found: list[Finding]) -> int:
+def _watched(name: str, numbers: range, seed: int, keep: Path | None, found: list[Finding], stuck: float) -> int:
     """One process, until it is done or must be ended; the number of the next input."""
     context = multiprocessing.get_context("spawn")
     current = context.Value("q", -1, lock=False)
@@ -81,8 +85,8 @@ def _watched(name: str, numbers: range, seed: int, keep: Path | None, found: lis
                 found.append(here.recv())
         except EOFError:
             break
-        if current.value >= 0 and time.monotonic() - began.value > STUCK:
-            said = f"came to no end in {STUCK:g} s"
+        if current.value >= 0 and time.monotonic() - began.value > stuck:
+            said = f"came to no end in {stuck:g} s"
             process.kill()
             break
         if len(found) >= _MOST:
@@ -100,7 +104,7 @@ def _watched(name: str, numbers: range, seed: int, keep: Path | None, found: lis
 
 def _work(name: str, numbers: range, seed: int, keep: Path | None, to: Connection, current: Any, began: Any) -> None:
     with tempfile.TemporaryDirectory(prefix="lpn-fuzz-") as folder:
-        cases = TARGETS[name](Path(folder))
+        cases = getattr(targets, name)(Path(folder))
         _bound_memory()
         # Libraries remark on what is damaged.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import time
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -442,6 +443,22 @@ def cities(folder: Path) -> list[Case]:
         read(whole[:8] + total.to_bytes(4, "little") + len(text).to_bytes(4, "little") + whole[16:20] + text + rest)
 
     return [Case([whole], read), Case([whole[20 : 20 + size]], header)]
+
+
+def misbehaving(folder: Path) -> list[Case]:
+    """What no reader may do, to test the program by: it ends the process, comes to no end, or raises, as the input says."""
+    del folder
+
+    def read(data: bytes) -> None:
+        kind = zlib.crc32(data) % 4
+        if kind == 0:
+            os.abort()
+        if kind == 1:
+            time.sleep(3600)
+        if kind == 2:
+            raise KeyError(kind)
+
+    return [Case([b"0123456789" * 10], read)]
 
 
 TARGETS: dict[str, Callable[[Path], list[Case]]] = {
