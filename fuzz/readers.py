@@ -1,7 +1,7 @@
 """Damaged input for every reader, each in a process of its own that is watched: `python -m fuzz.readers --inputs 10000`.
 
 What is reported: an exception other than LPNError, a process that ended, an input that took more than two seconds of processor
-time, or that came to no end, and more memory than a reader may take. Each such input is kept and can be read again with --again.
+time, or that came to no end, or that took far more memory than a real file. Each is kept and can be read again with --again.
 """
 
 from __future__ import annotations
@@ -21,16 +21,18 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from fuzz.mutation import mutated
 from fuzz import targets
+from fuzz.mutation import mutated
 from fuzz.targets import TARGETS, Case, complaint, described
 
 SLOW = 2.0
 """Seconds of processor time that an input may take."""
+LARGE = 400
+"""Megabytes that an input may take on top of all before it; a picture of 50 megapixels takes 150 and its copy as many."""
 STUCK = 20.0
 """Seconds after which it is taken to come to no end; other processes may take most of them."""
 MEMORY = 3 << 30
-"""Bytes of address space that a reader may take on top of what it has at its start."""
+"""Bytes of address space that a reader gets on top of what it has at its start: so none takes the machine with it."""
 _MOST = 20
 
 
@@ -108,6 +110,7 @@ def _work(name: str, numbers: range, seed: int, keep: Path | None, to: Connectio
         _bound_memory()
         # Libraries remark on what is damaged.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         for number in numbers:
             case, data = an_input(name, cases, number, seed)
             if keep is not None:
@@ -116,8 +119,10 @@ def _work(name: str, numbers: range, seed: int, keep: Path | None, to: Connectio
             spent = time.process_time()
             error = complaint(case.read, data)
             spent = time.process_time() - spent
-            if error is not None or spent > SLOW:
-                said = f"took {spent:.1f} s" if error is None else described(error)
+            peak, before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, peak
+            more = (peak - before) // 1024
+            if error is not None or spent > SLOW or more > LARGE:
+                said = f"took {spent:.1f} s and {more} MB" if error is None else described(error)
                 to.send(Finding(name, number, said))
                 if keep is not None:
                     (keep / f"{name}-{number}.bin").write_bytes(data)
