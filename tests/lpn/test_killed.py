@@ -170,7 +170,7 @@ def test_reproduce(places: Path, tmp_path: Path, killer: Killer) -> None:
         for file in out.rglob("*.safetensors"):
             opened(file)
 
-    survives(Command(arguments, whole, written), killer, out)
+    survives(Command(arguments, whole, written), killer, out, ROUNDS // 2)
 
 
 def test_a_store_read_while_it_is_written_is_none_or_whole(
