@@ -15,6 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
+from lpn.checksums import BLANK, SEAL, check_entries, check_seal, sealed
 from lpn.errors import ModelFileError
 from lpn.files import fingerprint, write_whole
 from lpn.model import FloatArray, Heads, Model, Pass
@@ -25,6 +26,7 @@ from lpn.spec import BRANCH, ModelSpec, View
 log = logging.getLogger(__name__)
 
 FORMAT = "lpn-explorer/1"
+_AGAIN = "copy it again from where it came, or make it again"
 
 
 class TorchModel(Model):
@@ -76,6 +78,9 @@ def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchMod
     else:
         state = _read_pth(path)
         spec = infer_spec(state, read_options(path.with_name("opts.yaml")), path.name)
+    # Without memory first: what a file claims to be may be far larger than what is in it.
+    with torch.device("meta"):
+        _check_fits(LPN(spec), state, path.name)
     network = LPN(spec)
     _fill(network, state, path.name)
     return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()))
@@ -93,8 +98,8 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None) ->
     """
     own = _own_keys(network)
     tensors = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items() if k in own}
-    metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json()}
-    write_whole(Path(path), save_tensors(tensors, metadata))
+    metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json(), SEAL: BLANK}
+    write_whole(Path(path), sealed(save_tensors(tensors, metadata)))
 
 
 def backbone_in(path: Path) -> str:
@@ -160,11 +165,18 @@ def _own_keys(network: LPN) -> set[str]:
     return {key for key in network.state_dict() if not key.startswith(aliases or ("\0",))}
 
 
-def _fill(network: LPN, state: State, name: str) -> None:
+def _entries(network: LPN, state: State) -> tuple[State, State]:
+    """A network's own tensors, and those of a file under the network's names."""
     own = _own_keys(network)
     target = {k: v for k, v in network.state_dict().items() if k in own}
     if network.spec.n_parts == 1:
         state = {re.sub(r"^classifier0\.", "classifier.", k): v for k, v in state.items()}
+    return target, state
+
+
+def _check_fits(network: LPN, state: State, name: str) -> None:
+    """Refuse a file that lacks entries of the network, or has some of another shape or kind."""
+    target, state = _entries(network, state)
     needed = [k for k in target if not k.endswith("num_batches_tracked") and ".classifier." not in k]
     missing = [k for k in needed if k not in state]
     if missing:
@@ -179,6 +191,10 @@ def _fill(network: LPN, state: State, name: str) -> None:
             f"In {name}, {key} has shape {tuple(state[key].shape)}; expected {tuple(target[key].shape)} for "
             f"{network.spec.describe()}."
         )
+
+
+def _fill(network: LPN, state: State, name: str) -> None:
+    target, state = _entries(network, state)
     for key, tensor in target.items():
         if key in state:
             tensor.copy_(state[key])
@@ -188,6 +204,9 @@ def _fill(network: LPN, state: State, name: str) -> None:
 
 
 def _read_pth(path: Path) -> State:
+    check_entries(
+        path, f"{_AGAIN}, or save it again where it was saved with torch.serialization.set_crc32_options(False)"
+    )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -197,7 +216,7 @@ def _read_pth(path: Path) -> State:
             f"{path.name} is not a PyTorch file of tensors alone, so it was not opened further (it may run code); "
             "expected a saved state_dict()."
         ) from error
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError, IndexError, AttributeError, TypeError) as error:
+    except Exception as error:  # the unpickler raises anything on what it does not know
         raise ModelFileError(
             f"{path.name} is not a PyTorch file or is truncated; expected a saved state_dict."
         ) from error
@@ -212,11 +231,15 @@ def _read_pth(path: Path) -> State:
 
 
 def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
+    sealed_file = check_seal(path, _AGAIN)
     try:
         with safe_open(str(path), framework="pt") as file:
-            return {key: file.get_tensor(key) for key in file.keys()}, file.metadata() or {}  # noqa: SIM118
+            state, metadata = {key: file.get_tensor(key) for key in file.keys()}, file.metadata() or {}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise ModelFileError(f"{path.name} is not a .safetensors file or is truncated ({error}).") from error
+    if SEAL in metadata and not sealed_file:
+        raise ModelFileError(f"{path.name} is damaged, its checksum being none; {_AGAIN}.")
+    return state, metadata
 
 
 def _read_safetensors(path: Path) -> tuple[ModelSpec, State]:

@@ -18,6 +18,7 @@ from lpn.commands.reasons import Explain
 from lpn.commands.report import Report
 from lpn.commands.sweep import Sweep
 from lpn.commands.using import Doctor, Evaluate, Explore
+from lpn.commands.verify import Verify
 from lpn.errors import LPNError, MissingPackageError
 
 COMMANDS: dict[str, type[Any]] = {
@@ -35,14 +36,15 @@ COMMANDS: dict[str, type[Any]] = {
     "index": MakeIndex,
     "search": Search,
     "doctor": Doctor,
+    "verify": Verify,
     "world": World,
     "reproduce": Reproduce,
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status: 0, 1 where damage was found (doctor, and describe
-    with Ray), or 2 after an error the user can mend."""
+    """Run the command line; returns the exit status: 0, 1 where damage was found (doctor, verify, and
+    describe with Ray), or 2 after an error the user can mend."""
     for stream in (sys.stdout, sys.stderr):
         # Arrows, degrees, and ticks end nothing on a terminal that has no sign for them.
         if isinstance(stream, io.TextIOWrapper):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -141,7 +141,7 @@ def examine(dataset: Dataset, decode: bool = True, report: Callable[[int, int], 
         broken=tuple(Broken(_below(dataset.root, file), why) for file, why in found.items()),
         left_out=tuple(dataset.left_out),
         lacking=(*_partial_places(lists), *_unanswered(dataset)),
-        duplicates=tuple(_duplicates(dataset.root, lists)),
+        duplicates=tuple(_duplicates(dataset.root, lists, found)),
         shared=tuple(_shared(lists)),
         positions=positions,
         gap=gap,
@@ -191,12 +191,12 @@ def _shared(lists: dict[str, list[Picture]]) -> list[int]:
     return sorted(places["train/"] & places["test/"])
 
 
-def _duplicates(root: Path, lists: dict[str, list[Picture]]) -> Iterable[tuple[str, ...]]:
+def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[Path]) -> Iterable[tuple[str, ...]]:
     """Only files of one size can be equal, so few are read."""
     digests: dict[Path, str] = {}
     for pictures in lists.values():
         by_size: dict[int, list[Picture]] = defaultdict(list)
-        for picture in pictures:
+        for picture in (picture for picture in pictures if picture.path not in broken):
             by_size[picture.path.stat().st_size].append(picture)
         for same_size in by_size.values():
             if len({picture.label for picture in same_size}) < 2:

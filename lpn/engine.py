@@ -6,16 +6,19 @@ outputs that depend on nothing, so a file explains itself and nothing but ONNX R
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import onnxruntime as ort
 
+from lpn.checksums import SEAL, check_seal
 from lpn.errors import InputError, ModelFileError
 from lpn.files import fingerprint
 from lpn.machine import usable_cores
 from lpn.model import FloatArray, Heads, Model, Pass
+from lpn.onnxfile import check_self_contained
 from lpn.spec import ModelSpec, View
 
 FORMAT = "lpn-explorer-onnx/1"
@@ -24,6 +27,7 @@ COMPUTE = "compute"
 OUTPUTS = ("parts", "features")
 HEAD_OUTPUTS = ("head_weight", "head_bias", "cells")
 SAFA_OUTPUTS = ("attention",)
+_AGAIN = "copy it again from where it came, or export the model again"
 
 
 def extra_outputs(spec: ModelSpec) -> tuple[str, ...]:
@@ -61,6 +65,7 @@ class Engine(Model):
             if file != path:
                 session = _open(file, options)
             _check_group(_metadata(session, file), metadata, group, file)
+            _check_shapes(session, self.spec, file)
             self._sessions.update(dict.fromkeys(group, session))
         self.fingerprint = fingerprint(*files)
 
@@ -68,12 +73,12 @@ class Engine(Model):
         """One forward pass of pictures (B, 3, H, W) of the model's input size."""
         self._check_size(images, view)
         names = [*OUTPUTS, *(SAFA_OUTPUTS if self.spec.pooling == "safa" else ())]
-        found = cast("list[FloatArray]", self._sessions[view].run(names, {"images": images}))
+        found = self._outputs(names, images, view)
         return Pass(found[0], found[1], found[2] if len(found) > 2 else None)
 
     def _parts(self, images: FloatArray, view: View) -> FloatArray:
         self._check_size(images, view)
-        return cast(FloatArray, self._sessions[view].run(["parts"], {"images": images})[0])
+        return self._outputs(["parts"], images, view)[0]
 
     def for_streams(self) -> Model:
         """The same model with one thread per forward pass."""
@@ -91,9 +96,20 @@ class Engine(Model):
         self.check_heads()
         if view not in self._heads:
             blank = np.zeros((1, 3, *self.input_size), np.float32)
-            outputs = self._sessions[view].run(list(HEAD_OUTPUTS), {"images": blank})
-            self._heads[view] = Heads(*(cast(FloatArray, output) for output in outputs))
+            self._heads[view] = Heads(*self._outputs(list(HEAD_OUTPUTS), blank, view))
         return self._heads[view]
+
+    def _outputs(self, names: list[str], images: FloatArray, view: View) -> list[FloatArray]:
+        """What the graph yields; ModelFileError when it fails, or yields other shapes than it says."""
+        session = self._sessions[view]
+        try:
+            found = cast("list[FloatArray]", session.run(names, {"images": images}))
+        except Exception as error:  # see `_open`
+            raise ModelFileError(f"{self._path.name} cannot be computed, so it is damaged; {_AGAIN}.") from error
+        told = {output.name: output.shape for output in session.get_outputs()}
+        if not all(_agrees(array.shape, told[name]) for name, array in zip(names, found, strict=True)):
+            raise ModelFileError(f"{self._path.name} yields other shapes than it says, so it is damaged; {_AGAIN}.")
+        return found
 
     def _check_size(self, images: FloatArray, view: View) -> None:
         self.check_view(view)
@@ -108,9 +124,20 @@ def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
     if not path.is_file():
         raise ModelFileError(f"There is no model file at {path}; check the path.")
     try:
-        return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        check_self_contained(path, _AGAIN)
+        sealed = check_seal(path, _AGAIN)
+    except OSError as error:
+        raise ModelFileError(f"{path} cannot be read ({error.strerror}); check that it is readable.") from error
+    try:
+        session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0)
+        # Whose texts may be none, which is found when they are asked for.
+        _ = session.get_modelmeta().custom_metadata_map
+        _ = [(value.name, value.shape) for value in (*session.get_inputs(), *session.get_outputs())]
     except Exception as error:  # ONNX Runtime's own classes all derive from RuntimeError or from Exception directly
         raise ModelFileError(f"{path.name} is not an ONNX model or is truncated; export the model again.") from error
+    if SEAL in session.get_modelmeta().custom_metadata_map and not sealed:
+        raise ModelFileError(f"{path.name} is damaged, its checksum being none; {_AGAIN}.")
+    return session
 
 
 def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
@@ -122,6 +149,38 @@ def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
             f"{path.name} is an ONNX model but not one written by `lpn export`; export your LPN with it."
         )
     return metadata
+
+
+def _check_shapes(session: ort.InferenceSession, spec: ModelSpec, path: Path) -> None:
+    """Refuse a graph whose inputs and outputs are not those of the architecture that the file claims."""
+    features = next(output.shape for output in session.get_outputs() if output.name == "features")
+    told = [None, *features[1:]]
+    if len(told) != 4 or not all(isinstance(side, int) and side > 0 for side in told[1:]):
+        raise ModelFileError(f"{path.name} has a feature map of shape {features}, which is none; {_AGAIN}.")
+    channels, *cells = told[1:]
+    n, size = spec.n_parts, spec.embedding
+    expected: dict[str, list[Any]] = {
+        "images": [None, 3, *spec.input_size],
+        "parts": [None, n, size],
+        "features": told,
+        "head_weight": [n, size, channels],
+        "head_bias": [n, size],
+        "cells": [n, *cells],
+        "attention": [None, n, spec.maps, *cells],
+    }
+    for value in (*session.get_inputs(), *session.get_outputs()):
+        wanted = expected.get(value.name)
+        if wanted is None or value.type != "tensor(float)" or not _agrees(value.shape, wanted):
+            raise ModelFileError(
+                f"{path.name} has {value.name} of {value.type} {value.shape}, which is not {spec.describe()} as its metadata "
+                f"say; {_AGAIN}."
+            )
+
+
+def _agrees(found: Sequence[Any], expected: Sequence[Any]) -> bool:
+    """Whether two shapes can be of one array; sides that are not known are names or None."""
+    known = [(a, b) for a, b in zip(found, expected, strict=False) if isinstance(a, int) and isinstance(b, int)]
+    return len(found) == len(expected) and all(a == b for a, b in known)
 
 
 def _check_group(found: dict[str, str], main: dict[str, str], group: tuple[View, ...], file: Path) -> None:

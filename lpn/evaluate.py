@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +22,8 @@ from lpn.model import Model
 from lpn.protocol import Protocol, averaged, sentence
 from lpn.saved import Saved
 from lpn.spec import View, views_of
+
+log = logging.getLogger(__name__)
 
 WITHIN = (25, 50, 100)
 """Distances in metres within which an answer counts as near."""
@@ -123,6 +126,10 @@ def evaluate(
     if protocol.whole:
         queries = [replace(picture, box=None) for picture in queries]
     truth = dataset.truth(task)
+    if truth is None and len({picture.label for picture in gallery}) == 1:
+        log.warning(
+            "%s shows one place only, so that every answer is right; its figures say nothing.", dataset.root.name
+        )
     if protocol.average and truth is not None:
         raise InputError(
             f"Each query of {dataset.root.name} has its own list of true matches; only queries of places with labels can be "

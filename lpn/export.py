@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from lpn.checkpoints import TorchModel, load_torch
+from lpn.checksums import BLANK, SEAL, sealed
 from lpn.engine import FORMAT, OUTPUTS, extra_outputs, graph_files
 from lpn.errors import InputError
 from lpn.files import check_writable, write_whole
@@ -130,10 +131,10 @@ def _graph(model: TorchModel, view: View, metadata: dict[str, str], storage: Sto
     _forget_origin(proto)
     if storage != "float32":
         _shrink(proto, storage)
-    onnx.helper.set_model_props(proto, metadata)
+    onnx.helper.set_model_props(proto, metadata | {SEAL: BLANK})
     buffer = io.BytesIO()
     onnx.save_model(proto, buffer)
-    return buffer.getvalue()
+    return sealed(buffer.getvalue())
 
 
 def _forget_origin(proto: onnx.ModelProto) -> None:

@@ -10,6 +10,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tokenize import TokenError
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from lpn.errors import OutputError
 
@@ -45,6 +50,25 @@ def write_whole(path: Path, data: bytes) -> None:
         with suppress(OSError):
             beside.unlink(missing_ok=True)
         raise _unwritable(path, error) from error
+
+
+def mapped(path: Path) -> npt.NDArray[Any]:
+    """The array of a `.npy` file, memory-mapped, read-only.
+
+    Raises:
+        FileNotFoundError: when there is none.
+        ValueError: when it is damaged, or holds Python objects.
+    """
+    try:
+        found: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    except FileNotFoundError:
+        raise
+    # What NumPy raises where a header is neither of today nor of Python 2.
+    except (OSError, EOFError, SyntaxError, TokenError, TypeError, OverflowError, MemoryError) as error:
+        raise ValueError("no array") from error
+    if not isinstance(found, np.ndarray):  # an archive of several
+        raise ValueError("no array")
+    return found
 
 
 def check_writable(path: Path) -> None:

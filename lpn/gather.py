@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lpn.errors import StoreError
@@ -18,7 +17,7 @@ from lpn.features import Manifest, Row, Store
 from lpn.features.describing import write_store
 from lpn.features.unfinished import Unfinished
 from lpn.model import FloatArray
-from lpn.shards import AT_ONCE, BROKEN, PLAN, Broken, Contents, Plan, read_notes, read_shard, shard_name
+from lpn.shards import AT_ONCE, BROKEN, DAMAGED, PLAN, Broken, Contents, Plan, read_notes, read_shard, shard_name
 from lpn.storage import Storage
 
 
@@ -85,7 +84,7 @@ class Shards:
             names, *degrees = (table.column(name) for name in columns)
             positions = np.stack([column.to_numpy().astype(np.float64) for column in degrees], axis=1)
             return Tiles(names.to_pylist(), positions)
-        except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
+        except DAMAGED as error:
             raise self._damaged(partition) from error
 
     def _damaged(self, partition: int) -> StoreError:

@@ -285,5 +285,7 @@ def _number(text: str, name: str, line: str) -> float:
     low, high = _LIMITS[name]
     if not (math.isfinite(value) and low <= value <= high):
         expected = f"a number from {low:g} to {high:g}" if math.isfinite(high) else "a number"
+        if name == "latitude" and 90 < abs(value) <= 180:
+            expected += "; it may be a longitude, so check that the two are not swapped"
         raise DataError(f"{line} has the {name} {text or 'empty'!r}; expected {expected}.")
     return value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import warnings
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -26,7 +27,10 @@ Picture = npt.NDArray[np.uint8]
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 MAX_PIXELS = 50_000_000
+PNG = b"\x89PNG\r\n\x1a\n"
+"""What a PNG file begins with."""
 
+_HEIC = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
 _MEAN = np.array([0.485, 0.456, 0.406], dtype=np.float32)
 _STD = np.array([0.229, 0.224, 0.225], dtype=np.float32)
 SCALE = (1.0 / (255.0 * _STD)).astype(np.float32)
@@ -61,10 +65,10 @@ def decode_picture(data: bytes, name: str) -> Picture:
             f"{name} {found}; expected a JPEG, PNG, or WebP file of at most {MAX_PIXELS // 1_000_000} megapixels."
         )
     try:
-        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    except cv2.error:
+        decoded = None if _overruns(data) else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    except (cv2.error, MemoryError):
         decoded = None
-    if decoded is None:
+    if decoded is None or decoded.ndim != 3 or decoded[..., 0].size > MAX_PIXELS:
         raise PictureError(f"{name} is not a picture that can be read; expected a JPEG, PNG, or WebP file.")
     return cast(Picture, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
 
@@ -79,10 +83,45 @@ def header_flaw(file: BinaryIO) -> str | None:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(file) as header:
                 width, height = header.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return "is not a picture that can be read"
+    except Image.DecompressionBombError:
+        return "has far too many pixels to be read"
+    except (
+        OSError,
+        ValueError,
+        SyntaxError,
+        RuntimeError,
+        OverflowError,
+        MemoryError,
+        LookupError,
+        TypeError,
+        struct.error,
+    ):
+        return _other_kind(file) or "is not a picture that can be read"
     if width * height > MAX_PIXELS:
         return f"has {width} x {height} pixels, too many to be read"
+    return None
+
+
+def _overruns(data: bytes) -> bool:
+    """Whether a PNG has a chunk that claims to be longer than the file: OpenCV would take as much memory, up to 2 GB."""
+    position = len(PNG)
+    while data.startswith(PNG) and position + 8 <= len(data):
+        if data[position + 4 : position + 8] == b"IEND":
+            return False
+        position += 12 + int.from_bytes(data[position : position + 4], "big")
+        if position > len(data):
+            return True
+    return False
+
+
+def _other_kind(file: BinaryIO) -> str | None:
+    """What a file is that people take for a picture of a usual kind."""
+    file.seek(0)
+    start = file.read(512).lstrip(b"\xef\xbb\xbf \t\r\n")
+    if start[4:8] == b"ftyp" and start[8:12] in _HEIC:
+        return "is a HEIC picture, which phones take; save it as JPEG"
+    if start.startswith(b"<svg") or (start.startswith((b"<?xml", b"<!--", b"<!DOCTYPE svg")) and b"<svg" in start):
+        return "is a drawing (SVG), not a photo; save it as PNG"
     return None
 
 

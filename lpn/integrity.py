@@ -22,7 +22,6 @@ from lpn import images
 from lpn.errors import PictureError
 from lpn.files import printable
 
-_PNG = b"\x89PNG\r\n\x1a\n"
 _AT_ONCE = 2048
 DAMAGED = "is damaged"
 """What is wrong with a picture that has a header and an end and still cannot be decoded."""
@@ -114,8 +113,8 @@ def _ends(file: BinaryIO) -> bool:
     if start.startswith(b"\xff\xd8"):
         file.seek(max(size - 64, 0))
         return file.read().rstrip(b"\0\r\n ").endswith(b"\xff\xd9")
-    if start.startswith(_PNG):
-        file.seek(len(_PNG))
+    if start.startswith(images.PNG):
+        file.seek(len(images.PNG))
         return _chunks_hold(file)
     if start.startswith(b"RIFF") and start[8:] == b"WEBP":
         return size >= int.from_bytes(start[4:8], "little") + 8

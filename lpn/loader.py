@@ -66,6 +66,10 @@ class Loader:
         workers: int = 0,
         processes: int = 1,
     ) -> None:
+        if len(places) < 2:
+            raise InputError(
+                f"There is {len(places) or 'no'} place to train on, and a training tells places apart; give at least two."
+            )
         if len(places) < recipe.batch:
             raise InputError(
                 f"There are {len(places)} places and a batch of {recipe.batch}; set --batch to at most that."

@@ -166,7 +166,9 @@ def _flat(values: Any, side: str) -> tuple[npt.NDArray[Any], FloatArray]:
     flat = array.reshape(len(array), -1)
     lengths = norms(flat)
     if not np.isfinite(flat[~np.isfinite(lengths)]).all():  # a sound number's square may be too large
-        raise InputError(f"The {side} descriptors hold values that are not finite; describe the pictures again.")
+        raise InputError(
+            f"The {side} descriptors hold values that are not finite; delete their store, and describe the pictures again."
+        )
     return flat, lengths
 
 

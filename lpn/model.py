@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import images as pictures
-from lpn.errors import InputError
+from lpn.errors import InputError, ModelFileError
 from lpn.images import Picture
 from lpn.spec import ModelSpec, View
 
@@ -132,6 +132,7 @@ class Model(ABC):
 
         Raises:
             InputError: as for `part_embeddings`.
+            ModelFileError: when what the network gives is not finite.
         """
         raw = self.part_embeddings(images, view)
         if mirror and self.spec.mirrored:
@@ -184,6 +185,14 @@ def as_array(values: Any) -> npt.NDArray[Any]:
 
 
 def normalise(raw: FloatArray) -> FloatArray:
-    """Scale each part of (..., n, D) head outputs to norm 1/sqrt(n), so that the whole has norm 1."""
+    """Scale each part of (..., n, D) head outputs to norm 1/sqrt(n), so that the whole has norm 1.
+
+    Raises:
+        ModelFileError: when a value is not finite.
+    """
+    if not np.isfinite(raw).all():
+        raise ModelFileError(
+            "The model gives values that are not finite, so its weights are damaged or its training diverged; take another."
+        )
     norms = np.linalg.norm(raw, axis=-1, keepdims=True) * np.sqrt(raw.shape[-2])
     return cast(FloatArray, (raw / np.maximum(norms, 1e-12)).astype(np.float32))

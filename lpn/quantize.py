@@ -19,6 +19,7 @@ import onnx
 from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
 from lpn import images
+from lpn.checksums import BLANK, SEAL, sealed
 from lpn.datasets import Dataset, Picture
 from lpn.engine import COMPUTE, Engine, graph_files
 from lpn.errors import DataError, InputError
@@ -151,8 +152,8 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
         )
         result = onnx.load_model(made)
     del result.metadata_props[:]
-    onnx.helper.set_model_props(result, {**metadata, COMPUTE: "int8"})
-    return cast(bytes, result.SerializeToString())
+    onnx.helper.set_model_props(result, {**metadata, COMPUTE: "int8", SEAL: BLANK})
+    return sealed(cast(bytes, result.SerializeToString()))
 
 
 def _upstream(graph: onnx.GraphProto, output: str) -> set[str]:

@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from tokenize import TokenError
 from zipfile import BadZipFile
 
 import numpy as np
@@ -128,6 +129,10 @@ def kept(sides: Sides) -> Retrieval | None:
             columns = [held[name] for name in _COLUMNS]
             gallery = int(held["gallery"])
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, zlib.error, NotImplementedError):
+        return None
+    except (SyntaxError, TokenError, OverflowError, MemoryError, RuntimeError):  # a header that cannot be made sense of
+        return None
+    if not all(isinstance(column, np.ndarray) for column in columns):
         return None
     queries, tiles = len(sides.asked), len(sides.tiles)
     first, true, false, precision = columns

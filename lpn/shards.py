@@ -38,6 +38,17 @@ Precision = Literal["float32", "float16"]
 Position = tuple[float, float] | None
 """Latitude and longitude in degrees."""
 
+DAMAGED = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    ArithmeticError,
+    RecursionError,
+    pa.ArrowException,
+)
+"""What is raised on a file that is no shard, by whoever notices."""
 AT_ONCE = 32
 """Files whose metadata are read at once: it is the latency of the storage that takes the time."""
 
@@ -91,12 +102,15 @@ class Plan:
         try:
             values: Any = json.loads(storage.read(PLAN))
             plan = cls(**values)
-            if plan.format != FORMAT or plan.partitions < 1 or plan.precision not in ("float32", "float16"):
+            whole = all(type(n) is int and 0 < n < 2**31 for n in (plan.n_parts, plan.embedding, plan.partitions))
+            if not whole or not isinstance(plan.fingerprint, str) or not isinstance(plan.view, str):
+                raise ValueError("values of another kind")
+            if plan.format != FORMAT or plan.precision not in ("float32", "float16"):
                 raise ValueError("another format")
             return plan
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, TypeError) as error:
+        except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
             raise StoreError(
                 f"{PLAN} in {storage.where} cannot be read or is not one of {FORMAT}; choose another place for the shards."
             ) from error
@@ -157,7 +171,7 @@ def write_shard(
     table = pa.table(columns).replace_schema_metadata({"lpn": json.dumps(notes)})
     buffer = io.BytesIO()
     # Descriptors are as good as random: compressing them takes time and saves nothing.
-    pq.write_table(table, buffer, compression="NONE", use_dictionary=False)
+    pq.write_table(table, buffer, compression="NONE", use_dictionary=False, write_page_checksum=True)
     storage.write(shard_name(partition), buffer.getvalue())
 
 
@@ -172,7 +186,7 @@ class Contents(NamedTuple):
 def read_shard(storage: Storage, plan: Plan, partition: int) -> Contents | None:
     """A partition's shard, None where there is none or it is damaged or of another plan."""
     try:
-        table = pq.read_table(pa.BufferReader(storage.read(shard_name(partition))))
+        table = pq.read_table(pa.BufferReader(storage.read(shard_name(partition))), page_checksum_verification=True)
         notes = _notes(table.schema, plan, partition)
         if notes is None:
             return None
@@ -182,7 +196,7 @@ def read_shard(storage: Storage, plan: Plan, partition: int) -> Contents | None:
             table.column(name).to_pylist() for name in ("file", "size", "time_ns", "box", "latitude", "longitude")
         ]
         return Contents([_item(one) for one in zip(*values, strict=True)], numbers, notes.broken)
-    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException):
+    except DAMAGED:
         return None
 
 
@@ -200,7 +214,7 @@ def read_notes(storage: Storage, plan: Plan, partitions: Sequence[int]) -> list[
         try:
             with storage.open(shard_name(partition)) as file:
                 return _notes(pq.read_schema(file), plan, partition)
-        except (OSError, ValueError, pa.ArrowException):
+        except DAMAGED:
             return None
 
     with ThreadPoolExecutor(AT_ONCE) as pool:

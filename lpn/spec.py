@@ -40,6 +40,16 @@ _ALLOWED: dict[str, tuple[Any, ...]] = {
     "activation": ("none", "leaky_relu"),
 }
 
+_MOST = {
+    "n_parts": 256,
+    "embedding": 1 << 17,
+    "classes": 1 << 24,
+    "last_stride": 8,
+    "maps": 256,
+    "input_size": 4096,
+}
+"""Far beyond any network that makes sense: a file that claims more would take all memory, or forever."""
+
 
 @dataclass(frozen=True)
 class ModelSpec:
@@ -88,12 +98,13 @@ class ModelSpec:
         if not self.views or any(view not in VIEWS for view in self.views):
             raise InputError(f"The views are {self.views}; expected one to three of {', '.join(VIEWS)}.")
         object.__setattr__(self, "views", tuple(v for v in VIEWS if v in self.views))
-        for name in ("n_parts", "embedding", "classes", "last_stride", "maps"):
-            _check_count(name, getattr(self, name))
+        for name, most in _MOST.items():
+            if name != "input_size":
+                _check_count(name, getattr(self, name), most)
         if len(self.input_size) != 2:
             raise InputError(f"The input size is {self.input_size}; expected height and width.")
         for side in self.input_size:
-            _check_count("input_size", side)
+            _check_count("input_size", side, _MOST["input_size"])
         for name, allowed in _ALLOWED.items():
             if getattr(self, name) not in allowed:
                 raise InputError(
@@ -170,6 +181,6 @@ class ModelSpec:
         return f"{name} {backbone}, n = {self.n_parts}, {self.input_size[0]} x {self.input_size[1]}"
 
 
-def _check_count(name: str, value: Any) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-        raise InputError(f"The model's {name} is {value!r}; expected a whole number of 1 or more.")
+def _check_count(name: str, value: Any, most: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= most:
+        raise InputError(f"The model's {name} is {value!r}; expected a whole number from 1 to {most}.")

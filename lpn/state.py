@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import io
 import json
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from lpn.checksums import check_entries
 from lpn.errors import InputError, ModelFileError
 from lpn.files import write_whole
 from lpn.recipes import Recipe
@@ -60,9 +60,10 @@ def read_state(path: Path, recipe: Recipe, places: str) -> State:
     """
     if not path.is_file():
         raise InputError(f"There is no {path.name} in {path.parent} to resume from; start without --resume.")
+    check_entries(path, "start the run again without --resume, in another --out")
     try:
         values: Any = torch.load(path, map_location="cpu", weights_only=True)
-        saved = json.loads(values["recipe"])
+        saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         if values.get("format") != FORMAT:
             raise ModelFileError(
                 f"{path} was written by another version of lpn, whose runs cannot be resumed exactly; start anew in another "
@@ -71,7 +72,9 @@ def read_state(path: Path, recipe: Recipe, places: str) -> State:
         history, digest = json.loads(values["history"]), values["places"]
         tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler")}
         state = State(history, float(values["first_loss"]), int(values["processes"]), tensors)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, ValueError, TypeError) as error:
+    except ModelFileError:
+        raise
+    except Exception as error:  # the unpickler raises anything on what it does not know
         raise ModelFileError(f"{path} is damaged; start the run again without --resume, in another --out.") from error
     differs = [k for k, v in json.loads(recipe.to_json()).items() if saved.get(k) != v]
     if differs:

@@ -80,6 +80,10 @@ class Trainer:
         self.places, self.device = Places(dataset, self.console, recipe.google), self.group.device
         held = self.places.hold_out(validate, recipe.seed)
         there = [name for name in ("state.pt", "last.safetensors", "log.csv") if (out / name).exists()]
+        if resume and there and "state.pt" not in there and _first_epoch_alone(out):
+            self.console.print(f"The run in {out} was stopped before its first epoch was whole, so it starts anew.")
+            resume = False
+            there = []
         if not resume and there:
             raise InputError(
                 f"{out} holds {there[0]} of a training run already; add --resume to go on with it, or choose another --out."
@@ -297,6 +301,12 @@ class Trainer:
                 soft_wrap=True,
             )
         self.console.print(f"Going on after epoch {len(self.history)} of {self.recipe.epochs}.")
+
+
+def _first_epoch_alone(out: Path) -> bool:
+    """Whether a folder without a state holds no more than the model and log of a first epoch, as a kill may leave them."""
+    rows = (out / "log.csv").read_bytes().count(b"\n") if (out / "log.csv").exists() else 0
+    return rows <= 2 and not (out / "best.safetensors").exists()
 
 
 def _spec(recipe: Recipe, places: Places) -> ModelSpec:

@@ -209,7 +209,8 @@ def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
     for folder, folders, names in os.walk(root):
         folders[:] = [name for name in folders if not name.startswith(".")]
         found += [Path(folder, n) for n in names if not n.startswith(".") and n.lower().endswith(suffixes)]
-    return sorted(file for file in found if file.is_file())
+    # A link that leads nowhere is a picture that cannot be read, and is named as such.
+    return sorted(file for file in found if file.is_file() or (file.is_symlink() and not file.exists()))
 
 
 class Names:

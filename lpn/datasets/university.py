@@ -103,5 +103,20 @@ def _names(folder: Path, folders: bool) -> list[str]:
     """Names in a folder, sorted: of its folders or of its files. The folder itself says which is which, links aside."""
     with os.scandir(folder) as entries:
         return sorted(
-            e.name for e in entries if not e.name.startswith(".") and (e.is_dir() if folders else e.is_file())
+            e.name for e in entries if not e.name.startswith(".") and (_is_folder(e) if folders else _is_picture(e))
         )
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:  # links in a circle
+        return False
+
+
+def _is_picture(entry: os.DirEntry[str]) -> bool:
+    """Whether it is a file, or a link that leads nowhere: that is a picture that cannot be read, and is named as such."""
+    try:
+        return entry.is_file() or (entry.is_symlink() and not Path(entry.path).exists())
+    except OSError:
+        return True

@@ -80,9 +80,10 @@ def _resolved(pictures: Sequence[Picture]) -> list[Path]:
     for picture in pictures:
         parent = picture.path.parent
         if parent not in folders:
-            folders[parent] = parent.resolve()
+            folders[parent] = Path(os.path.realpath(parent))
         file = folders[parent] / picture.path.name
-        files.append(file.resolve() if file.is_symlink() else file)
+        # Unlike resolve(), this raises nothing where links lead in a circle.
+        files.append(Path(os.path.realpath(file)) if file.is_symlink() else file)
     return files
 
 

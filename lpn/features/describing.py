@@ -97,10 +97,11 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[Unfinished], None
 
 
 def _finish(out: Path, manifest: Manifest) -> None:
+    checked = manifest.checked(out / "descriptors.part")
     # The old manifest must never lie beside the new rows, even when killed between these lines.
     (out / "manifest.json").unlink(missing_ok=True)
     os.replace(out / "descriptors.part", out / "descriptors.npy")
-    write_whole(out / "manifest.json", manifest.to_json())
+    write_whole(out / "manifest.json", checked.to_json())
     for name in ("progress.json", "planned.json"):
         (out / name).unlink(missing_ok=True)
 

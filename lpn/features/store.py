@@ -5,14 +5,15 @@
     manifest.json     format, model fingerprint, view, what was done to the pictures, and for each row its file with size and
                       time, and the box it was cropped to where it was
 
-The manifest is written last, so a folder with a manifest is complete.
+The manifest is written last, so a folder with a manifest is complete. It has checksums of the array, see `lpn.checksums`; those
+of earlier versions have none.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -20,7 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.changes import Change
+from lpn.checksums import Checksums, crc_of_blocks, crc_of_values
 from lpn.errors import InputError, PictureError, StoreError
+from lpn.files import mapped
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 
@@ -57,6 +60,7 @@ class Manifest:
         scale: factor they were zoomed by.
         down: pixels of the network's input they were moved down; written only where they were.
         around: they are panoramas, turned by moving their columns around; written only where they were.
+        checksums: None in stores of earlier versions, and before the store is complete.
     """
 
     fingerprint: str
@@ -71,6 +75,7 @@ class Manifest:
     down: int = 0
     around: bool = False
     format: str = FORMAT
+    checksums: Checksums | None = field(default=None, compare=False)
 
     @classmethod
     def of(
@@ -93,14 +98,30 @@ class Manifest:
 
     def to_json(self) -> bytes:
         """The manifest as a JSON file."""
+        values = self._values()
+        if self.checksums is not None:
+            values["checksums"] = asdict(self.checksums)
+        return json.dumps(values, indent=1).encode()
+
+    def checked(self, array: Path) -> Manifest:
+        """The same with the checksums of the array's file, and of itself."""
+        return replace(self, checksums=Checksums.of(array, self._values()))
+
+    @property
+    def damaged(self) -> bool:
+        """Whether it differs from what its checksum was made of."""
+        return self.checksums is not None and self.checksums.manifest != crc_of_values(self._values())
+
+    def _values(self) -> dict[str, Any]:
         values = asdict(self)
+        del values["checksums"]
         for late in ("down", "around"):
             if not values[late]:
                 del values[late]
         for row in values["rows"]:
             if row["box"] is None:
                 del row["box"]
-        return json.dumps(values, indent=1).encode()
+        return values
 
     @classmethod
     def from_json(cls, data: bytes, name: str) -> Manifest:
@@ -114,13 +135,20 @@ class Manifest:
             )
             if values.get("precision", "float32") not in get_args(Precision):
                 raise ValueError("another precision")
-            read = cls(rows=rows, **values)
-            _ = read.change  # checks its numbers
+            told = values.pop("checksums", None)
+            read = cls(rows=rows, **values, checksums=None if told is None else Checksums.from_json(told))
+            read._check()
             return read
-        except (ValueError, KeyError, TypeError, AttributeError, InputError) as error:
+        except (ValueError, OverflowError, KeyError, TypeError, AttributeError, RecursionError, InputError) as error:
             raise StoreError(
                 f"{name} is not a manifest of descriptors ({FORMAT}); describe the pictures again."
             ) from error
+
+    def _check(self) -> None:
+        _ = self.change  # checks its numbers
+        whole = all(type(number) is int and 0 < number < 2**31 for number in (self.n_parts, self.embedding))
+        if not whole or not isinstance(self.fingerprint, str) or not isinstance(self.view, str):
+            raise ValueError("values of another kind")
 
     def comparable(self, other: Manifest) -> bool:
         """Whether rows of the same file may be taken over from another store."""
@@ -135,12 +163,35 @@ class Manifest:
 class Store:
     """A complete store. `descriptors` is (N, n, D) in the manifest's precision, memory-mapped, read-only.
 
-    `identity` is a text that no other store has: of the manifest's contents, and of the array's size and time.
+    `identity` is a text that no other store has: of the manifest's contents, and of the array's size and time. `file` is the
+    array's.
     """
 
     manifest: Manifest
     descriptors: FloatArray | npt.NDArray[np.float16] | npt.NDArray[np.int8]
     identity: str = ""
+    file: Path | None = None
+
+    def damaged(self) -> npt.NDArray[np.bool_]:
+        """Which rows lie in blocks that differ from what their checksums were made of, (N,) bool; reads the whole array.
+
+        None where the store has no checksums.
+        """
+        found = np.zeros(len(self.descriptors), np.bool_)
+        told = self.manifest.checksums
+        if told is None or self.file is None:
+            return found
+        blocks = crc_of_blocks(self.file, told.block)
+        if len(blocks) != len(told.blocks):
+            return ~found
+        row = self.descriptors.dtype.itemsize * self.manifest.n_parts * self.manifest.embedding
+        before = self.file.stat().st_size - row * len(found)
+        for i in (i for i, (now, then) in enumerate(zip(blocks, told.blocks, strict=True)) if now != then):
+            start, end = i * told.block - before, (i + 1) * told.block - before
+            found[max(start // row, 0) : max(-(-end // row), 0)] = True
+            if start < 0:
+                found[:] = True  # its shape and order may be wrong
+        return found
 
     @property
     def float32(self) -> FloatArray:
@@ -177,8 +228,8 @@ def with_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
     expected = (len(manifest.rows), manifest.n_parts, manifest.embedding)
     try:
         stat = (folder / "descriptors.npy").stat()
-        descriptors = np.load(folder / "descriptors.npy", mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        descriptors = mapped(folder / "descriptors.npy")
+    except (OSError, ValueError) as error:
         raise StoreError(f"descriptors.npy in {folder} is missing or damaged; describe the pictures again.") from error
     if descriptors.shape != expected or descriptors.dtype != np.dtype(manifest.precision):
         raise StoreError(
@@ -186,7 +237,7 @@ def with_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
             f"{manifest.precision} {expected}; describe the pictures again."
         )
     told = f"{stat.st_size} {stat.st_mtime_ns}".encode()
-    return Store(manifest, descriptors, hashlib.sha256(written + told).hexdigest())
+    return Store(manifest, descriptors, hashlib.sha256(written + told).hexdigest(), folder / "descriptors.npy")
 
 
 def stored(descriptors: FloatArray, precision: Precision) -> npt.NDArray[Any]:

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from lpn.errors import LPNError, StoreError
 from lpn.features.store import FORMAT, Manifest, Store, stored, with_array
-from lpn.files import write_whole
+from lpn.files import mapped, write_whole
 from lpn.model import FloatArray
 
 _SECONDS = 1.0
@@ -46,7 +46,7 @@ class Unfinished:
         self._precision = manifest.precision
         _take_place(out)
         left = _interrupted(manifest, self._part, planned, self._progress)
-        known = {} if before is None else _known(manifest, before.manifest, before.descriptors)
+        known = {} if before is None else _known(manifest, before.manifest, before.descriptors, ~before.damaged())
         if left is not None and left[0] == manifest:
             self.good = left[2]
             self._array = np.lib.format.open_memmap(self._part, mode="r+")
@@ -55,7 +55,7 @@ class Unfinished:
             known |= {} if left is None else _known(manifest, *left)
             self.good = np.zeros(len(manifest.rows), np.bool_)
             shape = (len(manifest.rows), manifest.n_parts, manifest.embedding)
-            self._array = np.lib.format.open_memmap(_new(self._part), mode="w+", dtype=manifest.precision, shape=shape)
+            self._array = _reserved(_new(self._part), manifest.precision, shape)
             self._take(known)
             self._array.flush()
             write_whole(_new(planned), manifest.to_json())
@@ -100,6 +100,19 @@ def _take_place(out: Path) -> None:
             _new(file).unlink(missing_ok=True)
         elif _new(file).exists():
             os.replace(_new(file), file)
+
+
+def _reserved(path: Path, precision: str, shape: tuple[int, ...]) -> np.memmap[Any, Any]:
+    """A new array on disk that has its room there: a disk that fills up under a mapped file ends the process without a word."""
+    try:
+        array: np.memmap[Any, Any] = np.lib.format.open_memmap(path, mode="w+", dtype=precision, shape=shape)
+        if hasattr(os, "posix_fallocate"):
+            with path.open("r+b") as file:
+                os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
+    return array
 
 
 def renamed_only(folder: Path) -> bool:
@@ -156,7 +169,7 @@ def _interrupted(
     """What an interrupted run with this model, view, and change left: the manifest it planned, the rows, and which are good."""
     try:
         plan = Manifest.from_json(planned.read_bytes(), planned.name)
-        array = np.load(part, mmap_mode="r", allow_pickle=False)
+        array = mapped(part)
         expected = (len(plan.rows), manifest.n_parts, manifest.embedding)
         fits = array.shape == expected and array.dtype == np.dtype(manifest.precision)
         if not fits or not manifest.comparable(plan):
@@ -169,7 +182,7 @@ def _interrupted(
                 return None
             good[start:end] = True
         return plan, array, good
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, LPNError):
+    except (OSError, ValueError, OverflowError, KeyError, TypeError, AttributeError, RecursionError, LPNError):
         return None
 
 

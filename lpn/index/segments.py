@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.errors import StoreError
+from lpn.files import mapped
 from lpn.index.base import Box, Exact, Kind, within
 from lpn.index.scan import Precision, Rows, small_copy
 from lpn.model import FloatArray
@@ -91,7 +92,12 @@ class Segment:
     def names(self, rows: npt.NDArray[np.int64]) -> list[str]:
         """Names of tiles."""
         starts = np.where(rows > 0, self._ends[rows - 1], 0)
-        return [str(self._text[a:b], "utf-8") for a, b in zip(starts.tolist(), self._ends[rows].tolist(), strict=True)]
+        try:
+            return [
+                str(self._text[a:b], "utf-8") for a, b in zip(starts.tolist(), self._ends[rows].tolist(), strict=True)
+            ]
+        except UnicodeDecodeError as error:
+            raise self._damaged("names.bin") from error
 
     def find(self, names: Sequence[str], keys: Keys) -> npt.NDArray[np.int64]:
         """The row of each name, -1 where it is not there or was replaced.
@@ -121,10 +127,10 @@ class Segment:
 
     def _mapped(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
         try:
-            found = np.load(self.folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+            found = mapped(self.folder / f"{name}.npy")
         except FileNotFoundError:
             raise
-        except (OSError, ValueError, EOFError) as error:
+        except ValueError as error:
             raise self._damaged(f"{name}.npy") from error
         if found.shape != shape or found.dtype != np.dtype(dtype):
             raise self._damaged(f"{name}.npy")

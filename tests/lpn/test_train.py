@@ -243,6 +243,20 @@ def test_a_run_of_another_version_is_not_resumed(places: Path, tmp_path: Path) -
         trainer(places, tmp_path / "run", replace(QUICK, epochs=1), resume=True)
 
 
+def test_a_run_killed_between_its_first_model_and_its_first_state_starts_anew(places: Path, tmp_path: Path) -> None:
+    quick = replace(QUICK, epochs=2)
+    trainer(places, tmp_path / "whole", quick)[0].run()
+    once = replace(QUICK, epochs=1)
+    trainer(places, tmp_path / "run", once)[0].run()
+    (tmp_path / "run" / "state.pt").unlink()
+    trainer(places, tmp_path / "run", quick, resume=True)[0].run()
+    logs = [(tmp_path / name / "log.csv").read_text().splitlines()[1:] for name in ("run", "whole")]
+    assert [line.split(",")[:2] for line in logs[0]] == [line.split(",")[:2] for line in logs[1]]
+    (tmp_path / "run" / "state.pt").unlink()
+    with pytest.raises(InputError, match=r"no state\.pt"):  # two epochs are worth more than a guess
+        trainer(places, tmp_path / "run", quick, resume=True)
+
+
 def test_a_loss_that_explodes_stops_with_a_sentence(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,28 @@
+"""The command that compares files with their checksums: verify."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass
+class Verify:
+    """Read stores, shards, models, and trainings in full against their checksums; ends with status 1 where one is damaged."""
+
+    paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
+    """Files and folders, searched with all folders below; by default the cache of descriptors."""
+
+    def run(self) -> int:
+        from lpn.features import cache_folder
+        from lpn.verify import verify
+
+        damaged = 0
+        for path in self.paths or (cache_folder(),):
+            for verdict in verify(path):
+                damaged += not verdict.whole
+                print(f"{verdict.path} {verdict.said}." if verdict.whole else f"DAMAGED: {verdict.said}")
+        return 1 if damaged else 0

@@ -1,0 +1,100 @@
+"""Whether what was written is still what was written: checksums of stores, shards, models, and trainings, read in full."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lpn.checksums import check_entries, check_seal
+from lpn.errors import InputError, LPNError, StoreError
+from lpn.features import Store, open_store
+from lpn.files import printable
+
+_CHUNK = 4096
+_MODELS = (".onnx", ".safetensors", ".pth", ".pt")
+_AGAIN = "copy it again from where it came, or make it again"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What was found of one file or folder.
+
+    Attributes:
+        path: of it.
+        said: the end of a sentence about it.
+        whole: False where it is damaged.
+    """
+
+    path: Path
+    said: str
+    whole: bool
+
+
+def verify(path: Path) -> Iterator[Verdict]:
+    """Compare a model file, a store, a folder of shards, or all of these in a folder with their checksums.
+
+    Raises:
+        InputError: when there is nothing of the kind.
+    """
+    if not path.exists():
+        raise InputError(f"There is nothing at {path}; check the path.")
+    found = [path] if path.is_file() else sorted({*_files(path)})
+    if not found:
+        raise InputError(f"{path} holds no store, no shards, and no model; give one of these, or a folder of them.")
+    for file in found:
+        try:
+            yield Verdict(file, _verified(file), True)
+        except (LPNError, OSError) as error:
+            yield Verdict(file, printable(str(error)), False)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    for file in folder.rglob("*"):
+        if file.name == "manifest.json" or (file.name == "plan.json" and any(file.parent.glob("*.parquet"))):
+            yield file.parent
+        elif file.suffix in _MODELS and file.is_file():
+            yield file
+
+
+def _verified(path: Path) -> str:
+    if path.is_dir():
+        return _shards(path) if (path / "plan.json").exists() else _store(open_store(path), path)
+    if path.suffix in (".onnx", ".safetensors"):
+        return "is what was written" if check_seal(path, _AGAIN) else "has no checksum: an earlier version wrote it"
+    check_entries(path, _AGAIN)
+    return "is what was written, as far as its entries have checksums"
+
+
+def _store(store: Store, folder: Path) -> str:
+    for start in range(0, len(store.descriptors), _CHUNK):
+        rows = store.descriptors[start : start + _CHUNK]
+        if not np.isfinite(rows).all():
+            bad = start + int(np.argmin(np.isfinite(rows).all(axis=(1, 2))))
+            raise StoreError(
+                f"{folder} holds values that are not finite, the first of {printable(store.manifest.rows[bad].file)}; delete "
+                "the folder and describe the pictures again."
+            )
+    if store.manifest.damaged:
+        raise StoreError(
+            f"manifest.json in {folder} is not what its checksum was made of; delete the folder and describe again."
+        )
+    damaged = int(store.damaged().sum())
+    if damaged:
+        raise StoreError(
+            f"descriptors.npy in {folder} is not what its checksums were made of, which concerns up to {damaged} of "
+            f"{len(store.descriptors)} rows; delete the folder and describe the pictures again."
+        )
+    return "is what was written" if store.manifest.checksums else "has no checksums: an earlier version wrote it"
+
+
+def _shards(folder: Path) -> str:
+    from lpn.gather import open_shards
+
+    shards = open_shards(folder)
+    for partition in range(shards.plan.partitions):
+        if not np.isfinite(shards.read(partition).descriptors).all():
+            raise StoreError(f"{folder} holds values that are not finite; delete it and describe the pictures again.")
+    return "can be read, and what has checksums is what was written"

@@ -1,0 +1,206 @@
+"""SIGKILL at any moment: what is there is whole, and the next run goes on or starts clean.
+
+World is missing here, since it needs Blender; tests/lpn/test_world.py renders, stops, and resumes one where Blender is.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+
+import lpn
+from lpn import features, index
+from lpn.errors import StoreError
+from tests import worlds
+from tests.killing import Killer
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is POSIX's")
+ROUNDS = int(os.environ.get("LPN_KILLS", "4"))
+"""Kills of each command; half of them by time, half between two steps on the disk."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, what must hold after any kill, and what it must have made in the end.
+
+    Attributes:
+        arguments: of `lpn`.
+        whole: raises where something under a final name cannot be read as whole.
+        result: what an uninterrupted run makes, to be compared.
+        again: the arguments of the run after a kill.
+    """
+
+    arguments: list[str]
+    whole: Callable[[], object]
+    result: Callable[[], object]
+    again: Callable[[], list[str]] | None = None
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return worlds.make_dataset(tmp_path_factory.mktemp("few") / "places", train=4, test=4)
+
+
+@pytest.fixture
+def killer(tmp_path: Path) -> Killer:
+    return Killer(tmp_path)
+
+
+def survives(command: Command, killer: Killer, out: Path, rounds: int = ROUNDS) -> None:
+    """Kill a command again and again at other moments, going on each time; then compare with a run of its own."""
+    status, seconds, steps = killer.run(command.arguments)
+    assert status == 0, killer.log.read_text()
+    expected = command.result()
+    rng = Random(str(command.arguments[0]))
+    for number in range(rounds):
+        shutil.rmtree(out)
+        by_time = number % 2 == 0
+        after = rng.uniform(0, seconds) if by_time else None
+        step = None if by_time else rng.randint(1, steps)
+        status, _, _ = killer.run(command.arguments, after, step)
+        assert status in (0, -signal.SIGKILL), killer.log.read_text()
+        command.whole()
+        following = command.again() if command.again and status else command.arguments
+        if status:
+            status, _, _ = killer.run(following)
+            assert status == 0, f"{number}: {after or step}: {killer.log.read_text()}"
+        command.whole()
+        assert command.result() == expected, f"{number}: {after or step}"
+
+
+def opened(file: Path) -> bytes | None:
+    """A model's descriptors of a picture, None where there is no model."""
+    if not file.exists():
+        return None
+    model = lpn.load(file)
+    return model.descriptors(np.ones((1, 3, *model.input_size), np.float32), model.views[0]).tobytes()
+
+
+def test_describe(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
+    out = tmp_path / "out"
+
+    def whole() -> object:
+        if not (out / "manifest.json").exists():
+            with pytest.raises(StoreError, match="has no manifest"):
+                features.open_store(out)
+            return None
+        store = features.open_store(out)
+        assert not store.damaged().any()
+        assert not store.manifest.damaged
+        return np.array(store.descriptors).round(5).tobytes(), store.manifest.rows
+
+    arguments = ["describe", "--model", str(model_file), "--images", str(places), "--view", "drone", "--out", str(out)]
+    survives(Command(arguments, whole, whole), killer, out)
+
+
+def test_export(model_file: Path, tmp_path: Path, killer: Killer) -> None:
+    file = tmp_path / "out" / "lpn.onnx"
+    arguments = ["export", "--model", str(model_file.with_suffix(".safetensors")), "--out", str(file)]
+    survives(
+        Command(arguments, lambda: opened(file), lambda: opened(file)), killer, file.parent, ROUNDS // 2
+    )  # each takes seconds
+
+
+def test_quantize(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
+    file = tmp_path / "out" / "small.onnx"
+    arguments = ["quantize", "--model", str(model_file), "--data", str(places), "--out", str(file), "--pictures", "2"]
+    survives(Command(arguments, lambda: opened(file), lambda: opened(file)), killer, file.parent)
+
+
+def test_index(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
+    out = tmp_path / "out"
+    store = tmp_path / "store"
+    files = features.pictures_below(places)
+    made = features.describe(lpn.load(model_file), files, "drone", store, root=places)
+    query = np.array(made.descriptors[3])
+
+    def found() -> object:
+        if not (out / "index.json").exists():
+            return None
+        opened = index.open_index(out)
+        answer = opened.search(query, None, 3)
+        # Nothing, or all: a store is added whole.
+        assert opened.count() in (0, len(files))
+        return opened.count(), [str(name) for name in answer.ids]
+
+    arguments = ["index", "--descriptors", str(store), "--out", str(out)]
+    survives(Command(arguments, found, found), killer, out)
+
+
+def test_train(places: Path, tmp_path: Path, killer: Killer) -> None:
+    out = tmp_path / "out"
+    settings = ["--epochs", "2", "--size", "32", "--batch", "4", "--warmup-epochs", "0", "--ema", "0"]
+    arguments = ["train", "--data", str(places), "--out", str(out), "--recipe", "small", *settings]
+
+    def whole() -> None:
+        for file in (out / "last.safetensors", out / "best.safetensors"):
+            opened(file)
+
+    def losses() -> object:
+        with (out / "log.csv").open(encoding="utf-8", newline="") as file:
+            rows = [(row["epoch"], row["loss"]) for row in csv.DictReader(file)]
+        return rows, opened(out / "last.safetensors")
+
+    def again() -> list[str]:
+        begun = any((out / name).exists() for name in ("state.pt", "last.safetensors", "log.csv"))
+        return [*arguments, "--resume"] if begun else arguments
+
+    survives(Command(arguments, whole, losses, again), killer, out)
+
+
+def test_reproduce(places: Path, tmp_path: Path, killer: Killer) -> None:
+    out = tmp_path / "out"
+    settings = ["--scale", "reduced", "--epochs", "1", "--batch", "4", "--backbone", "resnet18"]
+    arguments = ["reproduce", "table4", "--data", str(places), "--out", str(out), *settings]
+
+    def written() -> object:
+        return {file.name: file.read_text() for file in sorted(out.glob("*.md"))}
+
+    def whole() -> None:
+        for file in out.rglob("*.safetensors"):
+            opened(file)
+
+    survives(Command(arguments, whole, written), killer, out, ROUNDS // 2)
+
+
+def test_a_store_read_while_it_is_written_is_none_or_whole(
+    model_file: Path, places: Path, tmp_path: Path, killer: Killer
+) -> None:
+    """Every step on the disk of describing a second time, with one picture more, in turn."""
+    out = tmp_path / "out"
+    pictures = shutil.copytree(places, tmp_path / "pictures")
+    arguments = [
+        "describe",
+        "--model",
+        str(model_file),
+        "--images",
+        str(pictures),
+        "--view",
+        "drone",
+        "--out",
+        str(out),
+    ]
+    assert killer.run(arguments)[0] == 0
+    before = shutil.copytree(out, tmp_path / "before")
+    worlds.write(pictures / "new.png", worlds.place(77))
+    _, _, steps = killer.run(arguments)
+    for step in range(1, steps + 1):
+        shutil.rmtree(out)
+        shutil.copytree(before, out)
+        killer.run(arguments, step=step)
+        if (out / "manifest.json").exists():
+            store = features.open_store(out)
+            assert not store.damaged().any()
+            assert len(store.descriptors) == len(store.manifest.rows)
+        assert killer.run(arguments)[0] == 0, killer.log.read_text()
+        assert len(features.open_store(out).descriptors) == len(features.pictures_below(pictures))

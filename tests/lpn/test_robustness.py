@@ -1,0 +1,391 @@
+"""Bad input of every kind, see docs/robustness.md: what is said or done, where no other test holds it."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from PIL import Image
+
+import lpn
+from lpn import cli, features, images
+from lpn.checkpoints import load_torch, save
+from lpn.datasets import open_dataset
+from lpn.engine import Engine
+from lpn.errors import DataError, LPNError, ModelFileError, PictureError, StoreError
+from lpn.geo import read_positions
+from tests import worlds
+
+
+def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """The one sentence that a command ends with."""
+    assert cli.main(arguments) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("lpn: ")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_an_animation_is_its_first_frame() -> None:
+    first, second = (Image.fromarray(picture) for picture in (worlds.place(1), 255 - worlds.place(1)))
+    for kind in ("PNG", "WEBP"):
+        whole = io.BytesIO()
+        first.save(whole, kind, save_all=True, append_images=[second], lossless=True)
+        np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), kind), worlds.place(1))
+
+
+@pytest.mark.parametrize("name", ["png.jpg", "webp.png", "gif.jpeg", "bmp.webp"])
+def test_a_wrong_extension_does_not_matter(name: str, tmp_path: Path) -> None:
+    kind = name.split(".")[0]
+    Image.fromarray(worlds.place(1)).save(tmp_path / name, kind.upper())
+    assert images.load_picture(tmp_path / name).shape == (worlds.SIZE, worlds.SIZE, 3)
+
+
+def test_transparency_is_left_out() -> None:
+    seen = Image.fromarray(worlds.place(1))
+    seen.putalpha(0)
+    whole = io.BytesIO()
+    seen.save(whole, "PNG")
+    np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), "alpha"), worlds.place(1))
+
+
+def test_kinds_that_people_take_for_pictures_are_named() -> None:
+    for data, word in (
+        (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(100), "HEIC"),
+        (b'<?xml version="1.0"?>\n<svg xmlns="http://www.w3.org/2000/svg"/>', "SVG"),
+    ):
+        with pytest.raises(PictureError, match=word):
+            images.decode_picture(data, "photo.jpg")
+
+
+def test_a_hundred_megapixels_and_more_are_refused_at_once() -> None:
+    for side, word in ((10_000, "10000 x 10000 pixels"), (16_384, "far too many pixels")):
+        bomb = io.BytesIO()
+        Image.new("1", (side, side)).save(bomb, "PNG")
+        started = time.process_time()
+        with pytest.raises(PictureError, match=word):
+            images.decode_picture(bomb.getvalue(), "bomb.png")
+        assert time.process_time() - started < 1
+
+
+def test_a_chunk_that_claims_gigabytes_takes_none() -> None:
+    """OpenCV makes room for what a PNG says will follow; 164 bytes once took 2 GB."""
+    whole = io.BytesIO()
+    Image.fromarray(worlds.place(1)).save(whole, "PNG")
+    data = bytearray(whole.getvalue())
+    place = data.index(b"IDAT") - 4
+    data[place : place + 4] = (0x7FFF_0000).to_bytes(4, "big")
+    started = time.process_time()
+    with pytest.raises(PictureError):
+        images.decode_picture(bytes(data), "large.png")
+    assert time.process_time() - started < 0.3
+
+
+NAMES = ("ä ö.png", "with space.png", "new\nline.png", "\U0001f6f0.png", "%s & <b>.png", "'quote\".png")
+
+
+def test_names_of_any_kind_are_described(model_file: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "pictures of\nmine"
+    for i, name in enumerate(NAMES):
+        worlds.write(tmp_path / "a.png", worlds.place(i))
+        (folder / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "a.png").rename(folder / name)
+    files = features.pictures_below(folder)
+    store = features.describe(lpn.load(model_file), files, "drone", tmp_path / "store", root=folder)
+    assert {row.file for row in features.open_store(tmp_path / "store").manifest.rows} == set(NAMES)
+    assert all("\n" not in picture.name for picture in open_dataset(folder).lists()["pictures"])
+    assert len(store.descriptors) == len(NAMES)
+
+
+def test_links_that_lead_nowhere_or_in_a_circle_are_named(model_file: Path, tmp_path: Path) -> None:
+    root = worlds.make_dataset(tmp_path / "places", train=1, test=3)
+    place = root / "test" / "gallery_satellite" / "0002"
+    (place / "gone.png").symlink_to(tmp_path / "absent.png")
+    (place / "circle.png").symlink_to(place / "circle.png")
+    (root / "test" / "loop").symlink_to(root)
+    files = features.pictures_below(root / "test")
+    assert len(files) == 3 * 4 + 2
+    with pytest.raises(PictureError, match=r"circle\.png .*cannot be read"):
+        features.describe(lpn.load(model_file), files, "satellite", tmp_path / "store")
+    tiles = open_dataset(root).gallery("satellite")
+    with pytest.raises(LPNError, match=r"(circle|gone|absent)\.png"):
+        features.cached_descriptors(lpn.load(model_file), tiles, "satellite")
+    assert cli.main(["doctor", "--data", str(root)]) == 1
+
+
+def test_a_picture_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lpn.integrity import check_whole
+
+    file = tmp_path / "a.png"
+    worlds.write(file, worlds.place(1))
+
+    def refused(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refused)  # as root, no permission is missing
+    with pytest.raises(PictureError, match=r"a\.png cannot be read \(Permission denied\)"):
+        check_whole([file], "pictures")
+
+
+def test_one_place_is_too_few_to_train_on_and_says_nothing_when_tested(
+    model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    root = str(worlds.make_dataset(tmp_path / "one", train=1, test=1))
+    assert "at least two" in said(
+        ["train", "--data", root, "--out", str(tmp_path / "run"), "--recipe", "small"], capsys
+    )
+    assert cli.main(["evaluate", "--data", root, "--model", str(model_file)]) == 0
+    assert "one place only" in caplog.text
+
+
+@pytest.fixture
+def store(model_file: Path, data: Path, tmp_path: Path) -> Path:
+    files = features.pictures_below(data / "test" / "query_drone")
+    features.describe(lpn.load(model_file), files, "drone", tmp_path / "store", root=data)
+    return tmp_path / "store"
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_numbers_that_are_none_are_found_in_a_store(
+    value: float, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    array = np.lib.format.open_memmap(store / "descriptors.npy", mode="r+")
+    array[3, 1, 5] = value
+    del array
+    assert cli.main(["verify", str(store)]) == 1
+    assert "not finite" in capsys.readouterr().out
+    assert f"norm {value}; expected 0.5" in said(
+        ["index", "--descriptors", str(store), "--out", str(tmp_path / "index")], capsys
+    )
+    from lpn import metrics
+    from lpn.errors import InputError
+
+    held, labels = features.open_store(store).float32, np.arange(14)
+    with pytest.raises(InputError, match="not finite; delete their store"):
+        metrics.evaluate(held, labels, held, labels)
+
+
+def test_a_model_that_computes_nan_is_told_before_anything_is_kept(tmp_path: Path, data: Path) -> None:
+    file = worlds.make_model(tmp_path)
+    proto = onnx.load_model(file)
+    for weight in proto.graph.initializer:
+        if weight.name == "bias" or weight.dims == [4, 512]:
+            weight.CopyFrom(onnx.numpy_helper.from_array(np.full((4, 512), np.nan, np.float32), weight.name))
+    del proto.metadata_props[[entry.key for entry in proto.metadata_props].index("seal")]
+    file.write_bytes(proto.SerializeToString())
+    files = features.pictures_below(data / "test" / "query_drone")
+    with pytest.raises(ModelFileError, match="not finite"):
+        features.describe(Engine(file), files, "drone", tmp_path / "store")
+    with pytest.raises(StoreError):
+        features.open_store(tmp_path / "store")
+
+
+def test_a_flipped_byte_is_found_in_every_file(
+    model_file: Path, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    for source in (model_file, model_file.with_suffix(".safetensors")):
+        whole = source.read_bytes()
+        for place in rng.integers(0, len(whole), 5):
+            copy = tmp_path / source.name
+            copy.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+            with pytest.raises(ModelFileError):
+                lpn.load(copy)
+    for name in ("descriptors.npy", "manifest.json"):
+        whole = (store / name).read_bytes()
+        for place in rng.integers(0, len(whole), 5):
+            (store / name).write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+            assert cli.main(["verify", str(store)]) == 1
+            assert "DAMAGED" in capsys.readouterr().out
+        (store / name).write_bytes(whole)
+    assert cli.main(["verify", str(store)]) == 0
+    torch.save({"weight": torch.randn(1000)}, tmp_path / "net.pth")
+    whole = (tmp_path / "net.pth").read_bytes()
+    (tmp_path / "net.pth").write_bytes(whole[:2000] + bytes([whole[2000] ^ 1]) + whole[2001:])
+    with pytest.raises(ModelFileError, match="is damaged"):
+        load_torch(tmp_path / "net.pth")
+
+
+def test_rows_of_a_damaged_store_are_not_taken_over(model_file: Path, data: Path, store: Path) -> None:
+    model, files = lpn.load(model_file), features.pictures_below(data / "test" / "query_drone")
+    whole = np.array(features.open_store(store).descriptors)
+    array = np.lib.format.open_memmap(store / "descriptors.npy", mode="r+")
+    array[2] = -array[2]
+    del array
+    made = features.describe(model, files[:-1], "drone", store, root=data)
+    np.testing.assert_allclose(made.descriptors, whole[:-1], atol=1e-6)
+
+
+def test_files_of_earlier_versions_without_checksums_are_read(model_file: Path, store: Path, tmp_path: Path) -> None:
+    proto = onnx.load_model(model_file)
+    del proto.metadata_props[[entry.key for entry in proto.metadata_props].index("seal")]
+    (tmp_path / "old.onnx").write_bytes(proto.SerializeToString())
+    assert Engine(tmp_path / "old.onnx").n_parts == 4
+    from safetensors import safe_open
+    from safetensors.torch import save_file
+
+    with safe_open(str(model_file.with_suffix(".safetensors")), framework="pt") as file:
+        metadata = {key: value for key, value in file.metadata().items() if key != "seal"}
+        save_file({key: file.get_tensor(key) for key in file.keys()}, tmp_path / "old.safetensors", metadata)  # noqa: SIM118
+    assert lpn.load(tmp_path / "old.safetensors").n_parts == 4
+    text = (store / "manifest.json").read_text()
+    (store / "manifest.json").write_text(text[: text.index(',\n "checksums"')] + "\n}")
+    assert not features.open_store(store).damaged().any()
+    assert cli.main(["verify", str(tmp_path)]) == 0
+
+
+def outside(model_file: Path, folder: Path) -> Path:
+    """The model with one of its weights in a file above its own folder."""
+    proto = onnx.load_model(model_file)
+    weight = max(proto.graph.initializer, key=lambda one: len(one.raw_data))
+    (folder / "secret").write_bytes(weight.raw_data)
+    (folder / "inner").mkdir()
+    weight.ClearField("raw_data")
+    weight.data_location = onnx.TensorProto.EXTERNAL
+    entry = weight.external_data.add()
+    entry.key, entry.value = "location", "../secret"
+    (folder / "inner" / "model.onnx").write_bytes(proto.SerializeToString())
+    return folder / "inner" / "model.onnx"
+
+
+def test_an_onnx_that_reaches_for_other_files_is_not_opened(model_file: Path, tmp_path: Path) -> None:
+    file = outside(model_file, tmp_path)
+    with pytest.raises(ModelFileError, match="takes weights from other files"):
+        Engine(file)
+    proto = onnx.load_model(file, load_external_data=False)
+    weight = next(one for one in proto.graph.initializer if one.data_location)
+    weight.external_data[0].value = "/etc/passwd"
+    file.write_bytes(proto.SerializeToString())
+    with pytest.raises(ModelFileError, match="takes weights from other files"):
+        Engine(file)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"n_parts": 3}, "metadata"),
+        ({"embedding": 256}, "metadata"),
+        ({"input_size": [32, 32]}, "metadata"),
+        ({"n_parts": 10**9}, "n_parts"),
+        ({"backbone": "resnet99"}, "backbone"),
+        ({"pooling": "safa"}, "not one written"),
+    ],
+)
+def test_an_onnx_whose_metadata_lie_is_refused(
+    change: dict[str, object], word: str, model_file: Path, tmp_path: Path
+) -> None:
+    import json
+
+    proto = onnx.load_model(model_file)
+    entries = {entry.key: entry for entry in proto.metadata_props}
+    entries["spec"].value = json.dumps(json.loads(entries["spec"].value) | change)
+    del proto.metadata_props[[entry.key for entry in proto.metadata_props].index("seal")]
+    (tmp_path / "lies.onnx").write_bytes(proto.SerializeToString())
+    with pytest.raises(ModelFileError, match=word):
+        Engine(tmp_path / "lies.onnx")
+
+
+def test_an_onnx_whose_shapes_lie_is_told_when_it_runs(tmp_path: Path) -> None:
+    from fuzz.small_models import SPEC, onnx_file
+
+    proto = onnx.load_model_from_string(onnx_file(seal=False))
+    reshape = next(one for one in proto.graph.initializer if one.name == "mix")
+    reshape.CopyFrom(onnx.numpy_helper.from_array(np.zeros((7, 3, 1, 1), np.float32), "mix"))
+    (tmp_path / "lies.onnx").write_bytes(proto.SerializeToString())
+    with pytest.raises(ModelFileError):
+        Engine(tmp_path / "lies.onnx").descriptors(np.ones((1, 3, *SPEC.input_size), np.float32), "drone")
+
+
+def test_a_checkpoint_that_claims_to_be_huge_takes_no_memory(tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    network = worlds.make_network()
+    network.spec = replace(network.spec, embedding=1 << 17, n_parts=256, classes=1 << 24)
+    save(network, tmp_path / "huge.safetensors")
+    started = time.process_time()
+    with pytest.raises(ModelFileError, match=r"huge\.safetensors"):
+        load_torch(tmp_path / "huge.safetensors")
+    assert time.process_time() - started < 20
+
+
+def test_swapped_positions_are_told_where_that_can_be_known() -> None:
+    with pytest.raises(DataError, match="not swapped"):
+        read_positions(b"path,latitude,longitude\na.jpg,120.08,30.3\n")
+    with pytest.raises(DataError, match=r"expected a number from -90 to 90\."):
+        read_positions(b"path,latitude,longitude\na.jpg,1200,30.3\n")
+    assert read_positions(b"path,latitude,longitude\na.jpg,7.1,46.2\n")["a.jpg"].latitude == 7.1
+
+
+def test_a_port_in_use_is_one_sentence(capsys: pytest.CaptureFixture[str], model_file: Path, data: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        given = ["explore", "--data", str(data), "--model", str(model_file), "--port", str(port)]
+        assert f"Port {port} on 127.0.0.1 is in use; give another" in said(given, capsys)
+    assert "cannot be listened on" in said([*given[:-1], "99999"], capsys)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 128 kB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=128k", "tmpfs", str(folder)]
+    if not shutil.which("mount") or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("a small disk can be mounted by root alone")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk_is_one_sentence_and_leaves_nothing_whole(
+    small_disk: Path, model_file: Path, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a process of its own: a mapped file on a full disk would end it without a word."""
+    given = [
+        "describe",
+        "--model",
+        str(model_file),
+        "--images",
+        str(data),
+        "--view",
+        "drone",
+        "--out",
+        str(small_disk / "s"),
+    ]
+    done = subprocess.run([sys.executable, "-m", "lpn.cli", *given], capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "cannot be written (No space left on device); free space or choose another folder." in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not [file for file in small_disk.rglob("*") if file.name in ("manifest.json", "descriptors.npy")]
+    checkpoint = str(model_file.with_suffix(".safetensors"))
+    assert "free space" in said(["export", "--model", checkpoint, "--out", str(small_disk / "m.onnx")], capsys)
+    assert not list(small_disk.glob("m.onnx*"))
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="/proc, where nobody can write, is Linux's")
+@pytest.mark.parametrize("command", ["describe", "export", "quantize", "train", "index", "evaluate"])
+def test_a_place_that_cannot_be_written_is_one_sentence_before_any_work(
+    command: str, model_file: Path, data: Path, store: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, checkpoint, there = str(model_file), str(model_file.with_suffix(".safetensors")), "/proc/lpn"
+    given = {
+        "describe": ["--model", model, "--images", str(data), "--view", "drone", "--out", there],
+        "export": ["--model", checkpoint, "--out", f"{there}.onnx"],
+        "quantize": ["--model", model, "--data", str(data), "--out", f"{there}.onnx"],
+        "train": ["--data", str(data), "--out", there, "--recipe", "small", "--batch", "2"],
+        "index": ["--descriptors", str(store), "--out", there],
+        "evaluate": ["--model", model, "--data", str(data), "--json", f"{there}.json"],
+    }[command]
+    assert "cannot be written" in said([command, *given], capsys)
+    assert not os.path.exists(there)  # noqa: PTH110
