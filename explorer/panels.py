@@ -258,6 +258,10 @@ class Panels:
         """Show that the next answer is being computed; the one that is shown stays until then."""
         self._status.show(pages.busy(self._said))
 
+    def full(self) -> None:
+        """Show that too many people ask, and that this page will ask again; what it shows stays."""
+        self._status.show(pages.full(self._said))
+
     def fail(self, text: str) -> None:
         """Say that there is no answer; the one before stays."""
         self._status.show(self._said)
