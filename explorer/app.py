@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from contextlib import redirect_stdout
+from contextlib import ExitStack, redirect_stdout
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -57,6 +57,8 @@ class Visitor:
 
     def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: Links) -> None:
         self._client, self._exhibit, self._links = client, exhibit, links
+        self._parting = ExitStack()  # what is drawn while the browser leaves is lost, which is no reason to warn of it
+        self._parting.enter_context(client._websock_connection.get_message_buffer().sanctioned_dead_writes())
         self._lock = threading.RLock()
         self._greeted = self._small = False
         self._sequence = 0

@@ -45,6 +45,9 @@ class Panels:
         self.order: Callable[[State], IntArray | None] = lambda _: None
         """The queries that next and previous go through; None for all of them."""
         self._writer: int | None = None
+        self._watched: list[Any] = []
+        self._seen: tuple[State | None, dict[Any, Any]] = None, {}
+        """What was read last and not written back yet, and the controls' values before."""
         self._reading = threading.Lock()
         gui = client.gui
         self._left = left = gui.add_panel()
@@ -175,6 +178,12 @@ class Panels:
 
     def read(self, state: State) -> State:
         """The state with every control's value, none of them trusted (a page may send anything)."""
+        seen = {handle: handle.value for handle in self._watched}
+        read = self._read(state)
+        self._seen = read, seen
+        return read
+
+    def _read(self, state: State) -> State:
         task = self._task.value if self._task.value in self._exhibit.tasks else state.task
         names = self._exhibit.part_names
         part = names.index(self._heat_part.value) if self._heat_part.value in names else None
@@ -204,14 +213,15 @@ class Panels:
         return session.take_task(read, task)
 
     def write(self, state: State) -> None:
-        """Put a state into the controls that differ from it."""
+        """Put a state into the controls that differ from it; what the page sent since the state was read stays."""
+        (read, seen), self._seen = self._seen, (None, {})
         self._writer = threading.get_ident()  # viser calls back at once, when only some of them are written
         try:
-            self._write(state)
+            self._write(state, seen if state == read else {})
         finally:
             self._writer = None
 
-    def _write(self, state: State) -> None:
+    def _write(self, state: State, seen: dict[Any, Any]) -> None:
         pairs: list[tuple[Any, Any]] = [
             (self._task, state.task),
             (self._angle, state.angle),
@@ -230,7 +240,8 @@ class Panels:
             *zip(self._weights, state.weights, strict=True),
         ]
         for handle, value in pairs:
-            if handle.value != value:
+            now = handle.value
+            if now != value and now == seen.get(handle, now):  # else it is newer, and will be read
                 handle.value = value
         stands = self._has_city(state)
         if self._city.visible != stands:
@@ -392,6 +403,7 @@ class Panels:
 
     def _watch(self, *handles: Any) -> None:
         """Any control that changes makes all be read: the page may have merged two changes into one."""
+        self._watched.extend(handles)
         for handle in handles:
             handle.on_update(lambda _: None if self._writer == threading.get_ident() else self._change(self.read))
 
