@@ -46,7 +46,7 @@ class Panels:
         """The queries that next and previous go through; None for all of them."""
         self._writer: int | None = None
         self._watched: list[Any] = []
-        self._seen: tuple[State | None, dict[Any, Any]] = None, {}
+        self._seen: tuple[State | None, dict[int, Any]] = None, {}
         """What was read last and not written back yet, and the controls' values before."""
         self._reading = threading.Lock()
         gui = client.gui
@@ -178,7 +178,7 @@ class Panels:
 
     def read(self, state: State) -> State:
         """The state with every control's value, none of them trusted (a page may send anything)."""
-        seen = {handle: handle.value for handle in self._watched}
+        seen = {id(handle): handle.value for handle in self._watched}
         read = self._read(state)
         self._seen = read, seen
         return read
@@ -221,7 +221,7 @@ class Panels:
         finally:
             self._writer = None
 
-    def _write(self, state: State, seen: dict[Any, Any]) -> None:
+    def _write(self, state: State, seen: dict[int, Any]) -> None:
         pairs: list[tuple[Any, Any]] = [
             (self._task, state.task),
             (self._angle, state.angle),
@@ -241,7 +241,7 @@ class Panels:
         ]
         for handle, value in pairs:
             now = handle.value
-            if now != value and now == seen.get(handle, now):  # else it is newer, and will be read
+            if now != value and now == seen.get(id(handle), now):  # else it is newer, and will be read
                 handle.value = value
         stands = self._has_city(state)
         if self._city.visible != stands:
