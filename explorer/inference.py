@@ -42,14 +42,11 @@ class _Request:
 
     def __init__(self, asker: Asker, model: Model, images: FloatArray, view: View, patient: bool) -> None:
         self.asker, self.model, self.images, self.view, self.patient = asker, model, images, view, patient
+        self.kind: Hashable = (model, view, images.shape[1:])
+        """Requests of one kind can be computed in one pass."""
         self._ended = threading.Event()
         self._found: Pass | None = None
         self._error: Exception | None = None
-
-    @property
-    def kind(self) -> Hashable:
-        """Requests of one kind can be computed in one pass."""
-        return self.model, self.view, self.images.shape[1:]
 
     def end(self, found: Pass | None = None, error: Exception | None = None) -> None:
         """Hand over the outcome."""

@@ -142,7 +142,7 @@ def busy(status: str) -> str:
 
 def full(status: str) -> str:
     """The same status line where too many people ask: the page will ask again."""
-    return f"{status.partition('<span')[0]}<span data-full='1'>{_FULL}</span></div>"
+    return f"{status.partition('<span')[0]}<span>{_FULL}</span></div>"
 
 
 def matches(answer: Answer, exhibit: Exhibit, buttons: Sequence[str]) -> str:

@@ -42,23 +42,25 @@ class Sweep:
         changes = [change.of(self._entry) for change in sweeps.around(self.over, state.change, changes)]
         self.of = len(changes)
         known = None if state.upload else state.query
-        for point in sweeps.profile(
-            model,
-            answer.source,
-            task.query_view,
-            task.descriptors,
-            answer.ranking.weights,
-            changes,
-            task.labels,
-            None if known is None else int(task.query_labels[known]),
-            None if known is None or task.truth is None else task.truth[known],
-            None if answer.truth else answer.chosen.index,
-        ):
-            if self.cancelled.is_set():
-                break
-            self._points.append(point)
-            yield point
-        self.stopped = len(self._points) < self.of
+        try:
+            for point in sweeps.profile(
+                model,
+                answer.source,
+                task.query_view,
+                task.descriptors,
+                answer.ranking.weights,
+                changes,
+                task.labels,
+                None if known is None else int(task.query_labels[known]),
+                None if known is None or task.truth is None else task.truth[known],
+                None if answer.truth else answer.chosen.index,
+            ):
+                if self.cancelled.is_set():
+                    break
+                self._points.append(point)
+                yield point
+        finally:
+            self.stopped = len(self._points) < self.of
 
     def profile(self, answer: Answer) -> Profile | None:
         """What is known so far, away from what the page shows now, or where that is between two points, from the beginning."""

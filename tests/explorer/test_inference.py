@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from explorer import inference
-from explorer.inference import KEPT, TURN, Asker, BusyError, Inference, Shared
+from explorer.inference import KEPT, ROOM, TURN, Asker, BusyError, Inference, Shared
 from explorer.jobs import GivenUpError
 from explorer.kept import Kept
 from lpn.errors import InputError, ModelFileError
@@ -192,11 +192,20 @@ def test_wrong_input_is_said_as_the_model_says_it(slow: Slow) -> None:
     assert model.descriptors(pictures(1), "drone").shape == (1, 2, 3)
 
 
+class Clock:
+    """Seconds as a test says."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
 class Round:
     """Browsers that ask again as soon as they are answered, and how many passes each had between."""
 
-    def __init__(self, slow: Slow, queue: Inference, answers: int, long: int) -> None:
-        self._slow, self._queue = slow, queue
+    def __init__(self, slow: Slow, queue: Inference, answers: int, long: int, room: int = ROOM) -> None:
+        self._slow, self._queue, self._room = slow, queue, room
         self._going = True
         self._threads = [
             threading.Thread(target=self._ask, args=(shared(slow, queue, mark >= answers), mark), daemon=True)
@@ -210,9 +219,9 @@ class Round:
         for thread in self._threads:
             thread.start()
         for _ in range(passes):
-            until(
-                lambda: self._queue.waiting >= self.count - len(self._slow.passes[-1]) * (self._slow.passes[-1] != [99])
-            )
+            going = self._slow.passes[-1]
+            others = self.count if going == [99] else self.count - len(going)
+            until(lambda others=others: self._all_wait(others))  # type: ignore[misc]
             self._slow.let()
             self._slow.began()
         self._going = False
@@ -222,9 +231,17 @@ class Round:
         first.ended()
         return self._slow.passes[1 : passes + 1]
 
+    def _all_wait(self, others: int) -> bool:
+        """Whether all others wait, or have been refused where there is no room."""
+        waiting = min(others, self._room)
+        return self._queue.waiting == waiting and len(self._queue._refused) == others - waiting
+
     def _ask(self, model: Shared, mark: int) -> None:
         while self._going:
-            model.run(pictures(mark), "drone")
+            try:
+                model.run(pictures(mark), "drone")
+            except BusyError:
+                time.sleep(0.001)
 
 
 def test_nobody_is_answered_twice_while_another_waits(slow: Slow) -> None:
@@ -236,6 +253,15 @@ def test_nobody_is_answered_twice_while_another_waits(slow: Slow) -> None:
         # Those of one pass ask again in any order, so by one more or less.
         assert np.diff(places).max() <= 7 + 1
         assert len(places) >= len(turns) // 7 - 1
+
+
+def test_more_browsers_than_there_is_room_for_are_answered_in_turn(slow: Slow) -> None:
+    slow.batch = 1
+    passes = Round(slow, Inference(3, Clock()), answers=7, long=0, room=3).run(42)
+    turns = [marks[0] for marks in passes]
+    for mark in range(7):
+        assert np.diff([place for place, of in enumerate(turns) if of == mark]).max() <= 7 + 1
+        assert turns.count(mark) >= 5
 
 
 def test_long_work_neither_holds_up_answers_nor_waits_for_ever(slow: Slow) -> None:
@@ -254,15 +280,6 @@ def test_alone_long_work_has_every_pass(slow: Slow) -> None:
     passes = Round(slow, Inference(), answers=0, long=3).run(6)
     assert all(len(marks) >= 1 for marks in passes)
     assert set(np.concatenate(passes).tolist()) == {0, 1, 2}
-
-
-class Clock:
-    """Seconds as a test says."""
-
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 def test_a_full_queue_refuses_in_one_sentence_and_keeps_the_place(slow: Slow) -> None:
