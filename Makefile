@@ -7,7 +7,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c co
 HOST   ?= 127.0.0.1
 PORT   ?= 8080
 
-.PHONY: explore setup test check bench demo format audit clean
+.PHONY: explore setup test check bench fuzz demo format audit clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -70,6 +70,10 @@ format: $(VENV)/.dev
 
 bench: $(VENV)/.browser
 	$(BIN)/python -m bench $(BENCH)
+
+# Every reader, on small real files damaged with a fixed seed; the tests give each some hundred.
+fuzz: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/python -m fuzz.readers --inputs $(or $(INPUTS),10000)
 
 # The demo made again, in runs/: a city rendered, a network trained on it, both packed. Every step goes on where it stopped.
 # INIT=file: ImageNet weights of a ResNet-18, with torchvision's names.
