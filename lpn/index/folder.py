@@ -330,6 +330,8 @@ class Candidates:
 
 def gather(arrays: Sequence[npt.NDArray[Any]], places: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
     """Rows of arrays that lie one after the other, by their place in the whole."""
+    if len(arrays) == 1:
+        return np.asarray(arrays[0][places])
     starts = np.cumsum([0, *(len(array) for array in arrays)])
     found = np.empty((len(places), *arrays[0].shape[1:]), arrays[0].dtype)
     owner = np.searchsorted(starts, places, "right") - 1
