@@ -20,6 +20,7 @@ from lpn.commands.sweep import Sweep
 from lpn.commands.using import Doctor, Evaluate, Explore
 from lpn.commands.verify import Verify
 from lpn.errors import LPNError, MissingPackageError
+from lpn.files import printable
 
 COMMANDS: dict[str, type[Any]] = {
     "explore": Explore,
@@ -63,13 +64,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command = _parse(COMMANDS[given[0]], given[1:], f"lpn {given[0]}")
         return int(command.run() or 0)
     except LPNError as error:
-        print(f"lpn: {error}", file=sys.stderr)
+        print(f"lpn: {printable(str(error))}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
         print(f"lpn: {_missing(error)}", file=sys.stderr)
         return 2
     except OSError as error:
-        name = f" ({error.filename})" if error.filename else ""
+        name = f" ({printable(str(error.filename))})" if error.filename else ""
         print(f"lpn: The system refused a file or device{name}: {error.strerror or error}.", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

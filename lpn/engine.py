@@ -120,6 +120,18 @@ class Engine(Model):
             )
 
 
+def check_opens(path: Path) -> None:
+    """Refuse a file that ONNX Runtime cannot open, or whose seal is lost.
+
+    Raises:
+        ModelFileError: when it is refused.
+    """
+    options = ort.SessionOptions()
+    options.log_severity_level = 4
+    options.intra_op_num_threads = 1
+    _open(path, options)
+
+
 def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
     if not path.is_file():
         raise ModelFileError(f"There is no model file at {path}; check the path.")
@@ -189,7 +201,7 @@ def _check_group(found: dict[str, str], main: dict[str, str], group: tuple[View,
             f"{file.name} holds the part of a model for {found['group'].replace('+', ' and ')}; "
             f"open the file for {' and '.join(group)}, which was exported with it."
         )
-    if (found["spec"], found["source"]) != (main["spec"], main["source"]):
+    if any(found.get(key) != main.get(key) for key in ("spec", "source", COMPUTE)):
         raise ModelFileError(
             f"{file.name} was exported from another model than the file beside it; export the model again."
         )

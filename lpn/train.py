@@ -304,9 +304,14 @@ class Trainer:
 
 
 def _first_epoch_alone(out: Path) -> bool:
-    """Whether a folder without a state holds no more than the model and log of a first epoch, as a kill may leave them."""
+    """Whether a folder without a state holds no more than the model and log of a first epoch, as a kill may leave them.
+
+    A model of more epochs is somebody's work, which must not be written over.
+    """
     rows = (out / "log.csv").read_bytes().count(b"\n") if (out / "log.csv").exists() else 0
-    return rows <= 2 and not (out / "best.safetensors").exists()
+    last = out / "last.safetensors"
+    epochs = checkpoints.epochs_of(last) if last.exists() else 1
+    return rows <= 2 and epochs == 1 and not (out / "best.safetensors").exists()
 
 
 def _spec(recipe: Recipe, places: Places) -> ModelSpec:

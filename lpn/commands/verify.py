@@ -18,11 +18,13 @@ class Verify:
 
     def run(self) -> int:
         from lpn.features import cache_folder
+        from lpn.files import printable
         from lpn.verify import verify
 
         damaged = 0
         for path in self.paths or (cache_folder(),):
             for verdict in verify(path):
                 damaged += not verdict.whole
-                print(f"{verdict.path} {verdict.said}." if verdict.whole else f"DAMAGED: {verdict.said}")
+                name = printable(str(verdict.path))
+                print(f"{name} {verdict.said}." if verdict.whole else f"DAMAGED: {name}: {verdict.said}")
         return 1 if damaged else 0

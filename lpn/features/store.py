@@ -181,9 +181,9 @@ class Store:
         told = self.manifest.checksums
         if told is None or self.file is None:
             return found
-        blocks = crc_of_blocks(self.file, told.block)
-        if len(blocks) != len(told.blocks):
+        if -(-self.file.stat().st_size // told.block) != len(told.blocks):
             return ~found
+        blocks = crc_of_blocks(self.file, told.block)
         row = self.descriptors.dtype.itemsize * self.manifest.n_parts * self.manifest.embedding
         before = self.file.stat().st_size - row * len(found)
         for i in (i for i, (now, then) in enumerate(zip(blocks, told.blocks, strict=True)) if now != then):
