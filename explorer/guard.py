@@ -24,11 +24,13 @@ import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
+from websockets.frames import CTRL_OPCODES, Frame
 from websockets.http11 import Request as WebRequest
 from websockets.http11 import Response
+from websockets.protocol import CONNECTING, Event
 
 from explorer.entry import Entry, Onward, Refusal, Request
-from explorer.inbox import MESSAGE_BYTES, Inbox, UnfitError, strange
+from explorer.inbox import MESSAGE_BYTES, Allowance, Inbox, UnfitError, strange
 from explorer.turnstile import Turnstile
 from lpn.errors import MissingPackageError
 
@@ -36,10 +38,23 @@ log = logging.getLogger(__name__)
 
 Page = Callable[[ServerConnection, WebRequest], Any]
 
+HALF_OPEN, ALL_HALF_OPEN = 64, 256
+"""Connections whose request is not answered yet, of one address and of all; each has 10 s for it."""
+IDLE_RATE, IDLE_BURST = 20.0, 400.0
+"""Frames that bring next to nothing (pings, small pieces of a message), a second and at once. A browser sends hardly any."""
+SMALL = 1024
+"""Bytes of a piece of a message below which it is such a frame."""
+
 _MAKING = threading.Lock()
+_WEB = logging.getLogger(f"{__name__}.web")
+_WEB.setLevel(logging.WARNING)  # it would write requests, and so tokens, at debug
+_WEB.addFilter(
+    lambda record: record.getMessage() != "opening handshake failed"
+)  # with a traceback, for whatever somebody sends
 _BUSY = Refusal(
     429, "Too many wrong tokens", "Too many wrong tokens came from your address. Wait some seconds.", ask=True
 )
+_UNREADABLE = Refusal(400, "This cannot be answered", "What was asked for is no address of this server.")
 _BROKEN = Refusal(503, "The server is not ready", "Its parts do not fit together; its log says more.")
 _BARE = "form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
 _STYLE = (
@@ -92,7 +107,7 @@ class Guard:
         """What viser calls in place of websockets' own. It must not raise: viser would wait for ever."""
         self._served = True
         page = settings.pop("process_request", None)
-        settings |= {"max_size": MESSAGE_BYTES, "create_connection": _Connection, "server_header": None}
+        settings |= {"max_size": MESSAGE_BYTES, "create_connection": _Connection, "server_header": None, "logger": _WEB}
         return websockets.asyncio.server.serve(
             functools.partial(_attended, handler),
             *where,
@@ -102,6 +117,13 @@ class Guard:
 
     async def _answer(self, page: Page | None, connection: ServerConnection, asked: WebRequest) -> Response | None:
         """The answer to a request; None to go on to the websocket."""
+        try:
+            return await self._judged(page, connection, asked)
+        except Exception as error:  # a path that the file system does not take, a header that is there twice
+            log.info("Refused a request: %s", _said(error))
+            return _refused(_UNREADABLE)
+
+    async def _judged(self, page: Page | None, connection: ServerConnection, asked: WebRequest) -> Response | None:
         if page is None:
             return _refused(_BROKEN)
         port = int(connection.local_address[1])
@@ -148,6 +170,21 @@ class _Connection(ServerConnection):
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
         self._inbox = Inbox()
+        self._idle = Allowance(IDLE_RATE, IDLE_BURST)
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Somebody connects; it ends at once where too many wait for their answer, so that files can still be opened."""
+        super().connection_made(transport)
+        waiting = [_address(one) for one in self.server.handlers if one.state is CONNECTING]
+        if len(waiting) > ALL_HALF_OPEN or waiting.count(_address(self)) > HALF_OPEN:
+            self.transport.abort()
+
+    def process_event(self, event: Event) -> None:
+        """What came, one frame at a time. Messages wait their turn in `recv`; what makes up none never gets there."""
+        if _idle(event) and self._idle.take() > 0:
+            self.transport.abort()
+        else:
+            super().process_event(event)
 
     async def recv(self, decode: bool | None = None) -> Any:
         """The next message that fits, as bytes."""
@@ -174,6 +211,12 @@ async def _attended(handler: Callable[[ServerConnection], Awaitable[None]], conn
         await connection.close(1011)
 
 
+def _idle(event: Event) -> bool:
+    if not isinstance(event, Frame):
+        return False
+    return event.opcode in CTRL_OPCODES or (not event.fin and len(event.data) < SMALL)
+
+
 def _failed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """viser runs each message in a task of its own, where a value that a control cannot have fails."""
     error = context.get("exception")
@@ -191,10 +234,13 @@ def _read(connection: ServerConnection, asked: WebRequest) -> Request:
     headers: dict[str, list[str]] = {}
     for name, value in asked.headers.raw_items():
         headers.setdefault(name.lower(), []).append(value)
-    remote = connection.remote_address
-    address = str(remote[0]) if isinstance(remote, tuple) else ""
     upgrade = any("websocket" in value.lower() for value in headers.get("upgrade", ()))
-    return Request(asked.path, headers, upgrade, address)
+    return Request(asked.path, headers, upgrade, _address(connection))
+
+
+def _address(connection: ServerConnection) -> str:
+    remote = connection.remote_address
+    return str(remote[0]) if isinstance(remote, tuple) else ""
 
 
 def _hardened(answer: Response, host: str) -> Response:
