@@ -86,7 +86,7 @@ class Manifest:
             return cls(str(values["engine"]), kind, values["precision"], settings, entries, int(values["next"]))
         except FileNotFoundError as error:
             raise StoreError(f"{folder} has no {MANIFEST}, so it is not an index; make one with lpn index.") from error
-        except (OSError, ValueError, OverflowError, KeyError, TypeError, AttributeError) as error:
+        except (OSError, ValueError, OverflowError, RecursionError, KeyError, TypeError, AttributeError) as error:
             raise StoreError(
                 f"{MANIFEST} in {folder} is not one of {FORMAT}; make the index again with lpn index."
             ) from error

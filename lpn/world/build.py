@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn import city
+from lpn.datasets.rendered import UNFINISHED, WORLD
 from lpn.errors import InputError, OutputError
 from lpn.files import check_writable, write_whole
 from lpn.world import photo
@@ -102,9 +103,11 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
     part = part or Part()
     _check(settings)
     check_folder(settings, out)
-    check_writable(out / "world.json")
+    check_writable(out / WORLD)
     atlas = make_atlas(settings)
-    write_whole(out / "world.json", atlas.world_json())
+    if not _complete(atlas, out):
+        write_whole(out / UNFINISHED, b"Pictures are missing here; lpn world with the same settings goes on.\n")
+    write_whole(out / WORLD, atlas.world_json())
     write_whole(out / "geo.csv", atlas.geo_csv())
     for name, data in atlas.cvusa_files().items():
         write_whole(out / name, data)
@@ -132,6 +135,8 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
                 studio.frames(sector, frames)
             if walks:
                 studio.walks(sector, walks)
+    if _complete(atlas, out):  # where parts run at the same time, only the last of them knows
+        (out / UNFINISHED).unlink(missing_ok=True)
     return tally
 
 
@@ -241,6 +246,10 @@ class _Studio:
         self.done()
 
 
+def _complete(atlas: Atlas, out: Path) -> bool:
+    return all(_there(out, shot) for sector in atlas.sectors for shot in sector.shots)
+
+
 def _there(out: Path, shot: Shot) -> bool:
     return all((out / path).is_file() for path in shot.paths)
 
@@ -260,7 +269,7 @@ def check_folder(settings: Settings, out: Path) -> None:
     Raises:
         OutputError: when it does.
     """
-    file = out / "world.json"
+    file = out / WORLD
     if not file.is_file():
         return
     asked = asdict(settings)
