@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from contextlib import redirect_stdout
+from contextlib import ExitStack, redirect_stdout
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from explorer.entry import Entry, entry, is_loopback
 from explorer.exhibit import Analyst, Exhibit
 from explorer.follower import Follower
 from explorer.guard import Guard
+from explorer.inference import AGAIN, Asker, BusyError
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
 from explorer.link import Links
@@ -56,18 +57,21 @@ class Visitor:
 
     def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: Links) -> None:
         self._client, self._exhibit, self._links = client, exhibit, links
+        self._parting = ExitStack()  # what is drawn while the browser leaves is lost, which is no reason to warn of it
+        self._parting.enter_context(client._websock_connection.get_message_buffer().sanctioned_dead_writes())
         self._lock = threading.RLock()
         self._greeted = self._small = False
         self._sequence = 0
         task = next(iter(exhibit.tasks))
         state = State(task, exhibit.spec.n_parts, query=exhibit.first, page=exhibit.first // THUMBS)
         self._state = exhibit.possible(state)
-        self._analyst = Analyst(exhibit)
+        self._asker = Asker(exhibit.inference)
+        self._analyst = Analyst(exhibit, self._asker.of(exhibit.model))
         with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
             self._dress(self._state)
             self._panels = Panels(client, exhibit, self._state, self.change, Random())
-            room, self._reporter = Room(), Reporter(client)
-            self._reasons = Reasons(client, exhibit, self.change, self._failed, room, self._reporter)
+            room, self._reporter = Room(), Reporter(client, self._asker.of(exhibit.model, patient=True))
+            self._reasons = Reasons(client, exhibit, self.change, self._failed, room, self._reporter, self._asker)
             self._lab = Lab(client, exhibit, laboratory, self.change, room, self._reporter)
             self._panels.order = self._lab.order
             handlers = {
@@ -114,6 +118,7 @@ class Visitor:
         self._reasons.leave()
         self._worker.stop()
         self._lab.leave()
+        self._asker.leave()
 
     def _hello(self, value: Any) -> None:
         """The page says what its address asks for and how large it is; it repeats that until it is answered."""
@@ -143,7 +148,7 @@ class Visitor:
             brand_color=(86, 180, 233) if state.dark else (0, 114, 178),
         )
 
-    def _work(self) -> None:
+    def _work(self) -> float | None:
         slow = Patience(SLOW, self._panels.busy)
         try:
             answer = self._analyst.answer(self._state, SHOWN)
@@ -152,12 +157,17 @@ class Visitor:
             self._stage.show(answer)
             self._reasons.show(answer)
             self._lab.show(answer)
+        except BusyError:
+            slow.there()
+            self._panels.full()
+            return AGAIN
         finally:
             slow.there()
         self._panels.show(answer, self._sequence, started)
         beside = self._exhibit.beside
         self._follower.follow(answer.task, None if beside is None else beside.tasks.get(answer.task.name))
         self._bridge.address(self._links.write(answer.state), self._links.keys)
+        return None
 
     def _failed(self, error: Exception) -> None:
         text = (

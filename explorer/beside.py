@@ -10,6 +10,7 @@ import numpy as np
 from explorer import why
 from explorer.bridge import send
 from explorer.exhibit import Analyst, Answer, Exhibit, Task
+from explorer.inference import Asker
 from explorer.pages import SIGNS
 from explorer.session import State
 from lpn import images, overlays
@@ -22,8 +23,8 @@ _SHOWN, _LISTED, _HEIGHT = 5, 8, 240
 class Beside:
     """Answers one browser's states with the second model."""
 
-    def __init__(self, other: Exhibit) -> None:
-        self._other, self._analyst = other, Analyst(other)
+    def __init__(self, other: Exhibit, asker: Asker) -> None:
+        self._other, self._analyst = other, Analyst(other, asker.of(other.model, patient=True))
 
     def page(self, answer: Answer, exhibit: Exhibit) -> str:
         """The whole tab."""

@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from explorer import chart, session
 from explorer.chart import Places
+from explorer.inference import Asker, Inference, Shared
+from explorer.kept import Kept
 from explorer.layout import layout_for
 from explorer.session import TRUTH, State
 from explorer.standing import Found, Standing
@@ -101,7 +103,8 @@ class Exhibit:
         tasks: at least one.
         spec: how the descriptors' parts divide a picture.
         map_sizes: (h, w) of the feature map that is divided, for each view.
-        model: None where descriptors were saved by another program: then queries are seen as they were saved only.
+        model: None where descriptors were saved by another program: then queries are seen as they were saved only. Otherwise
+            all of its passes go through one queue; `inference.Asker` gives each browser its own way in.
         city: the 3-D model for the map.
         root: the data set's folder.
     """
@@ -120,13 +123,16 @@ class Exhibit:
         self.root = root
         self.model_name, self.data_name = model_name, data_name
         self.tasks = {task.name: task for task in tasks}
-        self.spec, self.map_sizes, self.model, self.city = spec, map_sizes, model, city
+        self.spec, self.map_sizes, self.city = spec, map_sizes, city
+        self.inference = Inference()
+        own = None if model is None else Shared(model, self.inference, Asker(self.inference))
+        self.model: Shared | None = own
         self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else model.describe()
         self.first = 0
         self.beside: Exhibit | None = None
         """Another model on the same data, to compare with."""
         self.part_names = self._part_names()
-        self._tile = lru_cache(maxsize=TILES)(self._describe_tile)
+        self._tiles: Kept[tuple[str, int], Described] = Kept(TILES)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self.masks = lru_cache(maxsize=8)(self._make_masks)
@@ -150,9 +156,13 @@ class Exhibit:
         """(h, w) of the feature map of the task's queries."""
         return self.map_sizes[task.query_view]
 
-    def tile(self, task: Task, index: int) -> Described:
-        """A gallery picture as the network sees it; kept, because many queries share their tiles."""
-        return self._tile(task.name, index)
+    def tile(self, task: Task, index: int, model: Shared | None = None) -> Described:
+        """A gallery picture as the network sees it; kept, because many queries share their tiles.
+
+        Args:
+            model: what is asked where it is not kept; by default the exhibit's.
+        """
+        return self._tiles.get((task.name, index), lambda: self._describe_tile(task, index, model or self.model))
 
     def thumbnail(self, path: Path) -> str:
         """A 64-pixel JPEG of a picture file as an html address."""
@@ -183,12 +193,11 @@ class Exhibit:
         names = [self.spec.partition(view).names() for view in self.spec.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
 
-    def _describe_tile(self, name: str, index: int) -> Described:
-        task = self.tasks[name]
+    def _describe_tile(self, task: Task, index: int, model: Shared | None) -> Described:
         picture = images.load_picture(task.gallery[index].path)
-        if self.model is None:
+        if model is None:
             return Described(picture, task.descriptors[index], None, None)
-        return retrieval.describe_picture(self.model, picture, task.gallery_view)
+        return retrieval.describe_picture(model, picture, task.gallery_view)
 
     def _make_card(self, name: str, index: int) -> Picture:
         task = self.tasks[name]
@@ -235,10 +244,14 @@ class Answer:
 
 
 class Analyst:
-    """Answers one browser's states, keeping what the next state can use again."""
+    """Answers one browser's states, keeping what the next state can use again.
 
-    def __init__(self, exhibit: Exhibit) -> None:
-        self._exhibit = exhibit
+    Args:
+        model: the browser's own way to the exhibit's model, by default the exhibit's.
+    """
+
+    def __init__(self, exhibit: Exhibit, model: Shared | None = None) -> None:
+        self._exhibit, self._model = exhibit, model or exhibit.model
         self._picture_key: object = None
         self._picture: Picture
         self._query_key: object = None
@@ -250,7 +263,12 @@ class Analyst:
         self._ranking_key: object = None
 
     def answer(self, state: State, k: int) -> Answer:
-        """Describe, compare, and rank; only what changed since the last state is computed."""
+        """Describe, compare, and rank; only what changed since the last state is computed.
+
+        Raises:
+            BusyError: when the network has too much to do; the same state can be asked for again.
+            LPNError: when it cannot be answered.
+        """
         started = time.perf_counter()
         task = self._exhibit.tasks[state.task]
         entry = task.queries[state.query]
@@ -282,7 +300,7 @@ class Analyst:
             chosen = truth or chosen
         elif state.selected is not None and ranking.holds(state.selected):
             chosen = ranking.find(state.selected)
-        tile = self._exhibit.tile(task, chosen.index)
+        tile = self._exhibit.tile(task, chosen.index, self._model)
         name = state.upload.name if state.upload else entry.name
         off = None if task.places is None or state.upload else task.places.off(state.query)
         reasons = self._reasons(state, weights, tile)
@@ -313,9 +331,8 @@ class Analyst:
         return images.crop(picture, entry.box, entry.name)
 
     def _described(self, task: Task, state: State) -> Described:
-        model = self._exhibit.model
-        if model is None:
+        if self._model is None:
             return Described(self._picture, task.asked[state.query], None, None)
         # A picture of one's own is what the task's queries are.
         change = state.change.of(task.queries[state.query])
-        return retrieval.describe_picture(model, self._picture, task.query_view, change)
+        return retrieval.describe_picture(self._model, self._picture, task.query_view, change)

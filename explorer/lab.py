@@ -62,6 +62,7 @@ class Lab:
         self._placed: bool | None = None
         self._size = (760, 400)
         self._tips = 0
+        self._left = False
         self._texts: int | None = None
         self._map = MapView(shared, self)
         self._panel = client.gui.add_panel(visible=False)
@@ -123,6 +124,7 @@ class Lab:
 
     def leave(self) -> None:
         """The browser is gone."""
+        self._left = True
         self._worker.stop()
         self._shared.leave(self)
 
@@ -143,6 +145,11 @@ class Lab:
             return self._selection[1]
 
     def _work(self) -> None:
+        self._show()
+        if self._left:  # what was asked for meanwhile
+            self._shared.leave(self)
+
+    def _show(self) -> None:
         with self._lock:
             lab, view = self._lab, self._view
         if not view.open:
@@ -281,7 +288,9 @@ class Lab:
             return
         rows, task = [int(row) for row in self._rows(found, lab)], found.task
         chosen = f"{labstate.words(found, lab)} (failure laboratory)"
-        self._reporter.make(lambda progress: reporting.of_selection(self._exhibit, task, rows, chosen, progress))
+        self._reporter.make(
+            lambda progress, model: reporting.of_selection(self._exhibit, task, rows, chosen, progress, model)
+        )
 
     def _failed(self, error: Exception) -> None:
         text = (

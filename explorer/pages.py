@@ -128,6 +128,7 @@ def status(answer: Answer, sequence: int, drawing: float) -> str:
 
 
 _BUSY = "<span class='busy'></span>computing … the newest change counts"
+_FULL = "<span class='busy'></span>Busy: too many people ask just now. This page asks again by itself; the newest change counts."
 FIRST = (
     "<div class='lpn dim' id='lpn-status' data-seq='0'><span class='busy'></span>describing the first picture …</div>"
 )
@@ -137,6 +138,11 @@ def busy(status: str) -> str:
     """The same status line while the next answer is being computed: it still says which state the page shows."""
     before, between, _ = status.partition("<span>")
     return f"{before}<span>{_BUSY}</span></div>" if between else status
+
+
+def full(status: str) -> str:
+    """The same status line where too many people ask: the page will ask again."""
+    return f"{status.partition('<span')[0]}<span>{_FULL}</span></div>"
 
 
 def matches(answer: Answer, exhibit: Exhibit, buttons: Sequence[str]) -> str:

@@ -45,6 +45,9 @@ class Panels:
         self.order: Callable[[State], IntArray | None] = lambda _: None
         """The queries that next and previous go through; None for all of them."""
         self._writer: int | None = None
+        self._watched: list[Any] = []
+        self._seen: tuple[State | None, dict[int, Any]] = None, {}
+        """What was read last and not written back yet, and the controls' values before."""
         self._reading = threading.Lock()
         gui = client.gui
         self._left = left = gui.add_panel()
@@ -176,6 +179,12 @@ class Panels:
 
     def read(self, state: State) -> State:
         """The state with every control's value, none of them trusted (a page may send anything)."""
+        seen = {id(handle): handle.value for handle in self._watched}
+        read = self._read(state)
+        self._seen = read, seen
+        return read
+
+    def _read(self, state: State) -> State:
         task = self._task.value if self._task.value in self._exhibit.tasks else state.task
         names = self._exhibit.part_names
         part = names.index(self._heat_part.value) if self._heat_part.value in names else None
@@ -205,14 +214,15 @@ class Panels:
         return session.take_task(read, task)
 
     def write(self, state: State) -> None:
-        """Put a state into the controls that differ from it."""
+        """Put a state into the controls that differ from it; what the page sent since the state was read stays."""
+        (read, seen), self._seen = self._seen, (None, {})
         self._writer = threading.get_ident()  # viser calls back at once, when only some of them are written
         try:
-            self._write(state)
+            self._write(state, seen if state == read else {})
         finally:
             self._writer = None
 
-    def _write(self, state: State) -> None:
+    def _write(self, state: State, seen: dict[int, Any]) -> None:
         pairs: list[tuple[Any, Any]] = [
             (self._task, state.task),
             (self._angle, state.angle),
@@ -231,7 +241,8 @@ class Panels:
             *zip(self._weights, state.weights, strict=True),
         ]
         for handle, value in pairs:
-            if handle.value != value:
+            now = handle.value
+            if now != value and now == seen.get(id(handle), now):  # else it is newer, and will be read
                 handle.value = value
         stands = self._has_city(state)
         if self._city.visible != stands:
@@ -258,6 +269,10 @@ class Panels:
     def busy(self) -> None:
         """Show that the next answer is being computed; the one that is shown stays until then."""
         self._status.show(pages.busy(self._said))
+
+    def full(self) -> None:
+        """Show that too many people ask, and that this page will ask again; what it shows stays."""
+        self._status.show(pages.full(self._said))
 
     def fail(self, text: str) -> None:
         """Say that there is no answer; the one before stays."""
@@ -389,6 +404,7 @@ class Panels:
 
     def _watch(self, *handles: Any) -> None:
         """Any control that changes makes all be read: the page may have merged two changes into one."""
+        self._watched.extend(handles)
         for handle in handles:
             handle.on_update(lambda _: None if self._writer == threading.get_ident() else self._change(self.read))
 

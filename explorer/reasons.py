@@ -15,6 +15,7 @@ from explorer.beside import Beside
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
+from explorer.inference import Asker
 from explorer.panels import Change
 from explorer.reporting import Reporter
 from explorer.room import EDGE, Room
@@ -39,6 +40,7 @@ class Reasons:
         failed: is told of what went wrong in long work.
         room: that the stage has for the window.
         reporter: makes reports of what is shown.
+        asker: the browser, before the networks.
     """
 
     def __init__(
@@ -49,9 +51,10 @@ class Reasons:
         failed: Callable[[Exception], None],
         room: Room,
         reporter: Reporter,
+        asker: Asker,
     ) -> None:
         self._client, self._exhibit, self._change, self._room = client, exhibit, change, room
-        self._reporter = reporter
+        self._reporter, self._model = reporter, asker.of(exhibit.model, patient=True)
         self._answer: Answer | None = None
         self._contest: Contest | None = None
         self._effect: Effect | None = None
@@ -70,7 +73,7 @@ class Reasons:
             ("Turn, shift, zoom", viser.Icon.CHART_LINE),
             ("Search by a region", viser.Icon.BRUSH),
         ]
-        self._other = None if exhibit.beside is None else Beside(exhibit.beside)
+        self._other = None if exhibit.beside is None else Beside(exhibit.beside, asker)
         if self._other is not None:
             tabs.append(("Two models", viser.Icon.COLUMNS_2))
         for name, icon in tabs:
@@ -184,7 +187,7 @@ class Reasons:
         if sweep is None or sweep.begun:
             return
         drawn = 0.0
-        for _ in sweep.points_of(self._exhibit):
+        for _ in sweep.points_of(self._exhibit, self._model):
             self._measure()
             if time.monotonic() - drawn > _OFTEN and sweep is self._sweep:
                 self._draw_profile(self._answer or sweep.answer)
@@ -230,7 +233,7 @@ class Reasons:
     def _report(self, _: Any) -> None:
         answer = self._answer
         if answer is not None:
-            self._reporter.make(lambda progress: reporting.of_answer(self._exhibit, answer, progress))
+            self._reporter.make(lambda progress, model: reporting.of_answer(self._exhibit, answer, progress, model))
 
     def _part(self, value: Any) -> None:
         part = session.whole(value, 0, self._exhibit.spec.n_parts - 1)

@@ -10,18 +10,24 @@ from explorer.exhibit import Answer, Exhibit, Task
 from explorer.jobs import GivenUpError, Job, Progress
 from lpn import notes, report
 from lpn.errors import LPNError
-from lpn.model import FloatArray
+from lpn.model import FloatArray, Model
 from lpn.study import Study
 
+Work = Callable[[Progress, Model | None], tuple[str, bytes]]
+"""Makes a report with a model: its file's name and contents."""
 
-def study_of(exhibit: Exhibit, task: Task, weights: FloatArray | None = None) -> Study:
+
+def study_of(exhibit: Exhibit, task: Task, model: Model | None, weights: FloatArray | None = None) -> Study:
     """A task of the exhibit as reports take it, with the tags and notes beside the data.
+
+    Args:
+        model: the way to the exhibit's model; None where it has none.
 
     Raises:
         LPNError: when the notes cannot be read.
     """
     return Study(
-        exhibit.model,
+        model,
         exhibit.model_name,
         exhibit.data_name,
         exhibit.root,
@@ -41,7 +47,7 @@ def study_of(exhibit: Exhibit, task: Task, weights: FloatArray | None = None) ->
 
 
 def of_answer(
-    exhibit: Exhibit, answer: Answer, progress: Callable[[int, int], None] | None = None
+    exhibit: Exhibit, answer: Answer, progress: Callable[[int, int], None] | None = None, model: Model | None = None
 ) -> tuple[str, bytes]:
     """A file's name and contents: the query as it is shown, against the tile that it is compared with.
 
@@ -49,7 +55,7 @@ def of_answer(
         LPNError: when a file of the data set cannot be read.
     """
     state, task = answer.state, answer.task
-    study = study_of(exhibit, task, answer.ranking.weights)
+    study = study_of(exhibit, task, model or exhibit.model, answer.ranking.weights)
     query = report.Own(answer.name, answer.source) if state.upload else state.query
     options = report.Options(change=state.change, against=answer.chosen.index)
     return f"{_plain(answer.name)}.html", report.build(study, [query], options, progress)
@@ -61,6 +67,7 @@ def of_selection(
     queries: Sequence[int],
     chosen: str,
     progress: Callable[[int, int], None] | None = None,
+    model: Model | None = None,
 ) -> tuple[str, bytes]:
     """The same for several queries of a task as they are; `chosen` says in words which they are.
 
@@ -68,7 +75,9 @@ def of_selection(
         LPNError: when there are too many, or a file of the data set cannot be read.
     """
     options = report.Options(chosen=chosen)
-    return f"{_plain(task.name)}.html", report.build(study_of(exhibit, task), queries, options, progress)
+    return f"{_plain(task.name)}.html", report.build(
+        study_of(exhibit, task, model or exhibit.model), queries, options, progress
+    )
 
 
 def _plain(name: str) -> str:
@@ -77,14 +86,20 @@ def _plain(name: str) -> str:
 
 
 class Reporter:
-    """Makes one browser's reports on a thread, says how far it is in a notification, and hands the file over."""
+    """Makes one browser's reports on a thread, says how far it is in a notification, and hands the file over.
 
-    def __init__(self, client: viser.ClientHandle) -> None:
-        self._client = client
+    Args:
+        model: the browser's way to the network for long work.
+    """
+
+    def __init__(self, client: viser.ClientHandle, model: Model | None) -> None:
+        self._client, self._model, self._left = client, model, False
         self._job: Job[None] | None = None
 
-    def make(self, work: Callable[[Progress], tuple[str, bytes]]) -> None:
+    def make(self, work: Work) -> None:
         """Make a report, or give up the one that is being made."""
+        if self._left:
+            return
         job = self._job
         if job is not None and not job.wait(0):
             job.leave(self)
@@ -93,10 +108,11 @@ class Reporter:
 
     def leave(self) -> None:
         """The browser is gone."""
+        self._left = True
         if self._job is not None:
             self._job.leave(self)
 
-    def _made(self, work: Callable[[Progress], tuple[str, bytes]], progress: Progress) -> None:
+    def _made(self, work: Work, progress: Progress) -> None:
         shown = self._client.add_notification(
             "Making a report", "Ask again to cancel.", loading=True, auto_close_seconds=None
         )
@@ -106,7 +122,7 @@ class Reporter:
             shown.body = f"{done} of {total} done; ask again to cancel."
 
         try:
-            name, contents = work(told)
+            name, contents = work(told, self._model)
         except Exception as error:
             text = f"{type(error).__name__}: the details are in the server's log."
             if isinstance(error, GivenUpError):

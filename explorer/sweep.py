@@ -9,6 +9,7 @@ from dataclasses import replace
 from explorer.exhibit import Answer, Exhibit
 from lpn import sweeps
 from lpn.changes import UNCHANGED
+from lpn.model import Model
 from lpn.sweeps import FIELD, Over, Point, Profile
 
 
@@ -30,33 +31,36 @@ class Sweep:
         self._entry = answer.task.queries[answer.state.query]
         self._points: list[Point] = []
 
-    def points_of(self, exhibit: Exhibit) -> Iterator[Point]:
-        """Compute the points, until it is cancelled."""
+    def points_of(self, exhibit: Exhibit, model: Model | None = None) -> Iterator[Point]:
+        """Compute the points, until it is cancelled; by the exhibit's model unless another way to it is given."""
         self.begun = True
         answer, task, state = self.answer, self.answer.task, self.answer.state
-        assert exhibit.model is not None
+        model = model or exhibit.model
+        assert model is not None
         height, width = exhibit.spec.input_size
         changes = sweeps.changes_over(self.over, side=height if self.over == "shift-down" else width)
         changes = [change.of(self._entry) for change in sweeps.around(self.over, state.change, changes)]
         self.of = len(changes)
         known = None if state.upload else state.query
-        for point in sweeps.profile(
-            exhibit.model,
-            answer.source,
-            task.query_view,
-            task.descriptors,
-            answer.ranking.weights,
-            changes,
-            task.labels,
-            None if known is None else int(task.query_labels[known]),
-            None if known is None or task.truth is None else task.truth[known],
-            None if answer.truth else answer.chosen.index,
-        ):
-            if self.cancelled.is_set():
-                break
-            self._points.append(point)
-            yield point
-        self.stopped = len(self._points) < self.of
+        try:
+            for point in sweeps.profile(
+                model,
+                answer.source,
+                task.query_view,
+                task.descriptors,
+                answer.ranking.weights,
+                changes,
+                task.labels,
+                None if known is None else int(task.query_labels[known]),
+                None if known is None or task.truth is None else task.truth[known],
+                None if answer.truth else answer.chosen.index,
+            ):
+                if self.cancelled.is_set():
+                    break
+                self._points.append(point)
+                yield point
+        finally:
+            self.stopped = len(self._points) < self.of
 
     def profile(self, answer: Answer) -> Profile | None:
         """What is known so far, away from what the page shows now, or where that is between two points, from the beginning."""

@@ -33,33 +33,43 @@ class Patience:
 class Worker:
     """Runs `work` on a thread of its own after each `wake`, once for any number of wakes meanwhile.
 
-    `work` must read the newest state itself; `failed` is told of an exception, and the worker goes on.
+    The thread is there from the first `wake` on.
+
+    Args:
+        work: reads the newest state itself; returns None, or the seconds after which it is run again unless it is woken before.
+        failed: is told of an exception, and the worker goes on.
     """
 
-    def __init__(self, work: Callable[[], None], failed: Callable[[Exception], None]) -> None:
+    def __init__(self, work: Callable[[], float | None], failed: Callable[[Exception], None]) -> None:
         self._work, self._failed = work, failed
-        self._requested = threading.Event()
+        self._requested, self._lock = threading.Event(), threading.Lock()
         self._stopped = False
-        self._thread = threading.Thread(target=self._loop, name="explorer-worker", daemon=True)
-        self._thread.start()
+        self._thread: threading.Thread | None = None
 
     def wake(self) -> None:
         """Ask for one more run with the newest state."""
         self._requested.set()
+        with self._lock:
+            if self._thread is None and not self._stopped:
+                self._thread = threading.Thread(target=self._loop, name="explorer-worker", daemon=True)
+                self._thread.start()
 
     def stop(self) -> None:
         """End the thread after the run in progress."""
-        self._stopped = True
+        with self._lock:
+            self._stopped = True
         self._requested.set()
 
     def _loop(self) -> None:
+        again: float | None = None
         while True:
-            self._requested.wait()
+            self._requested.wait(again)
             self._requested.clear()
             if self._stopped:
                 return
+            again = None
             try:
-                self._work()
+                again = self._work()
             except Exception as error:
                 if not self._stopped:
                     log.exception("A browser's request failed")

@@ -1,0 +1,443 @@
+"""Many browsers at once before one server: each has its own right answer, is told when it must wait, and leaves nothing."""
+
+from __future__ import annotations
+
+import gc
+import re
+import sys
+import threading
+import time
+import weakref
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+
+import cv2
+import numpy as np
+import pytest
+import viser
+from viser import GuiApi, SceneApi
+from viser.infra._async_message_buffer import AsyncMessageBuffer
+
+import lpn
+from explorer import app as app_module
+from explorer import session
+from explorer.app import App, Visitor
+from explorer.exhibit import Analyst, Exhibit
+from explorer.guard import _Connection
+from explorer.inbox import Inbox
+from explorer.inference import Asker
+from explorer.lab import Lab
+from explorer.opening import open_model, open_saved
+from explorer.panels import Panels
+from explorer.reasons import Reasons
+from explorer.session import State, Upload
+from explorer.stage import Stage
+from explorer.sweep import Sweep
+from lpn import explain, images, retrieval
+from lpn.errors import ModelFileError
+from lpn.model import FloatArray, Model, Pass
+from lpn.saved import load_saved
+from lpn.spec import View
+from tests import worlds
+from tests.saved import save_result
+from tests.talker import CHUNK, Talker
+
+TASK = "drone-to-satellite"
+HELD = (
+    Visitor, Analyst, Stage, Panels, Reasons, Lab, Asker, Upload, Sweep, Inbox, Talker, _Connection,
+    viser.ClientHandle, GuiApi, SceneApi, AsyncMessageBuffer,
+)  # fmt: skip
+"""What a browser has for itself."""
+
+
+class Gate:
+    """Stands before a model's passes: closed, they wait; broken, they fail."""
+
+    def __init__(self, model: Model) -> None:
+        self._run, self.open, self.began, self.passes, self.broken = (
+            model.run,
+            threading.Event(),
+            threading.Event(),
+            0,
+            False,
+        )
+        self.open.set()
+        model.run = self.run  # type: ignore[method-assign]
+
+    def run(self, images: FloatArray, view: View) -> Pass:
+        """A pass, when the gate is open."""
+        self.passes += 1
+        self.began.set()
+        assert self.open.wait(30)
+        if self.broken:
+            raise ModelFileError("The model is damaged.")
+        return self._run(images, view)
+
+    def close(self) -> None:
+        """From now on passes wait."""
+        self.began.clear()
+        self.open.clear()
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("many") / "places", train=1, test=9))
+
+
+@pytest.fixture(scope="module")
+def exhibit(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Exhibit:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("cache")))
+        return open_model(places, model_file)
+
+
+@pytest.fixture(scope="module")
+def app(exhibit: Exhibit) -> Iterator[App]:
+    served = App(exhibit, "127.0.0.1", 0)
+    yield served
+    served.close()
+
+
+@pytest.fixture(scope="module")
+def standing_gate(exhibit: Exhibit) -> Gate:
+    assert exhibit.model is not None
+    return Gate(exhibit.model.own)
+
+
+@pytest.fixture
+def gate(standing_gate: Gate) -> Iterator[Gate]:
+    yield standing_gate
+    standing_gate.open.set()
+    standing_gate.broken = False
+
+
+def url(app: App) -> str:
+    return f"http://127.0.0.1:{app.server.get_port()}"
+
+
+def until(true: Callable[[], bool], said: Callable[[], object] = lambda: "") -> None:
+    deadline = time.monotonic() + 30
+    while not true():
+        assert time.monotonic() < deadline, said()
+        time.sleep(0.02)
+
+
+class Browser(Talker):
+    """A page that notes every state that it was ever shown."""
+
+    def __init__(self, url: str) -> None:
+        self.shown: set[tuple[int, float]] = set()
+        super().__init__(url)
+
+    def _take(self, data: bytes | str) -> None:
+        super()._take(data)
+        if query := self.status("query"):
+            self.shown.add((int(query), float(self.status("angle") or 0)))
+
+    def turn(self, angle: int) -> None:
+        """Turn the query, and wait until that is shown."""
+        self.set("Rotate", angle)
+        self.wait(lambda: self.status("angle") == str(angle))
+
+
+def visitor_of(app: App, browser: Talker) -> Visitor:
+    """What the server has for a browser."""
+    slider = browser.find("Rotate")
+    return next(one for one in app._visitors.values() if one._panels._angle._impl.uuid == slider)
+
+
+class Direct:
+    """The same answers, computed with a model of one's own and no explorer."""
+
+    def __init__(self, exhibit: Exhibit, model_file: Path) -> None:
+        self.model, self.task = lpn.load(model_file), exhibit.tasks[TASK]
+        tiles = [images.load_picture(entry.path) for entry in self.task.gallery]
+        described = [retrieval.describe_picture(self.model, tile, "satellite").descriptor for tile in tiles]
+        self.gallery = np.stack(described)
+
+    def check(self, browser: Talker) -> None:
+        """What the page shows is right: the top match, and its score to three places."""
+        query, angle, top = (float(browser.status(name) or "nan") for name in ("query", "angle", "top"))
+        picture = images.load_picture(self.task.queries[int(query)].path)
+        descriptor = retrieval.describe_picture(self.model, picture, "drone", angle).descriptor
+        ranking = retrieval.rank(explain.part_cosines(descriptor, self.gallery), np.full(4, 0.25, np.float32))
+        assert ranking.scores[int(top)] == pytest.approx(ranking.scores.max(), abs=1e-5)
+        found = re.search(r"<td>sum</td><td>100 %</td><td>([+-][\d.]+)</td>", browser.html())
+        assert found is not None
+        assert float(found[1]) == pytest.approx(ranking.scores[int(top)], abs=6e-4)
+
+
+def test_twenty_browsers_at_once_end_each_on_its_own_right_answer(app: App, exhibit: Exhibit, model_file: Path) -> None:
+    direct, count, flaws = Direct(exhibit, model_file), 20, []
+
+    def drag(number: int) -> None:
+        try:
+            rng = Random(number)
+            with Browser(url(app)) as browser:
+                browser.greet()
+                # Every angle is one that no other browser asks for.
+                angles = [count * turns + number + 1 for turns in rng.sample(range(-9, 9), 5)]
+                queries = rng.sample(range(1, 9), 2)
+                for query in queries:
+                    browser.tell("query", query)
+                    browser.wait(lambda query=query: browser.status("query") == str(query))
+                    for angle in angles:
+                        browser.set("Rotate", angle)
+                        time.sleep(rng.random() * 0.02)
+                browser.wait(lambda: browser.status("angle") == str(angles[-1]), 60)
+                direct.check(browser)
+                time.sleep(0.2)
+                assert browser.status("angle") == str(angles[-1])
+                assert browser.shown <= {(q, float(a)) for q in {0, *queries} for a in (0, *angles)}
+        except BaseException as error:
+            flaws.append((number, error))
+
+    threads = [threading.Thread(target=drag, args=(number,), daemon=True) for number in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(120)
+    assert not any(thread.is_alive() for thread in threads)
+    assert not flaws, flaws
+
+
+def test_a_full_queue_says_busy_and_answers_the_newest_state_by_itself(
+    app: App, exhibit: Exhibit, gate: Gate, model_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exhibit.inference, "_room", 1)
+    with Browser(url(app)) as one, Browser(url(app)) as two, Browser(url(app)) as three:
+        for browser in (one, two, three):
+            browser.greet()
+        gate.close()
+        one.set("Rotate", 31)
+        assert gate.began.wait(20)
+        two.set("Rotate", 32)
+        until(lambda: exhibit.inference.waiting == 1)
+        three.set("Rotate", 33)
+        three.wait(lambda: "Busy: too many people" in three.html())
+        assert three.status("angle") == "0", "what it showed stays"
+        assert "lpn-verdict" in three.html()
+        three.set("Rotate", 34)
+        time.sleep(0.6)
+        assert "Busy: too many people" in three.html()
+        assert "No answer" not in str(three.controls)
+        gate.open.set()
+        for browser, angle in ((one, "31"), (two, "32"), (three, "34")):
+            browser.wait(lambda browser=browser, angle=angle: browser.status("angle") == angle)
+            assert "Busy" not in browser.html()
+            Direct(exhibit, model_file).check(browser)
+
+
+def test_the_first_picture_waits_for_room_too(
+    app: App, exhibit: Exhibit, gate: Gate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exhibit.inference, "_room", 0)
+    gate.close()
+    with Browser(url(app)) as browser:
+        browser.camera()
+        browser.wait(lambda: browser.find("page") is not None)
+        browser.tell("hello", {"search": "", "small": False})
+        browser.wait(lambda: "Busy: too many people" in browser.html())
+        assert browser.status("seq") == "0"
+        gate.open.set()
+        monkeypatch.setattr(exhibit.inference, "_room", 1)
+        browser.wait(lambda: browser.status("seq") == "1")
+
+
+def test_a_value_that_comes_while_an_older_one_is_taken_stays(app: App) -> None:
+    with Browser(url(app)) as browser:
+        browser.greet()
+        visitor = visitor_of(app, browser)
+        slider = visitor._panels._angle
+
+        def taken(state: State) -> State:
+            read = visitor._panels.read(state)
+            slider._impl.value = 12  # as viser's own thread does meanwhile
+            return read
+
+        slider._impl.value = 10
+        visitor.change(taken)
+        assert (visitor._state.angle, slider.value) == (10, 12)
+        visitor.change(visitor._panels.read)  # what the value itself brings about
+        assert visitor._state.angle == 12
+        visitor.change(lambda state: session.turn(state, 5))
+        assert slider.value == 17
+        visitor.change(lambda state: session.turn(state, -5))
+        assert slider.value == 12
+
+
+def test_a_failure_is_told_from_being_busy(app: App, gate: Gate) -> None:
+    with Browser(url(app)) as browser:
+        browser.greet()
+        gate.broken = True
+        browser.set("Rotate", 51)
+        browser.wait(lambda: "The model is damaged." in str(browser.controls))
+        assert "No answer" in str(browser.controls)
+        assert "Busy" not in browser.html()
+        gate.broken = False
+        browser.turn(52)
+
+
+def test_a_saved_result_without_a_network_serves_many(places: Path, model_file: Path, tmp_path: Path) -> None:
+    save_result(tmp_path / "r.mat", places, model_file)
+    served = App(open_saved(places, load_saved(tmp_path / "r.mat", 4)), "127.0.0.1", 0)
+    try:
+        with Browser(url(served)) as one, Browser(url(served)) as other:
+            for browser, query in ((one, 3), (other, 5)):
+                browser.greet()
+                browser.tell("query", query)
+            for browser, query in ((one, "3"), (other, "5")):
+                browser.wait(lambda browser=browser, query=query: browser.status("query") == query)
+            assert one.find("Use my own picture") is None
+    finally:
+        served.close()
+
+
+# What is left when browsers vanish.
+
+
+def held() -> Counter[str]:
+    """How many there are of what a browser has for itself, and of what the process has."""
+    gc.collect()
+    counts = Counter(type(one).__name__ for one in gc.get_objects() if type(one) in HELD)
+    # viser's pool grows up to 32 threads, and stays.
+    counts["threads"] = sum(not thread.name.startswith("ThreadPool") for thread in threading.enumerate())
+    if sys.platform == "linux":
+        counts["files"] = sum(1 for _ in Path("/proc/self/fd").iterdir())
+    return counts
+
+
+def settled() -> Counter[str]:
+    """The same, when nobody is there any more."""
+    until(lambda: not held()["Visitor"], held)
+    return held()
+
+
+def picture(size: int = 700) -> bytes:
+    noise = np.random.default_rng(0).integers(0, 255, (size, size, 3), np.uint8)
+    return cv2.imencode(".png", noise)[1].tobytes()
+
+
+def looks(app: App) -> None:
+    with Browser(url(app)) as browser:
+        browser.greet()
+
+
+def asks(app: App) -> None:
+    """Gone in the middle of an answer."""
+    with Browser(url(app)) as browser:
+        browser.greet()
+        browser.set("Rotate", 77)
+
+
+def sends(app: App) -> None:
+    """Gone in the middle of an upload, after a picture of its own."""
+    with Browser(url(app)) as browser:
+        browser.greet()
+        browser.upload("mine.png", picture(90), transfer="one")
+        browser.wait(lambda: browser.status("name") == "mine.png")
+        button, content = browser.find("Use my own picture"), picture()
+        browser.send(
+            "FileTransferStartUpload",
+            source_component_uuid=button,
+            transfer_uuid="two",
+            filename="b.png",
+            mime_type="image/png",
+            part_count=3,
+            size_bytes=len(content),
+        )
+        browser.part(0, content[:CHUNK], "two")
+
+
+def decodes(app: App) -> None:
+    """Gone while its picture is being read."""
+    with Browser(url(app)) as browser:
+        browser.greet()
+        browser.upload("mine.png", picture(500))
+
+
+def profiles(app: App) -> None:
+    """Gone while a profile and a report are being made, and the laboratory is open."""
+    with Browser(url(app)) as browser:
+        browser.greet()
+        visitor = visitor_of(app, browser)
+        visitor.change(lambda state: replace(state, why=True, lab=True))
+        browser.wait(lambda: "id='lpn-why'" in browser.html())
+        browser.tell("sweep", "rotation")
+        until(lambda: visitor._reasons._sweep is not None and visitor._reasons._sweep.begun)
+        browser.tell("report", None)
+        until(lambda: visitor._reporter._job is not None)
+
+
+def knocks(app: App) -> None:
+    """Gone before it says anything."""
+    with Browser(url(app)):
+        pass
+
+
+def shows(app: App) -> None:
+    """Gone before its page is built."""
+    with Browser(url(app)) as browser:
+        browser.camera()
+
+
+def test_browsers_that_vanish_leave_nothing(app: App) -> None:
+    ways = (looks, asks, sends, decodes, profiles, knocks, shows)
+    for way in ways:  # what is made once: threads of pools, files of shared libraries
+        way(app)
+    before = settled()
+    for _ in range(2):
+        threads = [threading.Thread(target=way, args=(app,)) for way in ways]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(60)
+    until(lambda: not (held() - before), lambda: held() - before)
+    assert not app._visitors
+    assert not app.server.get_clients()
+    assert not app.server.gui._current_file_upload_states
+    assert not app.server._websock_server._client_state_from_id
+    assert not app.server._websock_server._live_connections
+
+
+def test_a_browser_that_left_is_not_computed_for(app: App, exhibit: Exhibit, gate: Gate) -> None:
+    with Browser(url(app)) as stays:
+        stays.greet()
+        with Browser(url(app)) as goes:
+            goes.greet()
+            gate.close()
+            stays.set("Rotate", 61)
+            assert gate.began.wait(20)
+            goes.set("Rotate", 62)
+            until(lambda: exhibit.inference.waiting == 1)
+            visitor = weakref.ref(visitor_of(app, goes))
+            passes = gate.passes
+        until(lambda: exhibit.inference.waiting == 0)
+        until(lambda: (gc.collect(), visitor() is None)[1])
+        gate.open.set()
+        stays.wait(lambda: stays.status("angle") == "61")
+        assert gate.passes <= passes + 1, "the tile's, at most"
+
+
+def test_a_page_that_is_built_for_nobody_is_taken_down(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
+    building, go = threading.Event(), threading.Event()
+
+    class Late(Stage):
+        def __init__(self, *given: object) -> None:
+            building.set()
+            assert go.wait(20)
+            super().__init__(*given)  # type: ignore[arg-type]
+
+    before = settled()
+    with monkeypatch.context() as patched:
+        patched.setattr(app_module, "Stage", Late)
+        with Browser(url(app)) as browser:
+            browser.camera()
+            assert building.wait(20)
+        until(lambda: not app.server.get_clients())
+        go.set()
+        until(lambda: not (held() - before), lambda: held() - before)
+    assert not app._visitors
