@@ -77,7 +77,7 @@ class Tab:
 
     def enter(self, link: str) -> None:
         """Open the page by a link's query, as somebody who has seen the tour."""
-        self._changed = time.monotonic()
+        began = time.monotonic()
         self._context = self._browser.new_context(viewport={"width": 1280, "height": 800})
         self._context.add_init_script("localStorage.setItem('lpn-tour', 'seen')")
         self._context.set_default_timeout(1000 * BOUND)
@@ -89,8 +89,9 @@ class Tab:
         notice = self.page.locator(".mantine-Notification-closeButton")  # of software WebGL
         if self._doing(notice.count, change=False):
             self._doing(notice.first.click)
-        self._doing(lambda: self.page.get_by_role("button", name="Shift and zoom").click())
+        self._doing(lambda: self.page.get_by_text("Shift and zoom", exact=True).click())
         self.page.wait_for_timeout(400)
+        self._changed = began
 
     def drag(self, label: str, values: list[float]) -> float:
         """Drag a slider's thumb to the places of values; the page rounds to what a pixel is."""

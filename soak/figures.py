@@ -58,6 +58,7 @@ class Memory:
         left: after they left.
         growth: of memory after the first minute, megabytes an hour, along a line through all samples; None for a run that
             is too short to say.
+        samples: all that were taken while all clients were there.
     """
 
     empty: Held | None
@@ -66,6 +67,7 @@ class Memory:
     end: Held | None
     left: Held | None
     growth: float | None
+    samples: tuple[Held, ...] = ()
 
     @staticmethod
     def of(empty: Held | None, before: Held | None, during: Sequence[Held], left: Held | None) -> Memory:
@@ -78,7 +80,7 @@ class Memory:
         if later[-1].at - later[0].at >= FIRST_MINUTE:
             line = np.polyfit([held.at for held in later], [held.megabytes for held in later], 1)
             growth = float(3600 * line[0])
-        return Memory(empty, before, later[0], later[-1], left, growth)
+        return Memory(empty, before, later[0], later[-1], left, growth, tuple(during))
 
     def flaws(self) -> list[str]:
         """What grew past its bound."""
