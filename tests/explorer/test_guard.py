@@ -34,8 +34,8 @@ from explorer.opening import open_model
 from explorer.session import State, Upload
 from explorer.turnstile import ALL_WAITING, FIRST, FORGET, KEPT, LONGEST, WAITING, Turnstile
 from lpn.errors import InputError, MissingPackageError, PictureError
+from soak.client import Talker
 from tests import worlds
-from tests.talker import Talker
 
 TOKEN = "correct horse battery"
 
