@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import io
 import logging
 import socket
@@ -218,6 +219,9 @@ class App:
         visitor = self._visitors.pop(client.client_id, None)
         if visitor is not None:
             visitor.leave()
+            del visitor
+            # Its views and what they call hold one another, pictures included, and Python would look for that in minutes only.
+            gc.collect()
 
 
 def run(
@@ -258,6 +262,8 @@ def _serve(opened: Callable[[], Exhibit], host: str, port: int, door: Entry | No
     host = host or "0.0.0.0"
     _check_free(host, port)
     app = App(opened(), host, port, door)
+    gc.collect()
+    gc.freeze()  # what is there from the start stays, and need not be looked through whenever a browser leaves
     port = app.server.get_port()
     if not is_loopback(host):
         print(
