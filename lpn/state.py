@@ -13,6 +13,7 @@ import torch
 from lpn.checksums import check_entries
 from lpn.errors import InputError, ModelFileError
 from lpn.files import write_whole
+from lpn.formats import newer
 from lpn.recipes import Recipe
 from lpn.selection import Row
 
@@ -63,10 +64,13 @@ def read_state(path: Path, recipe: Recipe, places: str) -> State:
     check_entries(path, "start the run again without --resume, in another --out")
     try:
         values: Any = torch.load(path, map_location="cpu", weights_only=True)
+        found = values.get("format")
+        if isinstance(found, int) and found > FORMAT:
+            raise ModelFileError(newer(path, str(found), str(FORMAT)))
         saved: dict[str, Any] = dict(json.loads(values["recipe"]))
-        if values.get("format") != FORMAT:
+        if found != FORMAT:
             raise ModelFileError(
-                f"{path} was written by another version of lpn, whose runs cannot be resumed exactly; start anew in another "
+                f"{path} was written by an earlier version of lpn, whose runs cannot be resumed exactly; start anew in another "
                 "--out."
             )
         history, digest = json.loads(values["history"]), values["places"]
