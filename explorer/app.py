@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import logging
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -39,6 +37,7 @@ from explorer.worker import Patience, Worker
 from lpn.errors import InputError, LPNError
 from lpn.files import printable
 from lpn.logs import conceal
+from lpn.machine import port_taken
 from lpn.saved import load_saved
 from lpn.stopping import finished
 
@@ -291,15 +290,8 @@ def _serve(opened: Callable[[], Exhibit], host: str, port: int, door: Entry | No
 
 def _check_free(host: str, port: int) -> None:
     """viser would silently take the next free port, and nobody would find the page."""
-    try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        with socket.socket(family, socket.SOCK_STREAM) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((host, port))
-    except (OSError, OverflowError) as error:
-        used = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
-        found = f"Port {port} on {host} is in use" if used else f"Port {port} on {host} cannot be listened on ({error})"
-        raise InputError(f"{found}; give another with --port or --host.") from error
+    if taken := port_taken(host, port):
+        raise InputError(f"{taken}; give another with --port or --host.")
 
 
 def _refuse_share(*_: Any, **__: Any) -> None:
