@@ -106,4 +106,4 @@ def _installed() -> tuple[str, list[str], dict[str, list[str]]] | None:
         for extra in told.get_all("Provides-Extra") or []
     }
     base = [line for line, marker in bare.items() if marker is None or marker.evaluate({"extra": ""})]
-    return told.get("Requires-Python", ""), base, extras
+    return told["Requires-Python"] or "", base, extras
