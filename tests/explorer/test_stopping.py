@@ -80,8 +80,8 @@ class Explorer(Process):
     def __init__(self, data: Path, model: Path, cache: Path, before: str = "", **environment: str) -> None:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
-            self._port = probe.getsockname()[1]
-        given: list[object] = ["explore", "--data", data, "--model", model, "--port", self._port]
+            self.port = probe.getsockname()[1]
+        given: list[object] = ["explore", "--data", data, "--model", model, "--port", self.port]
         super().__init__(given, cache, before, **environment)
 
     @contextlib.contextmanager
@@ -89,7 +89,7 @@ class Explorer(Process):
         self.until(lambda: re.search(r"ready: http://", self.out))
         with contextlib.ExitStack() as all_of_them:
             yield [
-                all_of_them.enter_context(Talker(f"http://127.0.0.1:{self._port}").greet("?query=0003"))
+                all_of_them.enter_context(Talker(f"http://127.0.0.1:{self.port}").greet("?query=0003"))
                 for _ in range(count)
             ]
 

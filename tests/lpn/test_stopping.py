@@ -162,10 +162,14 @@ def test_a_file_is_written_to_its_end_before_the_stop(tmp_path: Path, monkeypatc
 
 
 def test_files_that_belong_together_are_written_together(tmp_path: Path) -> None:
-    with Stop(lambda _: 0).listening(), pytest.raises(KeyboardInterrupt), finishing():
-        os.kill(os.getpid(), signal.SIGTERM)
-        for name in ("one", "two"):
-            write_whole(tmp_path / name, b"whole")
+    def write() -> None:
+        with finishing():
+            os.kill(os.getpid(), signal.SIGTERM)
+            for name in ("one", "two"):
+                write_whole(tmp_path / name, b"whole")
+
+    with Stop(lambda _: 0).listening(), pytest.raises(KeyboardInterrupt):
+        write()
     assert (tmp_path / "two").read_bytes() == b"whole"
 
 
