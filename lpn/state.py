@@ -67,12 +67,12 @@ def read_state(path: Path, recipe: Recipe, places: str) -> State:
         found = values.get("format")
         if isinstance(found, int) and found > FORMAT:
             raise ModelFileError(newer(path, str(found), str(FORMAT)))
-        saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         if found != FORMAT:
             raise ModelFileError(
                 f"{path} was written by an earlier version of lpn, whose runs cannot be resumed exactly; start anew in another "
                 "--out."
             )
+        saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         history, digest = json.loads(values["history"]), values["places"]
         tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler")}
         state = State(history, float(values["first_loss"]), int(values["processes"]), tensors)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from lpn.checksums import BLOCK, crc_of_blocks
+from lpn.checksums import BLOCK, crc_of_blocks, crc_of_values
 from lpn.errors import StoreError
 from lpn.files import write_whole
 
@@ -16,7 +16,8 @@ NAME = "checksums.json"
 def write_sums(segment: Path) -> None:
     """Write those of all files that are in a new segment."""
     blocks = {path.name: crc_of_blocks(path, BLOCK) for path in sorted(segment.iterdir())}
-    write_whole(segment / NAME, json.dumps({"block": BLOCK, "files": blocks}).encode())
+    values = {"block": BLOCK, "files": blocks}
+    write_whole(segment / NAME, json.dumps({**values, "checksum": crc_of_values(values)}).encode())
 
 
 def changed(segment: Path) -> list[str] | None:
@@ -27,6 +28,8 @@ def changed(segment: Path) -> list[str] | None:
     """
     try:
         told: Any = json.loads((segment / NAME).read_bytes())
+        if told.pop("checksum") != crc_of_values(told):
+            raise ValueError("another checksum")
         return [
             name
             for name, blocks in told["files"].items()
