@@ -450,7 +450,7 @@ def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
             open_index(tmp_path / "index")
         file.write_bytes(whole)
     open_index(tmp_path / "index").close()
-    for text in ("", "[]", '{"format": "lpn-index/1"}', '{"format": "lpn-index/9", "precision": "int8"}'):
+    for text in ("", "[]", '{"format": "lpn-index/1"}', '{"format": "lpn-index/0", "precision": "int8"}'):
         (tmp_path / "index" / "index.json").write_text(text)
         with pytest.raises(StoreError, match="not one of lpn-index/1"):
             open_index(tmp_path / "index")
