@@ -10,9 +10,10 @@ from __future__ import annotations
 import asyncio
 import functools
 import inspect
+import itertools
 import logging
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import viser
@@ -101,7 +102,7 @@ class Guard:
         page = settings.pop("process_request", None)
         settings |= {"max_size": MESSAGE_BYTES, "create_connection": _Connection, "server_header": None, "logger": _WEB}
         return websockets.asyncio.server.serve(
-            functools.partial(_attended, handler),
+            functools.partial(_attended, handler, itertools.count()),
             *where,
             process_request=functools.partial(self._answer, page),
             **settings,
@@ -126,6 +127,7 @@ class Guard:
         if isinstance(found, Onward):
             return led_on(found, self.entry.cookie(request, port))
         if found is not None:
+            log.debug("Refused %s, %d: %s", request.address, found.status, found.title)
             return refused(await self._slowed(found, request.address))
         answer = page(connection, asked)
         answer = await answer if inspect.isawaitable(answer) else answer
@@ -178,6 +180,10 @@ class _Connection(ServerConnection):
         else:
             super().process_event(event)
 
+    def called(self, number: int) -> None:
+        """Give the browser its number, which viser counts in the same way."""
+        self._inbox = Inbox(number=number)
+
     async def recv(self, decode: bool | None = None) -> Any:
         """The next message that fits, as bytes."""
         while True:
@@ -188,18 +194,23 @@ class _Connection(ServerConnection):
                 return message
 
 
-async def _attended(handler: Callable[[ServerConnection], Awaitable[None]], connection: ServerConnection) -> None:
+async def _attended(
+    handler: Callable[[ServerConnection], Awaitable[None]], numbers: Iterator[int], connection: ServerConnection
+) -> None:
     """viser's handler; what a browser breaks ends its own connection, with one line in the log."""
     asyncio.get_running_loop().set_exception_handler(_failed)
+    number = next(numbers)
+    if isinstance(connection, _Connection):
+        connection.called(number)
     try:
         await handler(connection)
     except UnfitError as error:
-        log.info("Closed a connection that sent %s", error)
+        log.info("Browser %d sent %s; closed its connection", number, error)
         await connection.close(1007, "no message")
     except ConnectionClosed:
         pass
     except Exception as error:
-        log.info("Closed a connection: %s", _said(error))
+        log.info("Browser %d: closed its connection: %s", number, _said(error))
         await connection.close(1011)
 
 

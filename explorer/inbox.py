@@ -147,11 +147,15 @@ class _Upload:
 class Inbox:
     """Reads the messages of one browser. Used from one thread.
 
+    Args:
+        number: of the browser, for the log.
+
     Attributes:
         dropped: messages that were not handed on.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic, number: int = 0) -> None:
+        self._number = number
         self._allowance = Allowance(RATE, BURST, clock)
         self._uploads: dict[str, _Upload] = {}
         self.dropped = 0
@@ -184,7 +188,7 @@ class Inbox:
         if fits:
             return raw
         self.dropped += 1
-        log.debug("Dropped a message of kind %.40r and %d bytes", kind, len(raw))
+        log.debug("Browser %d: refused a message of kind %.40r and %d bytes", self._number, kind, len(raw))
         return None
 
     def _begun(self, message: dict[str, Any]) -> bytes | None:
@@ -193,8 +197,10 @@ class Inbox:
         button = message["source_component_uuid"]
         if button not in BUTTONS or name in self._uploads or len(self._uploads) >= UPLOADS:
             self.dropped += 1
+            log.debug("Browser %d: refused an upload, %d being under way", self._number, len(self._uploads))
             return None
         if size > MAX_UPLOAD or not 0 < parts <= PARTS or size < parts:
+            log.debug("Browser %d: refused an upload of %d bytes in %d parts", self._number, size, parts)
             message |= {"size_bytes": 0, "part_count": 0}
         else:
             self._uploads[name] = _Upload(button, size, set(range(parts)))

@@ -18,6 +18,7 @@ from torch import Tensor
 from lpn.checksums import BLANK, SEAL, check_entries, check_seal, check_unpacked, sealed
 from lpn.errors import ModelFileError
 from lpn.files import fingerprint, write_whole
+from lpn.formats import is_newer, newer
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.network import LPN, map_size
 from lpn.published import State, infer_backbone, infer_spec, read_options
@@ -276,9 +277,11 @@ def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
 
 def _read_safetensors(path: Path) -> tuple[ModelSpec, State]:
     state, metadata = _read_tensors(path)
-    if metadata.get("format") != FORMAT:
+    if is_newer(found := metadata.get("format"), FORMAT):
+        raise ModelFileError(newer(path.name, str(found), FORMAT))
+    if found != FORMAT:
         raise ModelFileError(
-            f"{path.name} holds tensors but is not an LPN of ours (format {metadata.get('format')!r}, expected {FORMAT!r}); "
+            f"{path.name} holds tensors but is not an LPN of ours (format {found!r}, expected {FORMAT!r}); "
             "weights of a backbone alone go to lpn train --init."
         )
     return ModelSpec.from_json(metadata.get("spec", "")), state

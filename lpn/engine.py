@@ -16,6 +16,7 @@ import onnxruntime as ort
 from lpn.checksums import SEAL, check_seal
 from lpn.errors import InputError, ModelFileError
 from lpn.files import fingerprint
+from lpn.formats import is_newer, newer
 from lpn.machine import usable_cores
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.onnxfile import check_self_contained
@@ -155,7 +156,9 @@ def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
 def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
     metadata = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map)
     names = {output.name for output in session.get_outputs()}
-    ours = metadata.get("format") == FORMAT and {"spec", "source", "group"} <= set(metadata)
+    if is_newer(found := metadata.get("format"), FORMAT):
+        raise ModelFileError(newer(path.name, str(found), FORMAT))
+    ours = found == FORMAT and {"spec", "source", "group"} <= set(metadata)
     if not ours or not {*OUTPUTS, *extra_outputs(ModelSpec.from_json(metadata["spec"]))} <= names:
         raise ModelFileError(
             f"{path.name} is an ONNX model but not one written by `lpn export`; export your LPN with it."

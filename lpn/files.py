@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.errors import OutputError
+from lpn.stopping import finishing
 
 try:
     import fcntl
@@ -47,16 +48,17 @@ def write_whole(path: Path, data: bytes) -> None:
         OutputError: when it cannot be written; nothing is left behind.
     """
     beside = _beside(path)
-    try:
-        _prepare(path)
-        beside.write_bytes(data)
-        os.replace(beside, path)
-    except OSError as error:
+    with finishing():
+        try:
+            _prepare(path)
+            beside.write_bytes(data)
+            os.replace(beside, path)
+        except OSError as error:
+            with suppress(OSError):
+                beside.unlink(missing_ok=True)
+            raise _unwritable(path, error) from error
         with suppress(OSError):
-            beside.unlink(missing_ok=True)
-        raise _unwritable(path, error) from error
-    with suppress(OSError):
-        _clear(path)
+            _clear(path)
 
 
 def mapped(path: Path) -> npt.NDArray[Any]:

@@ -11,7 +11,7 @@ import tyro
 
 @dataclass
 class Verify:
-    """Read stores, shards, models, and trainings in full against their checksums; ends with status 1 where one is damaged."""
+    """Read stores, indexes, shards, models, and trainings in full against their checksums; ends with status 1 at damage."""
 
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Files and folders, searched with all folders below; by default the cache of descriptors."""

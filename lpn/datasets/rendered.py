@@ -7,14 +7,14 @@ from pathlib import Path
 from lpn.errors import DataError
 from lpn.files import printable
 
-WORLD = "world.json"
+PLAN = "world.json"
 UNFINISHED = "unfinished.txt"
 """In a world's folder until the last of its pictures is there."""
 
 
 def is_rendered(root: Path) -> bool:
     """Whether a folder is one that `lpn world` made; DataError while pictures of it are missing."""
-    if not (root / WORLD).is_file():
+    if not (root / PLAN).is_file():
         return False
     if (root / UNFINISHED).is_file():
         raise DataError(
