@@ -7,7 +7,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c co
 HOST   ?= 127.0.0.1
 PORT   ?= 8080
 
-.PHONY: explore setup test check bench demo format audit clean
+.PHONY: explore setup test check bench fuzz soak demo format audit clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -70,6 +70,15 @@ format: $(VENV)/.dev
 
 bench: $(VENV)/.browser
 	$(BIN)/python -m bench $(BENCH)
+
+# Every reader, on small real files damaged with a fixed seed; the tests give each some hundred.
+fuzz: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/python -m fuzz.readers --inputs $(or $(INPUTS),10000)
+
+# Many people at once, every answer checked: make soak MINUTES=10 CLIENTS=20 PAGES=2 SEED=0 OUT=soak.json
+soak: $(VENV)/.browser
+	$(BIN)/python -m soak $(if $(MINUTES),--minutes $(MINUTES)) $(if $(CLIENTS),--clients $(CLIENTS)) $(if $(PAGES),--pages $(PAGES)) \
+	  $(if $(SEED),--seed $(SEED)) $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(OUT),--out "$(OUT)")
 
 # The demo made again, in runs/: a city rendered, a network trained on it, both packed. Every step goes on where it stopped.
 # INIT=file: ImageNet weights of a ResNet-18, with torchvision's names.

@@ -20,14 +20,13 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from PIL import Image
 from torch.utils.data import DataLoader, Dataset
 
 from bench.figures import Figure, against_peer, show, take_turns
-from bench.train import make_pictures as train_split
+from bench.pictures import make_folder, make_train_split
 from lpn import features, images
 from lpn.checkpoints import TorchModel, load_torch, save
 from lpn.datasets import open_dataset
@@ -44,17 +43,6 @@ ROUNDS = 3
 BATCH = 32
 """Of the published test script."""
 SPEC = ModelSpec("resnet50", views=("satellite", "drone"), classes=701)
-
-
-def make_pictures(root: Path, count: int) -> Path:
-    """Synthetic JPEG files: blurred noise, which compresses about as photographs do."""
-    rng = np.random.default_rng(0)
-    for number in range(count):
-        noise = cv2.GaussianBlur(rng.integers(0, 256, (512, 512, 3), np.uint8), (5, 5), 1.5)
-        folder = root / f"{number // 16:04d}"
-        folder.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(folder / f"image-{number % 16:02d}.jpg"), noise)
-    return root
 
 
 class Files(Dataset[torch.Tensor]):
@@ -109,11 +97,11 @@ def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
     torch.manual_seed(0)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        root = given or make_pictures(folder / "pictures", count)
+        root = given or make_folder(folder / "pictures", count)
         files = features.pictures_below(root)[:count]
         save(LPN(SPEC), folder / "model.safetensors")
         export(folder / "model.safetensors", folder / "model.onnx")
-        quantize(folder / "model.onnx", open_dataset(train_split(folder / "places")), folder / "int8.onnx", 32)
+        quantize(folder / "model.onnx", open_dataset(make_train_split(folder / "places")), folder / "int8.onnx", 32)
         network = load_torch(folder / "model.safetensors", "cpu")
         workers = max(1, usable_cores() // 2)
         tasks: dict[str, Callable[[], object]] = {"peer": lambda: published(network, files, workers)}

@@ -19,7 +19,7 @@ import torch
 from PIL import Image
 
 from bench.figures import Figure, against_peer, below, medians, show, within
-from bench.train import make_pictures
+from bench.pictures import make_train_split
 from lpn import images, retrieval
 from lpn.changes import Change
 from lpn.checkpoints import TorchModel, load_torch, save
@@ -106,7 +106,7 @@ def figures(root: Path | None = None) -> list[Figure]:
     found: list[Figure] = []
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
-        dataset = open_dataset(root or make_pictures(folder / "places"))
+        dataset = open_dataset(root or make_train_split(folder / "places"))
         for name, spec in SPECS.items():
             found += measure(name, spec, dataset, folder)
     return found

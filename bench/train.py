@@ -22,7 +22,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
-import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -30,6 +29,7 @@ from PIL import Image
 from rich.console import Console
 
 from bench.figures import Figure, show, take_turns
+from bench.pictures import make_train_split
 from lpn import images
 from lpn.datasets import open_dataset
 from lpn.network import LPN
@@ -40,19 +40,6 @@ from lpn.train import Trainer
 ROUNDS = 5
 STEPS = 4
 TARGET = 1.3
-
-
-def make_pictures(root: Path, places: int = 24) -> Path:
-    """A synthetic train split: blurred noise, which compresses about as photographs do."""
-    rng = np.random.default_rng(0)
-    for label in range(places):
-        for view, count, side in (("satellite", 1, 512), ("drone", 4, 256)):
-            folder = root / "train" / view / f"{label:04d}"
-            folder.mkdir(parents=True)
-            for number in range(count):
-                noise = cv2.GaussianBlur(rng.integers(0, 256, (side, side, 3), np.uint8), (5, 5), 1.5)
-                cv2.imwrite(str(folder / f"image-{number:02d}.jpg"), noise)
-    return root
 
 
 class PlainLoop:
@@ -156,7 +143,7 @@ def figures(root: Path | None = None, resnet50: bool = False) -> list[Figure]:
     torch.manual_seed(0)
     found: list[Figure] = []
     with tempfile.TemporaryDirectory() as folder:
-        data = root or make_pictures(Path(folder) / "data")
+        data = root or make_train_split(Path(folder) / "data")
         for name, network in networks.items():
             recipe = replace(RECIPES["university1652"], **network)  # type: ignore[arg-type]
             result = measure(data, recipe, Path(folder) / name)

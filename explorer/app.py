@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import errno
+import gc
 import io
 import logging
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -22,7 +21,7 @@ from explorer import against, beside, commands, labstyle, pages, profiles, regio
 from explorer.bridge import Bridge
 from explorer.cards import SHOWN
 from explorer.entry import Entry, entry, is_loopback
-from explorer.exhibit import Analyst, Exhibit
+from explorer.exhibit import Analyst, Answer, Exhibit
 from explorer.follower import Follower
 from explorer.guard import Guard
 from explorer.inference import AGAIN, Asker, BusyError
@@ -38,7 +37,11 @@ from explorer.session import State
 from explorer.stage import SCENE, Stage
 from explorer.worker import Patience, Worker
 from lpn.errors import InputError, LPNError
+from lpn.files import printable
+from lpn.logs import conceal
+from lpn.machine import port_taken
 from lpn.saved import load_saved
+from lpn.stopping import finished
 
 log = logging.getLogger(__name__)
 
@@ -48,6 +51,8 @@ STYLES = "".join(
 """Of all panels, the later over the earlier."""
 GREETING = 3.0
 """Seconds that a page has to say what its address asks for, before it is shown what every page is."""
+CLOSING = 1.5
+"""Seconds that an app has to close."""
 SLOW = 0.5
 """Seconds that an answer may take before the page says that it is being computed."""
 
@@ -169,7 +174,17 @@ class Visitor:
         beside = self._exhibit.beside
         self._follower.follow(answer.task, None if beside is None else beside.tasks.get(answer.task.name))
         self._bridge.address(self._links.write(answer.state), self._links.keys)
+        if log.isEnabledFor(logging.DEBUG):
+            log.debug("%s", self._line(answer, time.perf_counter() - started))
         return None
+
+    def _line(self, answer: Answer, drawn: float) -> str:
+        """An answer as a line of the log."""
+        state = answer.state
+        query = f"own picture {printable(answer.name)}" if state.upload else f"query {printable(answer.name)}"
+        asked = f"turn {state.angle:g}, shift {state.shift} {state.down}, zoom {state.zoom:g}"
+        took = f"computed in {1000 * answer.seconds:.0f} ms, shown in {1000 * drawn:.0f} ms"
+        return f"Browser {self._client.client_id}: answer {self._sequence}: {state.task}, {query}, {asked}: {took}"
 
     def _failed(self, error: Exception) -> None:
         text = (
@@ -194,6 +209,8 @@ class App:
     def __init__(self, exhibit: Exhibit, host: str, port: int, door: Entry | None = None) -> None:
         _check_free(host, port)
         self.door = door or entry(host, None, False, ())
+        conceal(self.door.token)
+        conceal(self.door.pass_key)
         make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
         with redirect_stdout(io.StringIO()):  # viser announces itself; people need one address, once
             self.server = Guard(self.door).before(make)
@@ -206,12 +223,20 @@ class App:
         self.server.on_client_disconnect(self._disconnected)
 
     def close(self) -> None:
-        """Stop every worker and the server."""
+        """Stop every worker and the server, and let files that are being written be finished: 1.5 seconds at most."""
+        until = time.monotonic() + CLOSING
         for visitor in list(self._visitors.values()):
             visitor.leave()
-        self.server.stop()
+        # viser waits for its connections, for up to six seconds.
+        stopping = threading.Thread(target=self.server.stop, name="explorer-stop", daemon=True)
+        with redirect_stdout(io.StringIO()):  # it announces its end, too
+            stopping.start()
+            stopping.join(CLOSING)
+        if not finished(max(until - time.monotonic(), 0)):
+            log.warning("A file is still being written")
 
     def _connected(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: Links) -> None:
+        log.info("Browser %d connected", client.client_id)
         self._visitors[client.client_id] = Visitor(client, exhibit, laboratory, links)
         if client.client_id not in self.server.get_clients():  # gone while its page was being built
             self._disconnected(client)
@@ -219,7 +244,11 @@ class App:
     def _disconnected(self, client: viser.ClientHandle) -> None:
         visitor = self._visitors.pop(client.client_id, None)
         if visitor is not None:
+            log.info("Browser %d left", client.client_id)
             visitor.leave()
+            del visitor
+            # Its views and what they call hold one another, pictures included, and Python would look for that in minutes only.
+            gc.collect()
 
 
 def run(
@@ -231,7 +260,7 @@ def run(
     beside: Path | None = None,
     door: Entry | None = None,
 ) -> None:
-    """Open a model and a data set, serve the explorer, print its address, and return when interrupted.
+    """Open a model and a data set, serve the explorer, and print its address, until KeyboardInterrupt.
 
     Args:
         beside: another model to compare it with.
@@ -260,6 +289,8 @@ def _serve(opened: Callable[[], Exhibit], host: str, port: int, door: Entry | No
     host = host or "0.0.0.0"
     _check_free(host, port)
     app = App(opened(), host, port, door)
+    gc.collect()
+    gc.freeze()  # what is there from the start stays, and need not be looked through whenever a browser leaves
     port = app.server.get_port()
     if not is_loopback(host):
         print(
@@ -271,23 +302,14 @@ def _serve(opened: Callable[[], Exhibit], host: str, port: int, door: Entry | No
     try:
         while True:
             time.sleep(3600)
-    except KeyboardInterrupt:
-        print("Stopped.")
     finally:
         app.close()
 
 
 def _check_free(host: str, port: int) -> None:
     """viser would silently take the next free port, and nobody would find the page."""
-    try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        with socket.socket(family, socket.SOCK_STREAM) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((host, port))
-    except (OSError, OverflowError) as error:
-        used = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
-        found = f"Port {port} on {host} is in use" if used else f"Port {port} on {host} cannot be listened on ({error})"
-        raise InputError(f"{found}; give another with --port or --host.") from error
+    if taken := port_taken(host, port):
+        raise InputError(f"{taken}; give another with --port or --host.")
 
 
 def _refuse_share(*_: Any, **__: Any) -> None:

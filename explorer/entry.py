@@ -21,7 +21,8 @@ VARIABLE: Final = "LPN_TOKEN"
 SHORTEST = 12
 """Characters of a token that somebody chose; random ones have 43."""
 _LOOPBACK = frozenset({"localhost", "127.0.0.1", "[::1]"})
-_ANY = ("0.0.0.0", "::")
+_ANY = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}
+"""Addresses that stand for all of the machine's, and that by which it reaches itself."""
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[^\s:\[\]/@?#<>\"'&;,\\]+)(?::([0-9]{1,5}))?")
 _PORTS = {"http": "80", "https": "443"}
 
@@ -142,7 +143,7 @@ class Entry:
 
     def link(self, port: int) -> str:
         """The address to open."""
-        shown = "127.0.0.1" if self._anywhere else f"[{self.host}]" if ":" in self.host else self.host
+        shown = _ANY.get(self.host) or (f"[{self.host}]" if ":" in self.host else self.host)
         token = "" if self.token is None else quote(self.token, safe="") if self._told else "<yours>"
         return f"http://{shown}:{port}" + (f"/?token={token}" if token else "")
 
@@ -238,10 +239,14 @@ def _is_address(name: str) -> bool:
 
 
 def _elsewhere(query: str, host: str) -> str | None:
-    """viser's page connects to, or plays, whatever its address names; the server whose scripts it would then run, if another."""
-    if _values(query, "playbackPath"):
+    """viser's page connects to, or plays, whatever its address names; the server whose scripts it would then run, if another.
+
+    It also writes its address anew without escaping it, so what a value would become is looked at, too.
+    """
+    unescaped = "&".join("=".join(pair) for pair in parse_qsl(query, True))
+    if any(_values(asked, "playbackPath") for asked in (query, unescaped)):
         return "another file"
-    for place in _values(query, "websocket"):
+    for place in _values(query, "websocket") + _values(unescaped, "websocket"):
         try:
             parts = urlsplit(place)
         except ValueError:
@@ -258,10 +263,7 @@ def _from_elsewhere(request: Request) -> bool:
 
 
 def _values(query: str, key: str) -> list[str]:
-    try:
-        return [value for name, value in parse_qsl(query, True, max_num_fields=200) if name == key]
-    except ValueError:
-        return []
+    return [value for name, value in parse_qsl(query, True) if name == key]
 
 
 def _without_token(path: str) -> str:

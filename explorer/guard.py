@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import http
 import inspect
+import itertools
 import logging
 import threading
-from collections.abc import Awaitable, Callable
-from html import escape
+from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import viser
@@ -22,13 +21,15 @@ import viser._messages as viser_messages
 import viser.infra._infra as viser_infra
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
-from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
+from websockets.frames import CTRL_OPCODES, Frame
 from websockets.http11 import Request as WebRequest
 from websockets.http11 import Response
+from websockets.protocol import CONNECTING, Event
 
+from explorer.doorstep import led_on, refused
 from explorer.entry import Entry, Onward, Refusal, Request
-from explorer.inbox import MESSAGE_BYTES, Inbox, UnfitError, strange
+from explorer.inbox import MESSAGE_BYTES, Allowance, Inbox, UnfitError, strange
 from explorer.turnstile import Turnstile
 from lpn.errors import MissingPackageError
 
@@ -36,17 +37,24 @@ log = logging.getLogger(__name__)
 
 Page = Callable[[ServerConnection, WebRequest], Any]
 
+HALF_OPEN, ALL_HALF_OPEN = 64, 256
+"""Connections whose request is not answered yet, of one address and of all; each has 10 s for it."""
+IDLE_RATE, IDLE_BURST = 20.0, 400.0
+"""Frames that bring next to nothing (pings, small pieces of a message), a second and at once. A browser sends hardly any."""
+SMALL = 1024
+"""Bytes of a piece of a message below which it is such a frame."""
+
 _MAKING = threading.Lock()
+_WEB = logging.getLogger(f"{__name__}.web")
+_WEB.setLevel(logging.WARNING)  # it would write requests, and so tokens, at debug
+_WEB.addFilter(
+    lambda record: record.getMessage() != "opening handshake failed"
+)  # with a traceback, for whatever somebody sends
 _BUSY = Refusal(
     429, "Too many wrong tokens", "Too many wrong tokens came from your address. Wait some seconds.", ask=True
 )
+_UNREADABLE = Refusal(400, "This cannot be answered", "What was asked for is no address of this server.")
 _BROKEN = Refusal(503, "The server is not ready", "Its parts do not fit together; its log says more.")
-_BARE = "form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
-_STYLE = (
-    "body{font:16px/1.5 system-ui,sans-serif;max-width:34em;margin:12vh auto;padding:0 1em;color:#222;background:#fff}"
-    "h1{font-size:1.3em}input,button{font:inherit;padding:.3em .6em}"
-    "@media(prefers-color-scheme:dark){body{color:#ddd;background:#1a1b1e}a{color:#56b4e9}}"
-)
 
 
 class Guard:
@@ -92,9 +100,9 @@ class Guard:
         """What viser calls in place of websockets' own. It must not raise: viser would wait for ever."""
         self._served = True
         page = settings.pop("process_request", None)
-        settings |= {"max_size": MESSAGE_BYTES, "create_connection": _Connection, "server_header": None}
+        settings |= {"max_size": MESSAGE_BYTES, "create_connection": _Connection, "server_header": None, "logger": _WEB}
         return websockets.asyncio.server.serve(
-            functools.partial(_attended, handler),
+            functools.partial(_attended, handler, itertools.count()),
             *where,
             process_request=functools.partial(self._answer, page),
             **settings,
@@ -102,22 +110,30 @@ class Guard:
 
     async def _answer(self, page: Page | None, connection: ServerConnection, asked: WebRequest) -> Response | None:
         """The answer to a request; None to go on to the websocket."""
+        try:
+            return await self._judged(page, connection, asked)
+        except Exception as error:  # a path that the file system does not take, a header that is there twice
+            log.info("Refused a request: %s", _said(error))
+            return refused(_UNREADABLE)
+
+    async def _judged(self, page: Page | None, connection: ServerConnection, asked: WebRequest) -> Response | None:
         if page is None:
-            return _refused(_BROKEN)
+            return refused(_BROKEN)
         port = int(connection.local_address[1])
         request = _read(connection, asked)
         if self.entry.guessed_at(request) and self._turnstile.full(request.address):
-            return _refused(_BUSY)
+            return refused(_BUSY)
         found = self.entry.check(request, port)
         if isinstance(found, Onward):
-            return _led_on(found, self.entry.cookie(request, port))
+            return led_on(found, self.entry.cookie(request, port))
         if found is not None:
-            return _refused(await self._slowed(found, request.address))
+            log.debug("Refused %s, %d: %s", request.address, found.status, found.title)
+            return refused(await self._slowed(found, request.address))
         answer = page(connection, asked)
         answer = await answer if inspect.isawaitable(answer) else answer
         if request.upgrade:
-            return None if answer is None else _refused(_BROKEN)
-        return _refused(_BROKEN) if answer is None else _hardened(answer, request.one("host"))
+            return None if answer is None else refused(_BROKEN)
+        return refused(_BROKEN) if answer is None else _hardened(answer, request.one("host"))
 
     async def _slowed(self, refusal: Refusal, address: str) -> Refusal:
         if not refusal.guessed:
@@ -148,6 +164,25 @@ class _Connection(ServerConnection):
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
         self._inbox = Inbox()
+        self._idle = Allowance(IDLE_RATE, IDLE_BURST)
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Somebody connects; it ends at once where too many wait for their answer, so that files can still be opened."""
+        super().connection_made(transport)
+        waiting = [_address(one) for one in self.server.handlers if one.state is CONNECTING]
+        if len(waiting) > ALL_HALF_OPEN or waiting.count(_address(self)) > HALF_OPEN:
+            self.transport.abort()
+
+    def process_event(self, event: Event) -> None:
+        """What came, one frame at a time. Messages wait their turn in `recv`; what makes up none never gets there."""
+        if _idle(event) and self._idle.take() > 0:
+            self.transport.abort()
+        else:
+            super().process_event(event)
+
+    def called(self, number: int) -> None:
+        """Give the browser its number, which viser counts in the same way."""
+        self._inbox = Inbox(number=number)
 
     async def recv(self, decode: bool | None = None) -> Any:
         """The next message that fits, as bytes."""
@@ -159,19 +194,30 @@ class _Connection(ServerConnection):
                 return message
 
 
-async def _attended(handler: Callable[[ServerConnection], Awaitable[None]], connection: ServerConnection) -> None:
+async def _attended(
+    handler: Callable[[ServerConnection], Awaitable[None]], numbers: Iterator[int], connection: ServerConnection
+) -> None:
     """viser's handler; what a browser breaks ends its own connection, with one line in the log."""
     asyncio.get_running_loop().set_exception_handler(_failed)
+    number = next(numbers)
+    if isinstance(connection, _Connection):
+        connection.called(number)
     try:
         await handler(connection)
     except UnfitError as error:
-        log.info("Closed a connection that sent %s", error)
+        log.info("Browser %d sent %s; closed its connection", number, error)
         await connection.close(1007, "no message")
     except ConnectionClosed:
         pass
     except Exception as error:
-        log.info("Closed a connection: %s", _said(error))
+        log.info("Browser %d: closed its connection: %s", number, _said(error))
         await connection.close(1011)
+
+
+def _idle(event: Event) -> bool:
+    if not isinstance(event, Frame):
+        return False
+    return event.opcode in CTRL_OPCODES or (not event.fin and len(event.data) < SMALL)
 
 
 def _failed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
@@ -191,10 +237,13 @@ def _read(connection: ServerConnection, asked: WebRequest) -> Request:
     headers: dict[str, list[str]] = {}
     for name, value in asked.headers.raw_items():
         headers.setdefault(name.lower(), []).append(value)
-    remote = connection.remote_address
-    address = str(remote[0]) if isinstance(remote, tuple) else ""
     upgrade = any("websocket" in value.lower() for value in headers.get("upgrade", ()))
-    return Request(asked.path, headers, upgrade, address)
+    return Request(asked.path, headers, upgrade, _address(connection))
+
+
+def _address(connection: ServerConnection) -> str:
+    remote = connection.remote_address
+    return str(remote[0]) if isinstance(remote, tuple) else ""
 
 
 def _hardened(answer: Response, host: str) -> Response:
@@ -208,41 +257,6 @@ def _hardened(answer: Response, host: str) -> Response:
     answer.headers["X-Content-Type-Options"] = "nosniff"
     answer.headers["Referrer-Policy"] = "no-referrer"
     return answer
-
-
-def _refused(refusal: Refusal) -> Response:
-    form = (
-        "<form method=get action=./><input name=token type=password aria-label=Token placeholder=Token autofocus> "
-        "<button>Open</button></form><p><a href=./>Open again</a></p>"
-    )
-    body = f"<h1>{escape(refusal.title)}</h1><p>{escape(refusal.text)}</p>{form if refusal.ask else ''}"
-    return _html(refusal.status, refusal.title, body)
-
-
-def _led_on(onward: Onward, cookie: str) -> Response:
-    location = escape(onward.location)
-    body = f'<meta http-equiv=refresh content="0;url={location}"><p><a href="{location}">Go on</a></p>'
-    answer = _html(200, "LPN Explorer", body)
-    if onward.sign_in:
-        answer.headers["Set-Cookie"] = cookie
-    return answer
-
-
-def _html(status: int, title: str, body: str) -> Response:
-    head = f'<meta charset=utf-8><meta name=viewport content="width=device-width"><title>{title}</title>'
-    content = f"<!doctype html><html lang=en>{head}<style>{_STYLE}</style>{body}</html>".encode("utf-8", "replace")
-    headers = Headers(
-        {
-            "Content-Type": "text/html; charset=utf-8",
-            "Content-Length": str(len(content)),
-            "Content-Security-Policy": f"default-src 'none'; style-src 'unsafe-inline'; {_BARE}",
-            "X-Content-Type-Options": "nosniff",
-            "Referrer-Policy": "no-referrer",
-            "Cache-Control": "no-store",
-            "Connection": "close",
-        }
-    )
-    return Response(status, http.HTTPStatus(status).phrase, headers, content)
 
 
 def _unknown(what: str) -> MissingPackageError:

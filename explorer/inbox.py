@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from explorer.bridge import LONGEST
-from explorer.upload import MAX_UPLOAD
+from explorer.upload import BUTTONS, MAX_UPLOAD
 
 log = logging.getLogger(__name__)
 
@@ -101,7 +101,7 @@ FIELDS: Mapping[str, Mapping[str, Check]] = {
         "size_bytes": _count,
     },
     "FileTransferPart": {
-        "source_component_uuid": _or_none(_word),
+        "source_component_uuid": _word,
         "transfer_uuid": _word,
         "part_index": _count,
         "content": lambda value: isinstance(value, bytes),
@@ -120,31 +120,55 @@ def strange(messages: object) -> list[str]:
     ]
 
 
+class Allowance:
+    """So many a second for long, and so many at once."""
+
+    def __init__(self, rate: float, burst: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate, self._burst, self._clock = rate, burst, clock
+        self._credit, self._at = burst, clock()
+
+    def take(self) -> float:
+        """One more; seconds until it is within the allowance."""
+        now = self._clock()
+        self._credit = min(self._credit + self._rate * (now - self._at), self._burst) - 1
+        self._at = now
+        return max(-self._credit / self._rate, 0.0)
+
+
+@dataclasses.dataclass
+class _Upload:
+    """An upload under way: the button it is of, the bytes and the parts that are still to come."""
+
+    button: str
+    size: int
+    parts: set[int]
+
+
 class Inbox:
     """Reads the messages of one browser. Used from one thread.
+
+    Args:
+        number: of the browser, for the log.
 
     Attributes:
         dropped: messages that were not handed on.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        self._credit, self._at = BURST, clock()
-        self._uploads: dict[str, list[int]] = {}
+    def __init__(self, clock: Callable[[], float] = time.monotonic, number: int = 0) -> None:
+        self._number = number
+        self._allowance = Allowance(RATE, BURST, clock)
+        self._uploads: dict[str, _Upload] = {}
         self.dropped = 0
 
     def wait(self) -> float:
         """Seconds until the next message is read."""
-        now = self._clock()
-        self._credit = min(self._credit + RATE * (now - self._at), BURST) - 1
-        self._at = now
-        return max(-self._credit / RATE, 0.0)
+        return self._allowance.take()
 
     def read(self, raw: bytes | str) -> bytes | None:
         """The message as viser may have it, or None for one that is dropped.
 
         Raises:
-            UnfitError: when it is no message at all.
+            UnfitError: when it is no message at all, or the last part of an upload of another size than was said.
         """
         if not isinstance(raw, bytes):
             raise UnfitError("text, where messages are bytes")
@@ -164,28 +188,36 @@ class Inbox:
         if fits:
             return raw
         self.dropped += 1
-        log.debug("Dropped a message of kind %.40r and %d bytes", kind, len(raw))
+        log.debug("Browser %d: refused a message of kind %.40r and %d bytes", self._number, kind, len(raw))
         return None
 
     def _begun(self, message: dict[str, Any]) -> bytes | None:
         """An upload that is too large becomes an empty file, of which a person is told, and which takes no room."""
         size, parts, name = message["size_bytes"], message["part_count"], message["transfer_uuid"]
-        if name in self._uploads or len(self._uploads) >= UPLOADS:
+        button = message["source_component_uuid"]
+        if button not in BUTTONS or name in self._uploads or len(self._uploads) >= UPLOADS:
             self.dropped += 1
+            log.debug("Browser %d: refused an upload, %d being under way", self._number, len(self._uploads))
             return None
         if size > MAX_UPLOAD or not 0 < parts <= PARTS or size < parts:
+            log.debug("Browser %d: refused an upload of %d bytes in %d parts", self._number, size, parts)
             message |= {"size_bytes": 0, "part_count": 0}
         else:
-            self._uploads[name] = [size, parts]
+            self._uploads[name] = _Upload(button, size, set(range(parts)))
         message["filename"] = message["filename"][:_WORD]
         return msgspec.msgpack.encode({"type": "FileTransferStartUpload", **message})
 
     def _goes_on(self, message: dict[str, Any]) -> bool:
+        """Each part once: viser drops a second one, so an upload would seem whole here and be kept there for good."""
         left = self._uploads.get(message["transfer_uuid"])
-        if left is None or len(message["content"]) > left[0]:
+        if left is None or message["source_component_uuid"] != left.button or len(message["content"]) > left.size:
             return False
-        left[0] -= len(message["content"])
-        left[1] -= 1
-        if left[1] <= 0:
+        if message["part_index"] not in left.parts:
+            return False
+        left.size -= len(message["content"])
+        left.parts.remove(message["part_index"])
+        if not left.parts:
+            if left.size:
+                raise UnfitError("an upload of another size than it said")
             del self._uploads[message["transfer_uuid"]]
         return True

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import signal
 import threading
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
@@ -130,7 +132,8 @@ def in_process(progress: Progress, function: Callable[..., T], *arguments: objec
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=_call, args=(there, function, arguments), daemon=True)
     try:
-        process.start()
+        with _without_interrupts():
+            process.start()
         there.close()
         while not here.poll(0.2):
             progress(0, 0)
@@ -146,6 +149,19 @@ def in_process(progress: Progress, function: Callable[..., T], *arguments: objec
         raise error
     result: T = value
     return result
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Processes started here know no Ctrl-C, which a terminal sends to them too: who started them ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _call(connection: Connection, function: Callable[..., Any], arguments: tuple[object, ...]) -> None:

@@ -90,6 +90,7 @@ class Panels:
                 "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
             )
             self._upload.on_upload(self._uploaded)
+            upload.BUTTONS[str(self._upload._impl.uuid)] = self._upload
         with gui.add_folder("Pictures"):
             self._find = gui.add_text("Find name", state.find)
             self._picker = Html(gui)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from weakref import WeakValueDictionary
 
 from explorer.session import Upload
 from lpn import images
@@ -17,8 +18,11 @@ LONGEST_NAME = 80
 MOST_SCANS = 100
 """Passes a JPEG may be written in; usual are 1 and 10. Each costs the time of the whole picture, and next to no bytes."""
 
+BUTTONS: WeakValueDictionary[str, object] = WeakValueDictionary()
+"""The upload buttons of all pages, by uuid. viser would put a file into any control, and keep it there."""
+
 _READING = threading.BoundedSemaphore(2)
-"""Of all browsers' pictures, so many are decoded at a time: the largest takes 150 MB meanwhile."""
+"""Of all browsers' pictures, so many are decoded at a time: the largest takes 430 MB meanwhile, and up to 5 s of a processor."""
 
 
 def read(name: str, content: bytes) -> Upload:

@@ -15,9 +15,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
-from lpn.checksums import BLANK, SEAL, check_entries, check_seal, sealed
+from lpn.checksums import BLANK, SEAL, check_entries, check_seal, check_unpacked, sealed
 from lpn.errors import ModelFileError
 from lpn.files import fingerprint, write_whole
+from lpn.formats import is_newer, newer
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.network import LPN, map_size
 from lpn.published import State, infer_backbone, infer_spec, read_options
@@ -100,6 +101,14 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None) ->
     tensors = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items() if k in own}
     metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json(), SEAL: BLANK}
     write_whole(Path(path), sealed(save_tensors(tensors, metadata)))
+
+
+def epochs_of(path: Path) -> int | None:
+    """How many epochs a model of ours was trained, None where its file does not say or cannot be read."""
+    try:
+        return int(_read_tensors(path)[1]["epochs"])
+    except (ModelFileError, OSError, KeyError, ValueError):
+        return None
 
 
 def backbone_in(path: Path) -> str:
@@ -203,14 +212,27 @@ def _fill(network: LPN, state: State, name: str) -> None:
                 raise ModelFileError(f"In {name}, {key} holds values that are not finite; take an earlier checkpoint.")
 
 
-def _read_pth(path: Path) -> State:
+def check_opens(path: Path) -> None:
+    """Refuse a `.safetensors`, `.pth`, or `state.pt` that cannot be read, or whose seal is lost.
+
+    Raises:
+        ModelFileError: when it is refused.
+    """
+    if path.suffix == ".safetensors":
+        _read_tensors(path)
+    else:
+        _unpickled(path)
+
+
+def _unpickled(path: Path) -> Any:
+    """What a PyTorch file holds, its tensors alone unpickled."""
     check_entries(
         path, f"{_AGAIN}, or save it again where it was saved with torch.serialization.set_crc32_options(False)"
     )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            loaded: Any = torch.load(path, map_location="cpu", weights_only=True)
+            return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         raise ModelFileError(
             f"{path.name} is not a PyTorch file of tensors alone, so it was not opened further (it may run code); "
@@ -220,14 +242,25 @@ def _read_pth(path: Path) -> State:
         raise ModelFileError(
             f"{path.name} is not a PyTorch file or is truncated; expected a saved state_dict."
         ) from error
+
+
+def _read_pth(path: Path) -> State:
+    loaded = _unpickled(path)
     if isinstance(loaded, dict) and isinstance(loaded.get("state_dict"), dict):
         loaded = loaded["state_dict"]
     if not isinstance(loaded, dict) or not loaded:
         raise ModelFileError(f"{path.name} holds a {type(loaded).__name__}; expected a state_dict of named tensors.")
     items: dict[Any, Any] = loaded
-    if not all(isinstance(k, str) and isinstance(v, Tensor) for k, v in items.items()):
+    if not all(isinstance(k, str) and isinstance(v, Tensor) and _plain(v) for k, v in items.items()):
         raise ModelFileError(f"{path.name} holds other things than named tensors; expected a state_dict.")
+    # A tensor may repeat one number without end.
+    check_unpacked(path, sum(tensor.numel() * tensor.element_size() for tensor in items.values()), _AGAIN)
     return {key.removeprefix("module."): value for key, value in cast(State, items).items()}
+
+
+def _plain(tensor: Tensor) -> bool:
+    """Whether a tensor has its numbers in memory, one for each place."""
+    return tensor.device.type == "cpu" and tensor.layout == torch.strided and not tensor.is_quantized
 
 
 def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
@@ -244,9 +277,11 @@ def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
 
 def _read_safetensors(path: Path) -> tuple[ModelSpec, State]:
     state, metadata = _read_tensors(path)
-    if metadata.get("format") != FORMAT:
+    if is_newer(found := metadata.get("format"), FORMAT):
+        raise ModelFileError(newer(path.name, str(found), FORMAT))
+    if found != FORMAT:
         raise ModelFileError(
-            f"{path.name} holds tensors but is not an LPN of ours (format {metadata.get('format')!r}, expected {FORMAT!r}); "
+            f"{path.name} holds tensors but is not an LPN of ours (format {found!r}, expected {FORMAT!r}); "
             "weights of a backbone alone go to lpn train --init."
         )
     return ModelSpec.from_json(metadata.get("spec", "")), state

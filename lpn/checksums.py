@@ -29,6 +29,9 @@ _NEAR = 4_000_000
 """Bytes at either end of a file among which the seal is: .safetensors begin with their metadata, ours in .onnx end with it."""
 BLOCK = 1 << 22
 """Bytes of a block of an array."""
+_PACKED, _SMALL = 8, 1_000_000
+"""How many times its own bytes a file may hold (branches that share weights are told up to three times), and what is too
+little to matter."""
 
 
 def sealed(data: bytes) -> bytes:
@@ -64,21 +67,39 @@ def check_seal(path: Path, remedy: str) -> bool:
     return True
 
 
-def check_entries(path: Path, remedy: str) -> None:
+def check_entries(path: Path, remedy: str) -> bool:
     """Compare a PyTorch file with the CRC-32 of each of its entries, which PyTorch writes and does not read.
 
+    Returns:
+        Whether it has any: a file of another kind, such as PyTorch's older one, or one that is cut short, has none.
+
     Raises:
-        ModelFileError: when one differs. A file of another kind, such as PyTorch's older one, has none to compare.
+        ModelFileError: when one differs, or when they would take far more memory than the file's size.
     """
     try:
         with zipfile.ZipFile(path) as archive:
+            check_unpacked(path, sum(entry.file_size for entry in archive.infolist()), remedy)
             damaged = archive.testzip()
     except zipfile.BadZipFile:  # no archive, or one that PyTorch will refuse
-        return
+        return False
     except (NotImplementedError, RuntimeError, EOFError, zlib.error, ValueError, OverflowError, OSError):
         damaged = "an entry"
     if damaged is not None:
         raise ModelFileError(f"{path.name} is damaged: an entry of it is not what its checksum was made of; {remedy}.")
+    return True
+
+
+def check_unpacked(path: Path, claimed: int, remedy: str) -> None:
+    """Refuse a file whose contents claim far more bytes than it has itself: packed ones, or one entry told many times.
+
+    Raises:
+        ModelFileError: when they do.
+    """
+    size = path.stat().st_size
+    if claimed > _PACKED * size + _SMALL:
+        raise ModelFileError(
+            f"{path.name} has {size:,} bytes and claims to hold {claimed:,}, which no saved model does; {remedy}."
+        )
 
 
 @dataclass(frozen=True)

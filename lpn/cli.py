@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import tyro
 
 import lpn
+from lpn import logs
 from lpn.commands.describing import Describe, Gather
 from lpn.commands.failures import Failures
 from lpn.commands.index import MakeIndex, Search
@@ -20,6 +23,8 @@ from lpn.commands.sweep import Sweep
 from lpn.commands.using import Doctor, Evaluate, Explore
 from lpn.commands.verify import Verify
 from lpn.errors import LPNError, MissingPackageError
+from lpn.files import printable
+from lpn.stopping import Stop, leave
 
 COMMANDS: dict[str, type[Any]] = {
     "explore": Explore,
@@ -44,12 +49,21 @@ COMMANDS: dict[str, type[Any]] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0, 1 where damage was found (doctor, verify, and
-    describe with Ray), or 2 after an error the user can mend."""
+    describe with Ray), 2 after an error the user can mend, or 128 and the signal's number where it was stopped."""
+    return _attend(arguments, lambda status: status)
+
+
+def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> int:
+    """`main`; a command that a signal ended gives its status to `stopped`, while further signals are still heeded."""
     for stream in (sys.stdout, sys.stderr):
         # Arrows, degrees, and ticks end nothing on a terminal that has no sign for them.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        level, given = logs.level_given(list(sys.argv[1:] if arguments is None else arguments))
+    except LPNError as error:
+        print(f"lpn: {error}", file=sys.stderr)
+        return 2
     if not given or given[0] in ("-h", "--help"):
         print(_help())
         return 0
@@ -59,22 +73,53 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given[0] not in COMMANDS:
         print(f"lpn has no command {given[0]!r}; it has {', '.join(COMMANDS)}.", file=sys.stderr)
         return 2
+    parsed: list[Any] = []
+    stop = Stop(lambda number: _stopped(parsed, number))
+    with logs.shown(level), stop.listening():
+        try:
+            return _run(given, parsed)
+        except KeyboardInterrupt:
+            status = stop.end()
+        except BaseException:  # what a library makes of a signal
+            if not stop.signal:
+                raise
+            status = stop.end()
+        if stop.signal:
+            stopped(status)
+        return status
+
+
+def _run(given: list[str], parsed: list[Any]) -> int:
+    """Parse a command, put it into `parsed`, and run it."""
     try:
-        command = _parse(COMMANDS[given[0]], given[1:], f"lpn {given[0]}")
-        return int(command.run() or 0)
+        parsed.append(_parse(COMMANDS[given[0]], given[1:], f"lpn {given[0]}"))
+        return int(parsed[0].run() or 0)
     except LPNError as error:
-        print(f"lpn: {error}", file=sys.stderr)
+        print(f"lpn: {printable(str(error))}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
         print(f"lpn: {_missing(error)}", file=sys.stderr)
         return 2
     except OSError as error:
-        name = f" ({error.filename})" if error.filename else ""
+        name = f" ({printable(str(error.filename))})" if error.filename else ""
         print(f"lpn: The system refused a file or device{name}: {error.strerror or error}.", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("lpn: stopped.", file=sys.stderr)
-        return 130
+
+
+def _stopped(parsed: list[Any], number: int) -> int:
+    """Say that the command was stopped, and how to go on."""
+    command = parsed[0] if parsed else None
+    serves = isinstance(command, Explore)  # to stop it is how it ends
+    with suppress(OSError):  # a closed terminal
+        if serves:
+            print("Stopped.", flush=True)
+        elif os.environ.get("RANK", "0") == "0":  # of many processes of a training, one says it
+            how = getattr(command, "going_on", lambda: _AGAIN)
+            print(f"lpn: Stopped. {how()}", file=sys.stderr, flush=True)
+    return 0 if serves else 128 + number
+
+
+_AGAIN = "Nothing is half-written; give the same command again."
 
 
 def _parse(command: Callable[..., Any], arguments: list[str], program: str) -> Any:
@@ -112,13 +157,14 @@ def _help() -> str:
             *lines,
             "",
             "lpn COMMAND --help lists the options of a command; lpn --version prints the version.",
+            f"lpn {logs.FLAG} debug COMMAND shows more of what goes on ({', '.join(logs.LEVELS)}; or set {logs.VARIABLE}).",
         ]
     )
 
 
 def run() -> None:
-    """The console script."""
-    sys.exit(main())
+    """The console script; after a stop it waits for no thread that still computes."""
+    sys.exit(_attend(None, leave))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ import onnxruntime as ort
 from lpn.checksums import SEAL, check_seal
 from lpn.errors import InputError, ModelFileError
 from lpn.files import fingerprint
+from lpn.formats import is_newer, newer
 from lpn.machine import usable_cores
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.onnxfile import check_self_contained
@@ -120,6 +121,18 @@ class Engine(Model):
             )
 
 
+def check_opens(path: Path) -> None:
+    """Refuse a file that ONNX Runtime cannot open, or whose seal is lost.
+
+    Raises:
+        ModelFileError: when it is refused.
+    """
+    options = ort.SessionOptions()
+    options.log_severity_level = 4
+    options.intra_op_num_threads = 1
+    _open(path, options)
+
+
 def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
     if not path.is_file():
         raise ModelFileError(f"There is no model file at {path}; check the path.")
@@ -143,7 +156,9 @@ def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
 def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
     metadata = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map)
     names = {output.name for output in session.get_outputs()}
-    ours = metadata.get("format") == FORMAT and {"spec", "source", "group"} <= set(metadata)
+    if is_newer(found := metadata.get("format"), FORMAT):
+        raise ModelFileError(newer(path.name, str(found), FORMAT))
+    ours = found == FORMAT and {"spec", "source", "group"} <= set(metadata)
     if not ours or not {*OUTPUTS, *extra_outputs(ModelSpec.from_json(metadata["spec"]))} <= names:
         raise ModelFileError(
             f"{path.name} is an ONNX model but not one written by `lpn export`; export your LPN with it."
@@ -189,7 +204,7 @@ def _check_group(found: dict[str, str], main: dict[str, str], group: tuple[View,
             f"{file.name} holds the part of a model for {found['group'].replace('+', ' and ')}; "
             f"open the file for {' and '.join(group)}, which was exported with it."
         )
-    if (found["spec"], found["source"]) != (main["spec"], main["source"]):
+    if any(found.get(key) != main.get(key) for key in ("spec", "source", COMPUTE)):
         raise ModelFileError(
             f"{file.name} was exported from another model than the file beside it; export the model again."
         )

@@ -5,6 +5,7 @@ LPNError
 ├── DataError        a data set folder is missing, empty, or not laid out as expected
 ├── PictureError     a picture cannot be read
 ├── StoreError       a descriptor store cannot be read or written
+│   └── NewerStoreError   a later version wrote it
 ├── OutputError      a file cannot be written
 ├── InputError       an array or option has the wrong shape, type, or value
 │   └── DivergedError   a training's loss or weights are out of bounds
@@ -32,6 +33,10 @@ class PictureError(LPNError):
 
 class StoreError(LPNError):
     """A descriptor store cannot be read or written."""
+
+
+class NewerStoreError(StoreError):
+    """A later version wrote a store, which must not be taken for damaged and replaced."""
 
 
 class OutputError(LPNError):

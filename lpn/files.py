@@ -6,7 +6,9 @@ import errno
 import hashlib
 import logging
 import os
+import re
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.errors import OutputError
+from lpn.stopping import finishing
 
 try:
     import fcntl
@@ -24,6 +27,9 @@ except ImportError:  # not a POSIX system: there, two processes must not write i
     fcntl = None  # type: ignore[assignment]
 
 log = logging.getLogger(__name__)
+
+_ABANDONED = 60.0
+"""Seconds in which nobody wrote to what a killed process left, before it is deleted: it may be another machine's."""
 
 
 def fingerprint(*paths: Path, also: str = "") -> str:
@@ -42,14 +48,17 @@ def write_whole(path: Path, data: bytes) -> None:
         OutputError: when it cannot be written; nothing is left behind.
     """
     beside = _beside(path)
-    try:
-        _prepare(path)
-        beside.write_bytes(data)
-        os.replace(beside, path)
-    except OSError as error:
+    with finishing():
+        try:
+            _prepare(path)
+            beside.write_bytes(data)
+            os.replace(beside, path)
+        except OSError as error:
+            with suppress(OSError):
+                beside.unlink(missing_ok=True)
+            raise _unwritable(path, error) from error
         with suppress(OSError):
-            beside.unlink(missing_ok=True)
-        raise _unwritable(path, error) from error
+            _clear(path)
 
 
 def mapped(path: Path) -> npt.NDArray[Any]:
@@ -125,6 +134,29 @@ def printable(name: str) -> str:
 def _beside(path: Path) -> Path:
     """A name that no other process or thread writes to at the same time."""
     return path.parent / f"{path.name}.{os.getpid()}-{threading.get_ident()}.part"
+
+
+def _clear(path: Path) -> None:
+    """Delete what processes left that were killed while they wrote the same file."""
+    left = re.compile(re.escape(path.name) + r"\.([0-9]+)-[0-9]+\.part")
+    with os.scandir(path.parent) as entries:
+        found = [(entry, match) for entry in entries if (match := left.fullmatch(entry.name))]
+    for entry, match in found:
+        if time.time() - entry.stat().st_mtime > _ABANDONED and not _alive(int(match[1])):
+            Path(entry.path).unlink()
+
+
+def _alive(process: int) -> bool:
+    """Whether a process of that number runs on this machine; True where that cannot be known."""
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 def _prepare(path: Path) -> None:

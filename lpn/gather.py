@@ -80,7 +80,7 @@ class Shards:
         columns = ["file", "latitude", "longitude"]
         try:
             with self.storage.open(shard_name(partition)) as file:
-                table = pq.read_table(file, columns=columns)
+                table = pq.read_table(file, columns=columns, page_checksum_verification=True)
             names, *degrees = (table.column(name) for name in columns)
             positions = np.stack([column.to_numpy().astype(np.float64) for column in degrees], axis=1)
             return Tiles(names.to_pylist(), positions)

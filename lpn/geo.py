@@ -29,6 +29,7 @@ import numpy.typing as npt
 
 from lpn.datasets import Picture
 from lpn.errors import DataError, InputError
+from lpn.files import printable
 
 NAME = "geo.csv"
 EARTH_RADIUS = 6_371_008.8
@@ -45,6 +46,9 @@ _LIMITS = {
     "fov": (1.0, 170.0),
     "width": (0.1, 1e6),
 }
+
+_SHOWN = 200
+"""Letters of a value that a message shows."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -194,7 +198,7 @@ def read_positions(data: bytes, said: str = NAME) -> dict[str, Position]:
         unknown = set(header) - {*_REQUIRED, *_OPTIONAL}
         if not set(_REQUIRED) <= set(header) or unknown or len(set(header)) < len(header):
             raise DataError(
-                f"The first line of {said} is {','.join(header) or 'empty'}; expected path,latitude,longitude and, if "
+                f"The first line of {said} is {_short(','.join(header)) or 'empty'}; expected path,latitude,longitude and, if "
                 "known, altitude,heading,tilt,fov,width."
             )
         found: dict[str, Position] = {}
@@ -203,7 +207,7 @@ def read_positions(data: bytes, said: str = NAME) -> dict[str, Position]:
                 line = f"Line {lines.line_num} of {said}"
                 name, position = _position(header, values, line)
                 if name in found:
-                    raise DataError(f"{line} gives {name} a second position; keep one.")
+                    raise DataError(f"{line} gives {_short(name)} a second position; keep one.")
                 found[name] = position
     except (UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"{said} is not a text file of comma-separated values in UTF-8; save it as such.") from error
@@ -277,6 +281,11 @@ def _position(header: Sequence[str], values: Sequence[str], line: str) -> tuple[
     return path.removeprefix("./"), Position(**numbers)
 
 
+def _short(text: str) -> str:
+    """What a file holds, as a sentence can show it."""
+    return printable(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
+
+
 def _number(text: str, name: str, line: str) -> float:
     try:
         value = float(text)
@@ -287,5 +296,5 @@ def _number(text: str, name: str, line: str) -> float:
         expected = f"a number from {low:g} to {high:g}" if math.isfinite(high) else "a number"
         if name == "latitude" and 90 < abs(value) <= 180:
             expected += "; it may be a longitude, so check that the two are not swapped"
-        raise DataError(f"{line} has the {name} {text or 'empty'!r}; expected {expected}.")
+        raise DataError(f"{line} has the {name} {_short(text) or 'empty'!r}; expected {expected}.")
     return value

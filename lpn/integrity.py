@@ -115,15 +115,18 @@ def _ends(file: BinaryIO) -> bool:
         return file.read().rstrip(b"\0\r\n ").endswith(b"\xff\xd9")
     if start.startswith(images.PNG):
         file.seek(len(images.PNG))
-        return _chunks_hold(file)
+        return _chunks_hold(file, size)
     if start.startswith(b"RIFF") and start[8:] == b"WEBP":
         return size >= int.from_bytes(start[4:8], "little") + 8
     return False
 
 
-def _chunks_hold(file: BinaryIO) -> bool:
+def _chunks_hold(file: BinaryIO, size: int) -> bool:
     while len(head := file.read(8)) == 8:
-        body = file.read(int.from_bytes(head[:4], "big"))
+        length = int.from_bytes(head[:4], "big")
+        if length > size:  # for which Python would make room first
+            return False
+        body = file.read(length)
         if int.from_bytes(file.read(4), "big") != zlib.crc32(body, zlib.crc32(head[4:])):
             return False
         if head[4:] == b"IEND":

@@ -1,11 +1,47 @@
-"""What this process may use of the machine."""
+"""What this process may use of the machine: cores, memory, ports."""
 
 from __future__ import annotations
 
+import errno
 import os
+import socket
+from pathlib import Path
 
 
 def usable_cores() -> int:
     """Cores that this process may use: fewer than the machine has where it is confined to some, as in a container or a job."""
     confined = getattr(os, "sched_getaffinity", None)  # not on every system
     return len(confined(0)) if confined else os.cpu_count() or 1
+
+
+def memory() -> tuple[int, int] | None:
+    """Bytes of memory that this process may use, and that are free of it by now; None where the system does not say."""
+    try:
+        told = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
+        total, free = (int(told[name].split()[0]) * 1024 for name in ("MemTotal", "MemAvailable"))
+    except (OSError, ValueError, KeyError, IndexError):
+        return None
+    most, used = (_number(Path("/sys/fs/cgroup") / name) for name in ("memory.max", "memory.current"))
+    if most is not None and used is not None and most < total:  # a container's, or a job's
+        return most, min(free, max(most - used, 0))
+    return total, free
+
+
+def _number(file: Path) -> int | None:
+    try:
+        return int(file.read_text())
+    except (OSError, ValueError):  # "max", which is no limit
+        return None
+
+
+def port_taken(host: str, port: int) -> str | None:
+    """Why a port cannot be listened on, as a sentence without its end; None when it can."""
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((host, port))
+    except (OSError, OverflowError) as error:
+        used = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
+        return f"Port {port} on {host} is in use" if used else f"Port {port} on {host} cannot be listened on ({error})"
+    return None

@@ -25,6 +25,8 @@ from lpn.datasets import Picture
 from lpn.datasets.base import read_rows
 from lpn.errors import DataError
 from lpn.files import printable
+from lpn.formats import WORLD as WORLD_FORMAT
+from lpn.formats import is_newer, newer
 from lpn.tables import Column, number_column, text_column
 
 log = logging.getLogger(__name__)
@@ -77,6 +79,8 @@ def _world(root: Path, paths: Sequence[str]) -> list[Column]:
         return []
     try:
         plan = json.loads(file.read_bytes())
+        if is_newer(plan.get("format"), WORLD_FORMAT):
+            raise DataError(newer(f"{WORLD} in {printable(root.name)}", plan["format"], WORLD_FORMAT))
         districts = {int(district["number"]): district for district in plan["districts"]}
         buildings = {int(building["id"]): building for building in plan["buildings"]}
         shown = {str(picture["path"]): buildings.get(int(picture["id"])) for picture in plan["pictures"]}

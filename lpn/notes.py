@@ -19,6 +19,7 @@ from pathlib import Path
 from lpn.errors import DataError, InputError, OutputError
 from lpn.files import alone, check_writable, printable, write_whole
 from lpn.metadata import NOTE, TAGS
+from lpn.stopping import finishing
 from lpn.tables import Column, text_column
 
 NAME = "notes.csv"
@@ -89,7 +90,7 @@ def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dic
         raise InputError(f"The note has {len(note.text)} letters; expected {LONGEST_NOTE} at most.")
     check_writable(file)
     try:
-        with alone(file.parent, wait=True):
+        with alone(file.parent, wait=True), finishing():
             notes = read_notes(file)
             notes.pop(path, None)
             if note != Note():

@@ -70,6 +70,9 @@ def _fields(data: mmap.mmap, position: int, end: int) -> Iterator[tuple[int, int
     """Number and wire type of each field, and where its value begins and ends."""
     while position < end:
         key, position = _varint(data, position, end)
+        # Protocol Buffers cuts a key to 32 bits, and so would see another field in it than is seen here.
+        if not 8 <= key < 2**32:
+            raise ValueError("it has a field of no number")
         kind = key & 7
         start = position
         if kind == 0:

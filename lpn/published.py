@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 import yaml
@@ -18,6 +18,9 @@ from lpn.spec import BRANCH, ModelSpec, View
 log = logging.getLogger(__name__)
 
 State = dict[str, Tensor]
+
+_OPTIONS_BYTES, _SHOWN = 100_000, 1000
+"""Of an opts.yaml, which has some forty lines; and letters of a value that are read."""
 
 UNUSED = re.compile(r"model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.")
 """Entries of layers that the published code keeps and does not use."""
@@ -143,22 +146,36 @@ def read_options(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
+        if path.stat().st_size > _OPTIONS_BYTES:
+            raise ValueError("it is no list of options")
         options: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
+    except (
+        Exception
+    ) as error:  # the reader raises anything on dates and numbers that are none, and on what is nested deep
         raise ModelFileError("The opts.yaml beside the model cannot be read; correct or remove it.") from error
     if options is None:
         return {}
     if not isinstance(options, dict):
         raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
+    found: dict[str, Any] = {key: _value(value) for key, value in options.items() if isinstance(key, str)}
     for key in ("h", "w", "stride", "block", "views"):
-        value = options.get(key, 1)
+        value = found.get(key, 1)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             raise ModelFileError(
                 f"The opts.yaml beside the model says {key}: {value}; expected a whole number, so correct it."
             )
-    rate = options.get("droprate", 0.5)
+    rate = found.get("droprate", 0.5)
     if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0 <= rate < 1:
         raise ModelFileError(
             f"The opts.yaml beside the model says droprate: {rate}; expected a number from 0 up to 1, so correct it."
         )
-    return cast("dict[str, Any]", options)
+    return found
+
+
+def _value(value: Any) -> Any:
+    """A value of an option as it is compared and shown; in place of a list, which may be shown without end, what it is."""
+    if isinstance(value, int) and value.bit_length() > 64:
+        return "a huge number"
+    if isinstance(value, str):
+        return printable(value[:_SHOWN])
+    return value if value is None or isinstance(value, int | float) else f"a {type(value).__name__}"

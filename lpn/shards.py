@@ -28,6 +28,7 @@ import pyarrow.parquet as pq
 
 from lpn.errors import StoreError
 from lpn.features import Row
+from lpn.formats import is_newer, newer
 from lpn.model import FloatArray
 from lpn.storage import Storage
 
@@ -101,6 +102,8 @@ class Plan:
         """The plan of a folder, None where there is none; StoreError when its plan.json is something else."""
         try:
             values: Any = json.loads(storage.read(PLAN))
+            if is_newer(found := values.get("format"), FORMAT):
+                raise StoreError(newer(f"{PLAN} in {storage.where}", found, FORMAT))
             plan = cls(**values)
             whole = all(type(n) is int and 0 < n < 2**31 for n in (plan.n_parts, plan.embedding, plan.partitions))
             if not whole or not isinstance(plan.fingerprint, str) or not isinstance(plan.view, str):

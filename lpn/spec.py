@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, cast
 
 from lpn.errors import InputError, ModelFileError
+from lpn.files import printable
+from lpn.formats import UPGRADE
 from lpn.partition import WEIGHTINGS, Partition, Weighting
 
 View = Literal["satellite", "street", "drone"]
@@ -162,8 +164,13 @@ class ModelSpec:
         try:
             values: Any = json.loads(text)
             known = {field.name for field in fields(cls)}
-            if not isinstance(values, dict) or set(cast("dict[str, Any]", values)) - known:
-                raise ValueError("unknown entries")
+            if not isinstance(values, dict):
+                raise ValueError("no entries")
+            if further := sorted(set(cast("dict[str, Any]", values)) - known):
+                raise ModelFileError(
+                    f"The model's description has an entry {printable(further[0])[:40]!r}, which this version of lpn does not "
+                    f"know; {UPGRADE}, or export or train it again."
+                )
             values["views"] = tuple(values["views"])
             values["input_size"] = tuple(values["input_size"])
             return cls(**values)

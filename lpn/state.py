@@ -13,6 +13,7 @@ import torch
 from lpn.checksums import check_entries
 from lpn.errors import InputError, ModelFileError
 from lpn.files import write_whole
+from lpn.formats import newer
 from lpn.recipes import Recipe
 from lpn.selection import Row
 
@@ -63,12 +64,15 @@ def read_state(path: Path, recipe: Recipe, places: str) -> State:
     check_entries(path, "start the run again without --resume, in another --out")
     try:
         values: Any = torch.load(path, map_location="cpu", weights_only=True)
-        saved: dict[str, Any] = dict(json.loads(values["recipe"]))
-        if values.get("format") != FORMAT:
+        found = values.get("format")
+        if isinstance(found, int) and found > FORMAT:
+            raise ModelFileError(newer(path, str(found), str(FORMAT)))
+        if found != FORMAT:
             raise ModelFileError(
-                f"{path} was written by another version of lpn, whose runs cannot be resumed exactly; start anew in another "
+                f"{path} was written by an earlier version of lpn, whose runs cannot be resumed exactly; start anew in another "
                 "--out."
             )
+        saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         history, digest = json.loads(values["history"]), values["places"]
         tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler")}
         state = State(history, float(values["first_loss"]), int(values["processes"]), tensors)

@@ -31,6 +31,7 @@ from lpn.recipes import Recipe
 from lpn.selection import HeldOut, Judge, Row, TestSplit, best
 from lpn.spec import ModelSpec, views_of
 from lpn.state import State, read_state
+from lpn.stopping import finishing
 
 _EXPLODED = 10.0
 """A mean loss this many times the first step's, which is about chance, is that of a training that has diverged."""
@@ -272,10 +273,11 @@ class Trainer:
         """Model, logs, and last the state, which is what a resumed run trusts."""
         if logbook is None:
             return
-        self.learner.save_model(self.out / "last.safetensors", self._metadata())
-        logbook.save()
-        state = State(self.history, self.first_loss, self.group.size, self.learner.state())
-        state.write(self.out / "state.pt", self.recipe, self._places_digest)
+        with finishing():
+            self.learner.save_model(self.out / "last.safetensors", self._metadata())
+            logbook.save()
+            state = State(self.history, self.first_loss, self.group.size, self.learner.state())
+            state.write(self.out / "state.pt", self.recipe, self._places_digest)
 
     def _metadata(self) -> dict[str, str]:
         return {
@@ -304,9 +306,14 @@ class Trainer:
 
 
 def _first_epoch_alone(out: Path) -> bool:
-    """Whether a folder without a state holds no more than the model and log of a first epoch, as a kill may leave them."""
+    """Whether a folder without a state holds no more than the model and log of a first epoch, as a kill may leave them.
+
+    A model of more epochs is somebody's work, which must not be written over.
+    """
     rows = (out / "log.csv").read_bytes().count(b"\n") if (out / "log.csv").exists() else 0
-    return rows <= 2 and not (out / "best.safetensors").exists()
+    last = out / "last.safetensors"
+    epochs = checkpoints.epochs_of(last) if last.exists() else 1
+    return rows <= 2 and epochs == 1 and not (out / "best.safetensors").exists()
 
 
 def _spec(recipe: Recipe, places: Places) -> ModelSpec:

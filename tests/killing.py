@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from lpn import cli
+from tests import painting
 
 _CHANGES = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate", "os.link", "os.symlink", "shutil.rmtree"}
 
@@ -30,6 +31,8 @@ def _run(arguments: Sequence[str], folder: str, cache: str, step: int | None, co
             if count.value == step:
                 os.kill(os.getpid(), signal.SIGKILL)
 
+    if arguments[0] == "world":
+        sys.modules["lpn.world.render"] = painting  # the real one needs Blender
     sys.addaudithook(watch)
     code = cli.main(arguments)
     # Without what an interpreter clears away at its end, which takes most of the time of a short command.
@@ -47,7 +50,7 @@ class Killer:
         self._folder = folder
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(
-            ["tests.killing", "lpn.train", "lpn.export", "lpn.quantize", "lpn.features"]
+            ["tests.killing", "lpn.train", "lpn.export", "lpn.quantize", "lpn.features", "lpn.world.build"]
         )
         self.log = folder / "said.txt"
 

@@ -45,6 +45,10 @@ class Describe:
     def run(self) -> int:
         return self._shards() if self.engine == "ray" else self._store()
 
+    def going_on(self) -> str:
+        """What to do after a stop."""
+        return f"What {self.out} has by now is kept; the same command goes on."
+
     def _store(self) -> int:
         from lpn import features
 
@@ -105,3 +109,7 @@ class Gather:
         print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")
         if shards.broken:
             print(f"{len(shards.broken):,} pictures are broken and not in it; {BROKEN} in {self.shards} names them.")
+
+    def going_on(self) -> str:
+        """What to do after a stop."""
+        return f"What {self.out} has by now is kept; the same command goes on."

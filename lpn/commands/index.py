@@ -70,6 +70,10 @@ class MakeIndex:
         if tiles.broken:
             print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the shards names them.")
 
+    def going_on(self) -> str:
+        """What to do after a stop."""
+        return f"The tiles that {printable(_shown(self.out))} has by now are kept; the same command goes on."
+
 
 @dataclass
 class Search:

@@ -75,6 +75,12 @@ class Train:
         if group.leads:
             print(f"The model is in {model}.")
 
+    def going_on(self) -> str:
+        """What to do after a stop."""
+        if not (self.out / "state.pt").is_file():
+            return "No epoch was whole yet, so nothing is kept; give the same command again."
+        return f"The whole epochs in {self.out} are kept; go on with the same command{'' if self.resume else ' and --resume'}."
+
 
 @dataclass
 class Export:
@@ -158,6 +164,10 @@ class World:
         tally = build_world(settings, self.out, Part.parse(self.part), self.threads)
         print(f"{tally.describe()} The world is in {self.out}.")
 
+    def going_on(self) -> str:
+        """What to do after a stop."""
+        return f"The pictures in {self.out} are kept; the same command goes on."
+
 
 @dataclass
 class Reproduce:
@@ -214,6 +224,10 @@ class Reproduce:
             self.data, self.out, _by_name(self.model), self.init, self.seeds, scale, changes, self.train, self.queries
         ).run(keys)
         print(f"Wrote {', '.join(file.name for file in made)} to {self.out}.")
+
+    def going_on(self) -> str:
+        """What to do after a stop."""
+        return f"Whole epochs and measurements in {self.out} are kept; the same command goes on."
 
 
 def _by_name(given: Sequence[str]) -> dict[str, Path]:

@@ -184,10 +184,10 @@ def _print_result(title: str, result: Result) -> None:
 
 @dataclass
 class Doctor:
-    """Say what a data set holds, what is broken in it, and what can be run; ends with status 1 where something is broken."""
+    """Say what this machine lacks, or, of a data set, what it holds and what is broken; ends with status 1 at damage."""
 
-    data: Path
-    """Data set in any layout of docs/data.md."""
+    data: Path | None = None
+    """Data set in any layout of docs/data.md; without it, machine, packages, and demo are looked at."""
     quick: bool = False
     """Read the headers and ends of the pictures only, and do not decode them."""
     json: Path | None = None
@@ -203,6 +203,8 @@ class Doctor:
 
         if self.json is not None:
             check_writable(self.json)
+        if self.data is None:
+            return self._machine()
         console = Console(width=max(120, Console().width))
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with Progress(*columns, console=console, transient=True) as bar:
@@ -213,6 +215,22 @@ class Doctor:
         if self.json is not None:
             write_whole(self.json, (json.dumps(report.to_dict(), indent=1) + "\n").encode())
         return 0 if report.healthy else 1
+
+    def _machine(self) -> int:
+        from lpn import checkup
+        from lpn.files import write_whole
+
+        if self.quick:
+            raise InputError("--quick is about the pictures of a data set; give one with --data.")
+        findings = []
+        for finding in checkup.look(DEMO):
+            findings.append(finding)
+            print(finding.line, flush=True)
+        healthy = checkup.healthy(findings)
+        print("Nothing that is needed is broken." if healthy else "Something is broken: see the problems above.")
+        if self.json is not None:
+            write_whole(self.json, (json.dumps(checkup.to_dict(findings), indent=1) + "\n").encode())
+        return 0 if healthy else 1
 
 
 def _numbers(text: str | None) -> list[int] | None:

@@ -11,18 +11,20 @@ import tyro
 
 @dataclass
 class Verify:
-    """Read stores, shards, models, and trainings in full against their checksums; ends with status 1 where one is damaged."""
+    """Read stores, indexes, shards, models, and trainings in full against their checksums; ends with status 1 at damage."""
 
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Files and folders, searched with all folders below; by default the cache of descriptors."""
 
     def run(self) -> int:
         from lpn.features import cache_folder
+        from lpn.files import printable
         from lpn.verify import verify
 
         damaged = 0
         for path in self.paths or (cache_folder(),):
             for verdict in verify(path):
                 damaged += not verdict.whole
-                print(f"{verdict.path} {verdict.said}." if verdict.whole else f"DAMAGED: {verdict.said}")
+                name = printable(str(verdict.path))
+                print(f"{name} {verdict.said}." if verdict.whole else f"DAMAGED: {name}: {verdict.said}")
         return 1 if damaged else 0

@@ -15,6 +15,7 @@ from lpn.datasets.cvusa import CVUSA
 from lpn.datasets.folder import Folder
 from lpn.datasets.landmarks import Landmarks
 from lpn.datasets.pairs import PairsCSV
+from lpn.datasets.rendered import is_rendered
 from lpn.datasets.university import University
 from lpn.errors import DataError
 from lpn.files import printable
@@ -51,6 +52,7 @@ def open_dataset(root: str | Path) -> Dataset:
     root = Path(root)
     if not root.is_dir():
         raise DataError(f"There is no data set folder at {root}; check the path.")
+    is_rendered(root)  # or raises, where it is not whole
     if marked := _marked(root):
         return marked(root)
     inner = sorted(child.name for child in root.iterdir() if child.is_dir() and not hidden(child) and _marked(child))

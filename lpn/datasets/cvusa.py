@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, Size, below, read_rows, say_left_out
+from lpn.datasets.rendered import is_rendered
 from lpn.errors import DataError
 from lpn.files import printable
 
@@ -42,6 +43,8 @@ class CVUSA(ListedDataset):
     panoramas = True
 
     def __init__(self, root: Path) -> None:
+        # A rendered world keeps its panoramas in this layout, and is as large as it was asked to be.
+        rendered = is_rendered(root.parent)
         listed: dict[Split, list[tuple[str, str]]] = {"train": _read(root, "train"), "val": _read(root, "val")}
         labels = _labels(listed["train"] + listed["val"])
         there, left_out = Names(root), []
@@ -65,8 +68,7 @@ class CVUSA(ListedDataset):
             root, pictures["train"], pictures["val"], pictures["val"], "a split of CVUSA, splits/val-19zl.csv"
         )
         self.left_out = left_out
-        # A rendered world keeps its panoramas in this layout, and is as large as it was asked to be.
-        self.full = {} if (root.parent / "world.json").is_file() else FULL
+        self.full = {} if rendered else FULL
         say_left_out(self, "files named in splits cannot be used", "their pairs are left out")
 
 

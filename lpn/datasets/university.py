@@ -12,6 +12,7 @@ import os
 from pathlib import Path
 
 from lpn.datasets.base import Dataset, Picture, Size, tasks_between
+from lpn.datasets.rendered import is_rendered
 from lpn.errors import DataError
 from lpn.files import printable
 from lpn.images import SUFFIXES
@@ -44,7 +45,7 @@ class University(Dataset):
 
     def __init__(self, root: Path) -> None:
         super().__init__(root)
-        if (root / "world.json").is_file():
+        if is_rendered(root):
             self.kind = "world"
         else:
             self.full = FULL

@@ -22,8 +22,9 @@ import numpy.typing as npt
 
 from lpn.changes import Change
 from lpn.checksums import Checksums, crc_of_blocks, crc_of_values
-from lpn.errors import InputError, PictureError, StoreError
+from lpn.errors import InputError, NewerStoreError, PictureError, StoreError
 from lpn.files import mapped
+from lpn.formats import is_newer, newer
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 
@@ -125,10 +126,13 @@ class Manifest:
 
     @classmethod
     def from_json(cls, data: bytes, name: str) -> Manifest:
-        """Read what `to_json` wrote; StoreError when it is something else."""
+        """Read what `to_json` wrote; StoreError when it is something else, NewerStoreError when a later version wrote it."""
         try:
             values: Any = json.loads(data)
-            if values.pop("format") not in (FORMAT, BEFORE):
+            found = values.pop("format")
+            if is_newer(found, FORMAT):
+                raise NewerStoreError(newer(name, found, FORMAT))
+            if found not in (FORMAT, BEFORE):
                 raise ValueError("another format")
             rows = tuple(
                 Row(str(r["file"]), int(r["size"]), int(r["time_ns"]), box_of(r.get("box"))) for r in values.pop("rows")
@@ -181,9 +185,9 @@ class Store:
         told = self.manifest.checksums
         if told is None or self.file is None:
             return found
-        blocks = crc_of_blocks(self.file, told.block)
-        if len(blocks) != len(told.blocks):
+        if -(-self.file.stat().st_size // told.block) != len(told.blocks):
             return ~found
+        blocks = crc_of_blocks(self.file, told.block)
         row = self.descriptors.dtype.itemsize * self.manifest.n_parts * self.manifest.embedding
         before = self.file.stat().st_size - row * len(found)
         for i in (i for i, (now, then) in enumerate(zip(blocks, told.blocks, strict=True)) if now != then):

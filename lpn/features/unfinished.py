@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import LPNError, StoreError
+from lpn.errors import LPNError, NewerStoreError, StoreError
 from lpn.features.store import FORMAT, Manifest, Store, stored, with_array
 from lpn.files import mapped, write_whole
 from lpn.model import FloatArray
@@ -147,6 +147,8 @@ def complete(folder: Path) -> Store | None:
         try:
             written = manifest.read_bytes()
             read = Manifest.from_json(written, manifest.name)
+        except NewerStoreError:
+            raise
         except (StoreError, OSError) as error:
             raise StoreError(
                 f"{folder} has a manifest.json that is not one of {FORMAT}; choose another folder, or delete that file if it "
@@ -182,6 +184,8 @@ def _interrupted(
                 return None
             good[start:end] = True
         return plan, array, good
+    except NewerStoreError:
+        raise
     except (OSError, ValueError, OverflowError, KeyError, TypeError, AttributeError, RecursionError, LPNError):
         return None
 

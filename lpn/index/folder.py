@@ -1,7 +1,10 @@
 """An index that is a folder: a manifest and segments of tiles, added to whole or not at all.
 
-    index.json       format, engine and its settings, model fingerprint, n, D, and the segments that count, oldest first
-    0000012/ ...     segments, see `lpn.index.segments`
+    index.json       format, engine and its settings, model fingerprint, n, D, the segments that count, oldest first, and a
+                     checksum of all this
+    0000012/ ...     segments, see `lpn.index.segments`, each with checksums.json: CRC-32 of every block of its files
+
+Both checksums are missing where an earlier version wrote the index.
 
 What an add writes lies in folders that the manifest does not name yet; the manifest is replaced last. Killed at any moment, an
 index is as it was before that add, and the next one clears away what was left.
@@ -16,6 +19,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import zlib
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,26 +29,32 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lpn.checksums import crc_of_values
 from lpn.errors import OutputError, StoreError
 from lpn.files import alone, write_whole
+from lpn.formats import is_newer, newer
 from lpn.index.base import Exact, Found, Index, Kind, best, check_names, check_positions, scores_of
 from lpn.index.scan import PRECISIONS, Precision
 from lpn.index.segments import Batch, Mask, Segment, keys_of, write_segment
+from lpn.index.sums import changed, write_sums
 
 FORMAT = "lpn-index/1"
 MANIFEST = "index.json"
 _OURS = re.compile(r"\d{7}|index\.json\..*\.part")
+_AGAIN = "delete the index and make it again"
 _ATTEMPTS = 20
 _READ = 1024
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A segment that counts: its folder's name, its tiles, and the file that says which were replaced, if any were."""
+    """A segment that counts: its folder's name, its tiles, and the file that says which were replaced, if any were, with its
+    checksum."""
 
     name: str
     rows: int
     dead: str | None = None
+    dead_crc: int | None = None
 
 
 @dataclass(frozen=True)
@@ -71,25 +81,53 @@ class Manifest:
         """The manifest as a JSON file."""
         values = {"format": FORMAT, "engine": self.engine, **vars(self.kind), "precision": self.precision}
         values |= {"settings": self.settings, "next": self.next, "segments": [vars(entry) for entry in self.entries]}
-        return json.dumps(values, indent=1).encode()
+        return json.dumps({**values, "checksum": crc_of_values(values)}, indent=1).encode()
 
     @classmethod
     def read(cls, folder: Path) -> Manifest:
         """The manifest of an index; StoreError when the folder is none."""
         try:
             values: Any = json.loads((folder / MANIFEST).read_bytes())
+            if is_newer(values["format"], FORMAT):
+                raise StoreError(newer(f"{MANIFEST} in {folder}", values["format"], FORMAT))
             if values["format"] != FORMAT or values["precision"] not in PRECISIONS:
                 raise ValueError("another format")
             kind = Kind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"]))
-            entries = tuple(Entry(str(e["name"]), int(e["rows"]), e["dead"]) for e in values["segments"])
+            if values.pop("checksum", None) not in (None, crc_of_values(values)):
+                raise ValueError("another checksum")
+            entries = tuple(
+                Entry(str(e["name"]), int(e["rows"]), e["dead"], e.get("dead_crc")) for e in values["segments"]
+            )
             settings = dict(values["settings"])
             return cls(str(values["engine"]), kind, values["precision"], settings, entries, int(values["next"]))
         except FileNotFoundError as error:
             raise StoreError(f"{folder} has no {MANIFEST}, so it is not an index; make one with lpn index.") from error
-        except (OSError, ValueError, OverflowError, KeyError, TypeError, AttributeError) as error:
+        except (OSError, ValueError, OverflowError, RecursionError, KeyError, TypeError, AttributeError) as error:
             raise StoreError(
-                f"{MANIFEST} in {folder} is not one of {FORMAT}; make the index again with lpn index."
+                f"{MANIFEST} in {folder} is damaged or not one of {FORMAT}; make the index again with lpn index."
             ) from error
+
+
+def verify(folder: Path) -> bool:
+    """Read an index in full against its checksums; whether all of it has some, which an earlier version's has not.
+
+    Raises:
+        StoreError: when the folder is no index, or a file of it is damaged.
+    """
+    manifest, everywhere = Manifest.read(folder), True
+    for entry in manifest.entries:
+        segment = folder / entry.name
+        wrong = changed(segment)
+        everywhere = everywhere and wrong is not None
+        try:
+            Segment(segment, manifest.kind, manifest.precision, entry.rows, entry.dead)
+            dead = entry.dead if entry.dead_crc is not None else None
+            found = [] if dead is None or zlib.crc32((segment / dead).read_bytes()) == entry.dead_crc else [dead]
+        except OSError as error:
+            raise StoreError(f"{error.filename} is missing or cannot be read; {_AGAIN}.") from error
+        for name in (*(wrong or ()), *found):
+            raise StoreError(f"{name} in {segment} is not what its checksums were made of; {_AGAIN}.")
+    return everywhere
 
 
 def create(folder: Path, manifest: Manifest) -> Manifest:
@@ -267,7 +305,7 @@ class FolderIndex(Index):
                 assert mask is not None
                 dead = f"dead-{number:07d}.npy"
                 np.save(segment.folder / dead, ~mask)
-                entries.append(replace(entry, dead=dead))
+                entries.append(replace(entry, dead=dead, dead_crc=zlib.crc32((segment.folder / dead).read_bytes())))
             else:
                 entries.append(entry)
             number += 1
@@ -284,6 +322,7 @@ class FolderIndex(Index):
         name = f"{number:07d}"
         write_segment(self.folder / name, self.kind, self.precision, batches, rows)
         self._finish(self.folder / name, rows)
+        write_sums(self.folder / name)
         return Entry(name, rows)
 
     def _bytes(self, rows: int) -> int:
@@ -330,6 +369,8 @@ class Candidates:
 
 def gather(arrays: Sequence[npt.NDArray[Any]], places: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
     """Rows of arrays that lie one after the other, by their place in the whole."""
+    if len(arrays) == 1:
+        return np.asarray(arrays[0][places])
     starts = np.cumsum([0, *(len(array) for array in arrays)])
     found = np.empty((len(places), *arrays[0].shape[1:]), arrays[0].dtype)
     owner = np.searchsorted(starts, places, "right") - 1

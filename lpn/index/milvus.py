@@ -29,6 +29,7 @@ import numpy.typing as npt
 
 from lpn.errors import InputError, StoreError
 from lpn.files import printable
+from lpn.formats import is_newer, newer
 from lpn.index.base import (
     ID_LENGTH,
     Box,
@@ -319,6 +320,8 @@ def expression(box: Box) -> str:
 def _read(description: str, shown: str) -> tuple[Kind, Structure]:
     try:
         values: Any = json.loads(description)
+        if is_newer(values["format"], FORMAT):
+            raise StoreError(newer(shown, values["format"], FORMAT))
         if values["format"] != FORMAT or values["structure"] not in get_args(Structure):
             raise ValueError("another format")
         return Kind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"])), values["structure"]

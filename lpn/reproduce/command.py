@@ -73,6 +73,7 @@ class Reproduction:
             return self._run(wanted, [key for key in keys if key in _SHOWN])
 
     def _run(self, wanted: Sequence[Table], drawn: Sequence[str]) -> list[Path]:
+        self._notebook = Notebook(self.out / "measured.json")
         self._sources: Sources = open_sources(self.data, self.out)
         self._starts = starts.by_backbone(self.init)
         uses = self._uses(wanted, drawn)
@@ -188,13 +189,12 @@ class Reproduction:
         return {f"seed {job.seed}": lpn.load(job.model) for job in own}
 
     def _table(self, table: Table) -> list[Path]:
-        notebook = Notebook(self.out / "measured.json")
         data = self._sources.of(table.measure)
         measured: dict[str, dict[str, Values]] = {}
         protocols: dict[str, str] = {}
         for row in table.rows:
             found = {
-                name: notebook.figures(row, table.measure, model, data)
+                name: self._notebook.figures(row, table.measure, model, data)
                 for name, model in self._models(table, row).items()
             }
             if found:

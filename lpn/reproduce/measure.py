@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
 from lpn.changes import Change
+from lpn.checksums import crc_of_values
+from lpn.errors import InputError
 from lpn.evaluate import Result, evaluate
 from lpn.files import write_whole
+from lpn.formats import is_newer, newer
 from lpn.model import Model
 from lpn.protocol import Protocol
 from lpn.reproduce.paper import Values
 from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import Measure, Row
+
+log = logging.getLogger(__name__)
+
+FORMAT = "lpn-measured/1"
 
 
 @dataclass(frozen=True)
@@ -32,15 +40,21 @@ class Figures:
 
 
 class Notebook:
-    """Figures measured so far, by what they were measured on, in one JSON file."""
+    """Figures measured so far, by what they were measured on, in one JSON file with a checksum of itself.
+
+    Raises:
+        InputError: when a later version wrote the file.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._held: dict[str, Figures] = {}
         try:
-            held: Any = json.loads(path.read_bytes())
-            self._held = {key: Figures(tuple(map(float, v["values"])), str(v["protocol"])) for key, v in held.items()}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            self._held = {}
+            self._held = _figures(json.loads(path.read_bytes()), path)
+        except FileNotFoundError:
+            pass
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            log.warning("%s cannot be read or is damaged; what it held is measured again.", path)
 
     def figures(self, row: Row, measure: Measure, model: Model, data: Sequence[Source]) -> Figures:
         """The row's figures; measured when they are not there yet."""
@@ -50,9 +64,22 @@ class Notebook:
             results = _measured(row, measure, model, data)
             values = [value for result in results for value in _values(result, measure)]
             self._held[key] = Figures(tuple(values), results[0].said)
-            whole = {key: asdict(figures) for key, figures in self._held.items()}
+            figures = {key: asdict(figures) for key, figures in self._held.items()}
+            whole = {"format": FORMAT, "checksum": crc_of_values(figures), "figures": figures}
             write_whole(self.path, (json.dumps(whole, indent=1) + "\n").encode())
         return self._held[key]
+
+
+def _figures(held: Any, path: Path) -> dict[str, Figures]:
+    """What a notebook's file holds; an earlier version's is the figures alone."""
+    if "format" in held:
+        if is_newer(held["format"], FORMAT):
+            raise InputError(newer(path, held["format"], FORMAT))
+        figures = held["figures"]
+        if held["format"] != FORMAT or held["checksum"] != crc_of_values(figures):
+            raise ValueError("another format or checksum")
+        held = figures
+    return {key: Figures(tuple(map(float, v["values"])), str(v["protocol"])) for key, v in held.items()}
 
 
 def _measured(row: Row, measure: Measure, model: Model, data: Sequence[Source]) -> list[Result]:

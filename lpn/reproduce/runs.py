@@ -15,11 +15,13 @@ from rich.console import Console
 
 from lpn.errors import DivergedError, InputError
 from lpn.files import fingerprint, write_whole
+from lpn.formats import is_newer, newer
 from lpn.recipes import Recipe
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.train import Trainer
 
+FORMAT = "lpn-job/1"
 _COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16_bn": 8.5}
 """Time of a training step per pixel, ResNet-18 being one: a guess, which the estimate of the time left rests on."""
 
@@ -86,6 +88,8 @@ class Job:
         """Raise InputError where the run on disk, finished or not, is another than the one asked for."""
         if not any((self.folder / name).is_file() for name in ("job.json", "state.pt")):
             return
+        if is_newer(found := self._noted("format"), FORMAT):
+            raise InputError(newer(self.folder / "job.json", found, FORMAT))
         before = self._noted("identity")
         if not isinstance(before, dict):
             raise InputError(
@@ -100,7 +104,7 @@ class Job:
 
     def note(self, ended: str | None) -> None:
         """Write what is trained in the folder, and how it ended: "finished", "diverged", or None before it has."""
-        values = {"ended": ended, "identity": self.identity()}
+        values = {"format": FORMAT, "ended": ended, "identity": self.identity()}
         write_whole(self.folder / "job.json", (json.dumps(values, indent=1) + "\n").encode())
 
     def _noted(self, name: str) -> Any:

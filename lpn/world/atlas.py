@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lpn.formats import WORLD
 from lpn.world import cvusa
 from lpn.world.cameras import Panorama, Pose, Site, Tile, drone_poses, tile_around
 from lpn.world.city import City, Target
@@ -24,7 +25,6 @@ from lpn.world.geometry import Points
 from lpn.world.ground_level import Outdoors, panoramas, street_poses
 from lpn.world.plan import plan_city
 
-FORMAT = "lpn-world/1"
 EDITION = 2  # counts changes of the code that change the pictures of a seed
 SIGHT = 312.0  # metres around a target that its drone can see, at most
 SPARE = 14.0  # metres around the tiles' ground, for their turn and offset
@@ -118,7 +118,7 @@ class Atlas:
         """The file world.json."""
         city, site = self.city, self.site
         values = {
-            "format": FORMAT,
+            "format": WORLD,
             "edition": EDITION,
             "settings": asdict(self.settings),
             "site": {**asdict(site), "note": "A fictional place; the plan's metres are x east and y north of it."},

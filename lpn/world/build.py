@@ -17,8 +17,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn import city
+from lpn.datasets.rendered import PLAN, UNFINISHED
 from lpn.errors import InputError, OutputError
 from lpn.files import check_writable, write_whole
+from lpn.formats import UPGRADE, WORLD, is_newer, newer
 from lpn.world import photo
 from lpn.world.atlas import EDITION, SIGHT, SPARE, Atlas, Sector, Settings, Shot, make_atlas
 from lpn.world.cameras import TILE, Panorama, Pose, Sweep, Tile
@@ -102,9 +104,11 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
     part = part or Part()
     _check(settings)
     check_folder(settings, out)
-    check_writable(out / "world.json")
+    check_writable(out / PLAN)
     atlas = make_atlas(settings)
-    write_whole(out / "world.json", atlas.world_json())
+    if not _complete(atlas, out):
+        write_whole(out / UNFINISHED, b"Pictures are missing here; lpn world with the same settings goes on.\n")
+    write_whole(out / PLAN, atlas.world_json())
     write_whole(out / "geo.csv", atlas.geo_csv())
     for name, data in atlas.cvusa_files().items():
         write_whole(out / name, data)
@@ -132,6 +136,8 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
                 studio.frames(sector, frames)
             if walks:
                 studio.walks(sector, walks)
+    if _complete(atlas, out):  # where parts run at the same time, only the last of them knows
+        (out / UNFINISHED).unlink(missing_ok=True)
     return tally
 
 
@@ -241,6 +247,10 @@ class _Studio:
         self.done()
 
 
+def _complete(atlas: Atlas, out: Path) -> bool:
+    return all(_there(out, shot) for sector in atlas.sectors for shot in sector.shots)
+
+
 def _there(out: Path, shot: Shot) -> bool:
     return all((out / path).is_file() for path in shot.paths)
 
@@ -260,21 +270,28 @@ def check_folder(settings: Settings, out: Path) -> None:
     Raises:
         OutputError: when it does.
     """
-    file = out / "world.json"
+    file = out / PLAN
     if not file.is_file():
         return
     asked = asdict(settings)
     try:
         held = json.loads(file.read_bytes())
+        if is_newer(held.get("format"), WORLD):
+            raise OutputError(newer(file, held["format"], WORLD))
         had = {**dict.fromkeys(_ADDED, 0), **held["settings"]}  # worlds were made before there were any of these
         same = {**had, **{name: asked[name] for name in _ADDED}} == asked
         fewer = [name for name in _ADDED if asked[name] < had[name]]
         edition = held["edition"]
-    except (ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise OutputError(f"{file} is not a world's; choose another folder.") from error
     if not same:
         raise OutputError(
             f"{out} holds a world made with other settings ({held['settings']}); choose another folder, or delete that one."
+        )
+    if isinstance(edition, int) and edition > EDITION:
+        raise OutputError(
+            f"{out} holds a world made by edition {edition} of the program, and this is edition {EDITION}, whose pictures "
+            f"differ; {UPGRADE}, or choose another folder."
         )
     if edition != EDITION:
         raise OutputError(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import http.client
+import logging
 import os
 import socket
 import threading
@@ -22,18 +24,18 @@ import pytest
 import viser._messages as viser_messages
 from websockets.exceptions import InvalidStatus
 
-from explorer import turnstile, upload
+from explorer import guard, turnstile, upload
 from explorer.app import App
 from explorer.entry import Entry, Onward, Refusal, Request, entry, is_loopback, same_origin
 from explorer.exhibit import Analyst, Exhibit
 from explorer.guard import Guard
-from explorer.inbox import BURST, FIELDS, RATE, Inbox, UnfitError, strange
+from explorer.inbox import BURST, FIELDS, RATE, UPLOADS, Inbox, UnfitError, strange
 from explorer.opening import open_model
 from explorer.session import State, Upload
 from explorer.turnstile import ALL_WAITING, FIRST, FORGET, KEPT, LONGEST, WAITING, Turnstile
 from lpn.errors import InputError, MissingPackageError, PictureError
+from soak.client import Talker
 from tests import worlds
-from tests.talker import Talker
 
 TOKEN = "correct horse battery"
 
@@ -114,9 +116,15 @@ def test_a_page_that_would_run_another_servers_scripts_is_refused() -> None:
         "websocket=ws%3A%2F%2Fevil.example",
         "playbackPath=//evil.example/x",
         "websocket=x",
+        "&".join(["a"] * 3000) + "&playbackPath=data:,x",
+        "&" * 3000 + "websocket=ws://evil.example",
+        "x=%26playbackPath=data:,x",
+        "x=%26websocket%3Dws://evil.example",
+        "x=1%26y&playbackPath",
     ):
         assert verdict(door, asked(path=f"/?{query}")) == 403, query
     assert verdict(door, asked(path="/?websocket=ws://localhost:8080/prefix&query=0005/01")) is None
+    assert verdict(door, asked(path="/?query=0005%26more/01&websocketed=1")) is None
 
 
 def test_a_token_is_asked_for_by_what_is_listened_on() -> None:
@@ -140,6 +148,8 @@ def test_a_token_is_asked_for_by_what_is_listened_on() -> None:
 
 def test_the_link_has_the_token_that_was_made_and_not_one_that_was_given() -> None:
     assert entry("127.0.0.1", None, False, (), {}).link(8080) == "http://127.0.0.1:8080"
+    assert entry("0.0.0.0", TOKEN, False, (), {}).link(8080).startswith("http://127.0.0.1:8080/")
+    assert entry("::", TOKEN, False, (), {}).link(8080).startswith("http://[::1]:8080/"), "no IPv4 is listened on then"
     made = entry("::1", None, True, (), {})
     assert made.link(8080) == f"http://[::1]:8080/?token={made.token}"
     assert TOKEN.split()[0] not in entry("0.0.0.0", TOKEN, False, (), {}).link(8080)
@@ -221,9 +231,21 @@ def packed(kind: str, **fields: object) -> bytes:
     return msgspec.msgpack.encode({"type": kind, **fields})
 
 
-def begun(transfer: str, size: int, parts: int, name: str = "a.png") -> bytes:
+class Button:
+    """An upload button."""
+
+
+@pytest.fixture
+def button() -> Iterator[Button]:
+    """That of "u"; viser takes a file for any control."""
+    made = upload.BUTTONS["u"] = Button()
+    yield made
+    del upload.BUTTONS["u"]
+
+
+def begun(transfer: str, size: int, parts: int, name: str = "a.png", control: str = "u") -> bytes:
     fields = {
-        "source_component_uuid": "u",
+        "source_component_uuid": control,
         "transfer_uuid": transfer,
         "filename": name,
         "mime_type": "",
@@ -232,9 +254,9 @@ def begun(transfer: str, size: int, parts: int, name: str = "a.png") -> bytes:
     return packed("FileTransferStartUpload", **fields, size_bytes=size)
 
 
-def part(transfer: str, index: int, content: bytes) -> bytes:
+def part(transfer: str, index: int, content: bytes, control: str = "u") -> bytes:
     return packed(
-        "FileTransferPart", source_component_uuid="u", transfer_uuid=transfer, part_index=index, content=content
+        "FileTransferPart", source_component_uuid=control, transfer_uuid=transfer, part_index=index, content=content
     )
 
 
@@ -284,6 +306,7 @@ def test_what_is_no_message_ends_the_connection(message: bytes | str) -> None:
         Inbox().read(message)
 
 
+@pytest.mark.usefixtures("button")
 def test_uploads_are_bounded_in_bytes_parts_and_number() -> None:
     inbox = Inbox()
     assert inbox.read(begun("a", 10, 2)) == begun("a", 10, 2)
@@ -299,6 +322,29 @@ def test_uploads_are_bounded_in_bytes_parts_and_number() -> None:
         assert (emptied["size_bytes"], emptied["part_count"]) == (0, 0)
     named = msgspec.msgpack.decode(inbox.read(begun("e", 1, 1, "x" * 100_000)) or b"")
     assert len(named["filename"]) == 200
+
+
+@pytest.mark.usefixtures("button")
+def test_a_part_that_viser_would_drop_does_not_end_an_upload() -> None:
+    inbox = Inbox()
+    assert inbox.read(begun("a", 10, 2)) is not None
+    assert inbox.read(part("a", 0, b"x" * 9)) is not None
+    for index in (0, 2, 1 << 30):
+        assert inbox.read(part("a", index, b"")) is None, index
+    assert inbox.read(part("a", 1, b"x")) is not None
+    assert inbox.read(begun("b", 10, 2)) is not None
+    assert inbox.read(part("b", 0, b"x")) is not None
+    with pytest.raises(UnfitError, match="size"):
+        inbox.read(part("b", 1, b"x"))
+
+
+@pytest.mark.usefixtures("button")
+def test_only_an_upload_button_takes_a_file() -> None:
+    inbox = Inbox()
+    assert inbox.read(begun("a", 1, 1, control="a slider")) is None
+    assert inbox.read(begun("a", 1, 1)) is not None
+    assert inbox.read(part("a", 0, b"x", "a slider")) is None
+    assert inbox.read(part("a", 0, b"x")) is not None
 
 
 def test_messages_beyond_a_rate_wait_their_turn() -> None:
@@ -412,6 +458,56 @@ def test_another_site_reaches_neither_page_nor_websocket(app: App) -> None:
     assert refused(app, origin="null") == 403
     with Talker(url(app), origin=url(app)):
         pass
+
+
+def raw(app: App, data: bytes) -> bytes:
+    """The first line of the answer to bytes that may be no request."""
+    with socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) as connection:
+        connection.sendall(data)
+        return connection.makefile("rb").readline().strip()
+
+
+def test_what_is_no_request_is_refused_without_a_traceback(
+    app: App, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    head = b"GET / HTTP/1.1\r\nHost: localhost\r\n"
+    for data in (b"\x16\x03\x01\r\n", b"POST / HTTP/1.1\r\n\r\n", head + b"Content-Length: 3\r\n\r\nabc"):
+        assert raw(app, data) == b""
+    for data in (
+        head.replace(b"/", b"/" + b"a" * 400, 1) + b"\r\n",
+        head + b"Accept-Encoding: gzip\r\nAccept-Encoding: br\r\n\r\n",
+        head + b"Upgrade: websocket\r\nUpgrade: h2c\r\n\r\n",
+    ):
+        assert raw(app, data).startswith(b"HTTP/1.1 400 "), data
+    assert get(app)[0] == 200
+    assert "Traceback" not in capfd.readouterr().err
+    assert not [record for record in caplog.records if record.exc_info]
+
+
+def test_a_token_is_not_written_to_the_log(locked: App, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG)
+    status, headers, _ = get(locked, "/?token=correct+horse+battery")
+    assert status == 200
+    get(locked, cookie=headers["Set-Cookie"].partition(";")[0])
+    assert "horse" not in caplog.text
+    assert locked.door.pass_key not in caplog.text
+
+
+def test_connections_that_ask_for_nothing_do_not_use_up_the_files(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "HALF_OPEN", 8)
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    held = [socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) for _ in range(30)]
+    try:
+        for connection in held[8:]:
+            with contextlib.suppress(ConnectionResetError):
+                assert connection.recv(1) == b""
+        assert len(list(Path("/proc/self/fd").iterdir())) <= before + 30 + 8, "30 of ours"
+        held.pop(0).close()
+        time.sleep(0.2)
+        assert get(app)[0] == 200
+    finally:
+        for connection in held:
+            connection.close()
 
 
 def test_a_refusal_shows_what_was_sent_as_text(app: App) -> None:
@@ -579,6 +675,26 @@ def test_uploads_beyond_the_limits_take_no_room(app: App, hostile: Talker) -> No
     assert sum(len(piece) for state in states.values() for piece in state["parts"].values()) <= 1_000_000
 
 
+def test_a_file_for_a_slider_is_not_kept_and_an_upload_is_not_left_behind(app: App, hostile: Talker) -> None:
+    client = max(app.server.get_clients().items())[1]
+    button = hostile.find("Use my own picture")
+    for label in ("Rotate", "Zoom", "Find name"):
+        fields = {"source_component_uuid": hostile.find(label), "transfer_uuid": label}
+        start = {"filename": "a", "mime_type": "", "part_count": 1, "size_bytes": 9}
+        hostile.send("FileTransferStartUpload", **fields, **start)
+        hostile.send("FileTransferPart", **fields, part_index=0, content=b"x" * 9)
+    for number in range(4):
+        fields = {"source_component_uuid": button, "transfer_uuid": f"twice {number}"}
+        start = {"filename": "a", "mime_type": "", "part_count": 2, "size_bytes": 1000}
+        hostile.send("FileTransferStartUpload", **fields, **start)
+        for _ in range(3):
+            hostile.send("FileTransferPart", **fields, part_index=0, content=b"x" * 500)
+    works(hostile)
+    assert len(client.gui._current_file_upload_states) == UPLOADS
+    for handle in client.gui._gui_input_handle_from_uuid.values():
+        assert not getattr(handle._impl.value, "content", b"")
+
+
 def test_an_uploads_name_is_shown_as_its_last_part_and_as_text(hostile: Talker, tmp_path: Path) -> None:
     before = set(tmp_path.rglob("*"))
     hostile.upload('../../<img src=x onerror="alert(1)">.png', picture())
@@ -686,6 +802,16 @@ def test_a_flood_of_messages_is_the_floods_own_trouble(hostile: Talker) -> None:
     for number in range(1500):
         hostile.send("GuiUpdateMessage", uuid=uuid, updates={"value": number % 180})
     works(hostile, -90)
+
+
+@pytest.mark.parametrize("small", [b"\x89\x80" + bytes(4), b"\x00\x80" + bytes(4)])
+def test_a_flood_of_frames_without_a_message_ends_its_connection(hostile: Talker, small: bytes) -> None:
+    raw_socket = hostile._socket.socket
+    with contextlib.suppress(OSError):
+        raw_socket.sendall(b"\x02\x80" + bytes(4))  # the first piece of a message
+        for _ in range(50):
+            raw_socket.sendall(small * 100)
+    assert hostile.gone()
 
 
 def test_what_a_browser_sent_goes_with_it(app: App) -> None:

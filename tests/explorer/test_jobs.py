@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import signal
 import threading
 import time
 
@@ -82,6 +83,8 @@ def test_progress_is_a_share_with_a_way_to_cancel() -> None:
 
 def test_another_process_gives_its_result_its_error_or_is_ended() -> None:
     assert in_process(lambda *_: None, math.factorial, 5) == 120
+    # A terminal's Ctrl-C reaches it too, and is not its to heed.
+    assert signal.SIGINT in in_process(lambda *_: None, signal.pthread_sigmask, signal.SIG_BLOCK, [])
     with pytest.raises(InputError, match="no/word"):
         in_process(lambda *_: None, notes.parse_tags, "no/word")
     with pytest.raises(LPNError, match="memory"):

@@ -41,9 +41,9 @@ from lpn.errors import ModelFileError
 from lpn.model import FloatArray, Model, Pass
 from lpn.saved import load_saved
 from lpn.spec import View
+from soak.client import CHUNK, Talker
 from tests import worlds
 from tests.saved import save_result
-from tests.talker import CHUNK, Talker
 
 TASK = "drone-to-satellite"
 HELD = (

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -35,3 +38,21 @@ def test_a_fingerprint_is_of_contents_alone(tmp_path: Path) -> None:
     assert fingerprint(a) == fingerprint(b) != fingerprint(c)
     assert fingerprint(a, c) != fingerprint(c, a)
     assert fingerprint(a) != fingerprint(a, also="other options")
+
+
+def test_what_killed_processes_left_is_deleted_and_what_others_write_is_not(tmp_path: Path) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    names = {
+        "old": f"file.{gone.pid}-1.part",
+        "fresh": f"file.{gone.pid}-2.part",
+        "alive": f"file.{os.getpid()}-3.part",
+        "other": f"another.{gone.pid}-1.part",
+        "own": "file.1-1.part.txt",
+    }
+    for name in names.values():
+        (tmp_path / name).write_bytes(b"half")
+    for name in set(names.values()) - {names["fresh"]}:
+        os.utime(tmp_path / name, (1, 1))
+    write_whole(tmp_path / "file", b"whole")
+    assert {p.name for p in tmp_path.iterdir()} == {"file", *names.values()} - {names["old"]}

@@ -1,11 +1,12 @@
 """SIGKILL at any moment: what is there is whole, and the next run goes on or starts clean.
 
-World is missing here, since it needs Blender; tests/lpn/test_world.py renders, stops, and resumes one where Blender is.
+World is painted rather than rendered here; tests/lpn/test_world.py renders, stops, and resumes one where Blender is.
 """
 
 from __future__ import annotations
 
 import csv
+import json
 import os
 import shutil
 import signal
@@ -20,7 +21,9 @@ import pytest
 
 import lpn
 from lpn import features, index
-from lpn.errors import StoreError
+from lpn.datasets import open_dataset
+from lpn.errors import DataError, StoreError
+from lpn.images import load_picture
 from tests import worlds
 from tests.killing import Killer
 
@@ -171,6 +174,37 @@ def test_reproduce(places: Path, tmp_path: Path, killer: Killer) -> None:
             opened(file)
 
     survives(Command(arguments, whole, written), killer, out, ROUNDS // 2)
+
+
+def test_world(tmp_path: Path, killer: Killer) -> None:
+    out = tmp_path / "out"
+    settings = ["--buildings", "6", "--views", "2", "--pixels", "32", "--tile-pixels", "32", "--panoramas", "1"]
+
+    def files() -> dict[str, bytes]:
+        return {str(file.relative_to(out)): file.read_bytes() for file in sorted(out.rglob("*")) if file.is_file()}
+
+    def made() -> object:
+        # What a killed process was writing lies beside for a minute.
+        return {name: data for name, data in files().items() if not name.startswith("cache/") and ".part" not in name}
+
+    def whole() -> None:
+        """Either it says that it is unfinished, or everything is there."""
+        if not (out / "world.json").exists():
+            return
+        planned = json.loads((out / "world.json").read_bytes())["pictures"]
+        there = [(out / picture["path"]).is_file() for picture in planned]
+        if all(there):
+            assert all(load_picture(out / picture["path"]).size for picture in planned)
+        else:
+            with pytest.raises(DataError, match="not rendered to its end; run lpn world again"):
+                open_dataset(out)
+            if (out / "cvusa").is_dir():
+                with pytest.raises(DataError, match="not rendered to its end; run lpn world again"):
+                    open_dataset(out / "cvusa")
+
+    arguments = ["world", "--out", str(out), "--seed", "3", *settings]
+    survives(Command(arguments, whole, made), killer, out)
+    assert open_dataset(out).kind == "world"
 
 
 def test_a_store_read_while_it_is_written_is_none_or_whole(

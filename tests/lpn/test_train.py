@@ -239,7 +239,7 @@ def test_a_run_of_another_version_is_not_resumed(places: Path, tmp_path: Path) -
     state = torch.load(tmp_path / "run" / "state.pt", weights_only=True)
     del state["format"]
     torch.save(state, tmp_path / "run" / "state.pt")
-    with pytest.raises(ModelFileError, match="another version of lpn"):
+    with pytest.raises(ModelFileError, match="an earlier version of lpn"):
         trainer(places, tmp_path / "run", replace(QUICK, epochs=1), resume=True)
 
 

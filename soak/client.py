@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import html
+import json
 import re
+import socket
+import struct
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import msgspec
@@ -15,10 +20,22 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 CHUNK = 512 * 1024
+_ID = re.compile(r"id='(lpn-[a-z-]+)'")
+_ADDRESS = re.compile(r'onload="Function\((&quot;lpn\.address[^"]*)\)\(\)"')
 
 
 class Talker:
-    """One connection. `controls` has each control's latest properties by its uuid.
+    """One connection.
+
+    Attributes:
+        controls: each control's latest properties by its uuid.
+        elements: the latest html of what has an id of the app's own, such as lpn-status, by that id.
+        link: the query that the page's address was last set to, None before the first answer.
+        statuses: status lines in the order in which they came; who reads them may empty the list.
+        notices: titles and texts of notifications.
+        kinds: of all messages that came.
+        heard: when the last messages came, by `time.monotonic`.
+        closed: set when the connection ends.
 
     Args:
         url: of the page, http://...
@@ -30,7 +47,12 @@ class Talker:
         protocol: Any = [f"viser-v{viser.__version__}"]
         self._socket = connect(place, subprotocols=protocol, max_size=None, compression=None, **options)
         self.controls: dict[str, dict[str, Any]] = {}
+        self.elements: dict[str, str] = {}
+        self.link: str | None = None
+        self.statuses: list[str] = []
+        self.notices: list[tuple[str, str]] = []
         self.kinds: list[str] = []
+        self.heard = time.monotonic()
         self.closed = threading.Event()
         self._heard = threading.Condition()
         self._thread = threading.Thread(target=self._listen, daemon=True)
@@ -40,7 +62,22 @@ class Talker:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Say goodbye as a browser does whose tab is closed."""
         self._socket.close()
+        self._thread.join(5)
+
+    def abort(self) -> None:
+        """Be gone without a word, as a machine that is switched off whose system still says so."""
+        own = self._socket.socket
+        with suppress(OSError):  # it was the server that went first
+            own.setsockopt(
+                socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
+            )  # a reset in place of a farewell
+            own.shutdown(socket.SHUT_RDWR)
+            own.close()
         self._thread.join(5)
 
     def greet(self, query: str = "") -> Talker:
@@ -86,19 +123,26 @@ class Talker:
 
     def upload(self, name: str, content: bytes, size: int | None = None, transfer: str = "transfer") -> None:
         """Send a file as the page does."""
-        button = self.find("Use my own picture")
         parts = [content[at : at + CHUNK] for at in range(0, len(content), CHUNK)]
+        self._announce(name, len(content) if size is None else size, len(parts), transfer)
+        for index, part in enumerate(parts):
+            self.part(index, part, transfer)
+
+    def begin_upload(self, name: str, size: int, parts: int) -> None:
+        """Send the first of several parts of a file, of `size` bytes each."""
+        self._announce(name, parts * size, parts, name)
+        self.part(0, bytes(size), name)
+
+    def _announce(self, name: str, size: int, parts: int, transfer: str) -> None:
         self.send(
             "FileTransferStartUpload",
-            source_component_uuid=button,
+            source_component_uuid=self.find("Use my own picture"),
             transfer_uuid=transfer,
             filename=name,
             mime_type="image/png",
-            part_count=len(parts),
-            size_bytes=len(content) if size is None else size,
+            part_count=parts,
+            size_bytes=size,
         )
-        for index, part in enumerate(parts):
-            self.part(index, part, transfer)
 
     def part(self, index: int, content: bytes, transfer: str = "transfer") -> None:
         """Send one part of a file."""
@@ -117,13 +161,18 @@ class Talker:
 
     def status(self, name: str) -> str | None:
         """An attribute of the status line."""
-        found = re.search(rf"id='lpn-status'[^>]*? data-{name}='([^']*)'", self.html())
+        found = re.search(rf"id='lpn-status'[^>]*? data-{name}='([^']*)'", self.elements.get("lpn-status", ""))
         return found[1] if found else None
 
     def wait(self, holds: Callable[[], bool], seconds: float = 30.0) -> None:
         """Until something holds."""
         with self._heard:
             assert self._heard.wait_for(holds, seconds), f"waited {seconds} s; status: {self.html()[-2000:]}"
+
+    def until(self, holds: Callable[[], bool], seconds: float) -> bool:
+        """Whether something holds within some seconds; a connection that ends is waited for no longer."""
+        with self._heard:
+            return bool(self._heard.wait_for(lambda: holds() or self.closed.is_set(), seconds)) and holds()
 
     def gone(self, seconds: float = 10.0) -> bool:
         """Whether the server closes the connection."""
@@ -134,22 +183,38 @@ class Talker:
             while True:
                 self._take(self._socket.recv())
         except (ConnectionClosed, OSError):
-            self.closed.set()
+            with self._heard:
+                self.closed.set()
+                self._heard.notify_all()
 
     def _take(self, data: bytes | str) -> None:
         assert isinstance(data, bytes)
         length = int.from_bytes(data[8:16], "little")
         inner = zstandard.ZstdDecompressor().decompress(data[16 : 16 + length], int.from_bytes(data[:8], "little"))
         with self._heard:
+            self.heard = time.monotonic()
             for message in msgspec.msgpack.decode(inner)["messages"]:
                 self.kinds.append(message["type"])
                 if message["type"] == "GuiUpdateMessage":
-                    self.controls.setdefault(message["uuid"], {}).update(message["updates"])
+                    self._show(message["uuid"], message["updates"])
                 elif "props" in message and "uuid" in message:
                     props = dict(message["props"])
                     if "value" in message:
                         props["value"] = message["value"]
-                    self.controls.setdefault(message["uuid"], {}).update(props)
-                elif message["type"] == "NotificationShowMessage":
-                    self.controls.setdefault(message["uuid"], {}).update(message["props"])
+                    self._show(message["uuid"], props)
+                    if message["type"] == "NotificationShowMessage":
+                        self.notices.append((str(props.get("title")), str(props.get("body"))))
             self._heard.notify_all()
+
+    def _show(self, uuid: str, props: dict[str, Any]) -> None:
+        self.controls.setdefault(uuid, {}).update(props)
+        content = props.get("content")
+        if not isinstance(content, str):
+            return
+        for name in _ID.findall(content):
+            self.elements[name] = content
+            if name == "lpn-status":
+                self.statuses.append(content)
+        if found := _ADDRESS.search(content):
+            call = json.loads(html.unescape(found[1]))
+            self.link = json.JSONDecoder().raw_decode(call, len("lpn.address("))[0]

@@ -1,0 +1,219 @@
+"""A hand at a real page in headless Chromium: mouse, fields, and keys."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+from playwright.sync_api import Browser, BrowserContext, Error, Locator, Page, sync_playwright
+
+from soak import reading
+from soak.asked import Asked, Naming, Own, fits
+from soak.hand import BOUND, RATE, FaultError, Settled, StoppedError
+
+T = TypeVar("T")
+QUIET = [
+    "--no-sandbox",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+]
+SHOWN = """
+() => {
+  const html = (id) => document.getElementById(id)?.outerHTML ?? "";
+  const told = window.lpn;
+  if (told?.address && !told.listened) {
+    const plain = told.address;
+    told.address = (query, keys) => { told.listened = query; plain(query, keys); };
+    told.listened = true;
+  }
+  const link = typeof told?.listened === "string" ? told.listened : location.search;
+  return [link, html("lpn-status"), html("lpn-matches"), html("lpn-parts")];
+}
+"""
+"""The page writes its address late, so what it is told to write is noted when it is told."""
+EVERY = 0.03
+"""Seconds between two looks at the page."""
+KEYS = {"Why this tile?": "y", "Failure laboratory": "b", "Next ›": "n", "‹ Previous": "p"}
+
+
+class Chromium:
+    """A browser process for one thread, for a `with` block; playwright's objects belong to the thread that made them."""
+
+    def __enter__(self) -> Browser:
+        self._playwright = sync_playwright().start()
+        self.browser = self._playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=QUIET, handle_sigint=False
+        )
+        return self.browser
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(Exception):  # Ctrl-C ends the browser, too
+            self.browser.close()
+            self._playwright.stop()
+
+
+class Tab:
+    """One client in a browser, which may come and go; each visit is a profile of its own.
+
+    Args:
+        url: of the server.
+        naming: of what is asked for.
+        stop: set when the soak ends.
+    """
+
+    remote = False
+
+    def __init__(self, browser: Browser, url: str, naming: Naming, stop: threading.Event) -> None:
+        self._browser, self._url, self._naming, self._stop = browser, url, naming, stop
+        self._context: BrowserContext | None = None
+        self._changed = time.monotonic()
+        self.page: Page
+
+    def enter(self, link: str) -> None:
+        """Open the page by a link's query, as somebody who has seen the tour."""
+        began = time.monotonic()
+        self._context = self._browser.new_context(viewport={"width": 1280, "height": 800})
+        self._context.add_init_script("localStorage.setItem('lpn-tour', 'seen')")
+        self._context.set_default_timeout(1000 * BOUND)
+        self.page = self._context.new_page()
+        self.errors: list[str] = []
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self._doing(lambda: self.page.goto(f"{self._url}/?{link}"))
+        self._await(lambda: reading.status(self._look()[1]).get("seq", "0") != "0", "a first answer")
+        notice = self.page.locator(".mantine-Notification-closeButton")  # of software WebGL
+        if self._doing(notice.count, change=False):
+            self._doing(notice.first.click)
+        self._doing(lambda: self.page.get_by_text("Shift and zoom", exact=True).click())
+        self.page.wait_for_timeout(400)
+        self._changed = began
+
+    def drag(self, label: str, values: list[float]) -> float:
+        """Drag a slider's thumb to the places of values; the page rounds to what a pixel is."""
+        row = self._row(label)
+        low, high = {"Rotate": (-180.0, 180.0), "Zoom": (0.25, 4.0)}.get(label, (0.0, 2.0))
+        thumb, track = row.get_by_role("slider"), row.locator(".mantine-Slider-root")
+
+        def moved() -> float:
+            thumb.scroll_into_view_if_needed()
+            at, box = thumb.bounding_box(), track.bounding_box()
+            assert at is not None
+            assert box is not None
+            mouse, height = self.page.mouse, at["y"] + at["height"] / 2
+            mouse.move(at["x"] + at["width"] / 2, height)
+            mouse.down()
+            for value in values:
+                mouse.move(box["x"] + box["width"] * (value - low) / (high - low), height)
+                time.sleep(1 / RATE)
+            mouse.up()
+            self._changed = time.monotonic()
+            return float(row.locator("input").last.input_value())
+
+        return self._doing(moved)
+
+    def fill(self, label: str, value: float) -> None:
+        """Type into a slider's field."""
+
+        def typed() -> None:
+            box = self._row(label).locator("input").last
+            box.fill(f"{value:g}")
+            box.press("Enter")
+
+        self._doing(typed)
+
+    def switch(self, label: str, on: bool) -> None:
+        """Set a checkbox."""
+        self._doing(lambda: self._row(label).locator("input").last.set_checked(on))
+
+    def press(self, label: str) -> None:
+        """Press the key that does what a button does."""
+
+        def pressed() -> None:
+            self.page.evaluate("document.activeElement.blur()")
+            self.page.keyboard.press(KEYS[label])
+
+        self._doing(pressed)
+
+    def choose(self, label: str, option: str) -> None:
+        """Take an option: of the buttons in a row by its key, else of a list."""
+        if option in KEYS:
+            self.press(option)
+            return
+
+        def chosen() -> None:
+            self.page.get_by_label(label, exact=True).click()
+            self.page.get_by_role("option", name=option, exact=True).click()
+
+        self._doing(chosen)
+
+    def send(self, own: Own) -> None:
+        """Upload a picture."""
+        file = {"name": own.name, "mimeType": "image/jpeg", "buffer": own.content}
+        self._doing(lambda: self.page.locator("input[type=file]").set_input_files(file))  # type: ignore[arg-type]
+
+    def open_tab(self, name: str) -> None:
+        """Open a tab of a panel."""
+        self._doing(lambda: self.page.get_by_role("tab", name=name).click())
+
+    def settle(self, asked: Asked, path: Iterable[Asked] = ()) -> Settled:  # noqa: ARG002
+        """Wait for the answer."""
+        found = list[tuple[str | None, str, str, str]]()
+
+        def there() -> bool:
+            link, status, matches, parts = self._look()
+            if fits(self._naming, asked, link, reading.status(status)):
+                found.append((link, status, matches, parts))
+            return bool(found)
+
+        self._await(there, f"{self._naming.address(asked)} with {self._naming.label(asked)}")
+        seconds = time.monotonic() - self._changed
+        if self.errors:
+            raise FaultError("page error", "; ".join(self.errors[:3]))
+        return Settled(reading.shown(*found[0][1:]), seconds)
+
+    def leave(self, how: str) -> None:
+        """Close the profile, or put another page into its place first."""
+        context, self._context = self._context, None
+        if context is not None:
+            with contextlib.suppress(Error):
+                if how == "vanish":
+                    self.page.goto("about:blank")
+                context.close()
+
+    def _look(self) -> tuple[str | None, str, str, str]:
+        link, status, matches, parts = self.page.evaluate(SHOWN)
+        return link, status, matches, parts
+
+    def _row(self, label: str) -> Locator:
+        return self.page.locator(f'label:text-is("{label}")').locator("xpath=ancestor::div[contains(@class,'Flex')][1]")
+
+    def _await(self, holds: Callable[[], bool], what: str) -> None:
+        deadline = time.monotonic() + BOUND
+        while not self._doing(holds, change=False):
+            if self._stop.wait(EVERY):
+                raise StoppedError
+            if time.monotonic() > deadline:
+                link, status, *_ = self._look()
+                raise FaultError(
+                    "no answer",
+                    f"expected {what} within {BOUND:g} s; the page shows {link} with {reading.status(status)}",
+                )
+
+    def _doing(self, act: Callable[[], T], change: bool = True) -> T:
+        """Do something with the page; what fails is the page's fault, unless the soak ends."""
+        if self._stop.is_set():
+            raise StoppedError
+        try:
+            found = act()
+        except (Error, AssertionError) as error:
+            if self._stop.is_set():
+                raise StoppedError from error
+            raise FaultError("page", f"{type(error).__name__}: {str(error)[:400]}") from error
+        if change:
+            self._changed = time.monotonic()
+        return found

@@ -1,0 +1,107 @@
+"""The explorer as a process of its own: what it says, and what it holds."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from lpn.errors import LPNError
+
+START = 300.0
+"""Seconds that it may take to start; a data set that was never described takes long."""
+_TRACEBACK = re.compile(r"Traceback \(most recent call last\):\n(?:[ \t].*\n|\n)*.*\n?")
+
+
+@dataclass(frozen=True)
+class Held:
+    """What the server holds at a moment.
+
+    Attributes:
+        at: seconds since the soak began.
+        megabytes: resident memory.
+        threads, handles: their numbers.
+        clients: that are connected.
+    """
+
+    at: float
+    megabytes: float
+    threads: int
+    handles: int
+    clients: int
+
+
+class Server:
+    """`lpn explore` on a free port, for a `with` block.
+
+    Raises:
+        LPNError: when it does not start; the text is what it said.
+    """
+
+    def __init__(self, options: list[str], stopped: Callable[[], bool] = lambda: False) -> None:
+        self._options, self._stopped = options, stopped
+        self.url = ""
+
+    def __enter__(self) -> Self:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        self._log = tempfile.NamedTemporaryFile("w+", suffix=".log", encoding="utf-8", errors="replace")
+        command = [sys.executable, "-m", "lpn.cli", "explore", *self._options, "--port", str(port)]
+        # In a session of its own, so that Ctrl-C is the soak's alone.
+        self._process = subprocess.Popen(
+            command, stdout=self._log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, start_new_session=True
+        )
+        deadline = time.monotonic() + START
+        try:
+            while not (found := re.search(r"ready: (http://\S+)", self.said())):
+                if self._process.poll() is not None or time.monotonic() > deadline:
+                    raise LPNError(f"The explorer did not start. It said: {self.said().strip() or 'nothing'}")
+                time.sleep(0.1)
+        except BaseException:
+            self.__exit__()
+            raise
+        self.url = found[1]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.send_signal(signal.SIGTERM)
+        try:
+            self._process.wait(10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._log.close()
+
+    @property
+    def alive(self) -> bool:
+        """Whether it still runs."""
+        return self._process.poll() is None
+
+    def said(self) -> str:
+        """All that it printed."""
+        return Path(self._log.name).read_text("utf-8", errors="replace")
+
+    def tracebacks(self) -> list[str]:
+        """Those in what it printed, each with the line that names the error."""
+        return [found[0] for found in _TRACEBACK.finditer(self.said())]
+
+    def held(self, at: float, clients: int) -> Held | None:
+        """What it holds now; None where the system does not say (it has no /proc)."""
+        of = Path(f"/proc/{self._process.pid}")
+        try:
+            lines = dict(line.split(":", 1) for line in (of / "status").read_text().splitlines())
+            handles = sum(1 for _ in (of / "fd").iterdir())
+        except OSError:
+            return None
+        if "VmRSS" not in lines:  # it has ended
+            return None
+        return Held(at, int(lines["VmRSS"].split()[0]) / 1024, int(lines["Threads"]), handles, clients)

@@ -1,0 +1,161 @@
+"""The explorer stops on Ctrl-C and SIGTERM within two seconds, whatever it is doing, and says so; no write is lost."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from lpn.notes import read_notes
+from tests import worlds
+from tests.processes import SOON, Process
+from tests.talker import Talker
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's")
+
+TASK = "drone-to-satellite"
+SLOW_ANSWERS = """
+import time
+from explorer.exhibit import Analyst
+answer = Analyst.answer
+def slow(self, state, k):
+    if state.angle:
+        print("answering", flush=True)
+        time.sleep(30)
+    return answer(self, state, k)
+Analyst.answer = slow
+"""
+SLOW_RANKING = """
+import time, explorer.standing as standing
+from lpn import metrics
+standing.QUICK = -1
+def slow(*given, progress, **more):
+    print("ranking", flush=True)
+    time.sleep(30)
+metrics.retrieve = slow
+"""
+SLOW_REPORT = """
+import time
+from lpn import report
+def slow(*given):
+    print("reporting", flush=True)
+    time.sleep(30)
+report.build = slow
+"""
+SLOW_NOTES = """
+import time, lpn.notes
+write = lpn.notes.write_whole
+def slow(*given):
+    print("writing", flush=True)
+    time.sleep(0.8)
+    write(*given)
+lpn.notes.write_whole = slow
+"""
+SLOW_END = """
+import time, explorer.app
+explorer.app.finished = lambda seconds: (print("ending", flush=True), time.sleep(30))
+"""
+SLOW_OPENING = """
+import time, lpn.features.describing as d
+prepared = d.prepared
+d.prepared = lambda *given: (print("describing", flush=True), time.sleep(0.5), prepared(*given))[2]
+"""
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return worlds.make_dataset(tmp_path_factory.mktemp("stopping") / "places", train=1, test=4)
+
+
+class Explorer(Process):
+    """`lpn explore`, and browsers that are connected to it."""
+
+    def __init__(self, data: Path, model: Path, cache: Path, before: str = "", **environment: str) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        given: list[object] = ["explore", "--data", data, "--model", model, "--port", self.port]
+        super().__init__(given, cache, before, **environment)
+
+    @contextlib.contextmanager
+    def browsers(self, count: int) -> Iterator[list[Talker]]:
+        self.until(lambda: re.search(r"ready: http://", self.out))
+        with contextlib.ExitStack() as all_of_them:
+            yield [
+                all_of_them.enter_context(Talker(f"http://127.0.0.1:{self.port}").greet("?query=0003"))
+                for _ in range(count)
+            ]
+
+    def stopped(self) -> float:
+        """That it ended well, and how many seconds that took."""
+        status, seconds = self.ended(SOON)
+        assert status == 0, self.err
+        assert self.out.endswith("Stopped.\n")
+        assert self.err == ""
+        return seconds
+
+
+@pytest.mark.parametrize("how", ["interrupt", "terminate"])
+def test_with_browsers_connected(how: str, places: Path, model_file: Path, tmp_path: Path) -> None:
+    with Explorer(places, model_file, tmp_path / "cache") as explorer, explorer.browsers(4) as talkers:
+        getattr(explorer, how)()
+        explorer.stopped()
+        assert all(talker.gone() for talker in talkers)
+
+
+def test_in_the_middle_of_an_answer(places: Path, model_file: Path, tmp_path: Path) -> None:
+    with Explorer(places, model_file, tmp_path / "cache", SLOW_ANSWERS) as explorer, explorer.browsers(2) as talkers:
+        talkers[0].set("Rotate", 30)
+        explorer.until(lambda: "answering" in explorer.out)
+        explorer.terminate()
+        explorer.stopped()
+
+
+def test_while_queries_are_ranked_and_a_report_is_made(places: Path, model_file: Path, tmp_path: Path) -> None:
+    slow = SLOW_RANKING + SLOW_REPORT
+    with Explorer(places, model_file, tmp_path / "cache", slow) as explorer, explorer.browsers(1) as talkers:
+        talkers[0].tell("report", None)
+        explorer.until(lambda: "ranking" in explorer.out and "reporting" in explorer.out)
+        explorer.interrupt()
+        explorer.stopped()
+
+
+def test_a_note_that_is_being_saved_is_saved(places: Path, model_file: Path, tmp_path: Path) -> None:
+    data = shutil.copytree(places, tmp_path / "places")
+    with Explorer(data, model_file, tmp_path / "cache", SLOW_NOTES) as explorer, explorer.browsers(1) as talkers:
+        talkers[0].set("Failure laboratory", True)
+        talkers[0].wait(lambda: "lab-note' data-task" in talkers[0].html())
+        talkers[0].tell("lab-note", [TASK, 1, "night", "It must not be lost."])
+        explorer.until(lambda: "writing" in explorer.out)
+        explorer.interrupt()
+        explorer.stopped()
+    assert [note.text for note in read_notes(data / "notes.csv").values()] == ["It must not be lost."]
+
+
+def test_a_second_ctrl_c_ends_it_at_once(places: Path, model_file: Path, tmp_path: Path) -> None:
+    with Explorer(places, model_file, tmp_path / "cache", SLOW_END) as explorer, explorer.browsers(1):
+        explorer.interrupt()
+        explorer.until(lambda: "ending" in explorer.out)
+        time.sleep(0.1)
+        explorer.interrupt()
+        status, seconds = explorer.ended()
+        assert status == 130
+        assert seconds < 1
+        assert explorer.err == ""
+
+
+def test_while_pictures_are_described_before_it_is_ready(places: Path, model_file: Path, tmp_path: Path) -> None:
+    with Explorer(places, model_file, tmp_path / "cache", SLOW_OPENING) as explorer:
+        explorer.until(lambda: explorer.out.count("describing") > 1)
+        explorer.interrupt()
+        status, _ = explorer.ended()
+        assert status == 0
+        assert explorer.out.endswith("Stopped.\n")
+        assert "ready" not in explorer.out

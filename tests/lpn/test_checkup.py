@@ -1,0 +1,169 @@
+"""`lpn doctor` without a folder: what it says of a machine with a fault in it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lpn import checkup, cli, machine, packages
+from lpn.checkup import Finding, healthy
+from lpn.commands import using
+from lpn.commands.using import DEMO
+
+
+def of(name: str, *checks: Any) -> Finding:
+    found = [finding for check in checks for finding in check() if finding.name == name]
+    assert len(found) == 1, found
+    return found[0]
+
+
+def test_a_sound_machine_is_said_to_be_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checkup, "PORT", 0)
+    out = tmp_path / "found.json"
+    assert cli.main(["doctor", "--json", str(out)]) == 0
+    said, found = capsys.readouterr().out.splitlines(), json.loads(out.read_text())
+    assert said[-1] == "Nothing that is needed is broken."
+    assert found["healthy"] is True
+    levels = {finding["name"]: finding["level"] for finding in found["findings"]}
+    assert {"Python", "packages", "extra train", "ONNX Runtime", "cores", "cache", "port", "demo", "browser"} <= set(
+        levels
+    )
+    assert [levels[name] for name in ("Python", "packages", "ONNX Runtime", "cores", "cache", "demo")] == ["OK"] * 6
+    assert "problem" not in levels.values()
+    assert len(said) == len(levels) + 1
+    for finding in found["findings"]:
+        assert (finding["level"] == "OK") == (not finding["remedy"])
+    assert (tmp_path / "cache").is_dir()
+    assert not list((tmp_path / "cache").iterdir())
+
+
+def test_a_problem_ends_with_status_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "file" / "cache"))
+    monkeypatch.setattr(using, "DEMO", tmp_path / "absent")
+    assert cli.main(["doctor"]) == 1
+    said = capsys.readouterr().out
+    assert "problem cache: " in said
+    assert "cannot be written (Not a directory); make it writable, or set LPN_CACHE" in said
+    assert "note    demo: not part of this installation" in said
+    assert said.endswith("Something is broken: see the problems above.\n")
+
+
+def test_a_taken_port_is_no_more_than_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        monkeypatch.setattr(checkup, "PORT", taken.getsockname()[1])
+        found = of("port", checkup._port)
+    assert (found.level, found.said) == ("note", f"{checkup.PORT} on 127.0.0.1 is in use")
+    assert "--port" in found.remedy
+    assert healthy([found])
+
+
+@pytest.mark.parametrize("what", ["lpn.onnx", "descriptors.npy", "manifest.json", "picture", "missing"])
+def test_a_damaged_demo_is_a_problem(what: str, tmp_path: Path) -> None:
+    demo = shutil.copytree(DEMO, tmp_path / "demo")
+    store = demo / "descriptors" / "gallery_satellite"
+    picture = sorted((demo / "test" / "gallery_satellite").rglob("*.*"))[5]
+    file = {"lpn.onnx": demo / "lpn.onnx", "picture": picture, "missing": picture}.get(what, store / what)
+    whole = bytearray(file.read_bytes())
+    whole[len(whole) // 2] ^= 1
+    file.write_bytes(whole[:-5] if what == "picture" else whole)
+    if what == "missing":
+        file.unlink()
+    found = of("demo", lambda: checkup._demo(demo))
+    assert (found.level, "git checkout" in found.remedy) == ("problem", True), found
+    assert not healthy([found])
+
+
+def test_a_package_out_of_range_or_missing_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    version = metadata.version
+    old = {"numpy": "1.25.2", "viser": "1.2.0", "torch": "2.0.1", "umap-learn": "0.5.12"}
+
+    def told(name: str) -> str:
+        if name in ("rich", "numkong"):
+            raise metadata.PackageNotFoundError(name)
+        return old.get(name) or version(name)
+
+    monkeypatch.setattr(metadata, "version", told)
+    found = {finding.name: finding for finding in checkup._python_and_packages()}
+    assert found["numpy"] == Finding(
+        "numpy", "problem", "1.25.2 is installed, and >=1.26 is needed", "pip install 'numpy>=1.26'"
+    )
+    assert found["viser"].said == "1.2.0 is installed, and <1.2,>=1.1.1 is needed"
+    assert (found["rich"].level, found["rich"].said) == ("problem", "is not installed")
+    assert found["extra train"].level == "note"
+    assert "torch 2.0.1 is installed, and >=2.7 is needed" in found["extra train"].said
+    assert found["extra train"].remedy.endswith("pip install 'lpn-explorer[train]'")
+    assert (found["extra search"].said, found["extra search"].level) == ("not installed", "note")
+    assert "numpy" not in found["packages"].said
+    assert found["Python"].level == "OK"
+
+
+def test_a_package_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: str) -> Any:
+        raise ImportError("libGL.so.1: cannot open shared object file")
+
+    monkeypatch.setattr(checkup.importlib, "import_module", broken)
+    found = [finding for finding in checkup._python_and_packages() if finding.name == "opencv-python-headless"]
+    assert found[0].level == "problem"
+    assert "cannot be imported (ImportError: libGL.so.1" in found[0].said
+    assert "--force-reinstall" in found[0].remedy
+    assert "problem PyTorch: could not be looked at" in "\n".join(f.line for f in checkup.look(Path("absent")))
+
+
+def test_an_installed_package_knows_its_ranges_without_a_checkout(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    there = packages.asked()
+    monkeypatch.setattr(packages, "_CHECKOUT", tmp_path / "pyproject.toml")
+    told = {
+        "Requires-Python": ">=3.11",
+        "extras": ["train"],
+        "requires": ["numpy>=1.26", 'torch>=99; extra == "train"', 'colorama; sys_platform == "nowhere"'],
+    }
+
+    class Told(dict[str, Any]):
+        def get_all(self, _: str) -> list[str]:
+            return self["extras"]
+
+    monkeypatch.setattr(metadata, "metadata", lambda _: Told(told))
+    monkeypatch.setattr(metadata, "requires", lambda _: told["requires"])
+    found = packages.asked()
+    assert there is not None
+    assert found is not None
+    assert [package.requirement for package in found.base] == ["numpy>=1.26"]
+    assert found.base[0] == next(package for package in there.base if package.name == "numpy")
+    assert [(package.name, package.fits) for package in found.extras["train"]] == [("torch", False)]
+
+
+def test_little_room_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "memory", lambda: (8 * 10**9, 3 * 10**8))
+    assert of("memory", checkup._machine).line == (
+        "note    memory: 0.3 of 8.0 GB are free; close other programs; the explorer takes about half a GB, trainings more."
+    )
+    for free, level in ((10**7, "problem"), (5 * 10**8, "note"), (10**12, "OK")):
+        monkeypatch.setattr(shutil, "disk_usage", lambda _, free=free: shutil._ntuple_diskusage(10**13, 0, free))  # type: ignore[attr-defined]
+        assert of("cache", checkup._cache).level == level
+
+
+def test_memory_is_what_the_system_says() -> None:
+    found = machine.memory()
+    if Path("/proc/meminfo").exists():
+        assert found is not None
+        assert 0 < found[1] <= found[0]
+
+
+def test_quick_is_for_pictures(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["doctor", "--quick"]) == 2
+    assert "give one with --data" in capsys.readouterr().err

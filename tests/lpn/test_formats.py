@@ -1,0 +1,228 @@
+"""Each kind of file says what it is: one that a later version wrote is not taken for damaged, and not replaced."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+import lpn
+from lpn import features, metadata
+from lpn.checkpoints import load_torch
+from lpn.checksums import crc_of_values
+from lpn.engine import Engine
+from lpn.errors import InputError, LPNError, ModelFileError, OutputError, StoreError
+from lpn.features import open_store
+from lpn.formats import is_newer
+from lpn.index import ExactIndex, Kind, open_index, sums
+from lpn.recipes import RECIPES
+from lpn.reproduce.measure import FORMAT, Figures, Notebook
+from lpn.shards import Plan
+from lpn.spec import ModelSpec
+from lpn.state import State, read_state
+from lpn.storage import Storage
+from lpn.verify import verify
+from lpn.world.atlas import Settings
+from lpn.world.build import check_folder
+
+LATER = r"by a later version of lpn \(.*and this one knows .*\); install the newer version of lpn-explorer\.$"
+
+
+def change(file: Path, to: Callable[[dict[str, Any]], object]) -> None:
+    """Change the values of a JSON file."""
+    values = json.loads(file.read_bytes())
+    to(values)
+    file.write_text(json.dumps(values))
+
+
+def of_later(file: Path) -> None:
+    def later(values: dict[str, Any]) -> None:
+        kind, _, number = values["format"].partition("/")
+        values["format"] = f"{kind}/{int(number) + 7}"
+        values["unknown"] = [1]
+
+    change(file, later)
+
+
+@pytest.mark.parametrize(
+    ("found", "newer"),
+    [
+        ("lpn-index/3", True),
+        ("lpn-index/10", True),
+        ("lpn-index/2", False),
+        ("lpn-index/1", False),
+        ("lpn-index/3b", False),
+        ("lpn-index/²", False),
+        ("lpn-index/" + "9" * 5000, False),
+        ("lpn-other/3", False),
+        ("lpn-index", False),
+        (3, False),
+        (None, False),
+    ],
+)
+def test_a_later_number_of_the_same_kind_is_newer(found: object, newer: bool) -> None:
+    assert is_newer(found, "lpn-index/2") is newer
+
+
+@pytest.fixture
+def store(model_file: Path, data: Path, tmp_path: Path) -> Path:
+    files = features.pictures_below(data / "test" / "gallery_satellite")
+    features.describe(lpn.load(model_file), files, "satellite", tmp_path / "store", root=data)
+    return tmp_path / "store"
+
+
+def test_a_later_store_is_neither_read_nor_replaced(store: Path, model_file: Path, data: Path) -> None:
+    of_later(store / "manifest.json")
+    before = (store / "manifest.json").read_bytes()
+    files = features.pictures_below(data / "test" / "gallery_satellite")
+    with pytest.raises(StoreError, match="manifest.json was written " + LATER):
+        open_store(store)
+    with pytest.raises(StoreError, match=LATER):
+        features.describe(lpn.load(model_file), files, "satellite", store, root=data)
+    (store / "manifest.json").rename(store / "planned.json")
+    (store / "descriptors.npy").rename(store / "descriptors.part")
+    (store / "progress.json").write_text('{"done": [[0, 3]]}')
+    with pytest.raises(StoreError, match="planned.json was written " + LATER):
+        features.describe(lpn.load(model_file), files, "satellite", store, root=data)
+    assert (store / "planned.json").read_bytes() == before
+    assert (store / "descriptors.part").exists()
+
+
+def test_later_model_files_are_named(model_file: Path, tmp_path: Path) -> None:
+    proto = onnx.load_model(model_file)
+    for entry in proto.metadata_props:
+        entry.value = {"format": "lpn-explorer-onnx/2", "seal": "none"}.get(entry.key, entry.value)
+    onnx.save_model(proto, tmp_path / "later.onnx")
+    del proto.metadata_props[[entry.key for entry in proto.metadata_props].index("seal")]
+    onnx.save_model(proto, tmp_path / "later.onnx")
+    with pytest.raises(ModelFileError, match=r"later\.onnx was written " + LATER):
+        Engine(tmp_path / "later.onnx")
+    with safe_open(str(model_file.with_suffix(".safetensors")), "pt") as file:
+        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        told = {key: value for key, value in file.metadata().items() if key != "seal"}
+    save_file(tensors, tmp_path / "later.safetensors", {**told, "format": "lpn-explorer/2"})
+    with pytest.raises(ModelFileError, match=r"later\.safetensors was written " + LATER):
+        load_torch(tmp_path / "later.safetensors")
+    described = json.dumps({**json.loads(told["spec"]), "depth": 3})
+    with pytest.raises(ModelFileError, match=r"an entry 'depth', which this version .* install the newer version"):
+        ModelSpec.from_json(described)
+
+
+def test_a_state_of_another_version_says_which_way(tmp_path: Path) -> None:
+    recipe, file = RECIPES["small"], tmp_path / "state.pt"
+    State([], 1.0, 1, dict.fromkeys(("network", "average", "optimizer", "scaler"))).write(file, recipe, "places")
+    assert read_state(file, recipe, "places").first_loss == 1.0
+    values = torch.load(file, weights_only=True)
+    torch.save({**values, "format": 3}, file)
+    with pytest.raises(ModelFileError, match=LATER):
+        read_state(file, recipe, "places")
+    torch.save({"format": 1}, file)
+    with pytest.raises(ModelFileError, match=r"by an earlier version of lpn, .* start anew"):
+        read_state(file, recipe, "places")
+
+
+@pytest.fixture
+def index(tmp_path: Path) -> Path:
+    kind = Kind("0123456789abcdef", 2, 8)
+    vectors = np.full((20, 2, 8), 0.25, np.float32)
+    with ExactIndex.create(tmp_path / "index", kind, "int8") as made:
+        made.add([f"tile {i}" for i in range(20)], vectors)
+        made.add(["tile 3"], vectors[:1])
+    return tmp_path / "index"
+
+
+def test_a_later_index_is_neither_read_nor_added_to(index: Path) -> None:
+    of_later(index / "index.json")
+    with pytest.raises(StoreError, match=r"index\.json in .* was written " + LATER):
+        open_index(index)
+    with pytest.raises(StoreError, match=LATER):
+        ExactIndex.create(index, Kind("0123456789abcdef", 2, 8), "int8")
+
+
+def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path: Path) -> None:
+    assert [(verdict.said, verdict.whole) for verdict in verify(tmp_path)] == [("is what was written", True)]
+    files = [path for path in index.rglob("*") if path.is_file()]
+    assert {path.suffix for path in files} == {".npy", ".bin", ".json"}
+    assert any(path.name.startswith("dead-") for path in files)
+    for file in files:
+        whole = file.read_bytes()
+        place = len(whole) - 3 if file.suffix != ".json" else whole.index(b"1")
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        found = [verdict for verdict in verify(index.parent) if not verdict.whole]
+        assert len(found) == 1, file
+        assert "make" in found[0].said
+        file.write_bytes(whole)
+    missing = next(index.glob("0*")) / "keys.npy"
+    missing.unlink()
+    assert [verdict.whole for verdict in verify(index)] == [False]
+
+
+def test_an_index_of_an_earlier_version_is_read_and_said_to_have_no_checksums(index: Path) -> None:
+    def earlier(values: dict[str, Any]) -> None:
+        del values["checksum"]
+        for entry in values["segments"]:
+            del entry["dead_crc"]
+
+    change(index / "index.json", earlier)
+    for file in index.rglob(sums.NAME):
+        file.unlink()
+    with open_index(index) as opened:
+        assert opened.count() == 20
+    assert [(verdict.said, verdict.whole) for verdict in verify(index)] == [
+        ("has no checksums: an earlier version wrote it", True)
+    ]
+
+
+def test_later_shards_are_named(tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_bytes(Plan("0123456789abcdef", "drone", 4, 512, "float32", 3).to_json())
+    assert Plan.read(Storage(tmp_path)) is not None
+    of_later(tmp_path / "plan.json")
+    with pytest.raises(StoreError, match=r"plan\.json in .* was written " + LATER):
+        Plan.read(Storage(tmp_path))
+
+
+def test_measurements_are_read_in_both_formats_and_a_later_one_is_left_alone(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "measured.json"
+    figures = {"key": {"values": [1.0, 2.0], "protocol": "As published."}}
+    file.write_text(json.dumps(figures))
+    expected = {"key": Figures((1.0, 2.0), "As published.")}
+    assert Notebook(file)._held == expected
+    file.write_text(json.dumps({"format": FORMAT, "checksum": crc_of_values(figures), "figures": figures}))
+    assert Notebook(file)._held == expected
+    assert not caplog.records
+    change(file, lambda values: values["figures"]["key"].update(values=[3.0, 2.0]))
+    assert Notebook(file)._held == {}
+    assert "is damaged; what it held is measured again" in caplog.text
+    of_later(file)
+    with pytest.raises(InputError, match=r"measured\.json was written " + LATER):
+        Notebook(file)
+
+
+@pytest.mark.parametrize("named", ["format", "edition"])
+def test_a_later_world_is_neither_added_to_nor_read(named: str, tmp_path: Path) -> None:
+    from lpn.commands.using import DEMO
+
+    shutil.copy(DEMO / "world.json", tmp_path)
+    settings = Settings(**json.loads((DEMO / "world.json").read_bytes())["settings"])
+    check_folder(settings, tmp_path)
+    if named == "edition":
+        change(tmp_path / "world.json", lambda values: values.update(edition=99))
+        with pytest.raises(OutputError, match=r"by edition 99 .* install the newer version"):
+            check_folder(settings, tmp_path)
+        return
+    of_later(tmp_path / "world.json")
+    with pytest.raises(OutputError, match=r"world\.json was written " + LATER):
+        check_folder(settings, tmp_path)
+    with pytest.raises(LPNError, match=r"world\.json in .* was written " + LATER):
+        metadata.columns(tmp_path, ["test/query_drone/0300/image-01.webp"])

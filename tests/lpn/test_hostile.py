@@ -1,0 +1,274 @@
+"""Files made to mislead a reader, and files that lost the part by which damage is told; see docs/robustness.md."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import time
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+
+from lpn import cli, features
+from lpn.checkpoints import load_torch
+from lpn.checksums import Checksums
+from lpn.engine import Engine
+from lpn.errors import DataError, ModelFileError
+from lpn.geo import read_positions
+from lpn.integrity import flaw
+from lpn.network import LPN
+from lpn.published import read_options
+from tests import worlds
+
+
+def verified(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    status = cli.main(["verify", str(path)])
+    return status, capsys.readouterr().out
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return worlds.make_model(tmp_path_factory.mktemp("model"), size=32)
+
+
+@pytest.mark.parametrize("name", ["model.onnx", "model.safetensors", "net.pth", "old.pth", "state.pt"])
+def test_a_file_that_lost_its_checksum_is_no_whole_one(
+    name: str, exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The seal of an .onnx and the directory of a .pth are at the end, which is what a broken copy lacks."""
+    file = tmp_path / name
+    if name.startswith("model"):
+        shutil.copy(exported.with_suffix(file.suffix), file)
+    else:
+        torch.save({"a": torch.randn(1000)}, file, _use_new_zipfile_serialization=name != "old.pth")
+    whole = file.read_bytes()
+    assert verified(file, capsys)[0] == 0
+    damaged = [whole[: len(whole) * 9 // 10], whole[:40], b"", b"not a model"]
+    if (seal := whole.find(b"lpn-sha256:")) >= 0:
+        damaged += [whole[:seal] + b"m" + whole[seal + 1 :], whole[: seal - 20]]
+    for data in damaged:
+        file.write_bytes(data)
+        status, said = verified(tmp_path, capsys)
+        assert status == 1, (len(data), said)
+        assert f"DAMAGED: {file}: " in said
+
+
+def test_a_damaged_file_is_named_in_one_line(
+    tmp_path: Path, exported: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "mine\nlpn: all is well"
+    folder.mkdir()
+    (folder / "model.onnx").write_bytes(exported.read_bytes()[:-10])
+    assert verified(folder, capsys)[1].count("\n") == 1
+    assert (
+        cli.main(["describe", "--model", str(folder / "none.onnx"), "--images", "a", "--view", "drone", "--out", "b"])
+        == 2
+    )
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def _number(value: int) -> bytes:
+    digits = [value >> shift & 127 for shift in range(0, max(value.bit_length(), 1), 7)]
+    return bytes([*(digit | 128 for digit in digits[:-1]), digits[-1]])
+
+
+@pytest.mark.parametrize("bit", [32, 34])
+def test_an_onnx_whose_fields_have_two_numbers_is_not_opened(bit: int, exported: Path, tmp_path: Path) -> None:
+    """Protocol Buffers takes the low 32 bits of a key, so that this is a graph with weights in another file."""
+    proto = onnx.load_model(exported)
+    weight = max(proto.graph.initializer, key=lambda one: len(one.raw_data))
+    (tmp_path / "secret").write_bytes(weight.raw_data)
+    weight.ClearField("raw_data")
+    weight.data_location = onnx.TensorProto.EXTERNAL
+    entry = weight.external_data.add()
+    entry.key, entry.value = "location", "secret"
+    del proto.metadata_props[[entry.key for entry in proto.metadata_props].index("seal")]
+    graph = proto.graph.SerializeToString()
+    proto.ClearField("graph")
+    hidden = _number(7 << 3 | 2 | 1 << bit) + _number(len(graph)) + graph + proto.SerializeToString()
+    (tmp_path / "model.onnx").write_bytes(hidden)
+    with pytest.raises(ModelFileError, match="not an ONNX model"):
+        Engine(tmp_path / "model.onnx")
+
+
+def test_a_pth_that_unpacks_to_more_than_it_is_takes_no_memory(tmp_path: Path) -> None:
+    whole = io.BytesIO()
+    torch.save({"a": torch.zeros(5_000_000)}, whole)
+    with zipfile.ZipFile(whole) as plain, zipfile.ZipFile(tmp_path / "bomb.pth", "w", zipfile.ZIP_DEFLATED) as packed:
+        for name in plain.namelist():
+            packed.writestr(name, plain.read(name))
+    assert (tmp_path / "bomb.pth").stat().st_size < 100_000
+    with pytest.raises(ModelFileError, match=r"claims to hold 20,\d\d\d,\d\d\d"):
+        load_torch(tmp_path / "bomb.pth")
+
+
+def test_a_pth_whose_tensors_repeat_one_number_takes_no_memory(tmp_path: Path) -> None:
+    """As a safetensors file cannot: each tensor of these shapes has a single number behind it."""
+    with torch.device("meta"):
+        huge = LPN(replace(worlds.make_network().spec, embedding=1 << 17, n_parts=64, classes=2))
+    state = {key: torch.zeros([1] * value.dim()).expand(value.shape) for key, value in huge.state_dict().items()}
+    torch.save(state, tmp_path / "huge.pth")
+    with pytest.raises(ModelFileError, match="claims to hold"):
+        load_torch(tmp_path / "huge.pth")
+
+
+@pytest.mark.parametrize("kind", ["meta", "sparse"])
+def test_a_pth_of_tensors_without_numbers_is_refused(kind: str, tmp_path: Path) -> None:
+    made = torch.zeros(3, device="meta") if kind == "meta" else torch.eye(3).to_sparse()
+    torch.save({"model_1.model.conv1.weight": made}, tmp_path / "net.pth")
+    with pytest.raises(ModelFileError, match="other things than named tensors"):
+        load_torch(tmp_path / "net.pth")
+
+
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n" for before, name in zip("abcdef", "bcdefg", strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 20_000,
+        "a: 2001-99-99",
+        "a: " + "1" * 5000,
+        "a: !!bool x",
+        "a: !!timestamp x",
+        "a: !!float x",
+        f"h: 0x{'f' * 9000}",
+        BOMB + "h: *g",
+        BOMB + "droprate: *g",
+        "a: " + "x" * 200_000,
+    ],
+)
+def test_options_of_any_kind_are_refused_in_one_sentence(text: str, tmp_path: Path) -> None:
+    (tmp_path / "opts.yaml").write_text(text)
+    started = time.process_time()
+    with pytest.raises(ModelFileError, match=r"opts\.yaml") as refused:
+        read_options(tmp_path / "opts.yaml")
+    assert len(str(refused.value)) < 200
+    assert time.process_time() - started < 2
+
+
+def test_options_that_are_lists_are_no_reason_to_refuse(tmp_path: Path) -> None:
+    (tmp_path / "opts.yaml").write_text(BOMB + "data_dir: *g\nname: two\nh: 384\n1: 2\n")
+    read = read_options(tmp_path / "opts.yaml")
+    assert (read["data_dir"], read["name"], read["h"]) == ("a list", "two", 384)
+    assert 1 not in read
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b'"a\nb\x1b[31m",x\n',
+        b"x" * 50_000 + b"\n",
+        b'path,latitude,longitude\n"a\nb",1,2\n"a\nb",1,2\n',
+        b"path,latitude,longitude\na.jpg," + b"9" * 100_000 + b",2\n",
+    ],
+)
+def test_what_a_message_shows_of_a_file_of_positions_is_short_and_one_line(data: bytes) -> None:
+    with pytest.raises(DataError) as refused:
+        read_positions(data)
+    assert str(refused.value).isprintable()
+    assert len(str(refused.value)) < 500
+
+
+def test_positions_from_a_spreadsheet() -> None:
+    """A byte order mark and line ends of Windows are read; a comma in a number is told."""
+    found = read_positions(b"\xef\xbb\xbfpath,latitude,longitude\r\na.jpg,30.5,120.25\r\n")
+    assert (found["a.jpg"].latitude, found["a.jpg"].longitude) == (30.5, 120.25)
+    for data in (b"path;latitude;longitude\na;1;2\n", b'path,latitude,longitude\na,"30,5",2\n', b"\xff\xfep\0"):
+        with pytest.raises(DataError, match=r"expected|UTF-8"):
+            read_positions(data)
+
+
+def test_a_png_that_claims_gigabytes_needs_no_room(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    file = tmp_path / "a.png"
+    worlds.write(file, worlds.place(1))
+    data = bytearray(file.read_bytes())
+    place = data.index(b"IDAT") - 4
+    data[place : place + 4] = b"\xff\xff\xff\xf0"
+    file.write_bytes(data)
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + (2 << 30), before[1]))
+    try:
+        assert flaw(file) == "is cut short or damaged"
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def test_checksums_of_another_number_of_blocks_are_not_counted(
+    exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A manifest that tells of blocks of one byte would have a store of gigabytes counted byte by byte."""
+    worlds.write(tmp_path / "a.png", worlds.place(1))
+    made = features.describe(Engine(exported, threads=1), [tmp_path / "a.png"], "drone", tmp_path / "store")
+    told = made.manifest.checksums
+    assert told is not None
+    assert not made.damaged().any()
+    lying = replace(made, manifest=replace(made.manifest, checksums=Checksums(1, told.blocks, told.manifest)))
+    monkeypatch.setattr("lpn.features.store.crc_of_blocks", lambda *_: pytest.fail("counted"))
+    assert lying.damaged().all()
+
+
+def test_a_model_of_many_epochs_without_its_state_is_not_trained_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whoever copies a model to another machine and adds --resume must not lose it to a first epoch."""
+    from lpn.checkpoints import save
+
+    places = worlds.make_dataset(tmp_path / "places", train=3, test=2)
+    out = tmp_path / "run"
+    arguments = ["train", "--data", str(places), "--out", str(out), "--recipe", "small", "--batch", "2", "--resume"]
+    for extra in ({"epochs": "120"}, {}):
+        save(worlds.make_network(), out / "last.safetensors", extra)
+        kept = (out / "last.safetensors").read_bytes()
+        assert cli.main(arguments) == 2
+        assert "state.pt" in capsys.readouterr().err
+        assert (out / "last.safetensors").read_bytes() == kept
+
+
+def test_parts_of_two_quantisations_are_not_one_model(tmp_path: Path) -> None:
+    """As a kill between the two files of a model leaves them, where other files were there before."""
+    from lpn.checkpoints import save
+    from lpn.export import export
+    from lpn.spec import ModelSpec
+
+    spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=1, input_size=(32, 32))
+    torch.manual_seed(0)
+    save(LPN(spec), tmp_path / "m.safetensors")
+    first, second = export(tmp_path / "m.safetensors", tmp_path / "m.onnx")
+    assert np.isfinite(Engine(first, threads=1).heads("street").weight).all()
+    proto = onnx.load_model(second)
+    del proto.metadata_props[[entry.key for entry in proto.metadata_props].index("seal")]
+    entry = proto.metadata_props.add()
+    entry.key, entry.value = "compute", "int8"
+    onnx.save_model(proto, second)
+    with pytest.raises(ModelFileError, match="another model than the file beside it"):
+        Engine(first, threads=1)
+
+
+def test_a_shard_whose_positions_are_damaged_is_told(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    from lpn.errors import StoreError
+    from lpn.gather import open_shards
+    from lpn.shards import Item, Plan, shard_name, write_shard
+    from lpn.storage import Storage
+
+    storage = Storage(tmp_path)
+    storage.write("plan.json", (plan := Plan("0" * 16, "drone", 1, 4, "float32", 1, finished=True)).to_json())
+    items = [Item(features.Row(f"{i}.png", 9, 1, None), (46.125, 7.5)) for i in range(9)]
+    write_shard(storage, plan, 0, items, np.full((9, 1, 4), 0.5, np.float32))
+    file = tmp_path / shard_name(0)
+    data = bytearray(file.read_bytes())
+    place = data.index(np.float64(46.125).tobytes() * 2)
+    data[place + 5] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(StoreError, match="damaged"):
+        open_shards(tmp_path).tiles()

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import logging
+import re
+
+import pytest
+
+from lpn import cli, logs
+from lpn.errors import InputError
+
+LINE = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3} "
+
+
+@pytest.fixture
+def log() -> logging.Logger:
+    return logging.getLogger("lpn.somewhere")
+
+
+@pytest.fixture(autouse=True)
+def _no_secrets(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(logs, "_SECRETS", [])
+    monkeypatch.delenv(logs.VARIABLE, raising=False)
+
+
+def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    return capsys.readouterr().err.splitlines()
+
+
+@pytest.mark.parametrize(("level", "count"), [("debug", 4), ("info", 3), ("warning", 2), ("error", 1)])
+def test_what_is_asked_for_is_shown_and_no_more(
+    level: logs.Level, count: int, log: logging.Logger, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with logs.shown(level):
+        for number in (logging.ERROR, logging.WARNING, logging.INFO, logging.DEBUG):
+            log.log(number, "It is %s", "so")
+    found = lines(capsys)
+    assert [line.split()[2] for line in found] == ["ERROR", "WARNING", "INFO", "DEBUG"][:count]
+    assert re.fullmatch(LINE + "ERROR   lpn.somewhere: It is so", found[0])
+    assert not logging.getLogger("lpn").level
+
+
+def test_libraries_say_warnings_and_not_how_their_connections_end(capsys: pytest.CaptureFixture[str]) -> None:
+    with logs.shown("debug"):
+        logging.getLogger("websockets.server").info("connection open")
+        logging.getLogger("asyncio").debug("Using selector")
+    assert lines(capsys) == []
+    with logs.shown("warning"):
+        logging.getLogger("websockets.server").error("opening handshake failed", exc_info=ValueError("x"))
+        logging.getLogger("asyncio").warning("slow")
+        try:
+            raise ValueError("odd\nvalue")
+        except ValueError:
+            logging.getLogger("viser").exception("It failed")
+    found = lines(capsys)
+    assert [re.split(r" [A-Z]+ +", line)[1] for line in found] == [
+        "asyncio: slow",
+        "viser: It failed (ValueError: odd?value)",
+    ]
+
+
+def test_no_text_of_others_breaks_a_line(log: logging.Logger, capsys: pytest.CaptureFixture[str]) -> None:
+    mistaken = logging.LogRecord("lpn", logging.WARNING, "", 0, "A mistake %s %d", ("of ours",), None)
+    assert logs.Lines(False).format(mistaken).endswith("lpn: A mistake %s %d")
+    with logs.shown("warning"):
+        log.warning("The picture %s", "a\nb\r\x1b[2J\u2028\x00%s" + "x" * 5000)
+        try:
+            raise ValueError("first\nsecond \x1b[31m")
+        except ValueError:
+            log.exception("It failed")
+    found = lines(capsys)
+    assert found[0].endswith("x" * 900)
+    assert "The picture a?b??[2J??%sxxx" in found[0]
+    assert len(found[0]) < 1100
+    assert found[1].endswith("It failed")
+    assert found[2] == "    Traceback (most recent call last):"
+    assert all(line.startswith("    ") for line in found[2:])
+    assert "\x1b" not in "".join(found)
+
+
+def test_no_token_is_shown(log: logging.Logger, capsys: pytest.CaptureFixture[str]) -> None:
+    logs.conceal("correct horse/battery")
+    logs.conceal(None)
+    with logs.shown("debug"):
+        log.debug("GET /?query=1&token=guessed%%20one&map=1 and %s", "correct horse/battery")
+        log.info("In an address: %s", "correct%20horse%2Fbattery")
+        try:
+            raise ValueError("token=another and correct horse/battery")
+        except ValueError:
+            log.exception("It failed")
+    shown = "\n".join(lines(capsys))
+    for secret in ("guessed", "horse", "another"):
+        assert secret not in shown.replace('raise ValueError("token=another', "")
+    assert "query=1&token=***&map=1 and ***" in shown
+
+
+def test_the_level_comes_from_the_command_line_or_else_from_the_environment() -> None:
+    assert logs.level_given(["explore"], {}) == ("warning", ["explore"])
+    assert logs.level_given(["explore"], {"LPN_LOG": " INFO "}) == ("info", ["explore"])
+    assert logs.level_given(["--log-level", "debug", "explore", "--port", "1"], {"LPN_LOG": "info"}) == (
+        "debug",
+        ["explore", "--port", "1"],
+    )
+    assert logs.level_given(["explore", "--log-level=error"], {}) == ("error", ["explore"])
+    for given, environ in ((["--log-level", "all"], {}), (["x", "--log-level"], {}), ([], {"LPN_LOG": "verbose"})):
+        with pytest.raises(InputError, match="expected one of debug, info, warning, error"):
+            logs.level_given(given, environ)
+
+
+def test_the_command_line_names_it(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    assert cli.main(["--help"]) == 0
+    assert "--log-level debug COMMAND" in capsys.readouterr().out
+    monkeypatch.setenv("LPN_LOG", "loud")
+    assert cli.main(["verify"]) == 2
+    assert capsys.readouterr().err == "lpn: LPN_LOG is 'loud'; expected one of debug, info, warning, error.\n"

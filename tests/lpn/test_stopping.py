@@ -1,0 +1,222 @@
+"""Ctrl-C and SIGTERM: what is being written is finished, one sentence says how to go on, and it takes two seconds at most."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from lpn import cli, features, stopping
+from lpn.features import open_store
+from lpn.files import write_whole
+from lpn.stopping import Stop, finished, finishing
+from lpn.verify import verify
+from tests import worlds
+from tests.processes import Process
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's")
+
+SLOW_DESCRIBING = """
+import time, lpn.features.describing as d
+prepared = d.prepared
+d.prepared = lambda *a: (time.sleep(0.15), prepared(*a))[1]
+"""
+SLOW_INDEX = """
+import time, lpn.index.folder as f
+write = f.write_segment
+f.write_segment = lambda *a: (write(*a), print("writing", flush=True), time.sleep(30))
+"""
+IN_A_LIBRARY = """
+import hashlib, lpn.commands.verify as v
+def run(self):
+    print("computing", flush=True)
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
+v.Verify.run = run
+"""
+
+
+def last_line(process: Process) -> str:
+    lines = [line for line in process.err.splitlines() if line.startswith("lpn: ")]
+    assert len(lines) == 1, process.err
+    return lines[0]
+
+
+def half_written(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*.part") if path.name != "descriptors.part"]
+
+
+def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> None:
+    data, out = worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
+    given: list[object] = ["train", "--data", data, "--out", out, "--recipe", "small", "--size", 64, "--batch", 4]
+    given += ["--epochs", 1000, "--n-parts", 2]
+    with Process(given, tmp_path / "cache") as process:
+        process.until((out / "state.pt").is_file)
+        process.interrupt()
+        status, _ = process.ended()
+        assert status == 130
+        assert last_line(process) == (
+            f"lpn: Stopped. The whole epochs in {out} are kept; go on with the same command and --resume."
+        )
+        assert not half_written(out)
+        assert all(verdict.whole for verdict in verify(out))
+        with Process([*given, "--resume"], tmp_path / "again") as again:
+            again.until(lambda: "Going on after epoch" in again.out and "Epoch" in again.out)
+            again.terminate()
+            assert again.ended()[0] == 143
+            assert last_line(again).endswith("go on with the same command.")
+
+
+def test_a_training_without_a_whole_epoch_says_so(tmp_path: Path) -> None:
+    data, out = worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
+    slow = "import time, lpn.loader as l\ns = l.Loader.stream\nl.Loader.stream = lambda *a: (time.sleep(60), s(*a))[1]"
+    given: list[object] = ["train", "--data", data, "--out", out, "--recipe", "small", "--size", 64, "--batch", 4]
+    with Process(given, tmp_path / "cache", slow) as process:
+        process.until(lambda: "Computing in" in process.out)
+        process.interrupt()
+        assert process.ended()[0] == 130
+        assert "No epoch was whole yet, so nothing is kept; give the same command again." in last_line(process)
+
+
+@pytest.mark.parametrize("how", ["interrupt", "terminate"])
+def test_a_description_goes_on_where_it_was_stopped(how: str, model_file: Path, data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "store"
+    given: list[object] = [
+        "describe",
+        "--model",
+        model_file,
+        "--images",
+        data / "test",
+        "--view",
+        "drone",
+        "--out",
+        out,
+    ]
+    with Process(given, tmp_path / "cache", SLOW_DESCRIBING) as process:
+        process.until(lambda: (out / "progress.json").is_file() and "[" in (out / "progress.json").read_text()[10:])
+        getattr(process, how)()
+        assert process.ended()[0] == (130 if how == "interrupt" else 143)
+        assert last_line(process) == f"lpn: Stopped. What {out} has by now is kept; the same command goes on."
+        assert not half_written(out)
+        assert not (out / "manifest.json").exists()
+        assert cli.main([str(one) for one in given]) == 0
+        assert len(open_store(out).descriptors) == len(features.pictures_below(data / "test"))
+
+
+def test_an_index_is_as_it_was_before_the_add(model_file: Path, data: Path, tmp_path: Path) -> None:
+    import lpn
+
+    files = features.pictures_below(data / "test" / "gallery_satellite")
+    features.describe(lpn.load(model_file), files, "satellite", tmp_path / "store", root=data)
+    given: list[object] = ["index", "--descriptors", tmp_path / "store", "--out", tmp_path / "index"]
+    with Process(given, tmp_path / "cache", SLOW_INDEX) as process:
+        process.until(lambda: "writing" in process.out)
+        process.terminate()
+        assert process.ended()[0] == 143
+        assert "has by now are kept; the same command goes on." in last_line(process)
+        assert cli.main([str(one) for one in given]) == 0
+        assert [verdict.whole for verdict in verify(tmp_path / "index")] == [True]
+
+
+def test_a_library_that_computes_is_not_waited_for(tmp_path: Path) -> None:
+    with Process(["verify"], tmp_path / "cache", IN_A_LIBRARY) as process:
+        process.until(lambda: "computing" in process.out)
+        process.terminate()
+        status, seconds = process.ended()
+        assert status == 143
+        assert seconds >= stopping.GRACE - 0.1
+        assert last_line(process) == "lpn: Stopped. Nothing is half-written; give the same command again."
+
+
+def test_a_second_ctrl_c_ends_at_once(tmp_path: Path) -> None:
+    with Process(["verify"], tmp_path / "cache", IN_A_LIBRARY) as process:
+        process.until(lambda: "computing" in process.out)
+        process.interrupt()
+        time.sleep(0.3)
+        process.interrupt()
+        status, seconds = process.ended()
+        assert status == 130
+        assert seconds < stopping.GRACE - 0.5
+        assert process.err == ""
+
+
+def test_a_file_is_written_to_its_end_before_the_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    replace = os.replace
+
+    def slow(*given: Path) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.05)
+        replace(*given)
+
+    monkeypatch.setattr(os, "replace", slow)
+    stop = Stop(lambda _: 0)
+    with stop.listening(), pytest.raises(KeyboardInterrupt):
+        write_whole(tmp_path / "file", b"whole")
+    assert (tmp_path / "file").read_bytes() == b"whole"
+    assert stop.signal == signal.SIGINT
+    assert finished(0)
+
+
+def test_files_that_belong_together_are_written_together(tmp_path: Path) -> None:
+    def write() -> None:
+        with finishing():
+            os.kill(os.getpid(), signal.SIGTERM)
+            for name in ("one", "two"):
+                write_whole(tmp_path / name, b"whole")
+
+    with Stop(lambda _: 0).listening(), pytest.raises(KeyboardInterrupt):
+        write()
+    assert (tmp_path / "two").read_bytes() == b"whole"
+
+
+def test_what_another_thread_writes_is_waited_for() -> None:
+    begun = threading.Event()
+
+    def write() -> None:
+        with finishing():
+            begun.set()
+            time.sleep(0.3)
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    begun.wait()
+    assert not finished(0.01)
+    assert finished(5)
+    thread.join()
+
+
+def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = [signal.getsignal(number) for number in stopping.SIGNALS]
+    assert cli.main(["verify", str(tmp_path / "absent")]) == 2
+
+    def interrupted(_: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli.COMMANDS["verify"], "run", interrupted)
+    assert cli.main(["verify"]) == 130
+    assert [signal.getsignal(number) for number in stopping.SIGNALS] == before
+    assert not [thread for thread in threading.enumerate() if thread.name == "lpn-stopping"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["world", "--out", "OUT"], "The pictures in OUT are kept; the same command goes on."),
+        (["reproduce", "table1", "--data", "x", "--out", "OUT"], "Whole epochs and measurements in OUT are kept"),
+        (["gather", "--shards", "s", "--out", "OUT"], "What OUT has by now is kept; the same command goes on."),
+        (["export", "--model", "m", "--out", "OUT"], "Nothing is half-written; give the same command again."),
+    ],
+)
+def test_every_command_says_how_to_go_on(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(_: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli.COMMANDS[arguments[0]], "run", interrupted)
+    assert cli.main(arguments) == 130
+    assert capsys.readouterr().err.startswith(f"lpn: Stopped. {said}")
