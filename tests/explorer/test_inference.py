@@ -448,7 +448,8 @@ def test_who_moves_on_while_waiting_is_answered_for_the_newest_state_in_the_same
         dragging.join(20)
         assert dragging.error is None
     first.ended()
-    assert slow.passes == [[99], [1], [22], [33], [101], [122], [133]]
+    assert slow.passes[:4] == [[99], [1], [22], [33]]
+    assert sorted(slow.passes[4:]) == [[101], [122], [133]]
     assert [dragging.shown for dragging in asking] == [1, 22, 33]
 
 
