@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, redirect_stdout
+from contextlib import redirect_stdout
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -62,8 +62,9 @@ class Visitor:
 
     def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: Links) -> None:
         self._client, self._exhibit, self._links = client, exhibit, links
-        self._parting = ExitStack()  # what is drawn while the browser leaves is lost, which is no reason to warn of it
-        self._parting.enter_context(client._websock_connection.get_message_buffer().sanctioned_dead_writes())
+        # What is drawn while the browser leaves is lost, which is no reason to warn of it. viser's own context for this takes
+        # the buffer's lock when it ends, and a garbage collection may end it in a thread that holds the lock.
+        client._websock_connection.get_message_buffer()._warned_push_after_done = True
         self._lock = threading.RLock()
         self._greeted = self._small = False
         self._sequence = 0
@@ -109,6 +110,7 @@ class Visitor:
             if changed.why and not self._state.why:
                 self._bridge.order("reveal", "#lpn-why")
             self._state = changed
+            self._asker.moved()
             self._panels.write(changed)
         self._worker.wake()
 
@@ -156,7 +158,7 @@ class Visitor:
     def _work(self) -> float | None:
         slow = Patience(SLOW, self._panels.busy)
         try:
-            answer = self._analyst.answer(self._state, SHOWN)
+            answer = self._asker.newest(lambda: self._analyst.answer(self._state, SHOWN))
             self._sequence += 1
             started = time.perf_counter()
             self._stage.show(answer)

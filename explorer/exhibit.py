@@ -252,6 +252,9 @@ class Analyst:
 
     def __init__(self, exhibit: Exhibit, model: Shared | None = None) -> None:
         self._exhibit, self._model = exhibit, model or exhibit.model
+        self._asked = (
+            None if self._model is None else self._model.replaceable()
+        )  # unlike tiles, which others wait for, too
         self._picture_key: object = None
         self._picture: Picture
         self._query_key: object = None
@@ -267,6 +270,7 @@ class Analyst:
 
         Raises:
             BusyError: when the network has too much to do; the same state can be asked for again.
+            MovedError: when another state is wanted, see `inference.Asker.newest`.
             LPNError: when it cannot be answered.
         """
         started = time.perf_counter()
@@ -331,8 +335,8 @@ class Analyst:
         return images.crop(picture, entry.box, entry.name)
 
     def _described(self, task: Task, state: State) -> Described:
-        if self._model is None:
+        if self._asked is None:
             return Described(self._picture, task.asked[state.query], None, None)
         # A picture of one's own is what the task's queries are.
         change = state.change.of(task.queries[state.query])
-        return retrieval.describe_picture(self._model, self._picture, task.query_view, change)
+        return retrieval.describe_picture(self._asked, self._picture, task.query_view, change)

@@ -3,16 +3,19 @@
 A thread that asks waits for its pass, so it has one in the queue at a time, and the order of coming is a round among all that
 ask: nobody waits longer than one pass of everybody else. Long work (profiles, reports, a second model) asks for a pass at a
 time, too. Answers go before it, yet one of `TURN` passes is its own. Of answers no more wait than there is room for;
-the next are refused, and who was refused is taken before those who come for the first time.
+the next are refused, and who was refused is taken before those who come for the first time. Who wants another answer by the
+time its turn is next asks for that one in the same place.
 """
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
+from bisect import insort
 from collections.abc import Callable, Hashable, Iterable
-from itertools import pairwise
-from typing import cast
+from itertools import count, pairwise
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -20,6 +23,10 @@ from explorer.jobs import GivenUpError
 from lpn.errors import LPNError
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.spec import View
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 ROOM = 32
 """Answers that wait at a time. A large network on two cores takes a tenth of a second for each, so the last waits for three."""
@@ -32,17 +39,29 @@ KEPT = 4 * AGAIN
 IDLE = 60.0
 """Seconds without work after which the queue's thread ends; the next request begins one."""
 
+STALE = 0.2
+"""Seconds that an answer must have waited before another is asked for in its place: preparing that one takes time, too."""
+
 
 class BusyError(LPNError):
     """More answers wait than there is room for."""
 
 
+class MovedError(Exception):
+    """Another answer is wanted in place of the one that was asked for."""
+
+
 class _Request:
     """Pictures (B, 3, H, W) of one view that wait for their pass."""
 
-    def __init__(self, asker: Asker, model: Model, images: FloatArray, view: View, patient: bool) -> None:
+    def __init__(
+        self, asker: Asker, model: Model, images: FloatArray, view: View, patient: bool, replaceable: bool, since: float
+    ) -> None:
         self.asker, self.model, self.images, self.view, self.patient = asker, model, images, view, patient
-        self.kind: Hashable = (model, view, images.shape[1:])
+        self.replaceable, self.since = replaceable, since
+        self.place = 0
+        """Among the answers, the least first."""
+        self.kind: Hashable = (model, view, images.shape[1:], images.dtype)
         """Requests of one kind can be computed in one pass."""
         self._ended = threading.Event()
         self._found: Pass | None = None
@@ -65,9 +84,9 @@ class _Request:
 class Inference:
     """The queue, and the one thread that computes what waits in it.
 
-    A pass has at most `Model.batch` pictures, four on a CPU, which is two browsers' pictures with their mirrors: its cores are
-    busy with one picture already, so a larger batch takes longer in proportion, all of it wait for the next answers, and the
-    memory of its feature maps. A model on a GPU says a larger number.
+    A pass has at most `Model.batch` pictures, four of an exported model, which is two browsers' pictures with their mirrors:
+    a CPU's cores are busy with one picture already, so a larger batch takes longer in proportion, all of it wait for the next
+    answers, and the memory of its feature maps. A model in PyTorch says eight, on a GPU 64.
 
     Args:
         room: answers that wait at a time.
@@ -83,6 +102,9 @@ class Inference:
         """Passes since long work had its turn, while some waits."""
         self._refused: dict[Asker, float] = {}
         """Who was refused, the first first, and until when a place is kept."""
+        self._places = count()
+        self._held: dict[Asker, int] = {}
+        """The places of those who were told that another answer is wanted, and have not asked for it yet."""
         self._thread: threading.Thread | None = None
         self._heads: dict[tuple[Model, View], Heads] = {}
         self._heads_lock = threading.Lock()
@@ -101,25 +123,40 @@ class Inference:
                 self._heads[key] = model.heads(view)
             return self._heads[key]
 
-    def ask(self, asker: Asker, model: Model, images: FloatArray, view: View, patient: bool) -> Pass:
+    def ask(
+        self,
+        asker: Asker,
+        model: Model,
+        images: FloatArray,
+        view: View,
+        patient: bool = False,
+        replaceable: bool = False,
+    ) -> Pass:
         """One pass, waited for.
 
         Raises:
             BusyError: when too many answers wait.
+            MovedError: when it is replaceable, and the asker has moved on.
             GivenUpError: when the asker has left.
         """
-        request = _Request(asker, model, images, view, patient)
+        request = _Request(asker, model, images, view, patient, replaceable, self._clock())
         with self._changed:
             if asker.left:
                 raise GivenUpError
             if patient:
                 self._long.append(request)
             else:
-                self._admit(asker)
-                self._answers.append(request)
+                if asker not in self._held:
+                    self._admit(asker)
+                    self._held[asker] = next(self._places)
+                request.place = self._held.pop(asker)
+                insort(self._answers, request, key=lambda one: one.place)
             if self._thread is None:
-                self._thread = threading.Thread(target=self._loop, name="explorer-inference", daemon=True)
-                self._thread.start()
+                try:
+                    self._begin()
+                except BaseException:  # as when there can be no more threads: this one would wait for ever
+                    self._take([request])
+                    raise
             self._changed.notify_all()
         return request.wait()
 
@@ -128,10 +165,21 @@ class Inference:
         with self._changed:
             asker.left = True
             self._refused.pop(asker, None)
+            self._held.pop(asker, None)
             dropped = [request for request in (*self._answers, *self._long) if request.asker is asker]
             self._take(dropped)
         for request in dropped:
             request.end(error=GivenUpError())
+
+    def free(self, asker: Asker) -> None:
+        """Give the place of an asker back that was to ask for another answer."""
+        with self._changed:
+            self._held.pop(asker, None)
+
+    def _begin(self) -> None:
+        thread = threading.Thread(target=self._loop, name="explorer-inference", daemon=True)
+        thread.start()
+        self._thread = thread
 
     def _admit(self, asker: Asker) -> None:
         """Raise BusyError unless there is room beside those who were refused before."""
@@ -139,7 +187,7 @@ class Inference:
         self._refused = {one: until for one, until in self._refused.items() if until > now}
         before = list(self._refused)
         place = before.index(asker) if asker in self._refused else len(before)
-        if place >= self._room - len(self._answers):
+        if place >= self._room - len(self._answers) - len(self._held):
             self._refused[asker] = now + KEPT  # in its old place, where it had one
             raise BusyError(
                 f"{len(self._answers)} answers are waited for already, and no more are taken; ask again in a moment."
@@ -147,6 +195,17 @@ class Inference:
         self._refused.pop(asker, None)
 
     def _loop(self) -> None:
+        try:
+            self._work()
+        except BaseException as error:
+            log.exception("The queue before the network failed")
+            with self._changed:  # nobody would answer these; who asks next begins anew
+                lost, self._thread = [*self._answers, *self._long], None
+                self._take(lost)
+            for request in lost:
+                request.end(error=_told(error))
+
+    def _work(self) -> None:
         while True:
             with self._changed:
                 while not self._answers and not self._long:
@@ -154,6 +213,9 @@ class Inference:
                         self._thread = None
                         return
                 batch = self._next()
+                moved = self._moved()
+            for request in moved:  # what is wanted instead is prepared during the pass
+                request.end(error=MovedError())
             _compute(batch)
             del batch  # its pictures would stay until the next
 
@@ -161,16 +223,18 @@ class Inference:
         """The oldest request of those whose turn it is, and what can be computed with it."""
         long = not self._answers or (bool(self._long) and self._passed_over >= TURN - 1)
         self._passed_over = self._passed_over + 1 if self._long and not long else 0
-        waiting = self._long if long else self._answers  # never both in a pass: an answer would take as long as both
-        first = waiting[0]
-        batch, size = [first], len(first.images)
-        for request in waiting:
-            fits = request.kind == first.kind and size + len(request.images) <= first.model.batch
-            if fits and request is not first:
-                batch.append(request)
-                size += len(request.images)
+        # Never both in a pass: an answer would take as long as both.
+        batch = _together(self._long if long else self._answers)
         self._take(batch)
         return batch
+
+    def _moved(self) -> list[_Request]:
+        """Those of the next pass of answers that are not wanted as they are, taken out; their places are held."""
+        now = self._clock()
+        moved = [one for one in _together(self._answers) if one.replaceable and one.asker.calls_off(now - one.since)]
+        self._take(moved)
+        self._held.update((request.asker, request.place) for request in moved)
+        return moved
 
     def _take(self, requests: Iterable[_Request]) -> None:
         for request in requests:
@@ -187,6 +251,9 @@ class Asker:
     def __init__(self, inference: Inference) -> None:
         self._inference = inference
         self.left = False
+        self._moved = False
+        self._once = False
+        """Whether what it waits for may be called off: once in an answer, or who moves on and on would never have one."""
 
     def of(self, model: Shared | None, patient: bool = False) -> Shared | None:
         """A model for this one to ask, None for None.
@@ -195,6 +262,29 @@ class Asker:
             patient: for long work, which lets answers go before it and is never refused.
         """
         return None if model is None else Shared(model.own, self._inference, self, patient)
+
+    def newest(self, answer: Callable[[], T]) -> T:
+        """What `answer` makes of the newest state, which it reads itself; where `moved` is called before the turn of its
+        `Shared.replaceable` passes has come, it is called again, in the same place of the queue."""
+        self._moved, self._once = False, True
+        try:
+            try:
+                return answer()
+            except MovedError:
+                return answer()
+        finally:
+            self._once = False
+            self._inference.free(self)
+
+    def moved(self) -> None:
+        """It wants another answer than the one that it may be waiting for."""
+        self._moved = True
+
+    def calls_off(self, waited: float) -> bool:
+        """Whether a pass that has waited some seconds is not wanted any more; true once in an answer."""
+        off = self._moved and self._once and waited >= STALE
+        self._once = self._once and not off
+        return off
 
     def leave(self) -> None:
         """It is gone: what it waits for is not computed any more, and raises GivenUpError; and so does what it asks later."""
@@ -208,21 +298,31 @@ class Shared(Model):
         own: the model that computes.
     """
 
-    def __init__(self, own: Model, inference: Inference, asker: Asker, patient: bool = False) -> None:
+    def __init__(
+        self, own: Model, inference: Inference, asker: Asker, patient: bool = False, replaceable: bool = False
+    ) -> None:
         self.own, self._inference, self._asker, self._patient = own, inference, asker, patient
+        self._replaceable = replaceable
         self.spec, self.fingerprint, self.compute, self.batch = own.spec, own.fingerprint, own.compute, own.batch
+
+    def replaceable(self) -> Shared:
+        """The same for passes that are of one state alone: MovedError where another is wanted meanwhile, see `Asker.newest`."""
+        return Shared(self.own, self._inference, self._asker, self._patient, replaceable=True)
 
     def run(self, images: FloatArray, view: View) -> Pass:
         """One pass of pictures (B, 3, H, W), waited for; more pictures than one pass has are several.
 
         Raises:
             BusyError: when too many answers wait.
+            MovedError: see `replaceable`.
             GivenUpError: when who asks has left.
             LPNError: as the model does.
         """
         size = max(self.batch, 1)
         chunks = [images[at : at + size] for at in range(0, len(images), size)] or [images]
-        return _joined([self._inference.ask(self._asker, self.own, chunk, view, self._patient) for chunk in chunks])
+        asked = self._asker, self.own
+        how = self._patient, self._replaceable
+        return _joined([self._inference.ask(*asked, chunk, view, *how) for chunk in chunks])
 
     def heads(self, view: View) -> Heads:
         """The affine heads and cell weights for exact explanation; InputError where the model has none."""
@@ -231,6 +331,25 @@ class Shared(Model):
     def map_size(self, view: View) -> tuple[int, int]:
         """(h, w) of the feature map of a picture of the model's input size."""
         return self.own.map_size(view)
+
+
+def _together(waiting: list[_Request]) -> list[_Request]:
+    """The oldest request, and what can be computed with it."""
+    batch, size = waiting[:1], len(waiting[0].images) if waiting else 0
+    for request in waiting[1:]:
+        if request.kind == batch[0].kind and size + len(request.images) <= request.model.batch:
+            batch.append(request)
+            size += len(request.images)
+    return batch
+
+
+def _told(error: BaseException) -> Exception:
+    """An error as it can be raised in the thread that asked, which is not to end by it."""
+    return (
+        error
+        if isinstance(error, Exception)
+        else LPNError(f"The network ended with {type(error).__name__}; try again.")
+    )
 
 
 def _compute(batch: list[_Request]) -> None:
@@ -242,9 +361,9 @@ def _compute(batch: list[_Request]) -> None:
         images = first.images if alone else np.concatenate([request.images for request in batch])
         found = first.model.run(images, first.view)
         rows = [found] if alone else _divided(found, [len(request.images) for request in batch])
-    except Exception as error:
+    except BaseException as error:  # who asked waits until there is an outcome
         if len(batch) == 1:
-            first.end(error=error)
+            first.end(error=_told(error))
         else:
             for request in batch:
                 _compute([request])

@@ -27,18 +27,16 @@ def page(
         over: what is swept, None before anything was asked for.
         profile: what is known so far.
         of: points that it will have.
-        stopped: it was cancelled before it had them.
+        stopped: it was cancelled or failed before it had them.
     """
     chips = "".join(
         f"<a class='{'chosen' if key == over else ''}' {send('sweep', key)}>{said}</a>" for key, said in CHOICES.items()
     )
     head = f"<div class='chips'>Sweep {chips}"
     if over is None or profile is None:
-        hint = (
-            "computing …"
-            if over
-            else "Choose what to change: the query is described again at each step, which takes a while."
-        )
+        hint = "Choose what to change: the query is described again at each step, which takes a while."
+        if over:
+            hint = "Stopped before the first step; choose again what to change." if stopped else "computing …"
         return f"<div class='lpn' id='lpn-profile'>{head}</div><div class='dim'>{hint}</div></div>"
     done = len(profile.points)
     region = "<div>⚠ This is of the whole query, not of its painted cells.</div>" if answer.state.region else ""

@@ -187,13 +187,15 @@ class Reasons:
         if sweep is None or sweep.begun:
             return
         drawn = 0.0
-        for _ in sweep.points_of(self._exhibit, self._model):
-            self._measure()
-            if time.monotonic() - drawn > _OFTEN and sweep is self._sweep:
+        try:
+            for _ in sweep.points_of(self._exhibit, self._model):
+                self._measure()
+                if time.monotonic() - drawn > _OFTEN and sweep is self._sweep:
+                    self._draw_profile(self._answer or sweep.answer)
+                    drawn = time.monotonic()
+        finally:  # one that failed is not being computed any more either
+            if sweep is self._sweep:
                 self._draw_profile(self._answer or sweep.answer)
-                drawn = time.monotonic()
-        if sweep is self._sweep:
-            self._draw_profile(self._answer or sweep.answer)
 
     def _measure(self) -> None:
         """Try the wanted change of weights on all queries."""

@@ -51,8 +51,9 @@ class Worker:
         self._requested.set()
         with self._lock:
             if self._thread is None and not self._stopped:
-                self._thread = threading.Thread(target=self._loop, name="explorer-worker", daemon=True)
-                self._thread.start()
+                thread = threading.Thread(target=self._loop, name="explorer-worker", daemon=True)
+                thread.start()
+                self._thread = thread  # not before: where there can be no more threads, the next `wake` tries again
 
     def stop(self) -> None:
         """End the thread after the run in progress."""

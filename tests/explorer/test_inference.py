@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from explorer import inference
-from explorer.inference import KEPT, ROOM, TURN, Asker, BusyError, Inference, Shared
+from explorer.inference import KEPT, ROOM, STALE, TURN, Asker, BusyError, Inference, Shared
 from explorer.jobs import GivenUpError
 from explorer.kept import Kept
-from lpn.errors import InputError, ModelFileError
+from explorer.worker import Worker
+from lpn.errors import InputError, LPNError, ModelFileError
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.spec import ModelSpec, View
 
@@ -33,7 +34,7 @@ class Slow(Model):
         self._held = held
 
     def run(self, images: FloatArray, view: View) -> Pass:
-        """One pass; a picture of mark 13 is one that cannot be computed."""
+        """One pass; a picture of mark 13 is one that cannot be computed, one of mark 14 would end the thread."""
         marks = [round(float(image.flat[0])) for image in images]
         self.passes.append(marks)
         self.viewed.append(view)
@@ -42,6 +43,8 @@ class Slow(Model):
             assert self._lets.acquire(timeout=20)
         if 13 in marks:
             raise ModelFileError("It cannot be computed.")
+        if 14 in marks:
+            raise SystemExit
         parts = np.repeat(images.mean(axis=(1, 2, 3))[:, None, None], 6, axis=1).reshape(-1, 2, 3)
         return Pass(parts, images[:, :1] * 2, None)
 
@@ -379,6 +382,157 @@ def test_the_thread_ends_when_nobody_asks_and_begins_anew(slow: Slow, monkeypatc
         assert Asking(shared(slow, queue), mark).ended().found is not None
         until(lambda: queue._thread is None)
     assert slow.passes == [[1], [2]]
+
+
+class Dragging(threading.Thread):
+    """A browser that wants one answer, of two passes: of its state alone, and one that others may wait for, too."""
+
+    def __init__(self, slow: Slow, queue: Inference, mark: int) -> None:
+        super().__init__(daemon=True)
+        self.mark, self.asker = mark, Asker(queue)
+        self.begun = self.shown = 0
+        self.error: Exception | None = None
+        model = self.asker.of(shared(slow, queue))
+        assert model is not None
+        self._model = model
+        self.start()
+
+    def moves(self, mark: int) -> None:
+        """Its state changes."""
+        self.mark = mark
+        self.asker.moved()
+
+    def run(self) -> None:
+        try:
+            self.shown = self.asker.newest(self._answer)
+        except Exception as error:
+            self.error = error
+
+    def _answer(self) -> int:
+        self.begun, mark = self.begun + 1, self.mark
+        if mark == 0:
+            raise ModelFileError("There is no such picture.")
+        self._model.replaceable().run(pictures(mark), "drone")
+        self._model.run(pictures(100 + mark), "drone")
+        return mark
+
+
+def dragged(slow: Slow, queue: Inference, *marks: int) -> list[Dragging]:
+    begun: list[Dragging] = []
+    for mark in marks:
+        begun.append(Dragging(slow, queue, mark))
+        until(lambda: queue.waiting == len(begun))
+    return begun
+
+
+def test_who_moves_on_while_waiting_is_answered_for_the_newest_state_in_the_same_place(slow: Slow) -> None:
+    clock = Clock()
+    queue, slow.batch = Inference(room=3, clock=clock), 1
+    first = held_up(slow, queue)
+    asking = dragged(slow, queue, 1, 2, 3)
+    other, third = asking[1:]
+    clock.now += STALE
+    other.moves(22)
+    slow.let()
+    slow.began()  # that of `one`, during which `other` prepares what it wants now
+    until(lambda: other.begun == 2 and queue.waiting == 2)
+    third.moves(33)
+    slow.let()
+    slow.began()
+    until(lambda: third.begun == 2 and queue.waiting == 2)
+    clock.now += STALE
+    for dragging in asking:  # what they wait for next is called off for nobody: no answer would ever be shown
+        dragging.moves(7)
+    slow.let(20)
+    for dragging in asking:
+        dragging.join(20)
+        assert dragging.error is None
+    first.ended()
+    assert slow.passes == [[99], [1], [22], [33], [101], [122], [133]]
+    assert [dragging.shown for dragging in asking] == [1, 22, 33]
+
+
+def test_what_has_hardly_waited_is_computed_though_its_browser_moved_on(slow: Slow) -> None:
+    queue, slow.batch = Inference(clock=Clock()), 1
+    first = held_up(slow, queue)
+    asking = dragged(slow, queue, 1, 2)
+    for dragging in asking:
+        dragging.moves(9)
+    slow.let(20)
+    for dragging in asking:
+        dragging.join(20)
+    first.ended()
+    assert [(dragging.shown, dragging.begun) for dragging in asking] == [(1, 1), (2, 1)]
+
+
+def test_a_place_that_is_held_is_nobody_elses_and_is_given_back(slow: Slow) -> None:
+    clock = Clock()
+    queue, slow.batch = Inference(room=2, clock=clock), 1
+    first = held_up(slow, queue)
+    one, other = dragged(slow, queue, 1, 2)
+    clock.now += STALE
+    other.moves(0)
+    slow.let()
+    slow.began()
+    other.join(20)
+    assert isinstance(other.error, ModelFileError)
+    assert not queue._held, "it asked for nothing"
+    queue._held[other.asker] = 0
+    waiting = in_line(queue, lambda: Asking(shared(slow, queue), 4))
+    with pytest.raises(BusyError):
+        shared(slow, queue).run(pictures(5), "drone")
+    other.asker.leave()
+    clock.now += KEPT + 1  # until which the one who was refused has a place
+    waiting += in_line(queue, lambda: Asking(shared(slow, queue), 6))
+    slow.let(20)
+    one.join(20)
+    for asking in (first, *waiting):
+        assert asking.ended().error is None
+
+
+def test_a_model_that_ends_its_thread_is_an_error_and_the_queue_goes_on(slow: Slow) -> None:
+    slow._held = False
+    queue = Inference()
+    assert isinstance(Asking(shared(slow, queue), 14).ended().error, LPNError)
+    assert Asking(shared(slow, queue), 1).ended().found is not None
+
+
+def test_a_queue_that_fails_answers_who_waits_and_begins_anew(slow: Slow, monkeypatch: pytest.MonkeyPatch) -> None:
+    queue = Inference()
+    first = held_up(slow, queue)
+    waiting = in_line(queue, *(lambda mark=mark: Asking(shared(slow, queue), mark) for mark in (1, 2)))
+    with monkeypatch.context() as patched:
+        patched.setattr(queue, "_next", lambda: 1 // 0)
+        slow.let()
+        for one in waiting:
+            assert isinstance(one.ended().error, ZeroDivisionError)
+    assert first.ended().error is None
+    slow.let()
+    assert Asking(shared(slow, queue), 3).ended().found is not None
+
+
+def test_where_there_can_be_no_more_threads_the_next_one_tries_again(
+    slow: Slow, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow._held = False
+    queue, ran = Inference(), threading.Event()
+    worker = Worker(ran.set, lambda _: None)
+
+    def full(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(threading.Thread, "start", full)
+        with pytest.raises(RuntimeError):
+            shared(slow, queue).run(pictures(1), "drone")
+        with pytest.raises(RuntimeError):
+            worker.wake()
+    assert queue.waiting == 0
+    assert Asking(shared(slow, queue), 2).ended().found is not None
+    assert slow.passes == [[2]]
+    worker.wake()
+    assert ran.wait(20)
+    worker.stop()
 
 
 def test_what_several_want_is_made_once_and_the_oldest_is_forgotten() -> None:

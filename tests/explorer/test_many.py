@@ -23,7 +23,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 import lpn
 from explorer import app as app_module
-from explorer import session
+from explorer import inference, session
 from explorer.app import App, Visitor
 from explorer.exhibit import Analyst, Exhibit
 from explorer.guard import _Connection
@@ -279,6 +279,41 @@ def test_a_failure_is_told_from_being_busy(app: App, gate: Gate) -> None:
         assert "Busy" not in browser.html()
         gate.broken = False
         browser.turn(52)
+
+
+def test_a_profile_that_fails_is_not_computed_for_ever(app: App, gate: Gate) -> None:
+    with Browser(url(app)) as browser:
+        browser.greet()
+        visitor_of(app, browser).change(lambda state: replace(state, why=True))
+        browser.wait(lambda: "id='lpn-why'" in browser.html())
+        gate.broken = True
+        browser.tell("sweep", "zoom")
+        browser.wait(lambda: "The model is damaged." in str(browser.controls))
+        browser.wait(lambda: "Stopped before the first step" in browser.html())
+
+
+def test_a_browser_that_moves_on_while_it_waits_is_computed_for_once(
+    app: App, exhibit: Exhibit, gate: Gate, model_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert exhibit.model is not None
+    monkeypatch.setattr(inference, "STALE", 0.0)
+    monkeypatch.setattr(exhibit.model.own, "batch", 2)
+    with Browser(url(app)) as one, Browser(url(app)) as other:
+        for browser in (one, other):
+            browser.greet()
+        gate.close()
+        one.set("Rotate", 31)
+        assert gate.began.wait(20)
+        other.set("Rotate", 32)
+        until(lambda: exhibit.inference.waiting == 1)
+        one.set("Rotate", 41)
+        other.set("Rotate", 42)
+        until(lambda: [visitor_of(app, one)._state.angle, visitor_of(app, other)._state.angle] == [41, 42])
+        gate.open.set()
+        for browser, angle in ((one, "41"), (other, "42")):
+            browser.wait(lambda browser=browser, angle=angle: browser.status("angle") == angle)
+            Direct(exhibit, model_file).check(browser)
+        assert not exhibit.inference._held
 
 
 def test_a_saved_result_without_a_network_serves_many(places: Path, model_file: Path, tmp_path: Path) -> None:

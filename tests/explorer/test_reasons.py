@@ -206,6 +206,14 @@ def test_a_bridge_hands_on_messages_and_drops_everything_else() -> None:
     assert got == [[1]]
 
 
+def test_a_profile_without_a_point_says_whether_it_is_still_being_computed(exhibit: Exhibit) -> None:
+    answer = answered(exhibit)
+    assert "computing" in profiles.page(answer, "zoom", None, 8, exhibit.part_names)
+    stopped = profiles.page(answer, "zoom", None, 8, exhibit.part_names, stopped=True)
+    assert "computing" not in stopped
+    assert "Stopped before the first step" in stopped
+
+
 def test_a_profile_ends_where_it_is_cancelled_and_is_of_one_query(exhibit: Exhibit) -> None:
     turned = answered(exhibit, angle=37.0, shift=4)
     sweep = Sweep("rotation", turned)
