@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from soak.client import Talker
 from tests import worlds
 from tests.explorer.test_stopping import Explorer
-from tests.talker import Talker
 
 TOKEN = "correct horse battery"
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from lpn.notes import read_notes
+from soak.client import Talker
 from tests import worlds
 from tests.processes import SOON, Process
-from tests.talker import Talker
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's")
 
