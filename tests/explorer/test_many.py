@@ -334,8 +334,17 @@ def test_a_saved_result_without_a_network_serves_many(places: Path, model_file: 
 # What is left when browsers vanish.
 
 
+def at_work() -> bool:
+    """Whether a thread works for a browser."""
+    return any(re.match("explorer-(worker|job|follower)", thread.name) for thread in threading.enumerate())
+
+
 def held() -> Counter[str]:
-    """How many there are of what a browser has for itself, and of what the process has."""
+    """How many there are of what a browser has for itself, and of what the process has; when all work for browsers has ended.
+
+    `gc.get_objects` holds tuples that another thread is making, which fails there then: "bad argument to internal function".
+    """
+    until(lambda: not at_work())
     gc.collect()
     counts = Counter(type(one).__name__ for one in gc.get_objects() if type(one) in HELD)
     # viser's pool grows up to 32 threads, and stays.
