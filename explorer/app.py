@@ -18,13 +18,14 @@ from typing import Any
 import viser
 
 from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, why
+from explorer.asker import Asker
 from explorer.bridge import Bridge
 from explorer.cards import SHOWN
 from explorer.entry import Entry, entry, is_loopback
 from explorer.exhibit import Analyst, Answer, Exhibit
 from explorer.follower import Follower
 from explorer.guard import Guard
-from explorer.inference import AGAIN, Asker, BusyError
+from explorer.inference import AGAIN, BusyError
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
 from explorer.link import Links

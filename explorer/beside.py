@@ -8,9 +8,9 @@ from html import escape
 import numpy as np
 
 from explorer import why
+from explorer.asker import Asker
 from explorer.bridge import send
 from explorer.exhibit import Analyst, Answer, Exhibit, Task
-from explorer.inference import Asker
 from explorer.pages import SIGNS
 from explorer.session import State
 from lpn import images, overlays

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from explorer import chart, session
+from explorer.asker import Asker, Shared
 from explorer.chart import Places
-from explorer.inference import Asker, Inference, Shared
+from explorer.inference import Inference
 from explorer.kept import Kept
 from explorer.layout import layout_for
 from explorer.session import TRUTH, State

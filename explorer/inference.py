@@ -13,20 +13,20 @@ import logging
 import threading
 import time
 from bisect import insort
-from collections.abc import Callable, Hashable, Iterable
-from itertools import count, pairwise
-from typing import TypeVar, cast
-
-import numpy as np
+from collections.abc import Callable, Iterable
+from itertools import count
+from typing import TYPE_CHECKING
 
 from explorer.jobs import GivenUpError
+from explorer.passes import MovedError, Request, compute, together, told
 from lpn.errors import LPNError
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.spec import View
 
-log = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from explorer.asker import Asker
 
-T = TypeVar("T")
+log = logging.getLogger(__name__)
 
 ROOM = 32
 """Answers that wait at a time. A large network on two cores takes a tenth of a second for each, so the last waits for three."""
@@ -39,46 +39,9 @@ KEPT = 4 * AGAIN
 IDLE = 60.0
 """Seconds without work after which the queue's thread ends; the next request begins one."""
 
-STALE = 0.2
-"""Seconds that an answer must have waited before another is asked for in its place: preparing that one takes time, too."""
-
 
 class BusyError(LPNError):
     """More answers wait than there is room for."""
-
-
-class MovedError(Exception):
-    """Another answer is wanted in place of the one that was asked for."""
-
-
-class _Request:
-    """Pictures (B, 3, H, W) of one view that wait for their pass."""
-
-    def __init__(
-        self, asker: Asker, model: Model, images: FloatArray, view: View, patient: bool, replaceable: bool, since: float
-    ) -> None:
-        self.asker, self.model, self.images, self.view, self.patient = asker, model, images, view, patient
-        self.replaceable, self.since = replaceable, since
-        self.place = 0
-        """Among the answers, the least first."""
-        self.kind: Hashable = (model, view, images.shape[1:], images.dtype)
-        """Requests of one kind can be computed in one pass."""
-        self._ended = threading.Event()
-        self._found: Pass | None = None
-        self._error: Exception | None = None
-
-    def end(self, found: Pass | None = None, error: Exception | None = None) -> None:
-        """Hand over the outcome."""
-        self._found, self._error = found, error
-        self._ended.set()
-
-    def wait(self) -> Pass:
-        """The outcome, waited for; raises what went wrong."""
-        self._ended.wait()
-        if self._error is not None:
-            raise self._error
-        assert self._found is not None
-        return self._found
 
 
 class Inference:
@@ -96,8 +59,8 @@ class Inference:
     def __init__(self, room: int = ROOM, clock: Callable[[], float] = time.monotonic) -> None:
         self._room, self._clock = room, clock
         self._changed = threading.Condition()
-        self._answers: list[_Request] = []
-        self._long: list[_Request] = []
+        self._answers: list[Request] = []
+        self._long: list[Request] = []
         self._passed_over = 0
         """Passes since long work had its turn, while some waits."""
         self._refused: dict[Asker, float] = {}
@@ -139,7 +102,7 @@ class Inference:
             MovedError: when it is replaceable, and the asker has moved on.
             GivenUpError: when the asker has left.
         """
-        request = _Request(asker, model, images, view, patient, replaceable, self._clock())
+        request = Request(asker, model, images, view, patient, replaceable, self._clock())
         with self._changed:
             if asker.left:
                 raise GivenUpError
@@ -203,7 +166,7 @@ class Inference:
                 lost, self._thread = [*self._answers, *self._long], None
                 self._take(lost)
             for request in lost:
-                request.end(error=_told(error))
+                request.end(error=told(error))
 
     def _work(self) -> None:
         while True:
@@ -216,176 +179,26 @@ class Inference:
                 moved = self._moved()
             for request in moved:  # what is wanted instead is prepared during the pass
                 request.end(error=MovedError())
-            _compute(batch)
+            compute(batch)
             del batch  # its pictures would stay until the next
 
-    def _next(self) -> list[_Request]:
+    def _next(self) -> list[Request]:
         """The oldest request of those whose turn it is, and what can be computed with it."""
         long = not self._answers or (bool(self._long) and self._passed_over >= TURN - 1)
         self._passed_over = self._passed_over + 1 if self._long and not long else 0
         # Never both in a pass: an answer would take as long as both.
-        batch = _together(self._long if long else self._answers)
+        batch = together(self._long if long else self._answers)
         self._take(batch)
         return batch
 
-    def _moved(self) -> list[_Request]:
+    def _moved(self) -> list[Request]:
         """Those of the next pass of answers that are not wanted as they are, taken out; their places are held."""
         now = self._clock()
-        moved = [one for one in _together(self._answers) if one.replaceable and one.asker.calls_off(now - one.since)]
+        moved = [one for one in together(self._answers) if one.replaceable and one.asker.calls_off(now - one.since)]
         self._take(moved)
         self._held.update((request.asker, request.place) for request in moved)
         return moved
 
-    def _take(self, requests: Iterable[_Request]) -> None:
+    def _take(self, requests: Iterable[Request]) -> None:
         for request in requests:
             (self._long if request.patient else self._answers).remove(request)
-
-
-class Asker:
-    """One who asks, such as a browser; what it asks for is dropped when it leaves.
-
-    Attributes:
-        left: whether it is gone.
-    """
-
-    def __init__(self, inference: Inference) -> None:
-        self._inference = inference
-        self.left = False
-        self._moved = False
-        self._once = False
-        """Whether what it waits for may be called off: once in an answer, or who moves on and on would never have one."""
-
-    def of(self, model: Shared | None, patient: bool = False) -> Shared | None:
-        """A model for this one to ask, None for None.
-
-        Args:
-            patient: for long work, which lets answers go before it and is never refused.
-        """
-        return None if model is None else Shared(model.own, self._inference, self, patient)
-
-    def newest(self, answer: Callable[[], T]) -> T:
-        """What `answer` makes of the newest state, which it reads itself; where `moved` is called before the turn of its
-        `Shared.replaceable` passes has come, it is called again, in the same place of the queue."""
-        self._moved, self._once = False, True
-        try:
-            try:
-                return answer()
-            except MovedError:
-                return answer()
-        finally:
-            self._once = False
-            self._inference.free(self)
-
-    def moved(self) -> None:
-        """It wants another answer than the one that it may be waiting for."""
-        self._moved = True
-
-    def calls_off(self, waited: float) -> bool:
-        """Whether a pass that has waited some seconds is not wanted any more; true once in an answer."""
-        off = self._moved and self._once and waited >= STALE
-        self._once = self._once and not off
-        return off
-
-    def leave(self) -> None:
-        """It is gone: what it waits for is not computed any more, and raises GivenUpError; and so does what it asks later."""
-        self._inference.drop(self)
-
-
-class Shared(Model):
-    """A model whose passes wait their turn in a queue; for everything that is not a pass, the model itself.
-
-    Attributes:
-        own: the model that computes.
-    """
-
-    def __init__(
-        self, own: Model, inference: Inference, asker: Asker, patient: bool = False, replaceable: bool = False
-    ) -> None:
-        self.own, self._inference, self._asker, self._patient = own, inference, asker, patient
-        self._replaceable = replaceable
-        self.spec, self.fingerprint, self.compute, self.batch = own.spec, own.fingerprint, own.compute, own.batch
-
-    def replaceable(self) -> Shared:
-        """The same for passes that are of one state alone: MovedError where another is wanted meanwhile, see `Asker.newest`."""
-        return Shared(self.own, self._inference, self._asker, self._patient, replaceable=True)
-
-    def run(self, images: FloatArray, view: View) -> Pass:
-        """One pass of pictures (B, 3, H, W), waited for; more pictures than one pass has are several.
-
-        Raises:
-            BusyError: when too many answers wait.
-            MovedError: see `replaceable`.
-            GivenUpError: when who asks has left.
-            LPNError: as the model does.
-        """
-        size = max(self.batch, 1)
-        chunks = [images[at : at + size] for at in range(0, len(images), size)] or [images]
-        asked = self._asker, self.own
-        how = self._patient, self._replaceable
-        return _joined([self._inference.ask(*asked, chunk, view, *how) for chunk in chunks])
-
-    def heads(self, view: View) -> Heads:
-        """The affine heads and cell weights for exact explanation; InputError where the model has none."""
-        return self._inference.heads(self.own, view)
-
-    def map_size(self, view: View) -> tuple[int, int]:
-        """(h, w) of the feature map of a picture of the model's input size."""
-        return self.own.map_size(view)
-
-
-def _together(waiting: list[_Request]) -> list[_Request]:
-    """The oldest request, and what can be computed with it."""
-    batch, size = waiting[:1], len(waiting[0].images) if waiting else 0
-    for request in waiting[1:]:
-        if request.kind == batch[0].kind and size + len(request.images) <= request.model.batch:
-            batch.append(request)
-            size += len(request.images)
-    return batch
-
-
-def _told(error: BaseException) -> Exception:
-    """An error as it can be raised in the thread that asked, which is not to end by it."""
-    return (
-        error
-        if isinstance(error, Exception)
-        else LPNError(f"The network ended with {type(error).__name__}; try again.")
-    )
-
-
-def _compute(batch: list[_Request]) -> None:
-    """Run a batch, and hand each request its rows. Where several fail, each is tried alone: what is wrong with one is not
-    wrong with the others."""
-    first = batch[0]
-    try:
-        alone = len(batch) == 1
-        images = first.images if alone else np.concatenate([request.images for request in batch])
-        found = first.model.run(images, first.view)
-        rows = [found] if alone else _divided(found, [len(request.images) for request in batch])
-    except BaseException as error:  # who asked waits until there is an outcome
-        if len(batch) == 1:
-            first.end(error=_told(error))
-        else:
-            for request in batch:
-                _compute([request])
-        return
-    for request, own in zip(batch, rows, strict=True):
-        request.end(own)
-
-
-def _divided(found: Pass, sizes: list[int]) -> list[Pass]:
-    """Each request's rows, copied: a row that is kept would keep the whole batch."""
-    ends = np.cumsum([0, *sizes])
-    return [
-        Pass(*(None if array is None else array[begin:end].copy() for array in found))  # type: ignore[arg-type]
-        for begin, end in pairwise(ends)
-    ]
-
-
-def _joined(passes: list[Pass]) -> Pass:
-    if len(passes) == 1:
-        return passes[0]
-    columns = zip(*passes, strict=True)
-    parts, features, attention = (
-        None if c[0] is None else np.concatenate(cast("list[FloatArray]", c)) for c in columns
-    )
-    return Pass(cast(FloatArray, parts), cast(FloatArray, features), attention)

@@ -11,11 +11,11 @@ import viser
 
 from explorer import against, profiles, region, reporting, session, why
 from explorer.against import Contest
+from explorer.asker import Asker
 from explorer.beside import Beside
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
-from explorer.inference import Asker
 from explorer.panels import Change
 from explorer.reporting import Reporter
 from explorer.room import EDGE, Room

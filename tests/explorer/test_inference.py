@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from explorer import inference
-from explorer.inference import KEPT, ROOM, STALE, TURN, Asker, BusyError, Inference, Shared
+from explorer.asker import STALE, Asker, Shared
+from explorer.inference import KEPT, ROOM, TURN, BusyError, Inference
 from explorer.jobs import GivenUpError
 from explorer.kept import Kept
 from explorer.worker import Worker

@@ -25,10 +25,10 @@ import lpn
 from explorer import app as app_module
 from explorer import inference, session
 from explorer.app import App, Visitor
+from explorer.asker import Asker
 from explorer.exhibit import Analyst, Exhibit
 from explorer.guard import _Connection
 from explorer.inbox import Inbox
-from explorer.inference import Asker
 from explorer.lab import Lab
 from explorer.opening import open_model, open_saved
 from explorer.panels import Panels
