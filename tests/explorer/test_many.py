@@ -23,7 +23,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 import lpn
 from explorer import app as app_module
-from explorer import inference, session
+from explorer import asker, session
 from explorer.app import App, Visitor
 from explorer.asker import Asker
 from explorer.exhibit import Analyst, Exhibit
@@ -296,7 +296,7 @@ def test_a_browser_that_moves_on_while_it_waits_is_computed_for_once(
     app: App, exhibit: Exhibit, gate: Gate, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert exhibit.model is not None
-    monkeypatch.setattr(inference, "STALE", 0.0)
+    monkeypatch.setattr(asker, "STALE", 0.0)
     monkeypatch.setattr(exhibit.model.own, "batch", 2)
     with Browser(url(app)) as one, Browser(url(app)) as other:
         for browser in (one, other):
