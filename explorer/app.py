@@ -40,7 +40,7 @@ from explorer.worker import Patience, Worker
 from lpn.errors import InputError, LPNError
 from lpn.files import printable
 from lpn.logs import conceal
-from lpn.machine import port_taken
+from lpn.machine import port_taken, return_memory
 from lpn.saved import load_saved
 from lpn.stopping import finished
 
@@ -289,6 +289,7 @@ def run_saved(
 def _serve(opened: Callable[[], Exhibit], host: str, port: int, door: Entry | None) -> None:
     host = host or "0.0.0.0"
     _check_free(host, port)
+    return_memory()
     app = App(opened(), host, port, door)
     gc.collect()
     gc.freeze()  # what is there from the start stays, and need not be looked through whenever a browser leaves

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import socket
+import sys
 from pathlib import Path
 
 
@@ -32,6 +34,29 @@ def _number(file: Path) -> int | None:
         return int(file.read_text())
     except (OSError, ValueError):  # "max", which is no limit
         return None
+
+
+def return_memory() -> bool:
+    """Have arrays that are freed given back to the system at once, for a process that runs for long and has many threads.
+
+    glibc otherwise keeps a pool for each of many threads, and, once a few large arrays were freed, takes further ones from these
+    pools, between smaller things that live on: much of what is freed then stays with the process.
+
+    Returns:
+        Whether that could be asked for, which is with glibc alone.
+    """
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        tell = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError):  # another C library
+        return False
+    return all(tell(option, value) for option, value in _MALLOC.items())
+
+
+_MALLOC = {-8: 2, -3: 1 << 18, -1: 1 << 23}
+"""Of <malloc.h>: pools at most (M_ARENA_MAX), bytes from which an array has memory of its own (M_MMAP_THRESHOLD), and bytes at
+the end of a pool that may stay unused (M_TRIM_THRESHOLD)."""
 
 
 def port_taken(host: str, port: int) -> str | None:

@@ -96,8 +96,11 @@ def _verdict(claim: Claim, measured: Measured, columns: Sequence[Column]) -> str
     best, own = mean[claim.better]
     gaps = {label: best - mean[label][0] for label in claim.worse}
     figures = ", ".join(f"{label} {mean[label][0]:.1f}" for label in claim.worse)
-    once = min(len(measured[label]) for label in labels) == 1
-    said = f"{columns[index].title} {best:.1f} against {figures}{'; one network each' if once else ''}"
+    once = [label for label in labels if len(measured[label]) == 1]
+    networks = (
+        "" if not once else "; one network each" if len(once) == len(labels) else f"; one network of {', '.join(once)}"
+    )
+    said = f"{columns[index].title} {best:.1f} against {figures}{networks}"
     if claim.keeps:
         worst = max(gaps.values())
         verdict = "held" if worst <= claim.keeps else f"did not hold, {worst:.1f} points are lost"

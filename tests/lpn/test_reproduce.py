@@ -423,6 +423,7 @@ def test_claims_are_judged_by_the_figures_and_the_seeds_spread() -> None:
     )
     assert "**did not hold**" in verdict([50], [50])
     assert "within the spread" in verdict([49, 55], [47, 53])
+    assert verdict([69, 71], [50]).endswith("50.0; one network of Instance loss (baseline)).")
     assert verdict([69, 71], [50, 52]).endswith("against Instance loss (baseline) 51.0).")
 
 

@@ -1,0 +1,36 @@
+from __future__ import annotations
+
+import platform
+import subprocess
+import sys
+
+import pytest
+
+HELD = """
+import sys
+import numpy as np
+from lpn.machine import return_memory
+
+def resident():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096 // 1_000_000
+
+if sys.argv[1:]:
+    assert return_memory()
+for _ in range(3):
+    np.ones(500_000)
+arrays = [np.ones(250_000) for _ in range(100)]
+before = resident()
+del arrays[::2]
+print(before - resident())
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library keeps memory in other ways")
+def test_freed_arrays_leave_the_process_though_others_live_on() -> None:
+    def freed(*asked: str) -> int:
+        done = subprocess.run([sys.executable, "-c", HELD, *asked], check=True, stdout=subprocess.PIPE, text=True)
+        return int(done.stdout)
+
+    assert freed("asked") > 90
+    assert freed() < 50, "the C library gives freed arrays back by itself: return_memory can go"
