@@ -162,16 +162,18 @@ class Visitor:
             answer = self._asker.newest(lambda: self._analyst.answer(self._state, SHOWN))
             self._sequence += 1
             started = time.perf_counter()
-            self._stage.show(answer)
-            self._reasons.show(answer)
-            self._lab.show(answer)
+            with self._client.atomic():  # the page takes all of it at once, and draws one frame rather than several
+                self._stage.show(answer)
+                self._reasons.show(answer)
+                self._lab.show(answer)
+                slow.there()
+                self._panels.show(answer, self._sequence, started)
         except BusyError:
             slow.there()
             self._panels.full()
             return AGAIN
         finally:
             slow.there()
-        self._panels.show(answer, self._sequence, started)
         beside = self._exhibit.beside
         self._follower.follow(answer.task, None if beside is None else beside.tasks.get(answer.task.name))
         self._bridge.address(self._links.write(answer.state), self._links.keys)
