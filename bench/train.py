@@ -37,6 +37,8 @@ from lpn.places import Places
 from lpn.recipes import RECIPES, Recipe
 from lpn.train import Trainer
 
+PLACES = 40
+"""More than a batch has, which takes each place once."""
 ROUNDS = 5
 STEPS = 4
 TARGET = 1.3
@@ -143,7 +145,7 @@ def figures(root: Path | None = None, resnet50: bool = False) -> list[Figure]:
     torch.manual_seed(0)
     found: list[Figure] = []
     with tempfile.TemporaryDirectory() as folder:
-        data = root or make_train_split(Path(folder) / "data")
+        data = root or make_train_split(Path(folder) / "data", PLACES)
         for name, network in networks.items():
             recipe = replace(RECIPES["university1652"], **network)  # type: ignore[arg-type]
             result = measure(data, recipe, Path(folder) / name)
