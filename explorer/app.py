@@ -40,7 +40,7 @@ from explorer.worker import Patience, Worker
 from lpn.errors import InputError, LPNError
 from lpn.files import printable
 from lpn.logs import conceal
-from lpn.machine import port_taken, return_memory
+from lpn.machine import pool_memory, port_taken, return_memory
 from lpn.saved import load_saved
 from lpn.stopping import finished
 
@@ -252,6 +252,7 @@ class App:
             del visitor
             # Its views and what they call hold one another, pictures included, and Python would look for that in minutes only.
             gc.collect()
+            return_memory()
 
 
 def run(
@@ -291,7 +292,7 @@ def run_saved(
 def _serve(opened: Callable[[], Exhibit], host: str, port: int, door: Entry | None) -> None:
     host = host or "0.0.0.0"
     _check_free(host, port)
-    return_memory()
+    pool_memory()
     app = App(opened(), host, port, door)
     gc.collect()
     gc.freeze()  # what is there from the start stays, and need not be looked through whenever a browser leaves

@@ -8,6 +8,7 @@ import os
 import socket
 import sys
 from pathlib import Path
+from typing import Any
 
 
 def usable_cores() -> int:
@@ -36,27 +37,37 @@ def _number(file: Path) -> int | None:
         return None
 
 
-def return_memory() -> bool:
-    """Have arrays that are freed given back to the system at once, for a process that runs for long and has many threads.
+def pool_memory() -> bool:
+    """Have memory taken from few pools, for a process that runs for long and has many threads.
 
-    glibc otherwise keeps a pool for each of many threads, and, once a few large arrays were freed, takes further ones from these
-    pools, between smaller things that live on: much of what is freed then stays with the process.
+    glibc otherwise makes a pool for each of many threads, and, once a few large arrays were freed, takes further ones from these
+    pools, between smaller things that live on: much of what is freed then stays with the process. See `return_memory`.
 
     Returns:
         Whether that could be asked for, which is with glibc alone.
     """
+    tell = _of_glibc("mallopt")
+    return tell is not None and all(tell(option, value) for option, value in _POOLS.items())
+
+
+_POOLS = {-8: 2, -3: 1 << 22, -1: 1 << 23}
+"""Of <malloc.h>: pools at most (M_ARENA_MAX); bytes from which an array has memory of its own (M_MMAP_THRESHOLD), smaller ones
+would cost a page fault for each 4 kB; bytes at the end of a pool that may stay unused (M_TRIM_THRESHOLD)."""
+
+
+def return_memory() -> bool:
+    """Give what was freed back to the system, where that can be asked for; some milliseconds."""
+    trim = _of_glibc("malloc_trim")
+    return trim is not None and bool(trim(0))
+
+
+def _of_glibc(name: str) -> Any:
     if not sys.platform.startswith("linux"):
-        return False
+        return None
     try:
-        tell = ctypes.CDLL(None).mallopt
+        return getattr(ctypes.CDLL(None), name)
     except (OSError, AttributeError):  # another C library
-        return False
-    return all(tell(option, value) for option, value in _MALLOC.items())
-
-
-_MALLOC = {-8: 2, -3: 1 << 18, -1: 1 << 23}
-"""Of <malloc.h>: pools at most (M_ARENA_MAX), bytes from which an array has memory of its own (M_MMAP_THRESHOLD), and bytes at
-the end of a pool that may stay unused (M_TRIM_THRESHOLD)."""
+        return None
 
 
 def port_taken(host: str, port: int) -> str | None:
