@@ -137,11 +137,13 @@ class Visitor:
             self._greeted = True
             self._opening.there()
             self._fit(value.get("small"))
-            asked, said = self._links.read(search, self._state)
+            before = self._state
+            asked, said = self._links.read(search, before)
             self.change(lambda _: replace(asked, page=asked.query // THUMBS))
+            if self._state is before:  # else it has been asked for already, and would be twice
+                self._worker.wake()
         if said:
             self._panels.say("Not all of the link can be shown", " ".join(said))
-        self._worker.wake()
 
     def _fit(self, small: Any) -> None:
         if small is True or self._small:
