@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -161,6 +162,7 @@ def test_anothers_state_is_noticed_even_when_the_right_one_follows(
         if len(seen) == 1:
             visitor._worker.wake()
             return right(self, replace(state, query=7), k)
+        time.sleep(0.5)  # viser leaves out what is replaced before it is sent
         return right(self, state, k)
 
     monkeypatch.setattr(Analyst, "answer", another)
