@@ -54,6 +54,8 @@ GREETING = 3.0
 """Seconds that a page has to say what its address asks for, before it is shown what every page is."""
 CLOSING = 1.5
 """Seconds that an app has to close."""
+SOON = 0.05
+"""Seconds after which an answer that could not be sent at that moment is sent again."""
 SLOW = 0.5
 """Seconds that an answer may take before the page says that it is being computed."""
 
@@ -174,6 +176,11 @@ class Visitor:
             slow.there()
             self._panels.full()
             return AGAIN
+        except RuntimeError as error:
+            # viser wakes its event loop from this thread, rarely at the very moment at which that goes to sleep.
+            if "mutated during iteration" not in str(error):
+                raise
+            return SOON
         finally:
             slow.there()
         beside = self._exhibit.beside
