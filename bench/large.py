@@ -24,12 +24,13 @@ from playwright.sync_api import Page, sync_playwright
 import lpn
 from bench.evaluate import Size, draw
 from bench.figures import Figure, below, show
-from bench.page import QUIET, Process, free_port, page_seconds
+from bench.page import Process, free_port, page_seconds
 from lpn import datasets
 from lpn.changes import UNCHANGED
 from lpn.features import STORES, Manifest, Row
 from lpn.model import Model
 from lpn.spec import View
+from soak.chromium import launch
 
 QUERIES, TILES, PLACES = 40_000, 51_355, 951
 PICTURES = 64
@@ -133,7 +134,7 @@ def memory(process: int) -> tuple[float, float]:
 def measure(app: Process) -> list[Figure]:
     """The figures of a running app."""
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=QUIET)
+        browser = launch(playwright)
         page_seconds(browser, app.url)[1].context.close()  # the browser's own start is nobody's
         opened, page = page_seconds(browser, app.url)
         meanwhile = turns(page), picks(page)

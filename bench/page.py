@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import socket
 import statistics
 import subprocess
@@ -25,16 +24,10 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from bench.figures import Figure, below, medians, show, within
 from lpn import datasets, images, load
+from soak.chromium import launch
 
 ROUNDS = 20
 EVENTS = 50
-QUIET = [
-    "--no-sandbox",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-]
 BARE = """
 import sys, time, numpy as np, viser
 pictures, buttons, sliders, texts = (int(value) for value in sys.argv[2:])
@@ -248,9 +241,7 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
                 starts.append(again.seconds)
         warm = stack.enter_context(Process([*command, str(free_port())], environment))
         idle = stack.enter_context(Process([sys.executable, "-c", IDLE, *options, str(free_port())], environment))
-        browser = stack.enter_context(sync_playwright()).chromium.launch(
-            executable_path=shutil.which("chromium"), args=QUIET
-        )
+        browser = launch(stack.enter_context(sync_playwright()))
         _, page = page_seconds(browser, idle.url)  # the browser's own start is nobody's
         idle_turn, idle_pick = slider_seconds(page), pick_seconds(page)
         page.context.close()

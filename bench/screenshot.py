@@ -6,7 +6,6 @@ BASELINE is the demo's network with n = 1; without it, the pictures that need it
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -16,9 +15,10 @@ from tempfile import TemporaryDirectory
 import cv2
 from playwright.sync_api import Browser, sync_playwright
 
-from bench.page import QUIET, Process, free_port
+from bench.page import Process, free_port
 from lpn.commands.using import DEMO, DEMO_QUERY
 from lpn.files import write_whole
+from soak.chromium import launch
 
 QUALITY = 84
 
@@ -55,9 +55,7 @@ def main() -> None:
     out = Path(sys.argv[1])
     models = [(False, DEMO / "lpn.onnx"), *((True, Path(argument)) for argument in sys.argv[2:3])]
     with ExitStack() as stack:
-        browser = stack.enter_context(sync_playwright()).chromium.launch(
-            executable_path=shutil.which("chromium"), args=QUIET
-        )
+        browser = launch(stack.enter_context(sync_playwright()))
         wanted = [shot for shot in SHOTS if not sys.argv[3:] or shot.file in sys.argv[3:]]
         beside = models[1][1] if len(models) > 1 else None
         for baseline, model in models:

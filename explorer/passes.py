@@ -100,6 +100,7 @@ def _divided(found: Pass, sizes: list[int]) -> list[Pass]:
 
 
 def joined(passes: list[Pass]) -> Pass:
+    """The passes of pictures that were too many for one, as if they had been one."""
     if len(passes) == 1:
         return passes[0]
     columns = zip(*passes, strict=True)

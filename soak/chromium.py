@@ -7,9 +7,9 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterable
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from playwright.sync_api import Browser, BrowserContext, Error, Locator, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Error, Locator, Page, Playwright, sync_playwright
 
 from soak import reading
 from soak.asked import Asked, Naming, Own, fits
@@ -42,14 +42,21 @@ EVERY = 0.03
 KEYS = {"Why this tile?": "y", "Failure laboratory": "b", "Next ›": "n", "‹ Previous": "p"}
 
 
+def launch(playwright: Playwright, **options: Any) -> Browser:
+    """Headless Chromium: the system's where there is one, else playwright's own.
+
+    Args:
+        **options: further ones of playwright's `launch`.
+    """
+    return playwright.chromium.launch(executable_path=shutil.which("chromium"), args=QUIET, **options)
+
+
 class Chromium:
     """A browser process for one thread, for a `with` block; playwright's objects belong to the thread that made them."""
 
     def __enter__(self) -> Browser:
         self._playwright = sync_playwright().start()
-        self.browser = self._playwright.chromium.launch(
-            executable_path=shutil.which("chromium"), args=QUIET, handle_sigint=False
-        )
+        self.browser = launch(self._playwright, handle_sigint=False)
         return self.browser
 
     def __exit__(self, *_: object) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import socket
 import subprocess
 import sys
@@ -23,17 +22,10 @@ from lpn.commands.using import DEMO
 from lpn.export import export
 from lpn.network import LPN
 from lpn.spec import ModelSpec
+from soak.chromium import launch
 from tests import worlds
 from tests.conftest import RealRun
 from tests.saved import save_result
-
-QUIET = [
-    "--no-sandbox",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-]
 
 
 @dataclass(frozen=True)
@@ -164,7 +156,7 @@ def real_app(real_run: RealRun, tmp_path: Path) -> Iterator[Running]:
 def browser() -> Iterator[Browser]:
     """Headless Chromium: the system's where there is one, else playwright's own."""
     with sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=QUIET)
+        launched = launch(playwright)
         yield launched
         launched.close()
 
