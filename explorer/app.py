@@ -17,7 +17,7 @@ from typing import Any
 
 import viser
 
-from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, why
+from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, wakeup, why
 from explorer.asker import Asker
 from explorer.bridge import Bridge
 from explorer.cards import SHOWN
@@ -54,8 +54,6 @@ GREETING = 3.0
 """Seconds that a page has to say what its address asks for, before it is shown what every page is."""
 CLOSING = 1.5
 """Seconds that an app has to close."""
-SOON = 0.05
-"""Seconds after which an answer that could not be sent at that moment is sent again."""
 SLOW = 0.5
 """Seconds that an answer may take before the page says that it is being computed."""
 
@@ -176,11 +174,6 @@ class Visitor:
             slow.there()
             self._panels.full()
             return AGAIN
-        except RuntimeError as error:
-            # viser wakes its event loop from this thread, rarely at the very moment at which that goes to sleep.
-            if "mutated during iteration" not in str(error):
-                raise
-            return SOON
         finally:
             slow.there()
         beside = self._exhibit.beside
@@ -223,6 +216,7 @@ class App:
         self.door = door or entry(host, None, False, ())
         conceal(self.door.token)
         conceal(self.door.pass_key)
+        wakeup.install()
         make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
         with redirect_stdout(io.StringIO()):  # viser announces itself; people need one address, once
             self.server = Guard(self.door).before(make)

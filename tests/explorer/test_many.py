@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 import viser
 from viser import GuiApi, SceneApi
-from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 import lpn
 from explorer import app as app_module
@@ -36,6 +35,7 @@ from explorer.reasons import Reasons
 from explorer.session import State, Upload
 from explorer.stage import Stage
 from explorer.sweep import Sweep
+from explorer.wakeup import Buffer
 from lpn import explain, images, retrieval
 from lpn.errors import ModelFileError
 from lpn.model import FloatArray, Model, Pass
@@ -48,7 +48,7 @@ from tests.saved import save_result
 TASK = "drone-to-satellite"
 HELD = (
     Visitor, Analyst, Stage, Panels, Reasons, Lab, Asker, Upload, Sweep, Inbox, Talker, _Connection,
-    viser.ClientHandle, GuiApi, SceneApi, AsyncMessageBuffer,
+    viser.ClientHandle, GuiApi, SceneApi, Buffer,
 )  # fmt: skip
 """What a browser has for itself."""
 
