@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -159,7 +159,16 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
 def grow(counts: list[int], folder: Path, rounds: int, console: Console) -> None:
     """Time, disk, and memory against the size of the gallery; a process for each row, and one index on disk at a time."""
     table = Table(title=f"growth, top {TOP} with vectors, {machine()}, medians of {rounds}")
-    for column in ("tiles", "index", "add, s", "first search, ms", "search, ms", "disk, MB", "process's peak, MB"):
+    for column in (
+        "tiles",
+        "index",
+        "add, s",
+        "first search, ms",
+        "search, ms",
+        "disk, MB",
+        "memory, MB",
+        "with maps, MB",
+    ):
         table.add_column(column, justify="right")
     for count in counts:
         for name in PRECISIONS:
@@ -172,19 +181,39 @@ def grow(counts: list[int], folder: Path, rounds: int, console: Console) -> None
 
 def row(count: int, name: Any, folder: Path, rounds: int) -> list[str]:
     """One row of the growth table, in this process."""
-    asked = queries(next(drawn(count))[1])
     with tempfile.TemporaryDirectory(dir=folder) as place:
-        started = time.perf_counter()
-        index = filled(ExactIndex.create(Path(place) / "index", KIND, name), count)
-        added = time.perf_counter() - started
+        with ProcessPoolExecutor(1) as another:  # whose memory is not counted
+            added = another.submit(added_seconds, count, name, Path(place) / "index").result()
+        asked = queries(next(drawn(count))[1])
+        before = anonymous()
+        index = ExactIndex(Path(place) / "index")
         started = time.perf_counter()
         index.search(asked[0], None, TOP)
         first = time.perf_counter() - started
         took = medians({"": lambda i: index.search(asked[i], None, TOP)}, rounds)[""]
         disk = sum(file.stat().st_size for file in Path(place).rglob("*") if file.is_file())
+        own = anonymous() - before
         index.close()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return [f"{added:.1f}", f"{1000 * first:.1f}", f"{took:.2f}", f"{disk / 1e6:,.0f}", f"{peak:,.0f}"]
+    return [f"{added:.1f}", f"{1000 * first:.1f}", f"{took:.2f}", f"{disk / 1e6:,.0f}", f"{own:,.0f}", f"{peak:,.0f}"]
+
+
+def added_seconds(count: int, name: Any, folder: Path) -> float:
+    """Make an index of a drawn gallery; the seconds without those of drawing."""
+    index, seconds = ExactIndex.create(folder, KIND, name), 0.0
+    for start, block in drawn(count):
+        names = [f"{start + i:07d}" for i in range(len(block))]
+        began = time.perf_counter()
+        index.add(names, block)
+        seconds += time.perf_counter() - began
+    index.close()
+    return seconds
+
+
+def anonymous() -> float:
+    """Resident memory of this process that is of no file, in MB."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("RssAnon")) / 1000
 
 
 def nearest(count: int, asked: FloatArray, k: int) -> list[set[str]]:

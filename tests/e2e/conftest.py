@@ -74,7 +74,7 @@ def started(
         process.wait(timeout=20)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """The app on drawn places."""
     folder = tmp_path_factory.mktemp("app")
@@ -152,7 +152,7 @@ def real_app(real_run: RealRun, tmp_path: Path) -> Iterator[Running]:
         yield running
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
     """Headless Chromium: the system's where there is one, else playwright's own."""
     with sync_playwright() as playwright:
