@@ -23,14 +23,16 @@ from lpn.index.milvus import MilvusIndex, Structure
 from tests.lpn.milvus_server import Server, milvus_python
 
 K = 10
+SETTLED = 12
+"""Seconds after which searches wait no longer for what was written just before."""
 EFFORTS: dict[Structure, tuple[int, ...]] = {"flat": (1,), "ivf": (1, 8, 32, 128), "hnsw": (16, 64, 256)}
 
 
-def indexed(client: Any, name: str) -> None:
-    """Returns when every tile is in the index and that is loaded."""
+def indexed(client: Any, name: str, structure: Structure) -> None:
+    """Returns when every tile is in the index and that is loaded; flat ones have none."""
     client.flush(name)
     field = client.list_indexes(name)[0]
-    while True:
+    while structure != "flat":
         said = client.describe_index(name, field)
         if not int(said["pending_index_rows"]) and int(said["indexed_rows"]) >= int(said["total_rows"]):
             break
@@ -57,8 +59,9 @@ def measure(structure: Structure, count: int, place: Path, rounds: int) -> list[
         filled(index, count)
         added = time.perf_counter() - started
         started = time.perf_counter()
-        indexed(index._client, "bench")
+        indexed(index._client, "bench", structure)
         built = time.perf_counter() - started
+        time.sleep(SETTLED)
         for effort in EFFORTS[structure]:
             index._effort = effort
             hits = sum(len(truth[i] & set(index.search(query, None, K).ids)) for i, query in enumerate(asked))

@@ -561,6 +561,44 @@ def test_a_collection_that_is_gone_is_told_at_once(client: type[Client], monkeyp
             index.count()
 
 
+def test_a_search_waits_for_what_was_just_written_and_for_nothing_later(
+    client: type[Client], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    levels: list[str] = []
+    monkeypatch.setattr(
+        client, "search", lambda *_, consistency_level, **__: levels.append(consistency_level) or [[]], raising=False
+    )
+    monkeypatch.setattr(client, "upsert", lambda *_, **__: None, raising=False)
+    now = time.monotonic()
+    monkeypatch.setattr("lpn.index.milvus.time.monotonic", lambda: now)
+    query = Tiles.draw(1).descriptors[0]
+    with open_index(COLLECTION) as index:
+
+        def searched_after(seconds: float) -> str:
+            nonlocal now
+            now += seconds
+            index.search(query, None, 1)
+            return levels[-1]
+
+        assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
+        index.add(["one"], query[None])
+        assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
+        index._let_go()  # type: ignore[attr-defined]
+        assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
+
+
+def test_a_milvus_index_sees_its_own_writes_and_soon_those_of_others(server: Server) -> None:
+    tiles = Tiles.draw(400)
+    with create_index(f"{server.url}/shared", KIND) as one, create_index(f"{server.url}/shared", KIND) as other:
+        other._written = -1e9  # type: ignore[attr-defined]
+        one.add(tiles.names[:200], tiles.descriptors[:200])
+        assert len(one.search(tiles.descriptors[0], None, 400).ids) == 200
+        deadline = time.monotonic() + 30
+        while len(other.search(tiles.descriptors[0], None, 400).ids) < 200:
+            assert time.monotonic() < deadline
+            time.sleep(0.5)
+
+
 @pytest.mark.parametrize("structure", ["ivf", "hnsw"])
 def test_a_milvus_collection_has_the_structure_asked_for(server: Server, structure: Structure) -> None:
     from pymilvus import MilvusClient
@@ -584,10 +622,12 @@ def test_a_milvus_collection_has_the_structure_asked_for(server: Server, structu
 def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server: Server) -> None:
     from concurrent.futures import ThreadPoolExecutor
 
+    from lpn.index.milvus import MilvusIndex
+
     kind = Kind("m", 4, 128)
     tiles = Tiles.draw(9000, kind=kind)
     with ThreadPoolExecutor(1) as pool:
-        with create_index(f"{server.url}/killed", kind) as index:
+        with MilvusIndex.create(f"{server.url}/killed", kind, patience=180) as index:  # a busy machine starts slowly
             index.add(tiles.names[:2000], tiles.descriptors[:2000], tiles.positions[:2000])
             sent: list[int] = []
 
@@ -603,7 +643,7 @@ def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server:
             server.kill()
             assert len(sent) < 35
             server.start()
-            adding.result(timeout=120)
+            adding.result(timeout=240)
             assert index.count() == 9000
             assert index.holds(tiles.names).all()
             query = tiles.descriptors[8000]
