@@ -24,6 +24,7 @@ from lpn.commands.using import Doctor, Evaluate, Explore
 from lpn.commands.verify import Verify
 from lpn.errors import LPNError, MissingPackageError
 from lpn.files import printable
+from lpn.packages import flaw
 from lpn.stopping import WRITING, Stop, finished, leave
 
 COMMANDS: dict[str, type[Any]] = {
@@ -100,6 +101,9 @@ def _run(given: list[str], parsed: list[Any]) -> int:
         return 2
     except ModuleNotFoundError as error:
         print(f"lpn: {_missing(error)}", file=sys.stderr)
+        return 2
+    except ImportError as error:
+        print(f"lpn: {flaw(error)}", file=sys.stderr)
         return 2
     except OSError as error:
         name = f" ({printable(str(error.filename))})" if error.filename else ""
