@@ -247,6 +247,28 @@ def test_memory_is_what_the_system_says() -> None:
         assert 0 < found[1] <= found[0]
 
 
+def test_memory_is_that_of_the_group_without_what_is_kept_of_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "self").write_text("4:memory:/other\n0::/jobs/mine\n")
+    (tmp_path / "jobs" / "mine").mkdir(parents=True)
+    monkeypatch.setattr(machine, "_GROUPS", tmp_path)
+    monkeypatch.setattr(machine, "_OWN", tmp_path / "self")
+    system = machine.memory()
+
+    def group(folder: Path, most: object, used: int, kept: int) -> None:
+        (folder / "memory.max").write_text(f"{most}\n")
+        (folder / "memory.current").write_text(f"{used}\n")
+        (folder / "memory.stat").write_text(f"anon {used - kept}\nactive_file 0\ninactive_file {kept}\n")
+
+    group(tmp_path / "jobs" / "mine", "max", 100 << 20, 0)
+    assert machine._groups()[-1] == tmp_path / "jobs" / "mine"
+    group(tmp_path / "jobs", 100 << 20, 90 << 20, 70 << 20)
+    found = machine.memory()
+    if system is not None:  # on Linux
+        assert found == (100 << 20, 80 << 20)
+
+
 def test_quick_is_for_pictures(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["doctor", "--quick"]) == 2
     assert "give one with --data" in capsys.readouterr().err
