@@ -6,6 +6,8 @@ import logging
 import threading
 from collections.abc import Callable
 
+from lpn.errors import LPNError
+
 log = logging.getLogger(__name__)
 
 
@@ -72,6 +74,10 @@ class Worker:
             try:
                 again = self._work()
             except Exception as error:
-                if not self._stopped:
+                if self._stopped:
+                    return
+                if isinstance(error, LPNError):  # of which one sentence says all
+                    log.warning("A browser's request failed: %s", error)
+                else:
                     log.exception("A browser's request failed")
-                    self._failed(error)
+                self._failed(error)

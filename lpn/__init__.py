@@ -1,21 +1,37 @@
 """LPN: the Local Pattern Network for cross-view geo-localization, and everything that can be computed with it.
 
 `load` opens a trained model, `Partition` says how it cuts a feature map, `metrics` scores a retrieval, and the
-`lpn` command does the rest. Nothing here knows a browser, and torch is imported only where it is needed.
+`lpn` command does the rest. Nothing here knows a browser, and torch is imported only where it is needed. What needs
+NumPy is imported when it is asked for, so that `lpn doctor` can say that it is missing or broken.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lpn import metrics
 from lpn.errors import LPNError, MissingPackageError
-from lpn.model import Model
-from lpn.partition import Partition
-from lpn.spec import ModelSpec, View
 from lpn.version import __version__
 
+if TYPE_CHECKING:
+    from lpn import metrics
+    from lpn.model import Model
+    from lpn.partition import Partition
+    from lpn.spec import ModelSpec, View
+
 __all__ = ["LPNError", "Model", "ModelSpec", "Partition", "View", "__version__", "load", "metrics"]
+
+_HOMES = {"Model": "lpn.model", "ModelSpec": "lpn.spec", "Partition": "lpn.partition", "View": "lpn.spec"}
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        if name == "metrics":
+            return import_module("lpn.metrics")
+        if name in _HOMES:
+            return getattr(import_module(_HOMES[name]), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def load(path: str | Path) -> Model:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import importlib
 import os
-import platform
 import shutil
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,8 +15,6 @@ from typing import Any, Literal
 
 from lpn import machine, packages
 from lpn.errors import LPNError, OutputError
-from lpn.features import cache_folder, open_store
-from lpn.features.cache import STORES
 from lpn.files import check_writable, printable
 
 Level = Literal["OK", "note", "problem"]
@@ -70,13 +68,13 @@ class Finding:
 
 
 def look(demo: Path) -> Iterator[Finding]:
-    """Look at everything, one after the other; what fails is a finding, and no exception.
+    """Look at everything, one after the other; what fails is a finding, and no exception. No package need be there for it.
 
     Args:
         demo: folder of the demo that the explorer opens when nothing is chosen.
     """
     for name, check in {
-        "Python": _python_and_packages,
+        "Python and packages": _python_and_packages,
         "ONNX Runtime": _onnxruntime,
         "PyTorch": _torch,
         "machine": _machine,
@@ -87,10 +85,15 @@ def look(demo: Path) -> Iterator[Finding]:
     }.items():
         try:
             yield from check()
-        except Exception as error:  # a broken package raises anything
+        except ModuleNotFoundError as error:
+            module = (error.name or "").partition(".")[0]
+            package = next((package for package, of in _MODULES.items() if of == module), module)
             yield Finding(
-                name, "problem", f"could not be looked at ({type(error).__name__}: {error})", "install it again"
+                name, "problem", f"could not be looked at without the package {package}", f"pip install {package}"
             )
+        except Exception as error:  # a broken package raises anything
+            remedy = "mend the packages that are named above, or install it again"
+            yield Finding(name, "problem", f"could not be looked at ({type(error).__name__}: {error})", remedy)
 
 
 def to_dict(findings: list[Finding]) -> dict[str, Any]:
@@ -104,7 +107,7 @@ def healthy(findings: list[Finding]) -> bool:
 
 
 def _python_and_packages() -> Iterator[Finding]:
-    found = platform.python_version()
+    found = ".".join(map(str, sys.version_info[:3]))  # not as a build may call itself: "3.13.0+"
     told = packages.asked()
     if told is None:
         yield Finding("Python", "note", f"{found}; what {packages.NAME} asks for is not known", "install it with pip")
@@ -131,10 +134,29 @@ def _broken(package: packages.Package) -> str:
     if not package.fits:
         return _unfit(package)
     try:
-        importlib.import_module(_MODULES.get(package.name.lower(), package.name))
+        with _unheard():
+            importlib.import_module(_MODULES.get(package.name.lower(), package.name))
     except Exception as error:
         return f"{package.found} cannot be imported ({type(error).__name__}: {error})"
     return ""
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Keep off the terminal what libraries write there while they are imported, a traceback for what is said in one line."""
+    with ExitStack() as after:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        after.callback(os.close, nowhere)
+        for number, stream in ((1, sys.stdout), (2, sys.stderr)):
+            if stream is None:  # closed before the start
+                continue
+            stream.flush()
+            before = os.dup(number)
+            after.callback(os.close, before)
+            after.callback(os.dup2, before, number)
+            after.callback(stream.flush)
+            os.dup2(nowhere, number)
+        yield
 
 
 def _unfit(package: packages.Package) -> str:
@@ -160,7 +182,8 @@ def _extra(extra: str, of: tuple[packages.Package, ...]) -> Finding:
 def _onnxruntime() -> Iterator[Finding]:
     if find_spec("onnxruntime") is None:
         return  # said among the packages
-    ort: Any = importlib.import_module("onnxruntime")
+    with _unheard():
+        ort: Any = importlib.import_module("onnxruntime")
     providers = [name.removesuffix("ExecutionProvider") for name in ort.get_available_providers()]
     said = f"{ort.__version__} computes on {ort.get_device()}; providers: {', '.join(providers)}"
     if "CPU" in providers:
@@ -199,7 +222,14 @@ def _machine() -> Iterator[Finding]:
 
 
 def _cache() -> Iterator[Finding]:
-    folder = cache_folder()
+    from lpn.features import cache_folder
+
+    try:
+        folder = cache_folder()
+    except OutputError as error:
+        said, _, remedy = str(error).rstrip(".").partition("; ")
+        yield Finding("cache", "problem", said, remedy)
+        return
     try:
         check_writable(folder / "doctor")
     except OutputError as error:
@@ -234,6 +264,8 @@ def _demo(demo: Path) -> Iterator[Finding]:
 
 def _demo_flaw(demo: Path) -> str | None:
     import lpn
+    from lpn.features import open_store
+    from lpn.features.cache import STORES
     from lpn.verify import verify
 
     for verdict in verify(demo):
@@ -241,7 +273,7 @@ def _demo_flaw(demo: Path) -> str | None:
             return verdict.said
     try:
         model = lpn.load(demo / "lpn.onnx")
-        for store in sorted((demo / STORES).iterdir()):
+        for store in sorted(path for path in (demo / STORES).iterdir() if path.is_dir()):
             manifest = open_store(store).manifest
             if manifest.fingerprint != model.fingerprint:
                 return f"lpn.onnx is not the model that {STORES}/{store.name} was made with, so one of them is damaged"
@@ -252,6 +284,8 @@ def _demo_flaw(demo: Path) -> str | None:
                     return f"{picture.relative_to(demo)} is missing or another"
     except LPNError as error:
         return str(error)
+    except FileNotFoundError as error:
+        return f"{error.filename} is missing"
     return None
 
 
@@ -266,5 +300,8 @@ def _browser() -> Iterator[Finding]:
 
 def _playwrights() -> str | None:
     """The Chromium that Playwright installed."""
-    own = os.environ.get("PLAYWRIGHT_BROWSERS_PATH") or Path.home() / ".cache" / "ms-playwright"
+    try:
+        own = os.environ.get("PLAYWRIGHT_BROWSERS_PATH") or Path.home() / ".cache" / "ms-playwright"
+    except RuntimeError:  # this user has no home
+        return None
     return next((str(path) for path in sorted(Path(own).glob("chromium*")) if path.is_dir()), None)

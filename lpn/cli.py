@@ -24,7 +24,8 @@ from lpn.commands.using import Doctor, Evaluate, Explore
 from lpn.commands.verify import Verify
 from lpn.errors import LPNError, MissingPackageError
 from lpn.files import printable
-from lpn.stopping import Stop, leave
+from lpn.packages import flaw
+from lpn.stopping import WRITING, Stop, finished, leave
 
 COMMANDS: dict[str, type[Any]] = {
     "explore": Explore,
@@ -79,11 +80,12 @@ def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> i
         try:
             return _run(given, parsed)
         except KeyboardInterrupt:
-            status = stop.end()
+            pass
         except BaseException:  # what a library makes of a signal
             if not stop.signal:
                 raise
-            status = stop.end()
+        finished(WRITING)  # what other threads write
+        status = stop.end()
         if stop.signal:
             stopped(status)
         return status
@@ -99,6 +101,9 @@ def _run(given: list[str], parsed: list[Any]) -> int:
         return 2
     except ModuleNotFoundError as error:
         print(f"lpn: {_missing(error)}", file=sys.stderr)
+        return 2
+    except ImportError as error:
+        print(f"lpn: {flaw(error)}", file=sys.stderr)
         return 2
     except OSError as error:
         name = f" ({printable(str(error.filename))})" if error.filename else ""

@@ -13,13 +13,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, Any
 
 from lpn.errors import OutputError
 from lpn.stopping import finishing
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 try:
     import fcntl
@@ -68,6 +68,8 @@ def mapped(path: Path) -> npt.NDArray[Any]:
         FileNotFoundError: when there is none.
         ValueError: when it is damaged, or holds Python objects.
     """
+    import numpy as np
+
     try:
         found: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
     except FileNotFoundError:

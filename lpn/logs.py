@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Final, Literal, get_args
-from urllib.parse import quote
+from urllib.parse import quote, quote_plus
 
 from lpn.errors import InputError
 from lpn.files import printable
@@ -90,22 +90,22 @@ class Lines(logging.Formatter):
         text = super().format(line)
         error = record.exc_info[1] if record.exc_info else None
         if error is None:
-            return concealed(text)
+            return text
         if self._whole or record.name.partition(".")[0] in OURS:
             traced = "".join(traceback.format_exception(error)).splitlines()
-            text = "\n".join([text, *(f"    {printable(one)[:_LONGEST]}" for one in traced)])
+            text = "\n".join([text, *(f"    {_short(one)}" for one in traced)])
         else:
-            text += f" ({type(error).__name__}: {printable(str(error))[:200]})"
-        return concealed(text)
+            text += f" ({type(error).__name__}: {_short(str(error), 200)})"
+        return text
 
 
 _SECRETS: list[str] = []
 
 
 def conceal(secret: str | None) -> None:
-    """Let no line show this from now on, as it is or as an address has it."""
+    """Let no line show this from now on, as it is or as an address or a form has it."""
     if secret:
-        _SECRETS.extend({secret, quote(secret, safe="")} - set(_SECRETS))
+        _SECRETS.extend({secret, quote(secret, safe=""), quote_plus(secret)} - set(_SECRETS))
         del _SECRETS[:-100]
 
 
@@ -130,4 +130,9 @@ def _said(record: logging.LogRecord) -> str:
         message = record.getMessage()
     except Exception:  # a library's mistake is no reason to fail
         message = str(record.msg)
-    return printable(message)[:_LONGEST]
+    return _short(message)
+
+
+def _short(text: str, longest: int = _LONGEST) -> str:
+    """A text of others as part of a line; tokens go first, as half of one would not be known for what it is."""
+    return printable(concealed(text))[:longest]

@@ -18,23 +18,37 @@ def usable_cores() -> int:
 
 
 def memory() -> tuple[int, int] | None:
-    """Bytes of memory that this process may use, and that are free of it by now; None where the system does not say."""
+    """Bytes of memory that this process may use, and that are free of it by now; None where the system does not say.
+
+    What is kept of files that were read is free, as the system drops it for whoever needs room.
+    """
     try:
         told = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
         total, free = (int(told[name].split()[0]) * 1024 for name in ("MemTotal", "MemAvailable"))
     except (OSError, ValueError, KeyError, IndexError):
         return None
-    most, used = (_number(Path("/sys/fs/cgroup") / name) for name in ("memory.max", "memory.current"))
-    if most is not None and used is not None and most < total:  # a container's, or a job's
-        return most, min(free, max(most - used, 0))
+    for group in _groups():  # a container's, or a job's
+        try:
+            most, used = (int((group / name).read_text()) for name in ("memory.max", "memory.current"))
+            told = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
+            kept = sum(int(told[name]) for name in ("active_file", "inactive_file"))
+        except (OSError, ValueError, KeyError):  # "max", which is no limit
+            continue
+        total, free = min(total, most), min(free, max(most - used + kept, 0))
     return total, free
 
 
-def _number(file: Path) -> int | None:
+_GROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+
+
+def _groups() -> list[Path]:
+    """This process's control group of version 2, and those that it is within."""
     try:
-        return int(file.read_text())
-    except (OSError, ValueError):  # "max", which is no limit
-        return None
+        own = next(line[3:] for line in _OWN.read_text().splitlines() if line.startswith("0::"))
+    except (OSError, StopIteration):
+        return []
+    names = [name for name in own.split("/") if name not in ("", "..")]  # "..": of a group outside a container
+    return [_GROUPS.joinpath(*names[:depth]) for depth in range(len(names) + 1)]
 
 
 def pool_memory() -> bool:

@@ -85,7 +85,7 @@ def _world(root: Path, paths: Sequence[str]) -> list[Column]:
         buildings = {int(building["id"]): building for building in plan["buildings"]}
         shown = {str(picture["path"]): buildings.get(int(picture["id"])) for picture in plan["pictures"]}
         rows = [_building(shown.get(path), districts) for path in paths]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise DataError(
             f"{WORLD} in {printable(root.name)} is damaged or not the plan of a rendered world; render it again, or take "
             f"{WORLD} away."

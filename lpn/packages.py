@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+from lpn.files import printable
+
 NAME = "lpn-explorer"
 _CHECKOUT = Path(__file__).parents[1] / "pyproject.toml"
 
@@ -64,6 +66,12 @@ def within(version: str, wanted: str) -> bool:
     from packaging.specifiers import SpecifierSet
 
     return SpecifierSet(wanted).contains(version, prereleases=True)
+
+
+def flaw(error: Exception) -> str:
+    """One sentence about a package that something cannot be done without, and that cannot be imported."""
+    said = printable(f"{type(error).__name__}: {error}")[:300]
+    return f"A package is missing or broken ({said}); lpn doctor says more."
 
 
 def _look(lines: list[str]) -> Iterator[Package]:

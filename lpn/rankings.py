@@ -62,15 +62,19 @@ class Sides:
 
     @property
     def file(self) -> Path | None:
-        """Where the ranking is kept."""
+        """Where the ranking is kept, None where it is not."""
         if not self.identity:
+            return None
+        try:
+            folder = cache_folder() / "rankings"
+        except OutputError:  # there is no place for a cache
             return None
         digest = hashlib.sha256(f"{FORMAT} {self.identity}".encode())
         for values in (self.query_labels, self.labels):
             digest.update(np.ascontiguousarray(values, np.int64).tobytes() + b"|")
         for of in self.truth or ():
             digest.update(of.good.astype(np.int64).tobytes() + b"/" + of.junk.astype(np.int64).tobytes() + b"|")
-        return cache_folder() / "rankings" / f"{digest.hexdigest()[:24]}.npz"
+        return folder / f"{digest.hexdigest()[:24]}.npz"
 
 
 @dataclass(eq=False)

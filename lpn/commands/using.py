@@ -194,17 +194,19 @@ class Doctor:
     """File to write everything found to, with every name."""
 
     def run(self) -> int:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        from lpn.datasets import open_dataset
-        from lpn.doctor import examine, show
         from lpn.files import check_writable, write_whole
 
         if self.json is not None:
             check_writable(self.json)
         if self.data is None:
-            return self._machine()
+            return self._machine()  # which needs no package
+
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        from lpn.datasets import open_dataset
+        from lpn.doctor import examine, show
+
         console = Console(width=max(120, Console().width))
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with Progress(*columns, console=console, transient=True) as bar:

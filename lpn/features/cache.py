@@ -174,7 +174,16 @@ def _held(
 
 
 def cache_folder() -> Path:
-    """Where descriptors are kept between runs."""
+    """Where descriptors are kept between runs.
+
+    Raises:
+        OutputError: when nothing says where.
+    """
     if given := os.environ.get("LPN_CACHE"):
         return Path(given)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpn-explorer"
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpn-explorer"
+    except RuntimeError as error:
+        raise OutputError(
+            "This user has no home folder to keep a cache in; set LPN_CACHE to a folder that can be written."
+        ) from error

@@ -53,7 +53,7 @@ class Notebook:
             self._held = _figures(json.loads(path.read_bytes()), path)
         except FileNotFoundError:
             pass
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             log.warning("%s cannot be read or is damaged; what it held is measured again.", path)
 
     def figures(self, row: Row, measure: Measure, model: Model, data: Sequence[Source]) -> Figures:

@@ -111,7 +111,7 @@ class Job:
         try:
             held: Any = json.loads((self.folder / "job.json").read_bytes())
             return held.get(name)
-        except (OSError, ValueError, AttributeError):
+        except (OSError, ValueError, AttributeError, RecursionError):
             return None
 
 

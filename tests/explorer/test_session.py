@@ -12,6 +12,7 @@ import pytest
 from explorer import session
 from explorer.session import State, Upload
 from explorer.worker import Worker
+from lpn.errors import PictureError
 
 
 @pytest.fixture
@@ -99,13 +100,14 @@ def test_a_worker_never_queues_stale_work() -> None:
     assert done == [0, 199]
 
 
-def test_a_worker_survives_a_failure() -> None:
+@pytest.mark.parametrize(("error", "traced"), [(ValueError("first"), True), (PictureError("first"), False)])
+def test_a_worker_survives_a_failure(error: Exception, traced: bool, caplog: pytest.LogCaptureFixture) -> None:
     failures: list[Exception] = []
     answered = threading.Event()
 
     def work() -> None:
         if not failures:
-            raise ValueError("first")
+            raise error
         answered.set()
 
     def failed(error: Exception) -> None:
@@ -117,3 +119,4 @@ def test_a_worker_survives_a_failure() -> None:
     assert answered.wait(10)
     worker.stop()
     assert [str(e) for e in failures] == ["first"]
+    assert [bool(record.exc_info) for record in caplog.records] == [traced]

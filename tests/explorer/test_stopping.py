@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from lpn.notes import read_notes
+from lpn.stopping import GRACE
 from soak.client import Talker
 from tests import worlds
 from tests.processes import SOON, Process
@@ -54,7 +55,7 @@ import time, lpn.notes
 write = lpn.notes.write_whole
 def slow(*given):
     print("writing", flush=True)
-    time.sleep(0.8)
+    time.sleep(SECONDS)
     write(*given)
 lpn.notes.write_whole = slow
 """
@@ -127,15 +128,22 @@ def test_while_queries_are_ranked_and_a_report_is_made(places: Path, model_file:
         explorer.stopped()
 
 
-def test_a_note_that_is_being_saved_is_saved(places: Path, model_file: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("seconds", [0.8, GRACE + 1])
+def test_a_note_that_is_being_saved_is_saved(seconds: float, places: Path, model_file: Path, tmp_path: Path) -> None:
     data = shutil.copytree(places, tmp_path / "places")
-    with Explorer(data, model_file, tmp_path / "cache", SLOW_NOTES) as explorer, explorer.browsers(1) as talkers:
+    slow = SLOW_NOTES.replace("SECONDS", str(seconds))
+    with Explorer(data, model_file, tmp_path / "cache", slow) as explorer, explorer.browsers(1) as talkers:
         talkers[0].set("Failure laboratory", True)
         talkers[0].wait(lambda: "lab-note' data-task" in talkers[0].html())
         talkers[0].tell("lab-note", [TASK, 1, "night", "It must not be lost."])
         explorer.until(lambda: "writing" in explorer.out)
         explorer.interrupt()
-        explorer.stopped()
+        if seconds < GRACE:
+            explorer.stopped()
+        else:
+            assert explorer.ended()[0] == 0
+            assert explorer.out.endswith("Stopped.\n")
+            assert explorer.err.endswith("A file is still being written\n")
     assert [note.text for note in read_notes(data / "notes.csv").values()] == ["It must not be lost."]
 
 

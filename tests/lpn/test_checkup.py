@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import json
+import os
+import platform
+import re
 import shutil
 import socket
+import subprocess
+import sys
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from lpn import checkup, cli, machine, packages
+from lpn import checkup, cli, machine, packages, rankings
 from lpn.checkup import Finding, healthy
 from lpn.commands import using
 from lpn.commands.using import DEMO
+from lpn.errors import OutputError
+from lpn.features import cache_folder
 
 
 def of(name: str, *checks: Any) -> Finding:
@@ -70,6 +78,21 @@ def test_a_taken_port_is_no_more_than_a_note(monkeypatch: pytest.MonkeyPatch) ->
     assert healthy([found])
 
 
+def test_a_stray_file_in_the_demo_is_no_problem(tmp_path: Path) -> None:
+    demo = shutil.copytree(DEMO, tmp_path / "demo")
+    (demo / "descriptors" / ".DS_Store").write_bytes(b"of a file manager")
+    assert of("demo", lambda: checkup._demo(demo)).level == "OK"
+
+
+def test_a_demo_without_its_descriptors_is_a_problem(tmp_path: Path) -> None:
+    demo = shutil.copytree(DEMO, tmp_path / "demo")
+    shutil.rmtree(demo / "descriptors")
+    found = of("demo", lambda: checkup._demo(demo))
+    assert found.level == "problem"
+    assert found.said.endswith("descriptors is missing")
+    assert "git checkout" in found.remedy
+
+
 @pytest.mark.parametrize("what", ["lpn.onnx", "descriptors.npy", "manifest.json", "picture", "missing"])
 def test_a_damaged_demo_is_a_problem(what: str, tmp_path: Path) -> None:
     demo = shutil.copytree(DEMO, tmp_path / "demo")
@@ -122,6 +145,66 @@ def test_a_package_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.Monk
     assert "problem PyTorch: could not be looked at" in "\n".join(f.line for f in checkup.look(Path("absent")))
 
 
+@pytest.mark.parametrize("module", ["numpy", "cv2", "tyro"])
+def test_it_runs_without_a_package_that_the_command_line_needs(module: str, tmp_path: Path) -> None:
+    (tmp_path / f"{module}.py").write_text('raise ImportError("built for\\nanother Python")')
+    paths = (str(tmp_path), str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")]))
+    environ = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+
+    def said(*given: str) -> tuple[int, str]:
+        command = [sys.executable, "-m", "lpn", *given]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, env=environ, cwd=tmp_path)
+        assert "Traceback" not in done.stdout + done.stderr
+        return done.returncode, done.stdout + done.stderr
+
+    status, told = said("doctor")
+    assert status == 1
+    package = {"cv2": "opencv-python-headless"}.get(module, module)
+    assert re.search(
+        rf"(?m)^problem {package}: .* cannot be imported \(ImportError: built for\?another Python\); ", told
+    )
+    assert "Something is broken: see the problems above." in told
+    assert said("explore") == (
+        2,
+        "lpn: A package is missing or broken (ImportError: built for?another Python); lpn doctor says more.\n",
+    )
+
+
+def test_what_cannot_be_looked_at_without_a_package_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def without(_: Path) -> Any:
+        raise ModuleNotFoundError("No module named 'cv2.dnn'", name="cv2.dnn")
+
+    monkeypatch.setattr(checkup, "_demo", without)
+    found = next(finding for finding in checkup.look(DEMO) if finding.name == "demo")
+    assert found.line == (
+        "problem demo: could not be looked at without the package opencv-python-headless; "
+        "pip install opencv-python-headless."
+    )
+
+
+def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    for name in ("LPN_CACHE", "XDG_CACHE_HOME", "PLAYWRIGHT_BROWSERS_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    monkeypatch.setattr(checkup, "_BROWSERS", ())
+    assert of("cache", checkup._cache).line == (
+        "problem cache: This user has no home folder to keep a cache in; set LPN_CACHE to a folder that can be written."
+    )
+    assert of("browser", checkup._browser).level == "note"
+    with pytest.raises(OutputError, match="set LPN_CACHE to a folder that can be written"):
+        cache_folder()
+    one = np.ones((1, 1, 4), np.float32)
+    assert rankings.kept(rankings.Sides(one, one, np.zeros(1, int), np.zeros(1, int), identity="one")) is None
+
+
+def test_a_python_may_call_itself_what_it_likes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(platform, "python_version", lambda: "3.13.0+")
+    assert of("Python", checkup._python_and_packages).level == "OK"
+
+
 def test_an_installed_package_knows_its_ranges_without_a_checkout(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -162,6 +245,28 @@ def test_memory_is_what_the_system_says() -> None:
     if Path("/proc/meminfo").exists():
         assert found is not None
         assert 0 < found[1] <= found[0]
+
+
+def test_memory_is_that_of_the_group_without_what_is_kept_of_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "self").write_text("4:memory:/other\n0::/jobs/mine\n")
+    (tmp_path / "jobs" / "mine").mkdir(parents=True)
+    monkeypatch.setattr(machine, "_GROUPS", tmp_path)
+    monkeypatch.setattr(machine, "_OWN", tmp_path / "self")
+    system = machine.memory()
+
+    def group(folder: Path, most: object, used: int, kept: int) -> None:
+        (folder / "memory.max").write_text(f"{most}\n")
+        (folder / "memory.current").write_text(f"{used}\n")
+        (folder / "memory.stat").write_text(f"anon {used - kept}\nactive_file 0\ninactive_file {kept}\n")
+
+    group(tmp_path / "jobs" / "mine", "max", 100 << 20, 0)
+    assert machine._groups()[-1] == tmp_path / "jobs" / "mine"
+    group(tmp_path / "jobs", 100 << 20, 90 << 20, 70 << 20)
+    found = machine.memory()
+    if system is not None:  # on Linux
+        assert found == (100 << 20, 80 << 20)
 
 
 def test_quick_is_for_pictures(capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,7 +20,7 @@ from lpn import features, metadata
 from lpn.checkpoints import load_torch
 from lpn.checksums import crc_of_values
 from lpn.engine import Engine
-from lpn.errors import InputError, LPNError, ModelFileError, OutputError, StoreError
+from lpn.errors import DataError, InputError, LPNError, ModelFileError, OutputError, StoreError
 from lpn.features import open_store
 from lpn.formats import is_newer
 from lpn.index import ExactIndex, Kind, open_index, sums
@@ -226,3 +226,21 @@ def test_a_later_world_is_neither_added_to_nor_read(named: str, tmp_path: Path) 
         check_folder(settings, tmp_path)
     with pytest.raises(LPNError, match=r"world\.json in .* was written " + LATER):
         metadata.columns(tmp_path, ["test/query_drone/0300/image-01.webp"])
+
+
+@pytest.mark.parametrize(
+    "plan", ["[" * 100_000, '{"districts": [{"number": 1e999}]}', '{"districts": [{"number": "one"}]}', "[]"]
+)
+def test_a_damaged_plan_of_a_world_is_one_sentence(plan: str, tmp_path: Path) -> None:
+    (tmp_path / "world.json").write_text(plan)
+    with pytest.raises(
+        DataError, match=r"world\.json in .* is damaged or not the plan of a rendered world; render it again"
+    ):
+        metadata.columns(tmp_path, ["test/query_drone/0300/image-01.webp"])
+
+
+@pytest.mark.parametrize("held", ['{"key": {"values": [1' + "0" * 400 + '], "protocol": ""}}', "[" * 100_000])
+def test_measurements_that_are_none_are_made_again(held: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "measured.json").write_text(held)
+    assert Notebook(tmp_path / "measured.json")._held == {}
+    assert "what it held is measured again" in caplog.text

@@ -93,6 +93,22 @@ def test_no_token_is_shown(log: logging.Logger, capsys: pytest.CaptureFixture[st
     assert "query=1&token=***&map=1 and ***" in shown
 
 
+def test_no_half_of_a_token_is_shown_where_a_line_is_cut(
+    log: logging.Logger, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs.conceal("correct horse/battery")
+    with logs.shown("debug"):
+        log.info("%s%s", "x" * 990, "correct horse/battery")
+        log.error("Failed", exc_info=ValueError("x" * 978 + "correct horse/battery"))
+    with logs.shown("info"):
+        logging.getLogger("viser").error("Failed", exc_info=ValueError("x" * 190 + "correct horse/battery"))
+        log.info("token of a form: correct+horse%2Fbattery")
+    shown = capsys.readouterr().err
+    assert shown.count("***") == 4
+    assert max(map(len, shown.splitlines())) < 1100
+    assert "correct" not in shown
+
+
 def test_the_level_comes_from_the_command_line_or_else_from_the_environment() -> None:
     assert logs.level_given(["explore"], {}) == ("warning", ["explore"])
     assert logs.level_given(["explore"], {"LPN_LOG": " INFO "}) == ("info", ["explore"])
