@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import math
 import os
 import socket
 import sys
@@ -12,9 +13,17 @@ from typing import Any
 
 
 def usable_cores() -> int:
-    """Cores that this process may use: fewer than the machine has where it is confined to some, as in a container or a job."""
+    """Cores that this process may use: fewer than the machine has where it is confined to some, or to so much time of them, as
+    in a container or a job."""
     confined = getattr(os, "sched_getaffinity", None)  # not on every system
-    return len(confined(0)) if confined else os.cpu_count() or 1
+    cores = len(confined(0)) if confined else os.cpu_count() or 1
+    for group in _groups():
+        try:
+            quota, period = (int(value) for value in (group / "cpu.max").read_text().split())
+            cores = min(cores, max(math.ceil(quota / period), 1))
+        except (OSError, ValueError, ZeroDivisionError):  # "max", which is no limit
+            continue
+    return cores
 
 
 def memory() -> tuple[int, int] | None:

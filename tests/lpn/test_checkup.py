@@ -269,6 +269,23 @@ def test_memory_is_that_of_the_group_without_what_is_kept_of_files(
         assert found == (100 << 20, 80 << 20)
 
 
+def test_cores_are_as_many_as_a_group_has_time_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "_GROUPS", tmp_path)
+    monkeypatch.setattr(machine, "_OWN", tmp_path / "self")
+    monkeypatch.setattr(machine.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
+    (tmp_path / "self").write_text("0::/all/job\n")
+    (tmp_path / "all" / "job").mkdir(parents=True)
+    assert machine.usable_cores() == 16
+    for whole, job, cores in (
+        ("max 100000", "250000 100000", 3),
+        ("150000 100000", "max 100000", 2),
+        ("1000 100000", "", 1),
+    ):
+        (tmp_path / "all" / "cpu.max").write_text(f"{whole}\n")
+        (tmp_path / "all" / "job" / "cpu.max").write_text(f"{job}\n")
+        assert machine.usable_cores() == cores
+
+
 def test_quick_is_for_pictures(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["doctor", "--quick"]) == 2
     assert "give one with --data" in capsys.readouterr().err
