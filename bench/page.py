@@ -3,7 +3,7 @@
 Starts the real app as a process, opens it in headless Chromium, and turns, picks, and drags as a person does. Without DATA and
 MODEL it draws a small data set and an untrained network. Two floors are measured in the same run: a bare viser page with as many
 scene nodes and controls as the explorer's, and the explorer's own page whose worker computes and draws nothing, but says that
-it was asked.
+it was asked. For comparison there is the same page with a worker that shows one of two answers it has.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def connected(client):
 print(f"ready: http://127.0.0.1:{sys.argv[1]}", flush=True)
 time.sleep(600)
 """
-IDLE = """
+_COUNTED = """
 import os, sys
 from dataclasses import replace
 import viser
@@ -65,19 +65,35 @@ counted(viser.SceneApi, ["add_image", "add_line_segments", "add_frame"], "add_im
 counted(viser.GuiApi, ["add_button", "add_button_group", "add_upload_button", "add_command"], "add_button")
 counted(viser.GuiApi, ["add_slider", "add_checkbox", "add_dropdown", "add_text"], "add_slider")
 counted(viser.GuiApi, ["add_html"], "add_html")
-def work(self):
-    if self._sequence < 1:
-        self._idle = self._analyst.answer(self._state, app.SHOWN)
-        self._stage.show(self._idle)
-        self._panels.show(self._idle, 1, 0.0)
-        with open(os.environ["LPN_BENCH_COUNTS"], "w") as file:
-            file.write(" ".join(str(count) for count in counts.values()))
-    self._sequence += 1
-    self._panels._status.show(pages.status(replace(self._idle, state=self._state), self._sequence, 0.0))
+def show(self, answer):
+    with self._client.atomic():
+        self._stage.show(answer)
+        self._panels.show(answer, self._sequence, 0.0)
+"""
+_RUN = """
 app.Visitor._work = work
 from lpn.cli import main
 sys.exit(main())
 """
+IDLE = f"""{_COUNTED}
+def work(self):
+    self._sequence += 1
+    if self._sequence == 1:
+        self._idle = self._analyst.answer(self._state, app.SHOWN)
+        show(self, self._idle)
+        with open(os.environ["LPN_BENCH_COUNTS"], "w") as file:
+            file.write(" ".join(str(count) for count in counts.values()))
+    else:
+        self._panels._status.show(pages.status(replace(self._idle, state=self._state), self._sequence, 0.0))
+{_RUN}"""
+READY = f"""{_COUNTED}
+def work(self):
+    self._sequence += 1
+    if self._sequence == 1:
+        turned = replace(self._state, angle=90.0)
+        self._ready = [self._analyst.answer(state, app.SHOWN) for state in (self._state, turned)]
+    show(self, replace(self._ready[self._sequence % 2], state=self._state))
+{_RUN}"""
 CLOCK = "document.addEventListener('input', () => { window.changedAt = performance.now(); }, true)"
 SHOWN = """
 angle => new Promise(done => {
@@ -245,6 +261,10 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         _, page = page_seconds(browser, idle.url)  # the browser's own start is nobody's
         idle_turn, idle_pick = slider_seconds(page), pick_seconds(page)
         page.context.close()
+        with Process([sys.executable, "-c", READY, *options, str(free_port())], environment) as ready:
+            _, page = page_seconds(browser, ready.url)
+            ready_turn, ready_pick = slider_seconds(page), pick_seconds(page)
+            page.context.close()
         numbers = counts.read_text().split()
         bare = stack.enter_context(Process([sys.executable, "-c", BARE, str(free_port()), *numbers], environment))
         opened = [(page_seconds(browser, bare.url), page_seconds(browser, warm.url)) for _ in range(3)]
@@ -259,7 +279,7 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         drags = [drag(page) for _ in range(5)]
         after = resident(warm)
         browser.close()
-    forward = forward_ms(model, data) / 1000
+        forward = forward_ms(model, data) / 1000
     wasted, last = max(lost for lost, _ in drags), all(shown for _, shown in drags)
     nodes = f"{numbers[0]} pictures, {sum(map(int, numbers[1:]))} controls"
     return [
@@ -268,6 +288,8 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         within(f"address to complete page (limit: bare viser page, {nodes})", full_page, bare_page, 1.5, "s"),
         within("turned, to the changed picture (limit: passes + idle page)", turn, forward + idle_turn, 1.3, "s"),
         within("picked, to the changed picture (limit: passes + idle page)", pick, forward + idle_pick, 1.3, "s"),
+        Figure("the same, against passes + answers at hand shown: turned", turn, "s", limit=forward + ready_turn),
+        Figure("the same, picked", pick, "s", limit=forward + ready_pick),
         Figure(
             f"{EVENTS} turns in a second: answers nobody saw{'' if last else ', and the last is not shown'}",
             wasted,
