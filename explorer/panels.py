@@ -389,6 +389,15 @@ class Panels:
         if not self._reading.acquire(blocking=False):
             self.say("Picture not taken", "The one before it is still being read; send it again.")
             return
+        # Not on viser's few threads for callbacks: pictures wait for one another, and everybody's controls would wait with them.
+        thread = threading.Thread(target=self._read_upload, name="explorer-upload", daemon=True)
+        try:
+            thread.start()
+        except BaseException:
+            self._reading.release()
+            raise
+
+    def _read_upload(self) -> None:
         try:
             file = self._upload.value
             if not file.name:  # two came at once, and the later has been read in place of both

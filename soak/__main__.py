@@ -19,7 +19,8 @@ from soak.run import Soak
 class Arguments:
     """Drives the real explorer with many clients at once, and checks every answer against a direct computation.
 
-    Ends with status 1 when an answer was wrong, anything failed, or memory, threads, or file handles stayed.
+    Ends with status 1 when an answer was wrong, anything failed, a client waited much longer than the others, or memory,
+    threads, or file handles stayed.
     """
 
     minutes: float = 10.0

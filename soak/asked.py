@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 from urllib.parse import parse_qsl
@@ -94,14 +95,33 @@ class Naming(Protocol):
         """What the page's address must say of it."""
 
 
-KEYS = ("task", "query", "with", "angle", "shift", "down", "zoom", "weights", "off", "why", "lab")
+KEYS = (
+    "task", "query", "with", "angle", "shift", "down", "zoom", "weights", "off", "why", "lab",
+    "region", "map", "city", "apart", "rings", "heat", "shows", "part", "opacity", "theme",
+)  # fmt: skip
+"""What the page's address says of a state. No client asks for those of the second line, so they may never be there."""
 
 
 def fits(naming: Naming, asked: Asked, link: str | None, status: dict[str, str]) -> bool:
     """Whether a page's address and the attributes of its status line say that it shows what was asked for."""
     if link is None:
         return False
-    given = dict(parse_qsl(link.removeprefix("?"), keep_blank_values=True))
     shown = (status.get("query"), status.get("name"), status.get("angle"))
     wanted = (str(asked.query), naming.label(asked), f"{asked.angle:g}")
-    return shown == wanted and {key: given[key] for key in KEYS if key in given} == naming.address(asked)
+    return shown == wanted and _given(link) == naming.address(asked)
+
+
+def strange(naming: Naming, asked: Iterable[Asked], links: Iterable[str]) -> list[str]:
+    """What a page's addresses say that nothing of what was asked for has, such as "angle=20"; "no angle" where one says none.
+
+    Each key by itself: the app reads its controls one after the other, so of two that move one may be a step ahead.
+    """
+    said = [naming.address(one) for one in asked]
+    known = {key: {one.get(key) for one in said} for key in KEYS}
+    odd = [(key, given.get(key)) for given in map(_given, links) for key in KEYS if given.get(key) not in known[key]]
+    return [f"no {key}" if value is None else f"{key}={value}" for key, value in odd]
+
+
+def _given(link: str) -> dict[str, str]:
+    given = dict(parse_qsl(link.removeprefix("?"), keep_blank_values=True))
+    return {key: given[key] for key in KEYS if key in given}

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from playwright.sync_api import Browser, BrowserContext, Error, Locator, Page, Playwright, sync_playwright
 
 from soak import reading
-from soak.asked import Asked, Naming, Own, fits
+from soak.asked import Asked, Naming, Own, fits, strange
 from soak.hand import BOUND, RATE, FaultError, Settled, StoppedError
 
 T = TypeVar("T")
@@ -29,14 +29,14 @@ SHOWN = """
   const told = window.lpn;
   if (told?.address && !told.listened) {
     const plain = told.address;
-    told.address = (query, keys) => { told.listened = query; plain(query, keys); };
-    told.listened = true;
+    told.listened = [];
+    told.address = (query, keys) => { told.listened.push(query); plain(query, keys); };
   }
-  const link = typeof told?.listened === "string" ? told.listened : location.search;
-  return [link, html("lpn-status"), html("lpn-matches"), html("lpn-parts")];
+  const links = told?.listened?.splice(0) ?? [];
+  return [links, location.search, html("lpn-status"), html("lpn-matches"), html("lpn-parts")];
 }
 """
-"""The page writes its address late, so what it is told to write is noted when it is told."""
+"""The page writes its address late, so what it is told to write is noted when it is told, and taken with the next look."""
 EVERY = 0.03
 """Seconds between two looks at the page."""
 KEYS = {"Why this tile?": "y", "Failure laboratory": "b", "Next ›": "n", "‹ Previous": "p"}
@@ -56,13 +56,17 @@ class Chromium:
 
     def __enter__(self) -> Browser:
         self._playwright = sync_playwright().start()
-        self.browser = launch(self._playwright, handle_sigint=False)
+        try:
+            self.browser = launch(self._playwright, handle_sigint=False)
+        except BaseException:
+            self._playwright.stop()
+            raise
         return self.browser
 
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(Exception):  # Ctrl-C ends the browser, too
-            self.browser.close()
-            self._playwright.stop()
+        for end in (self.browser.close, self._playwright.stop):
+            with contextlib.suppress(Exception):  # Ctrl-C ends the browser, too
+                end()
 
 
 class Tab:
@@ -74,31 +78,36 @@ class Tab:
         stop: set when the soak ends.
     """
 
-    remote = False
-
     def __init__(self, browser: Browser, url: str, naming: Naming, stop: threading.Event) -> None:
         self._browser, self._url, self._naming, self._stop = browser, url, naming, stop
         self._context: BrowserContext | None = None
         self._changed = time.monotonic()
+        self._link: str | None = None
+        self._links: list[str] = []
+        self._before: list[Asked] = []
         self.page: Page
 
     def enter(self, link: str) -> None:
         """Open the page by a link's query, as somebody who has seen the tour."""
         began = time.monotonic()
+        self._link, self._links, self._before = None, [], []
+        self.errors: list[str] = []
+        self._doing(self._open)
+        self._doing(lambda: self.page.goto(f"{self._url}/?{link}"))
+        self._await(lambda: reading.status(self._look()[1]).get("seq", "0") != "0", "a first answer")
+        notice = self.page.locator(".mantine-Notification-closeButton")  # of software WebGL
+        if self._doing(notice.count):
+            self._doing(notice.first.click)
+        self._doing(lambda: self.page.get_by_text("Shift and zoom", exact=True).click())
+        self._doing(lambda: self.page.wait_for_timeout(400))
+        self._changed = began
+
+    def _open(self) -> None:
         self._context = self._browser.new_context(viewport={"width": 1280, "height": 800})
         self._context.add_init_script("localStorage.setItem('lpn-tour', 'seen')")
         self._context.set_default_timeout(1000 * BOUND)
         self.page = self._context.new_page()
-        self.errors: list[str] = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
-        self._doing(lambda: self.page.goto(f"{self._url}/?{link}"))
-        self._await(lambda: reading.status(self._look()[1]).get("seq", "0") != "0", "a first answer")
-        notice = self.page.locator(".mantine-Notification-closeButton")  # of software WebGL
-        if self._doing(notice.count, change=False):
-            self._doing(notice.first.click)
-        self._doing(lambda: self.page.get_by_text("Shift and zoom", exact=True).click())
-        self.page.wait_for_timeout(400)
-        self._changed = began
 
     def drag(self, label: str, values: list[float]) -> float:
         """Drag a slider's thumb to the places of values; the page rounds to what a pixel is."""
@@ -116,9 +125,9 @@ class Tab:
             mouse.down()
             for value in values:
                 mouse.move(box["x"] + box["width"] * (value - low) / (high - low), height)
+                self._changed = time.monotonic()
                 time.sleep(1 / RATE)
             mouse.up()
-            self._changed = time.monotonic()
             return float(row.locator("input").last.input_value())
 
         return self._doing(moved)
@@ -131,11 +140,11 @@ class Tab:
             box.fill(f"{value:g}")
             box.press("Enter")
 
-        self._doing(typed)
+        self._changing(typed)
 
     def switch(self, label: str, on: bool) -> None:
         """Set a checkbox."""
-        self._doing(lambda: self._row(label).locator("input").last.set_checked(on))
+        self._changing(lambda: self._row(label).locator("input").last.set_checked(on))
 
     def press(self, label: str) -> None:
         """Press the key that does what a button does."""
@@ -144,7 +153,7 @@ class Tab:
             self.page.evaluate("document.activeElement.blur()")
             self.page.keyboard.press(KEYS[label])
 
-        self._doing(pressed)
+        self._changing(pressed)
 
     def choose(self, label: str, option: str) -> None:
         """Take an option: of the buttons in a row by its key, else of a list."""
@@ -156,19 +165,19 @@ class Tab:
             self.page.get_by_label(label, exact=True).click()
             self.page.get_by_role("option", name=option, exact=True).click()
 
-        self._doing(chosen)
+        self._changing(chosen)
 
     def send(self, own: Own) -> None:
         """Upload a picture."""
         file = {"name": own.name, "mimeType": "image/jpeg", "buffer": own.content}
-        self._doing(lambda: self.page.locator("input[type=file]").set_input_files(file))  # type: ignore[arg-type]
+        self._changing(lambda: self.page.locator("input[type=file]").set_input_files(file))  # type: ignore[arg-type]
 
     def open_tab(self, name: str) -> None:
         """Open a tab of a panel."""
         self._doing(lambda: self.page.get_by_role("tab", name=name).click())
 
-    def settle(self, asked: Asked, path: Iterable[Asked] = ()) -> Settled:  # noqa: ARG002
-        """Wait for the answer."""
+    def settle(self, asked: Asked, path: Iterable[Asked] = ()) -> Settled:
+        """Wait for the answer, and see that the page's address said nothing else before it."""
         found = list[tuple[str | None, str, str, str]]()
 
         def there() -> bool:
@@ -181,6 +190,10 @@ class Tab:
         seconds = time.monotonic() - self._changed
         if self.errors:
             raise FaultError("page error", "; ".join(self.errors[:3]))
+        links, self._links = self._links, []
+        if said := strange(self._naming, [asked, *path, *self._before], links):
+            raise FaultError("foreign state", f"the page's address said {', '.join(said)}, which was not asked for")
+        self._before = [asked]
         return Settled(reading.shown(*found[0][1:]), seconds)
 
     def leave(self, how: str) -> None:
@@ -193,17 +206,18 @@ class Tab:
                 context.close()
 
     def _look(self) -> tuple[str | None, str, str, str]:
-        link, status, matches, parts = self.page.evaluate(SHOWN)
-        return link, status, matches, parts
+        links, address, status, matches, parts = self.page.evaluate(SHOWN)
+        self._links += links
+        self._link = links[-1] if links else self._link
+        return address if self._link is None else self._link, status, matches, parts
 
     def _row(self, label: str) -> Locator:
         return self.page.locator(f'label:text-is("{label}")').locator("xpath=ancestor::div[contains(@class,'Flex')][1]")
 
     def _await(self, holds: Callable[[], bool], what: str) -> None:
         deadline = time.monotonic() + BOUND
-        while not self._doing(holds, change=False):
-            if self._stop.wait(EVERY):
-                raise StoppedError
+        while not self._doing(holds):
+            time.sleep(EVERY)
             if time.monotonic() > deadline:
                 link, status, *_ = self._look()
                 raise FaultError(
@@ -211,16 +225,16 @@ class Tab:
                     f"expected {what} within {BOUND:g} s; the page shows {link} with {reading.status(status)}",
                 )
 
-    def _doing(self, act: Callable[[], T], change: bool = True) -> T:
+    def _changing(self, act: Callable[[], object]) -> None:
+        """Do what is to be answered."""
+        self._doing(act)
+        self._changed = time.monotonic()
+
+    def _doing(self, act: Callable[[], T]) -> T:
         """Do something with the page; what fails is the page's fault, unless the soak ends."""
-        if self._stop.is_set():
-            raise StoppedError
         try:
-            found = act()
+            return act()
         except (Error, AssertionError) as error:
             if self._stop.is_set():
                 raise StoppedError from error
             raise FaultError("page", f"{type(error).__name__}: {str(error)[:400]}") from error
-        if change:
-            self._changed = time.monotonic()
-        return found

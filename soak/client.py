@@ -31,6 +31,7 @@ class Talker:
         controls: each control's latest properties by its uuid.
         elements: the latest html of what has an id of the app's own, such as lpn-status, by that id.
         link: the query that the page's address was last set to, None before the first answer.
+        links: all of these in the order in which they came; who reads them may empty the list.
         statuses: status lines in the order in which they came; who reads them may empty the list.
         notices: titles and texts of notifications.
         kinds: of all messages that came.
@@ -49,6 +50,7 @@ class Talker:
         self.controls: dict[str, dict[str, Any]] = {}
         self.elements: dict[str, str] = {}
         self.link: str | None = None
+        self.links: list[str] = []
         self.statuses: list[str] = []
         self.notices: list[tuple[str, str]] = []
         self.kinds: list[str] = []
@@ -183,6 +185,8 @@ class Talker:
             while True:
                 self._take(self._socket.recv())
         except (ConnectionClosed, OSError):
+            pass
+        finally:  # also when what came cannot be read: it would be waited for in vain
             with self._heard:
                 self.closed.set()
                 self._heard.notify_all()
@@ -218,3 +222,4 @@ class Talker:
         if found := _ADDRESS.search(content):
             call = json.loads(html.unescape(found[1]))
             self.link = json.JSONDecoder().raw_decode(call, len("lpn.address("))[0]
+            self.links.append(str(self.link))

@@ -18,6 +18,8 @@ from soak.server import Held
 FIRST_MINUTE = 60.0
 """Seconds in which caches fill, and the memory that so many clients need at once is taken; half of a run that is shorter than
 two minutes."""
+WHILE = 30.0
+"""Seconds whose median stands for the memory at a moment: it goes up and down by tens of megabytes with what is being drawn."""
 GROWTH = 64.0
 """Megabytes that the server may grow after that: what the caches of tiles, cards, and pictures (explorer.exhibit) still lack.
 Ten minutes of visits, of which each kept a megabyte, are more."""
@@ -26,6 +28,8 @@ CALLBACKS = 32
 LEFT_THREADS, LEFT_HANDLES = 2, 2
 """Threads and file handles more than before the clients came that the server may have after they left: a thread of the server's
 own may be at work at that moment, and a handle of a picture be open. Every client has several of each."""
+SLOWEST, ENOUGH = 3.0, 20
+"""How many times the median of all a client's own may be, of clients with so many answers at least: of fewer it says little."""
 SHOWN_FAULTS = 12
 
 
@@ -53,8 +57,8 @@ class Memory:
     Attributes:
         empty: before anybody came.
         before: after one client came and went.
-        minute: after the first minute of all clients.
-        end: before they left.
+        minute: after the first minute of all clients, the sample of median memory of some seconds.
+        end: before they left, likewise.
         left: after they left.
         growth: of memory after the first minute, megabytes an hour, along a line through all samples; None for a run that
             is too short to say.
@@ -80,7 +84,10 @@ class Memory:
         if later[-1].at - later[0].at >= FIRST_MINUTE:
             line = np.polyfit([held.at for held in later], [held.megabytes for held in later], 1)
             growth = float(3600 * line[0])
-        return Memory(empty, before, later[0], later[-1], left, growth, tuple(during))
+        length = min(WHILE, (later[-1].at - later[0].at) / 2)
+        minute = _usual([held for held in later if held.at <= later[0].at + length])
+        end = _usual([held for held in later if held.at >= later[-1].at - length])
+        return Memory(empty, before, minute, end, left, growth, tuple(during))
 
     @property
     def warm(self) -> float:
@@ -108,6 +115,11 @@ class Memory:
     def most(self) -> tuple[int, int]:
         """Threads and file handles that may be left."""
         return bounds(self.empty, self.before)
+
+
+def _usual(samples: Sequence[Held]) -> Held:
+    """The sample of median memory."""
+    return sorted(samples, key=lambda held: held.megabytes)[len(samples) // 2]
 
 
 def bounds(empty: Held | None, before: Held | None) -> tuple[int, int]:
@@ -143,10 +155,11 @@ class Figures:
         ]
         return Spread.of(found)
 
-    def fairness(self) -> tuple[float, float]:
-        """The slowest client's median and 95th percentile over the median of all; NaN without answers."""
+    def fairness(self, least: int = 1) -> tuple[float, float]:
+        """The slowest client's median and 95th percentile over the median of all, of clients with so many answers at least;
+        NaN without any."""
         each = [self.spread("together", who) for who in self._names("client")]
-        each = [spread for spread in each if spread.count]
+        each = [spread for spread in each if spread.count >= least]
         usual = self.spread("together").median
         if not each:
             return float("nan"), float("nan")
@@ -158,6 +171,12 @@ class Figures:
         found = [f"{count} x {kind}." for kind, count in kinds.most_common()]
         found += [f"{len(self.tracebacks)} tracebacks in the server's log."] if self.tracebacks else []
         found += [] if self.checked else ["No answer was checked."]
+        found += [f"{self.unchecked:,} answers were not checked."] if self.unchecked else []
+        median, _ = self.fairness(ENOUGH)
+        if median > SLOWEST:
+            found.append(
+                f"The slowest client's median is {median:.2f} times that of all; expected {SLOWEST:g} or less."
+            )
         return found + self.memory.flaws()
 
     def json(self) -> bytes:
@@ -221,7 +240,7 @@ class Figures:
         ]
         if self.pages:
             lines.append(("pages in Chromium: median, p95, longest", _said(self.spread("together", "page"))))
-        if memory.before is None:
+        if memory.empty is None:
             return [*lines, ("memory, threads, handles", "not known: this system has no /proc")]
         for what, held in (
             ("after one client left", memory.before),

@@ -8,8 +8,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from websockets.exceptions import WebSocketException
+
 from soak import reading
-from soak.asked import Asked, Naming, Own, fits
+from soak.asked import Asked, Naming, Own, fits, strange
 from soak.client import CHUNK, Talker
 from soak.reading import Shown
 
@@ -52,9 +54,6 @@ class Settled:
 class Hand(Protocol):
     """Works a page; each call is what a person does with it. Raises FaultError and StoppedError."""
 
-    remote: bool
-    """Whether it is a websocket alone, which can send what no page would."""
-
     def enter(self, link: str) -> None:
         """Open the page by a link's query."""
 
@@ -93,13 +92,11 @@ class Socket:
         stop: set when the soak ends.
     """
 
-    remote = True
-
     def __init__(self, url: str, naming: Naming, stop: threading.Event) -> None:
         self._url, self._naming, self._stop = url, naming, stop
         self._talker: Talker | None = None
         self._changed = time.monotonic()
-        self._before: set[tuple[str, str, str]] = set()
+        self._before: list[Asked] = []
 
     @property
     def talker(self) -> Talker:
@@ -109,18 +106,20 @@ class Socket:
 
     def enter(self, link: str) -> None:
         """Connect, show a camera, and greet as the page does."""
-        self._changed = time.monotonic()
+        began = time.monotonic()
         try:
             self._talker = Talker(self._url, origin=self._url, open_timeout=BOUND)
-        except OSError as error:
+        except (OSError, WebSocketException) as error:
             raise FaultError("no connection", f"{type(error).__name__}: {error}") from error
         self.talker.camera()
         self._await(lambda: self.talker.find("page") is not None, "the page's controls", "none came")
-        self.talker.tell("hello", {"search": f"?{link}", "small": False})
-        # Until it is greeted a page may be shown what every page is.
-        self._await(lambda: self.talker.link is not None, "a first answer", "none came")
-        self.talker.statuses.clear()
-        self._before = set()
+        hello = {"search": f"?{link}", "small": False}
+        self.tell("hello", hello)
+        # Again and again, as the page does: the app may not be listening yet.
+        self._await(
+            lambda: self.talker.link is not None, "a first answer", "none came", lambda: self.tell("hello", hello)
+        )
+        self._changed, self._before = began, []
 
     def drag(self, label: str, values: list[float]) -> float:
         """Send the values at the page's pace."""
@@ -164,22 +163,24 @@ class Socket:
 
     def settle(self, asked: Asked, path: Iterable[Asked] = ()) -> Settled:
         """Wait for the answer, and see that nothing else was shown before it."""
-        talker, caught = self.talker, list[tuple[dict[str, str], float, list[str]]]()
+        talker, caught = self.talker, list[tuple[dict[str, str], float, list[str], list[str]]]()
 
         def there() -> bool:  # nothing is taken in meanwhile
             found = fits(self._naming, asked, talker.link, reading.status(talker.elements.get("lpn-status", "")))
             if found:
-                caught.append((dict(talker.elements), talker.heard, list(talker.statuses)))
+                caught.append((dict(talker.elements), talker.heard, list(talker.statuses), list(talker.links)))
                 talker.statuses.clear()
+                talker.links.clear()
             return found
 
         self._await(there, f"{self._naming.address(asked)} with {self._naming.label(asked)},", None)
-        elements, heard, statuses = caught[0]
+        elements, heard, statuses, links = caught[0]
         refused = [f"{title}: {text}" for title, text in talker.notices if title == "No answer"]
         talker.notices.clear()
         if refused:
             raise FaultError("refused", " ".join(refused))
-        self._foreign([asked, *path], statuses)
+        self._foreign([asked, *path, *self._before], statuses, links)
+        self._before = [asked]
         found = reading.shown(*(elements.get(part, "") for part in ("lpn-status", "lpn-matches", "lpn-parts")))
         return Settled(found, max(heard - self._changed, 0.0))
 
@@ -193,26 +194,31 @@ class Socket:
         """Whether the server ends the connection."""
         return self.talker.gone(seconds)
 
-    def _foreign(self, path: list[Asked], statuses: list[str]) -> None:
+    def _foreign(self, path: list[Asked], statuses: list[str], links: list[str]) -> None:
         """Raise FaultError when a state was shown that this client never asked for."""
         own = {(str(one.query), self._naming.label(one), f"{one.angle:g}") for one in path}
         lines = [said for said in map(reading.status, statuses) if said.get("seq", "0") != "0"]
         shown = {(said["query"], said["name"], said["angle"]) for said in lines}
-        if strange := shown - own - self._before:
-            raise FaultError("foreign state", f"the page showed {sorted(strange)}; asked for were {sorted(own)}")
-        self._before = {(str(path[0].query), self._naming.label(path[0]), f"{path[0].angle:g}")}
+        if odd := shown - own:
+            raise FaultError("foreign state", f"the page showed {sorted(odd)}; asked for were {sorted(own)}")
+        if said := strange(self._naming, path, links):
+            raise FaultError("foreign state", f"the page's address said {', '.join(said)}, which was not asked for")
 
-    def _await(self, holds: Callable[[], bool], what: str, found: str | None) -> None:
+    def _await(
+        self, holds: Callable[[], bool], what: str, found: str | None, again: Callable[[], None] = lambda: None
+    ) -> None:
+        """Wait; also when the soak ends meanwhile, or what never comes in a short one would not be noticed."""
         deadline = time.monotonic() + BOUND
         while not self.talker.until(holds, 0.5):
-            if self._stop.is_set():
-                raise StoppedError
             if self.talker.closed.is_set():
+                if self._stop.is_set():
+                    raise StoppedError
                 raise FaultError("disconnected", f"the server ended the connection while {what} was awaited")
             if time.monotonic() > deadline:
                 status = reading.status(self.talker.elements.get("lpn-status", ""))
                 shown = found or f"the page shows {self.talker.link} with {status}"
                 raise FaultError("no answer", f"expected {what} within {BOUND:g} s; {shown}")
+            again()
 
     def _sending(self, act: Callable[[], None]) -> None:
         try:

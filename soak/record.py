@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import queue
 import threading
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from soak.reference import Reference
 
 CHANGES = ("drag", "parts", "pick", "compare")
 """The acts whose times count: one query described at most, and one ranking."""
+OWN_ERROR = "the soak's own error"
+"""A kind of fault: something that was to be checked was not."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,7 @@ class Record:
     Attributes:
         phase: of the answers that come now.
         times, faults: so far.
+        waiting: answers that are still to be checked.
         checked, wrong: answers compared with the direct computation, and those that differ.
         visits: pages opened.
         clients: pages that are open now.
@@ -76,7 +80,7 @@ class Record:
         self.phase = "alone"
         self.times: list[Time] = []
         self.faults: list[Fault] = []
-        self.checked = self.wrong = self.visits = self.clients = 0
+        self.waiting = self.checked = self.wrong = self.visits = self.clients = 0
         self._thread = threading.Thread(target=self._check, name="soak-check", daemon=True)
         self._thread.start()
 
@@ -94,8 +98,9 @@ class Record:
 
     def answer(self, answer: Answer) -> None:
         """Keep the time, and have the answer checked."""
-        if answer.seconds is not None:
-            with self._lock:
+        with self._lock:
+            self.waiting += 1
+            if answer.seconds is not None:
                 self.times.append(Time(self.phase, answer.who, answer.kind, answer.seconds))
         self._answers.put(answer)
 
@@ -103,11 +108,6 @@ class Record:
         """Keep what went wrong."""
         with self._lock:
             self.faults.append(fault)
-
-    @property
-    def waiting(self) -> int:
-        """Answers that are still to be checked."""
-        return self._answers.qsize()
 
     def close(self) -> None:
         """Wait until all answers are checked."""
@@ -118,8 +118,15 @@ class Record:
         with suppress(OSError, AttributeError):  # the server goes first
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
         while (answer := self._answers.get()) is not None:
-            flaws = self._reference.flaws(answer.asked, answer.shown)
-            self.checked += 1
+            try:
+                flaws = self._reference.flaws(answer.asked, answer.shown)
+            except Exception as error:  # those after it are to be checked all the same
+                said = "".join(traceback.format_exception(error))
+                self.fault(Fault(OWN_ERROR, answer.who, answer.step, f"{answer.said}: {said}"))
+                continue
+            with self._lock:
+                self.waiting -= 1
+                self.checked += 1
+                self.wrong += bool(flaws)
             if flaws:
-                self.wrong += 1
                 self.fault(Fault("wrong answer", answer.who, answer.step, f"{answer.said}: {'; '.join(flaws)}"))

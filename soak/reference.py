@@ -32,6 +32,8 @@ are described one by one here and may be described together there."""
 EQUAL = 1e-4
 """Scores that differ by less may stand in either order, for the same reason."""
 SIGNS = {True: "✓", False: "✗", None: "?"}
+SAMPLE, NEAR = 8, 0.999
+"""Tiles of a gallery that are described anew, and the least cosine of each part with the one that is on the disk."""
 _KEPT = 5000
 _SIDE = 320
 
@@ -57,6 +59,9 @@ class Side:
 class Reference:
     """Computes what a page must show. Used from one thread at a time, but for `label`, `address`, and `own`.
 
+    Queries are described here. The gallery's descriptors are those that lie on the disk, as for everybody; that they are of
+    their pictures is seen in a sample.
+
     Raises:
         LPNError: when data set or model cannot be used.
     """
@@ -74,6 +79,7 @@ class Reference:
             labels = np.array([entry.label for entry in gallery], np.int64)
             known = features.known_side(opened, gallery, views[1], data, "gallery")
             truth = dataset.truth(name)
+            self._look_at(gallery, known.descriptors, views[1])
             self.sides[name] = Side(views[0], dataset.queries(views[0]), gallery, known.descriptors, labels, truth)
         if not self.sides:
             raise DataError(f"The model knows none of the views of {data}; give a data set and a model that fit.")
@@ -82,6 +88,18 @@ class Reference:
         self.reach = opened.spec.input_size[1] // 2, opened.spec.input_size[0] // 2
         self._picture = lru_cache(maxsize=200)(images.load_picture)
         self._described: OrderedDict[object, FloatArray] = OrderedDict()
+
+    def _look_at(self, gallery: list[Picture], descriptors: FloatArray, view: View) -> None:
+        """Raise DataError when descriptors are not of their pictures."""
+        for index in sorted({round(at) for at in np.linspace(0, len(gallery) - 1, SAMPLE)}):
+            picture = images.load_picture(gallery[index].path)
+            found = retrieval.describe_picture(self._model, picture, view).descriptor
+            least = float(explain.part_cosines(found, descriptors[index : index + 1]).min())
+            if not least >= NEAR:
+                raise DataError(
+                    f"The stored descriptor of {gallery[index].name} is not that of its picture: the cosine of a part is "
+                    f"{least:.3f}. Describe the gallery anew."
+                )
 
     def first(self) -> Asked:
         """What every page shows that asks for nothing."""
@@ -132,13 +150,13 @@ class Reference:
         if len(rows) != len(expected):
             found.append(f"{len(rows)} tiles are shown; expected {len(expected)}")
         for row, match in zip(rows, expected, strict=False):
-            found += self._row(side, row, self._here(ranking, row, match))
+            found += self._row(side, row, self._here(ranking, row, match), match.gap)
         below = [row for row in shown.rows if row.below]
         beyond = truth if truth is not None and truth.rank > len(expected) else None
         if len(below) != (beyond is not None):
             found.append(f"{len(below)} true tiles are shown below; expected {int(beyond is not None)}")
         for row, match in zip(below, [beyond] if beyond else [], strict=False):
-            found += self._row(side, row, self._here(ranking, row, match))
+            found += self._row(side, row, self._here(ranking, row, match), match.gap)
         if shown.status.get("top") != str(rows[0].index):
             found.append(f"the status line says tile {shown.status.get('top')}, the list {rows[0].index}")
         compared = ranking.find(rows[0].index)
@@ -157,7 +175,8 @@ class Reference:
             return other if abs(other.score - match.score) <= EQUAL else match
         return match
 
-    def _row(self, side: Side, row: Row, match: Match) -> list[str]:
+    def _row(self, side: Side, row: Row, match: Match, gap: float | None) -> list[str]:
+        """What is wrong with a row. The gap is of its place: tiles of equal scores have another in the other order."""
         if row.index != match.index:
             return [
                 f"rank {match.rank} is tile {row.index} at {row.distance}; expected {match.index} at {match.distance2:.3f}"
@@ -170,7 +189,7 @@ class Reference:
         ):
             expected = f"{match.rank} {SIGNS[match.true]} {side.gallery[row.index].name}"
             found.append(f"tile {row.index} is called {' '.join(row.texts[:3])}; expected {expected}")
-        numbers = [("distance", row.distance, match.distance2), ("gap", row.gap, match.gap)]
+        numbers = [("distance", row.distance, match.distance2), ("gap", row.gap, gap)]
         numbers += [(f"share {i + 1}", *pair) for i, pair in enumerate(zip(row.shares, match.shares, strict=True))]
         for what, here, there in numbers:
             if (here is None) != (there is None) or (
@@ -198,9 +217,9 @@ class Reference:
 
     def _descriptor(self, asked: Asked, side: Side) -> FloatArray:
         change = Change(asked.angle, asked.right, asked.zoom, asked.down).of(side.queries[asked.query])
-        key = (side.query_view, asked.own.name if asked.own else side.queries[asked.query].path, change)
+        entry = side.queries[asked.query]
+        key = (side.query_view, asked.own.name if asked.own else (entry.path, entry.box), change)
         if key not in self._described:
-            entry = side.queries[asked.query]
             if asked.own:
                 picture = images.decode_picture(asked.own.content, asked.own.name)
             else:

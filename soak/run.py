@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ from pathlib import Path
 from soak.chromium import Chromium, Tab
 from soak.figures import CALLBACKS, Figures, Memory, bounds
 from soak.hand import FaultError, Socket
-from soak.record import Fault, Record
+from soak.record import OWN_ERROR, Fault, Record
 from soak.reference import Reference
 from soak.script import Client
 from soak.server import Held, Server
@@ -22,6 +23,8 @@ EVERY = 2.0
 """Seconds between two samples of what the server holds."""
 LEAVING = 30.0
 """Seconds that the server has to free what clients held."""
+ENDING = 90.0
+"""Seconds that clients have to end, each after the answer that it waits for."""
 STAGGER = 0.2
 """Seconds between the first visits of two clients."""
 FLOOD, FLOODS = 200, 6
@@ -65,8 +68,8 @@ class Soak:
             empty, before, together = server.held(0.0, 0), None, 0.0
             try:
                 self.say(f"One client alone, {self.alone:g} s")
-                self._flood(server, reference, empty)
-                self._phase(server, record, reference, self.alone, [self._alone])
+                self._flood(server, record, reference, empty)
+                self._phase(server, record, reference, self.alone, {"client 0": self._alone})
                 before = self._settled(server, record, None, None)
                 record.phase = "together"
                 self.say(
@@ -74,9 +77,8 @@ class Soak:
                 )
                 self._samples.clear()
                 began = time.monotonic()
-                starts = [self._client(i + 1) for i in range(self.clients)] + [
-                    self._page(i + 1) for i in range(self.pages)
-                ]
+                starts: dict[str, _Start] = {f"client {i + 1}": self._client for i in range(self.clients)}
+                starts |= {f"page {i + 1}": self._page for i in range(self.pages)}
                 try:
                     self._phase(server, record, reference, self.together, starts)
                 finally:
@@ -89,22 +91,28 @@ class Soak:
             self.say(f"Checking the last {record.waiting:,} answers")
             with suppress(KeyboardInterrupt):
                 record.close()
-            tracebacks = server.tracebacks()
+        if server.killed:
+            record.fault(Fault("server did not end", "", 0, f"it was killed; it said at last: {server.said()[-2000:]}"))
         memory = Memory.of(empty, before, during if before else [], left)
         unchecked = record.waiting
         return Figures(
             self.seed, self.clients, self.pages, together, record.visits, record.checked, record.wrong, unchecked,
-            record.faults, tracebacks, record.times, memory,
+            record.faults, server.tracebacks(), record.times, memory,
         )  # fmt: skip
 
     def _phase(
-        self, server: Server, record: Record, reference: Reference, seconds: float, starts: list[_Start]
+        self, server: Server, record: Record, reference: Reference, seconds: float, starts: Mapping[str, _Start]
     ) -> None:
         stop = threading.Event()
-        threads = [
-            threading.Thread(target=start, args=(server, record, reference, stop), name="soak-client", daemon=True)
-            for start in starts
-        ]
+
+        def begin(who: str) -> None:
+            try:
+                starts[who](who, server, record, reference, stop)
+            except Exception as error:  # such as no browser; who is not there has no wrong answers
+                if not stop.is_set():
+                    record.fault(Fault(OWN_ERROR, who, 0, "".join(traceback.format_exception(error))))
+
+        threads = [threading.Thread(target=begin, args=(who,), name=who, daemon=True) for who in starts]
         deadline = time.monotonic() + seconds
         try:
             for thread in threads:
@@ -118,30 +126,27 @@ class Soak:
                 self._sample(server, record)
         finally:
             stop.set()
+            until = time.monotonic() + ENDING
             for thread in threads:
                 if thread.ident is not None:
-                    thread.join(90)
+                    thread.join(max(until - time.monotonic(), 0))
+                if thread.is_alive():
+                    record.fault(Fault(OWN_ERROR, thread.name, 0, f"it has not ended after {ENDING:g} s"))
 
-    def _alone(self, server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
+    def _alone(self, who: str, server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
         hand = Socket(server.url, reference, stop)
-        Client("client 0", self.seed, hand, reference, record, stop, stays=True).run()
+        Client(who, self.seed, hand, reference, record, stop, stays=True).run()
 
-    def _client(self, number: int) -> _Start:
-        def start(server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
-            hand = Socket(server.url, reference, stop)
-            Client(f"client {number}", self.seed, hand, reference, record, stop, stays=False).run()
+    def _client(self, who: str, server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
+        hand = Socket(server.url, reference, stop)
+        Client(who, self.seed, hand, reference, record, stop, stays=False).run()
 
-        return start
+    def _page(self, who: str, server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
+        with Chromium() as browser:
+            hand = Tab(browser, server.url, reference, stop)
+            Client(who, self.seed, hand, reference, record, stop, stays=False).run()
 
-    def _page(self, number: int) -> _Start:
-        def start(server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
-            with Chromium() as browser:
-                hand = Tab(browser, server.url, reference, stop)
-                Client(f"page {number}", self.seed, hand, reference, record, stop, stays=False).run()
-
-        return start
-
-    def _flood(self, server: Server, reference: Reference, empty: Held | None) -> None:
+    def _flood(self, server: Server, record: Record, reference: Reference, empty: Held | None) -> None:
         """So many changes at once that the threads which viser keeps for good are there before any are counted."""
         hands = [Socket(server.url, reference, threading.Event()) for _ in range(8)]
 
@@ -149,7 +154,7 @@ class Soak:
             for value in range(FLOOD):
                 hand.set("Rotate", value % 180)
 
-        with suppress(FaultError):
+        try:
             for hand in hands:
                 hand.enter("")
             for _ in range(FLOODS):
@@ -159,8 +164,11 @@ class Soak:
                 with ThreadPoolExecutor(len(hands)) as pool:
                     list(pool.map(send, hands))
                 time.sleep(1.5)
-        for hand in hands:
-            hand.leave("close")
+        except FaultError as fault:
+            record.fault(Fault(fault.kind, "many changes at once", 0, fault.text))
+        finally:
+            for hand in hands:
+                hand.leave("close")
 
     def _sample(self, server: Server, record: Record) -> Held | None:
         held = server.held(time.monotonic() - self._began, record.clients)
@@ -179,4 +187,4 @@ class Soak:
                 return held
 
 
-_Start = Callable[[Server, Record, Reference, threading.Event], None]
+_Start = Callable[[str, Server, Record, Reference, threading.Event], None]

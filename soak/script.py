@@ -13,7 +13,7 @@ from random import Random
 from soak.asked import Asked
 from soak.chromium import Tab
 from soak.hand import FaultError, Hand, Socket, StoppedError
-from soak.record import Answer, Fault, Record
+from soak.record import OWN_ERROR, Answer, Fault, Record
 from soak.reference import Reference
 
 PAUSE = 1.0
@@ -72,7 +72,7 @@ class Client:
             raise
         except Exception as error:
             said = "".join(traceback.format_exception(error))
-            self._record.fault(Fault("the soak's own error", self._who, self._step, f"{self._did}: {said}"))
+            self._record.fault(Fault(OWN_ERROR, self._who, self._step, f"{self._did}: {said}"))
             self._hand.leave("vanish")
 
     def _enter(self) -> None:
@@ -88,7 +88,7 @@ class Client:
         self._begin(f"opened ?{link}")
         self._hand.enter(link)
         self._asked = asked
-        self._settle("open", asked)
+        self._settle("open", asked, [first])  # which a page may be shown until it is heard
 
     def _act(self) -> None:
         acts: list[tuple[float, Callable[[], None]]] = [
@@ -105,9 +105,15 @@ class Client:
         self._rng.choices([act for _, act in acts], [weight for weight, _ in acts])[0]()
 
     def _drag(self) -> None:
-        """One slider, moved back and forth."""
+        """One slider, moved back and forth, or a number typed beside it."""
         label = self._rng.choice(["Rotate", "Rotate", "Zoom", *self._more()])
-        self._dragged(label, self._path(label, self._rng.randint(4, 40)))
+        values = self._path(label, self._rng.randint(4, 40))
+        if isinstance(self._hand, Tab) and self._rng.random() < 0.3:
+            self._begin(f"typed {values[-1]:g} beside {label}")
+            self._hand.fill(label, values[-1])
+            self._settle("drag", self._moved(self._asked, label, values[-1]))
+        else:
+            self._dragged(label, values)
 
     def _more(self) -> list[str]:
         return ["Shift right", "Shift down"] if isinstance(self._hand, Socket) else []
@@ -116,10 +122,9 @@ class Client:
         self._begin(f"dragged {label} {len(values)} times to {values[-1]:g}")
         before = self._asked
         left = self._hand.drag(label, values)
-        path = [self._moved(before, label, value) for value in values]
-        if isinstance(self._hand, Tab):
-            path = [self._moved(before, label, left)]
-        self._settle("drag", self._moved(before, label, left), path)
+        # What a mouse passes is a matter of pixels.
+        passed = self._values(label) if isinstance(self._hand, Tab) else values
+        self._settle("drag", self._moved(before, label, left), [self._moved(before, label, value) for value in passed])
 
     def _drag_two(self) -> None:
         """Two sliders by turns, as two fingers do."""
@@ -135,19 +140,22 @@ class Client:
 
     def _path(self, label: str, count: int) -> list[float]:
         """Values of a drag, which ends where the slider was at no time of it."""
+        known = self._values(label)
+        start, speed = self._rng.randrange(len(known)), self._rng.choice([1, 2, 5])
+        values = [known[(start + speed * i) % len(known)] for i in range(count)]
+        taken = {*values[:-1], self._value(label)}
+        while values[-1] in taken:
+            values[-1] = known[self._rng.randrange(len(known))]
+        return values
+
+    def _values(self, label: str) -> list[float]:
+        """All values of a slider."""
         right, down = self._reference.reach
         low, high, unit = {
             "Rotate": (-180, 180, 1.0), "Zoom": (0.25, 4.0, 0.05), "Shift right": (-right, right, 1.0),
             "Shift down": (-down, down, 1.0),
         }.get(label, (0.0, 2.0, 0.05))  # fmt: skip
-        steps = round((high - low) / unit)
-        start, speed = self._rng.randrange(steps + 1), self._rng.choice([1, 2, 5])
-        path = [(start + speed * i) % (steps + 1) for i in range(count)]
-        values = [round(low + unit * step, 2) for step in path]
-        taken = {*values[:-1], self._value(label)}
-        while values[-1] in taken:
-            values[-1] = round(low + unit * self._rng.randrange(steps + 1), 2)
-        return values
+        return [round(low + unit * step, 2) for step in range(round((high - low) / unit) + 1)]
 
     def _value(self, label: str) -> float:
         asked = self._asked
@@ -204,8 +212,8 @@ class Client:
             return
         query = self._rng.choice(side.unique)
         self._begin(f"typed the name of query {query}")
-        self._hand.set("Find name", " ")  # the same name twice would be no change
-        self._hand.set("Find name", side.queries[query].name)
+        # The same name twice would be no change, so spaces follow that do not count.
+        self._hand.set("Find name", side.queries[query].name + " " * (self._step % 50))
         self._settle("pick", self._asked.picked(query))
 
     def _compare(self) -> None:
@@ -314,6 +322,8 @@ class Client:
         self._hand.leave("close" if how == "close" else "vanish")
 
     def _begin(self, did: str) -> None:
+        if self._stop.is_set():
+            raise StoppedError
         self._step += 1
         self._did = did
 

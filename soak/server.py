@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -18,6 +17,8 @@ from lpn.errors import LPNError
 
 START = 300.0
 """Seconds that it may take to start; a data set that was never described takes long."""
+END = 10.0
+"""Seconds that it may take to end; it has promised two (lpn.stopping), on a machine that does nothing else."""
 _TRACEBACK = re.compile(r"Traceback \(most recent call last\):\n(?:[ \t].*\n|\n)*.*\n?")
 
 
@@ -42,13 +43,18 @@ class Held:
 class Server:
     """`lpn explore` on a free port, for a `with` block.
 
+    Attributes:
+        url: of its page.
+        killed: whether it did not end when it was told to.
+
     Raises:
         LPNError: when it does not start; the text is what it said.
     """
 
-    def __init__(self, options: list[str], stopped: Callable[[], bool] = lambda: False) -> None:
-        self._options, self._stopped = options, stopped
-        self.url = ""
+    def __init__(self, options: list[str]) -> None:
+        self._options = options
+        self.url, self.killed = "", False
+        self._said: str | None = None
 
     def __enter__(self) -> Self:
         with socket.socket() as probe:
@@ -75,11 +81,14 @@ class Server:
     def __exit__(self, *_: object) -> None:
         self._process.send_signal(signal.SIGTERM)
         try:
-            self._process.wait(10)
+            self._process.wait(END)
         except subprocess.TimeoutExpired:
+            self.killed = True
+        finally:  # also when the soak is told to stop meanwhile
             self._process.kill()
             self._process.wait()
-        self._log.close()
+            self._said = self.said()
+            self._log.close()
 
     @property
     def alive(self) -> bool:
@@ -87,8 +96,8 @@ class Server:
         return self._process.poll() is None
 
     def said(self) -> str:
-        """All that it printed."""
-        return Path(self._log.name).read_text("utf-8", errors="replace")
+        """All that it printed, also after it ended."""
+        return Path(self._log.name).read_text("utf-8", errors="replace") if self._said is None else self._said
 
     def tracebacks(self) -> list[str]:
         """Those in what it printed, each with the line that names the error."""

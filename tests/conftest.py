@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +16,14 @@ from lpn.datasets import open_dataset
 from lpn.recipes import RECIPES
 from lpn.train import Trainer
 from tests import worlds
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _cache_of_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Nor does what is made once for several tests, which is made before the cache of any one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -10,20 +10,28 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from random import Random
+from typing import Any
 
+import numpy as np
 import pytest
 
 from explorer.app import App
 from explorer.exhibit import Analyst, Answer
 from explorer.opening import open_model
 from explorer.session import State
+from lpn import features
 from lpn.errors import LPNError
+from lpn.model import normalise
 from soak import hand, reading
-from soak.asked import Asked, fits
-from soak.figures import CALLBACKS, GROWTH, LEFT_HANDLES, LEFT_THREADS, Figures, Memory
-from soak.hand import FaultError, Socket
-from soak.record import Fault, Record, Time
-from soak.reference import Reference
+from soak import server as server_module
+from soak.asked import Asked, fits, strange
+from soak.figures import CALLBACKS, ENOUGH, GROWTH, LEFT_HANDLES, LEFT_THREADS, Figures, Memory
+from soak.hand import FaultError, Socket, StoppedError
+from soak.reading import Row, Shown
+from soak.record import OWN_ERROR, Fault, Record, Time
+from soak.record import Answer as Answered
+from soak.reference import EQUAL, SIGNS, Reference
+from soak.run import Soak
 from soak.script import Client
 from soak.server import Held, Server
 
@@ -37,8 +45,10 @@ def reference(data: Path, model_file: Path) -> Reference:
 def running(data: Path, model_file: Path) -> Iterator[App]:
     """The app in this process."""
     served = App(open_model(data, model_file), "127.0.0.1", 0)
-    yield served
-    served.close()
+    try:
+        yield served
+    finally:
+        served.close()
 
 
 @pytest.fixture(scope="module")
@@ -128,8 +138,87 @@ def test_an_address_that_says_less_or_more_does_not_fit(reference: Reference) ->
     assert fits(reference, asked, f"?{link}&websocket=x", said)
     assert not fits(reference, asked, link.replace("0.5", "0.6"), said)
     assert not fits(reference, asked, f"{link}&off=2", said)
+    assert not fits(reference, asked, f"{link}&opacity=0.1", said), "which no client asks for"
     assert not fits(reference, asked, link, {**said, "name": "another's"})
     assert not fits(reference, asked, None, said)
+
+
+def test_an_address_is_strange_that_says_what_none_of_a_clients_acts_asked_for(reference: Reference) -> None:
+    before = replace(reference.first(), query=3)
+    path = [replace(before, angle=angle, zoom=zoom) for angle, zoom in ((10.0, 1.0), (10.0, 2.0), (20.0, 2.0))]
+    link = f"task={before.task}&query={reference.label(before)}"
+    assert strange(reference, [*path, before], [link]) == []
+    assert strange(reference, [*path, before], [link, f"{link}&angle=20&zoom=2"]) == []
+    assert strange(reference, [*path, before], [f"{link}&angle=20"]) == []
+    assert strange(reference, path, [link]) == ["no angle"]
+    assert strange(reference, path, [f"{link}&angle=21&zoom=2&lab=1", link]) == ["angle=21", "lab=1", "no angle"]
+
+
+def printed(reference: Reference, asked: Asked, order: list[int]) -> Shown:
+    """A page that shows tiles in an order, and of each what is right of it, the gap to the next in that order."""
+    ranking, side, rows = reference.ranking(asked), reference.sides[asked.task], []
+    for at, index in enumerate(order[:10]):
+        match = ranking.find(index)
+        gap = 2 * (ranking.scores[index] - ranking.scores[order[at + 1]])
+        texts = [str(at + 1), SIGNS[match.true], side.gallery[index].name, f"{match.distance2:.3f}", f"+{gap:.3f}"]
+        rows.append(Row(index, at == 0, False, texts, [float(share) for share in match.shares]))
+    chosen, truth = ranking.find(order[0]), ranking.truth()
+    assert truth is not None
+    if truth.rank > 10:
+        texts = [str(truth.rank), SIGNS[True], side.gallery[truth.index].name, f"{truth.distance2:.3f}"]
+        texts += [] if truth.gap is None else [f"+{truth.gap:.3f}"]
+        rows.append(Row(truth.index, False, True, texts, [float(share) for share in truth.shares]))
+    parts = [
+        [name, f"{100 * weight:.0f} %", f"{cosine:+.3f}", f"{share:.3f}"]
+        for name, weight, cosine, share in zip(
+            reference.names, ranking.weights, chosen.cosines, chosen.shares, strict=True
+        )
+    ]
+    table = [["part"], *parts, ["sum", "100 %", "", f"{chosen.distance2:.3f}"]]
+    return Shown({"top": str(order[0]), "chosen": str(order[0])}, rows, table)
+
+
+def test_tiles_of_equal_scores_may_stand_in_either_order(data: Path, model_file: Path) -> None:
+    reference = Reference(data, model_file)
+    asked = replace(reference.first(), query=3)
+    side = reference.sides[asked.task]
+    drawn = normalise(np.random.default_rng(0).normal(size=side.descriptors.shape).astype(np.float32))
+    drawn[4] = drawn[3]
+    reference.sides[asked.task] = replace(side, descriptors=drawn)
+    order = reference.ranking(asked).order.tolist()
+    scores = reference.ranking(asked).scores[order]
+    at = order.index(3)
+    assert order[at + 1] == 4
+    assert scores[at - 1] - scores[at] > 10 * EQUAL < scores[at + 1] - scores[at + 2]
+    assert reference.flaws(asked, printed(reference, asked, order)) == []
+    order[at : at + 2] = 4, 3
+    assert reference.flaws(asked, printed(reference, asked, order)) == []
+    order[at : at + 2] = order[at + 2], 4
+    assert reference.flaws(asked, printed(reference, asked, order))
+
+
+def test_two_queries_of_one_picture_are_described_each_within_its_box(data: Path, model_file: Path) -> None:
+    reference = Reference(data, model_file)
+    asked = reference.first()
+    side = reference.sides[asked.task]
+    boxes = [(0.0, 0.0, 40.0, 40.0), (40.0, 40.0, 96.0, 96.0)]
+    reference.sides[asked.task] = replace(side, queries=[replace(side.queries[0], box=box) for box in boxes])
+    one, other = (reference.ranking(replace(asked, query=query)).scores for query in (0, 1))
+    assert not np.array_equal(one, other)
+
+
+def test_descriptors_that_are_not_of_their_pictures_are_no_reference(
+    data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = features.known_side
+
+    def wrong(*asked: Any) -> Any:
+        found = right(*asked)
+        return replace(found, descriptors=found.descriptors[::-1])
+
+    monkeypatch.setattr(features, "known_side", wrong)
+    with pytest.raises(LPNError, match="is not that of its picture"):
+        Reference(data, model_file)
 
 
 def test_an_answer_computed_for_another_angle_is_noticed(
@@ -148,8 +237,9 @@ def test_an_answer_computed_for_another_angle_is_noticed(
     assert reference.flaws(asked, client.settle(asked).shown)
 
 
+@pytest.mark.parametrize("others", [{"query": 7}, {"weights": (0.5, 1.0, 1.0, 1.0)}, {"zoom": 2.0}, {"opacity": 0.1}])
 def test_anothers_state_is_noticed_even_when_the_right_one_follows(
-    app: App, client: Socket, reference: Reference, monkeypatch: pytest.MonkeyPatch
+    app: App, client: Socket, reference: Reference, monkeypatch: pytest.MonkeyPatch, others: dict[str, Any]
 ) -> None:
     monkeypatch.setattr(hand, "BOUND", 20.0)
     asked = entered(client, reference)
@@ -161,7 +251,7 @@ def test_anothers_state_is_noticed_even_when_the_right_one_follows(
         seen.append(state)
         if len(seen) == 1:
             visitor._worker.wake()
-            return right(self, replace(state, query=7), k)
+            return right(self, replace(state, **others), k)
         time.sleep(0.5)  # viser leaves out what is replaced before it is sent
         return right(self, state, k)
 
@@ -185,6 +275,59 @@ def test_an_answer_that_never_comes_and_a_server_that_hangs_up_are_faults(
         client.settle(replace(asked, angle=21.0))
 
 
+def test_what_is_waited_for_at_the_end_of_a_soak_is_waited_for(
+    app: App, reference: Reference, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop = threading.Event()
+    client = Socket(url(app), reference, stop)
+    asked = entered(client, reference)
+    client.settle(asked)
+    client.set("Rotate", 50.0)
+    stop.set()
+    client.settle(replace(asked, angle=50.0))
+    monkeypatch.setattr(hand, "BOUND", 1.0)
+    with pytest.raises(FaultError, match="no answer"):
+        client.settle(replace(asked, angle=21.0))
+    record = Record(reference)
+    with pytest.raises(StoppedError):
+        Client("client 1", 0, client, reference, record, stop, stays=False)._act()
+    record.close()
+    client.leave("close")
+
+
+def test_the_same_name_can_be_typed_again_and_again(
+    client: Socket, reference: Reference, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hand, "BOUND", 20.0)
+    record = Record(reference)
+    script = Client("client 1", 0, client, reference, record, threading.Event(), stays=False)
+    script._enter()
+    side = reference.sides[script._asked.task]
+    monkeypatch.setitem(side.__dict__, "unique", side.unique[:1])
+    for _ in range(8):
+        script._find()
+        script._dragged("Rotate", script._path("Rotate", 1))
+    record.close()
+    assert record.faults == []
+
+
+def test_a_page_is_greeted_until_it_listens(app: App, reference: Reference, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hand, "BOUND", 20.0)
+    heard: list[str] = []
+    right = hand.Talker.tell
+
+    def tell(self: hand.Talker, kind: str, value: object) -> None:
+        heard.append(kind)
+        if len(heard) > 1:
+            right(self, kind, value)
+
+    monkeypatch.setattr(hand.Talker, "tell", tell)
+    client = Socket(url(app), reference, threading.Event())
+    client.settle(entered(client, reference))
+    assert len(heard) > 1
+    client.leave("close")
+
+
 def test_a_client_does_the_same_again_with_the_same_seed(app: App, reference: Reference) -> None:
     did = []
     for seed in (1, 1, 2):
@@ -205,6 +348,53 @@ def test_a_client_does_the_same_again_with_the_same_seed(app: App, reference: Re
     assert did[0] != did[2]
 
 
+def test_a_check_that_fails_is_an_error_and_the_next_answer_is_checked(
+    reference: Reference, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def flaws(_: Reference, asked: Asked, __: Shown) -> list[str]:
+        if asked.angle:
+            raise LPNError("cannot be checked")
+        return []
+
+    monkeypatch.setattr(Reference, "flaws", flaws)
+    record, shown = Record(reference), Shown({}, [], [])
+    for angle in (5.0, 0.0):
+        asked = replace(reference.first(), angle=angle)
+        record.answer(Answered("drag", "client 1", 1, "dragged", asked, shown, 0.1))
+    record.close()
+    assert (record.checked, record.waiting) == (1, 1)
+    assert [fault.kind for fault in record.faults] == [OWN_ERROR]
+    assert "cannot be checked" in record.faults[0].said
+
+
+class Idle(Server):
+    """A server that is not there, for clients that never ask it."""
+
+    alive = True  # type: ignore[assignment]
+
+    def held(self, *_: object) -> None:
+        return None
+
+
+def test_a_client_that_cannot_begin_or_does_not_end_is_an_error(
+    reference: Reference, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("soak.run.ENDING", 0.2)
+    let = threading.Event()
+
+    def cannot(*_: object) -> None:
+        raise RuntimeError("there is no browser")
+
+    record = Record(reference)
+    soak = Soak(tmp_path, tmp_path, [], 1, 2, 0, 0.0, 0.0)
+    starts = {"page 1": cannot, "page 2": lambda *_: bool(let.wait(30))}
+    soak._phase(Idle([]), record, reference, 0.5, starts)  # type: ignore[arg-type]
+    let.set()
+    record.close()
+    assert [(fault.kind, fault.who) for fault in record.faults] == [(OWN_ERROR, "page 1"), (OWN_ERROR, "page 2")]
+    assert "there is no browser" in record.faults[0].said
+
+
 def held(megabytes: float, threads: int = 10, handles: int = 5, at: float = 0.0) -> Held:
     return Held(at, megabytes, threads, handles, 0)
 
@@ -219,14 +409,19 @@ def test_what_is_left_behind_is_a_flaw() -> None:
     memory = Memory.of(empty, before, during, held(310, threads=4 + CALLBACKS + LEFT_THREADS))
     assert memory.growth == pytest.approx(360)
     assert memory.minute is not None
-    assert memory.minute.at == 60
+    assert memory.minute.at == 76
     assert memory.flaws() == []
     for left in (
-        held(306 + GROWTH + 1),
+        held(memory.minute.megabytes + GROWTH + 1),
         held(300, threads=4 + CALLBACKS + LEFT_THREADS + 1),
         held(300, handles=6 + LEFT_HANDLES),
     ):
         assert len(Memory.of(empty, before, during, left).flaws()) == 1, left
+    grows = [held(300 + at / 5, at=at) for at in range(0, 600, 2)]
+    assert len(Memory.of(empty, before, grows, held(300)).flaws()) == 1
+    waves = [held(300 + (20 if at % 4 else -20), at=at) for at in range(0, 602, 2)]
+    waves[30], waves[-1] = held(100, at=60), held(500, at=600)
+    assert Memory.of(empty, before, waves, held(300)).flaws() == [], "one moment says nothing"
     assert Memory.of(None, None, [], None).flaws() == []
     assert Memory.of(empty, before, during[:10], before).growth is None
 
@@ -240,6 +435,14 @@ def test_fairness_is_the_slowest_clients_median_over_that_of_all(capsys: pytest.
     said = json.loads(found.json())
     assert said["by client"]["client 2"]["median"] == 3.0
     assert said["alone"]["median"] is None
+    assert replace(found, unchecked=2).flaws() == ["2 answers were not checked."]
+    waits = [*times, *[Time("together", "client 4", "drag", 1.0)] * 2 * ENOUGH]
+    waits += [Time("together", "client 3", "drag", 3.1)] * (ENOUGH - 1)
+    assert replace(found, times=waits).flaws() == [], "of so few answers, it may be chance"
+    waits.append(Time("together", "client 3", "drag", 3.1))
+    assert replace(found, times=waits).flaws() == [
+        "The slowest client's median is 3.10 times that of all; expected 3 or less."
+    ]
     failed = replace(found, faults=[Fault("wrong answer", "client 2", 4, "dragged")], tracebacks=["Traceback"])
     assert failed.flaws() == ["1 x wrong answer.", "1 tracebacks in the server's log."]
     assert capsys.readouterr().out == ""
@@ -249,3 +452,14 @@ def test_a_server_that_does_not_start_says_why(tmp_path: Path) -> None:
     nowhere = Server(["--data", str(tmp_path), "--model", str(tmp_path / "none.onnx")])
     with pytest.raises(LPNError, match=r"did not start. It said: .*none\.onnx"), nowhere:
         pass
+
+
+def test_a_server_that_does_not_end_is_killed_and_what_it_said_is_kept(
+    data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Server(["--data", str(data), "--model", str(model_file)]) as server:
+        assert server.alive
+        monkeypatch.setattr(server_module, "END", 0.0)
+    assert server.killed
+    assert not server.alive
+    assert "ready: http://" in server.said()

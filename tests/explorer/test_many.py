@@ -10,6 +10,7 @@ import time
 import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -22,7 +23,7 @@ from viser import GuiApi, SceneApi
 
 import lpn
 from explorer import app as app_module
-from explorer import asker, session
+from explorer import asker, session, upload
 from explorer.app import App, Visitor
 from explorer.asker import Asker
 from explorer.exhibit import Analyst, Exhibit
@@ -269,6 +270,22 @@ def test_a_value_that_comes_while_an_older_one_is_taken_stays(app: App) -> None:
         assert slider.value == 12
 
 
+def test_a_picture_that_waits_to_be_read_keeps_nobodys_controls_waiting(
+    app: App, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reading = threading.BoundedSemaphore(1)
+    monkeypatch.setattr(upload, "_READING", reading)
+    with Browser(url(app)) as browser, ThreadPoolExecutor(1) as pool:
+        browser.greet()
+        # In place of the threads that viser has for all browsers' callbacks.
+        monkeypatch.setattr(visitor_of(app, browser)._client.gui, "_thread_executor", pool)
+        with reading:
+            browser.upload("mine.png", picture(90))
+            until(visitor_of(app, browser)._panels._reading.locked)
+            browser.turn(7)
+        browser.wait(lambda: browser.status("name") == "mine.png")
+
+
 def test_a_failure_is_told_from_being_busy(app: App, gate: Gate) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
@@ -336,7 +353,7 @@ def test_a_saved_result_without_a_network_serves_many(places: Path, model_file: 
 
 def at_work() -> bool:
     """Whether a thread works for a browser."""
-    return any(re.match("explorer-(worker|job|follower)", thread.name) for thread in threading.enumerate())
+    return any(re.match("explorer-(worker|job|follower|upload)", thread.name) for thread in threading.enumerate())
 
 
 def held() -> Counter[str]:

@@ -1,0 +1,44 @@
+"""Html that several threads show something in."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+from typing import Any, cast
+
+import viser
+
+from explorer.html import Html
+
+
+class Handle:
+    """Stands for viser's handle: a text is on its way until it may arrive."""
+
+    def __init__(self) -> None:
+        self.shown, self.begun, self.arrive = "", threading.Event(), threading.Event()
+
+    @property
+    def content(self) -> str:
+        return self.shown
+
+    @content.setter
+    def content(self, text: str) -> None:
+        if text == "one":
+            self.begun.set()
+            assert self.arrive.wait(30)
+        self.shown = text
+
+
+def test_what_is_shown_last_stays() -> None:
+    handle = Handle()
+    gui: Any = SimpleNamespace(add_html=lambda _: handle)
+    html = Html(cast(viser.GuiApi, gui))
+    threads = [threading.Thread(target=html.show, args=(text,)) for text in ("one", "two")]
+    threads[0].start()
+    assert handle.begun.wait(30)
+    threads[1].start()
+    threads[1].join(0.2)
+    handle.arrive.set()
+    for thread in threads:
+        thread.join()
+    assert handle.shown == "two"
