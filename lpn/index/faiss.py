@@ -55,7 +55,7 @@ class FaissIndex(FolderIndex):
     engine = "faiss"
     largest = 8 << 30
 
-    def __init__(self, folder: str | Path, nprobe: int = 32, depth: int = 8) -> None:
+    def __init__(self, folder: str | Path, nprobe: int = 64, depth: int = 16) -> None:
         self._faiss = cast(Any, import_module("faiss"))
         super().__init__(folder)
         if nprobe < 1 or depth < 1:
@@ -66,7 +66,7 @@ class FaissIndex(FolderIndex):
 
     @classmethod
     def create(
-        cls, folder: str | Path, kind: Kind, codes: Codes = "sq8", nprobe: int = 32, depth: int = 8
+        cls, folder: str | Path, kind: Kind, codes: Codes = "sq8", nprobe: int = 64, depth: int = 16
     ) -> FaissIndex:
         """Make an empty index, or open the one of the same kind that is there.
 

@@ -39,7 +39,7 @@ def test_many_at_once_are_each_answered_rightly_and_leave_nothing_behind(
 ) -> None:
     options = ["--data", str(places), "--model", str(model_file)]
     said: list[str] = []
-    soak = Soak(places, model_file, options, clients=8, pages=1, seed=0, alone=5, together=30, say=said.append)
+    soak = Soak(places, model_file, options, clients=8, pages=1, seed=0, alone=5, together=55, say=said.append)
     figures = soak.run()
     assert not figures.faults, figures.faults
     assert not figures.tracebacks
