@@ -25,7 +25,12 @@ from tests.lpn.milvus_server import Server, milvus_python
 K = 10
 SETTLED = 12
 """Seconds after which searches wait no longer for what was written just before."""
-EFFORTS: dict[Structure, tuple[int, ...]] = {"flat": (1,), "ivf": (1, 8, 32, 128), "hnsw": (16, 64, 256)}
+EFFORTS: dict[Structure, tuple[int, ...]] = {
+    "flat": (1,),
+    "ivf": (1, 8, 32, 128),
+    "sq8": (8, 32, 128),
+    "hnsw": (16, 64, 256),
+}
 
 
 def indexed(client: Any, name: str, structure: Structure) -> None:

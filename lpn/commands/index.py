@@ -33,8 +33,8 @@ class MakeIndex:
     """Of the copy that exact scans: float16 and int8 take more disk and are searched faster, with the same answers."""
     codes: Literal["flat", "sq8", "pq"] | None = None
     """For faiss: sq8, by default, keeps a byte for each number, pq one for 32 and misses more; flat compares every vector."""
-    structure: Literal["flat", "ivf", "hnsw"] | None = None
-    """For milvus: flat, by default, compares every vector; ivf and hnsw look at some, quicker among many, and miss a few."""
+    structure: Literal["flat", "ivf", "sq8", "hnsw"] | None = None
+    """For milvus: flat, by default, compares every vector; the others look at some, quicker among many, and miss a few."""
     replace: bool = False
     """Add all tiles anew, also those whose names are there, as after pictures or positions have changed."""
 

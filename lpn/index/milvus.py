@@ -48,7 +48,7 @@ from lpn.index.base import (
 
 FORMAT = "lpn-milvus/1"
 SCHEME = "milvus"
-Structure = Literal["flat", "ivf", "hnsw"]
+Structure = Literal["flat", "ivf", "sq8", "hnsw"]
 
 _NOWHERE = 1000.0
 """Latitude and longitude of a tile that has none: 2.3 knows no null, and no box reaches so far."""
@@ -63,6 +63,7 @@ _PAUSES = (0.2, 0.5, 1.0, 2.0)
 _BUILD: dict[Structure, dict[str, Any]] = {
     "flat": {"index_type": "FLAT", "params": {}},
     "ivf": {"index_type": "IVF_FLAT", "params": {"nlist": 1024}},
+    "sq8": {"index_type": "IVF_SQ8", "params": {"nlist": 1024}},
     "hnsw": {"index_type": "HNSW", "params": {"M": 32, "efConstruction": 200}},
 }
 _REFUSED = {65, 100, 1100, 1101, 1800}
@@ -77,7 +78,7 @@ class MilvusIndex(Index):
     Args:
         url: milvus://host:port/collection, or milvus://user:password@host:port/collection.
         patience: seconds for which a server that does not answer is tried again.
-        effort: lists (ivf) or neighbours (hnsw) looked through; more miss fewer tiles and take longer.
+        effort: lists (ivf, sq8) or neighbours (hnsw) looked through; more miss fewer tiles and take longer.
 
     Raises:
         StoreError: when there is no such server or collection, or it is not one of ours.
@@ -106,7 +107,8 @@ class MilvusIndex(Index):
         """Make an empty collection, or open the one of the same kind that is there.
 
         Args:
-            structure: flat compares every vector and misses nothing; ivf and hnsw are quicker among many tiles.
+            structure: flat compares every vector and misses nothing; ivf and hnsw are quicker among many tiles, and so is
+                sq8, which keeps a quarter as much in memory: a byte a number. Twice as many tiles are asked for there.
 
         Raises:
             StoreError: when there is no server, or the collection holds something else.
@@ -236,12 +238,13 @@ class MilvusIndex(Index):
 
     def _searched(self, wanted: Exact, k: int, box: Box | None, client: Any) -> list[dict[str, Any]]:
         recent = time.monotonic() - self._written < _RECENT
-        effort = {"flat": {}, "ivf": {"nprobe": self._effort}, "hnsw": {"ef": max(self._effort, k)}}[self.structure]
+        lists = {"nprobe": self._effort}
+        effort = {"flat": {}, "ivf": lists, "sq8": lists, "hnsw": {"ef": max(self._effort, k)}}[self.structure]
         found = client.search(
             self._name,
             data=[wanted.astype(np.float32).tolist()],
             filter="" if box is None else expression(box),
-            limit=k,
+            limit=min(2 * k, self.most) if self.structure == "sq8" else k,
             output_fields=["name", "vector", "latitude", "longitude"],
             search_params={"metric_type": "IP", "params": effort},
             anns_field="vector",

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
@@ -218,9 +220,28 @@ class Explorer:
         self.page.get_by_role("tab", name=name).click()
 
     def stage(self) -> bytes:
-        """A picture of the 3-D stage."""
-        self.page.wait_for_timeout(700)
-        return self.canvas.screenshot()
+        """A picture of the 3-D stage, taken when it moves no more."""
+        self.page.wait_for_timeout(500)
+        before, shown = b"", self.canvas.screenshot()
+        for _ in range(20):
+            if shown == before:
+                break
+            self.page.wait_for_timeout(200)
+            before, shown = shown, self.canvas.screenshot()
+        return shown
+
+    def filled(self, axis: int) -> float:
+        """How much of the stage's height (axis 0) or width (axis 1) its things take: 0 to 1."""
+        picture = cv2.imdecode(np.frombuffer(self.stage(), np.uint8), cv2.IMREAD_COLOR)
+        places = np.flatnonzero((picture > 90).any(axis=(1 - axis, 2)))
+        return float(places[-1] - places[0]) / picture.shape[axis] if len(places) else 0.0
+
+    def expect_filled(self, axis: int, share: float) -> None:
+        """Wait until they take more than that."""
+        for _ in range(10):
+            if (found := self.filled(axis)) > share:
+                return
+        raise AssertionError(f"things take {found:.2f} of the stage; expected more than {share}")
 
 
 @pytest.fixture

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import socket
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -33,15 +35,21 @@ def milvus_python() -> str:
     return python
 
 
+def _free_port() -> int:
+    """A port that nobody has, and that the system gives nobody for a connection either, while the server is down."""
+    for port in random.sample(range(21000, 32000), 1000):
+        with socket.socket() as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise RuntimeError("there is no free port")
+
+
 class Server:
     """A server on a port and a folder of its own, which ends with the block."""
 
     def __init__(self, python: str, folder: Path) -> None:
         self._python, self._folder = python, folder
-        with socket.socket() as one, socket.socket() as other:
-            for free in (one, other):
-                free.bind(("127.0.0.1", 0))
-            self.port, self._health = int(one.getsockname()[1]), int(other.getsockname()[1])
+        self.port, self._health = _free_port(), _free_port()
         self._process: subprocess.Popen[str] | None = None
         self._server = 0
 

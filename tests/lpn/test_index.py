@@ -599,7 +599,7 @@ def test_a_milvus_index_sees_its_own_writes_and_soon_those_of_others(server: Ser
             time.sleep(0.5)
 
 
-@pytest.mark.parametrize("structure", ["ivf", "hnsw"])
+@pytest.mark.parametrize("structure", ["ivf", "sq8", "hnsw"])
 def test_a_milvus_collection_has_the_structure_asked_for(server: Server, structure: Structure) -> None:
     from pymilvus import MilvusClient
 
@@ -610,7 +610,7 @@ def test_a_milvus_collection_has_the_structure_asked_for(server: Server, structu
         tiles.check(index.search(query, None, 1), query, None, 1, None)
         client = MilvusClient(uri=f"http://{server.url.removeprefix('milvus://')}")
         built = client.describe_index(f"of_{structure}", "vector")["index_type"]
-        assert built == {"ivf": "IVF_FLAT", "hnsw": "HNSW"}[structure]
+        assert built == {"ivf": "IVF_FLAT", "sq8": "IVF_SQ8", "hnsw": "HNSW"}[structure]
         client.drop_collection(f"of_{structure}")
         client.close()
         started = time.monotonic()
