@@ -111,7 +111,9 @@ class Client:
         if isinstance(self._hand, Tab) and self._rng.random() < 0.3:
             self._begin(f"typed {values[-1]:g} beside {label}")
             self._hand.fill(label, values[-1])
-            self._settle("drag", self._moved(self._asked, label, values[-1]))
+            before = self._asked
+            mistyped = [self._moved(before, label, value) for value in self._values(label)]  # see soak.chromium.TYPINGS
+            self._settle("drag", self._moved(before, label, values[-1]), mistyped)
         else:
             self._dragged(label, values)
 
