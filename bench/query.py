@@ -102,6 +102,7 @@ def measure(name: str, spec: ModelSpec, dataset: Dataset, folder: Path) -> list[
 def figures(root: Path | None = None) -> list[Figure]:
     """The figures of both networks."""
     torch.set_num_threads(usable_cores())
+    images.use_all_cores()  # as the explorer does
     torch.manual_seed(0)
     found: list[Figure] = []
     with tempfile.TemporaryDirectory() as made:

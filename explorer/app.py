@@ -37,6 +37,7 @@ from explorer.room import Room
 from explorer.session import State
 from explorer.stage import SCENE, Stage
 from explorer.worker import Patience, Worker
+from lpn import images
 from lpn.errors import InputError, LPNError
 from lpn.files import printable
 from lpn.logs import conceal
@@ -296,6 +297,7 @@ def _serve(opened: Callable[[], Exhibit], host: str, port: int, door: Entry | No
     host = host or "0.0.0.0"
     _check_free(host, port)
     pool_memory()
+    images.use_all_cores()
     app = App(opened(), host, port, door)
     gc.collect()
     gc.freeze()  # what is there from the start stays, and need not be looked through whenever a browser leaves

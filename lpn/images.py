@@ -15,6 +15,7 @@ from PIL import Image
 
 from lpn.errors import PictureError
 from lpn.files import printable
+from lpn.machine import usable_cores
 
 # Its remarks on damaged files would stand between the sentences that name them.
 if hasattr(cv2, "setLogLevel"):  # OpenCV 4
@@ -123,6 +124,16 @@ def _other_kind(file: BinaryIO) -> str | None:
     if start.startswith(b"<svg") or (start.startswith((b"<?xml", b"<!--", b"<!DOCTYPE svg")) and b"<svg" in start):
         return "is a drawing (SVG), not a photo; save it as PNG"
     return None
+
+
+def use_all_cores() -> None:
+    """Have pictures that are turned one by one use every core, also where OpenCV's threads slept before; for a whole process.
+
+    OpenCV wakes one thread fewer than it is told of, by default as many as there are cores. On two cores that is a single one,
+    which the system tends to put on the core of its waker: the other stays idle.
+    """
+    cores = usable_cores()
+    cv2.setNumThreads(cores + 1 if cores > 1 else 1)
 
 
 def rotate(picture: Picture, degrees: float) -> Picture:

@@ -10,6 +10,7 @@ from PIL import Image
 
 from lpn import images
 from lpn.errors import PictureError
+from lpn.machine import usable_cores
 from tests import worlds
 
 
@@ -81,3 +82,17 @@ def test_a_decompression_bomb_is_refused_before_it_is_decoded() -> None:
     Image.new("1", (10_000, 10_000)).save(bomb, "PNG")
     with pytest.raises(PictureError, match="10000 x 10000"):
         images.decode_picture(bomb.getvalue(), "bomb.png")
+
+
+@pytest.mark.skipif(usable_cores() < 2, reason="needs two cores")
+def test_pictures_are_turned_alike_on_one_core_and_on_all() -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (300, 400, 3), np.uint8)
+    before = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(1)
+        alone = images.rotate(picture, 33)
+        images.use_all_cores()
+        assert cv2.getNumThreads() > usable_cores()
+        assert np.array_equal(images.rotate(picture, 33), alone)
+    finally:
+        cv2.setNumThreads(before)
