@@ -325,14 +325,15 @@ class FolderIndex(Index):
             if 2 * size < segment.rows:
                 if size:
                     entries.append(self._segment(number, segment.batches(mask), size))
+                    number = self._free(number + 1)
             elif mask is not segment.alive:
                 assert mask is not None
                 dead = f"dead-{number:07d}.npy"
                 np.save(segment.folder / dead, ~mask)
                 entries.append(replace(entry, dead=dead, dead_crc=zlib.crc32((segment.folder / dead).read_bytes())))
+                number = self._free(number + 1)
             else:
                 entries.append(entry)
-            number = self._free(number + 1)
 
         def gathered() -> Iterator[Batch]:
             for segment, mask in zip(segments[kept:], masks[kept:], strict=True):
