@@ -86,6 +86,8 @@ def test_what_somebody_puts_into_an_index_is_never_deleted(tmp_path: Path) -> No
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             (place / name).write_bytes(b"not ours")
         (place / "0000006").symlink_to(tmp_path / "elsewhere")
+        (place / "0000007").mkdir()
+        (place / "0000007" / "vectors.npy").symlink_to(tmp_path / "elsewhere" / "vectors.npy")
         # What a killed add left is ours.
         shutil.copytree(place / "0000001", place / "0000009", ignore=shutil.ignore_patterns("photo.jpg", "dead-*"))
         (place / "0000009" / "checksums.json.4194303-12.part").write_bytes(b"{")
@@ -95,11 +97,11 @@ def test_what_somebody_puts_into_an_index_is_never_deleted(tmp_path: Path) -> No
         query = tiles.descriptors[17]
         tiles.check(index.search(query, None, 300), query, None, 300, None)
     assert [name for name in own if (place / name).read_bytes() != b"not ours"] == []
-    assert (place / "0000006" / "vectors.npy").read_bytes() == b"not ours"
+    assert all((place / name / "vectors.npy").read_bytes() == b"not ours" for name in ("0000006", "0000007"))
     named = {entry["name"] for entry in json.loads((place / "index.json").read_text())["segments"]}
     assert "0000001" not in named
     left = {path.name for path in place.iterdir()} - named
-    assert left == {"index.json", "0000006", *(name.partition("/")[0] for name in own)}
+    assert left == {"index.json", "0000006", "0000007", *(name.partition("/")[0] for name in own)}
 
 
 @pytest.mark.usefixtures("unmerged")
@@ -239,11 +241,13 @@ def test_a_box_reads_the_positions_of_segments_on_its_border_alone(
             tiles.check(index.search(query, None, 40, box), query, None, 40, box)
             assert len(read) == count
         # One that has no position is in no box, and one that was replaced is not found where it was.
-        index.add(["nowhere"], query[None])
+        index.add(["nowhere", "somewhere"], query[None].repeat(2, 0), [(np.nan, np.nan), (0, 100)])
+        assert index.search(query, None, 200, (-1, 99, 1, 101)).ids == ["somewhere"]
         index.add(tiles.names[:1], tiles.descriptors[:1], [(0, 0)])
         tiles.positions[0] = 0
         for box, _ in boxes:
-            tiles.check(index.search(query, None, 200, box), query, None, 200, box)
+            if box[0] != -90:  # which has "somewhere" in it
+                tiles.check(index.search(query, None, 200, box), query, None, 200, box)
 
 
 def test_smallest_boxes_meet_and_lie_in_boxes_as_their_corners_do() -> None:
