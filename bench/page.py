@@ -304,6 +304,8 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
 
 def main(arguments: list[str]) -> None:
     """Measure and print."""
+    if len(arguments) not in (0, 2):
+        raise SystemExit(f"Given: {' '.join(arguments)}; expected DATA and MODEL, or nothing.")
     given: list[Any] = [Path(argument) for argument in arguments] or [None, None]
     show("The explorer", figures(*given))
 

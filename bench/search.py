@@ -5,9 +5,10 @@ The peers are NumPy's product with the whole gallery and a partial sort, and fai
 and the vectors of the top 100, as the peers do. The limit is reading the vectors once, by the quickest of a few ways to
 read them; float16 and int8 are to take half of what float32 may. All take turns in one process, and the tables give medians.
 
-Descriptors are drawn about centres, as those of places are. `--growth` makes the table of larger galleries, up to a million
-tiles, of which one index at a time lies on disk (8 kB a tile, at most 12, and as much again while segments are gathered);
-`--recall` that of faiss's inverted lists; both leave out the other figures.
+Descriptors are drawn about centres, as those of places are, and positions uniformly over a rectangle, of which a box holds a
+hundredth; there, NumPy picks out the tiles within and scores these. `--growth` makes the table of larger galleries, up to a
+million tiles, of which one index at a time lies on disk (8 kB a tile, at most 12, and as much again while segments are
+gathered); `--recall` that of faiss's inverted lists, for each of `--codes`; both leave out the other figures.
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ import resource
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -33,7 +36,7 @@ from rich.table import Table
 import bench.figures
 from bench.figures import Figure, below, machine, show, within
 from lpn import explain
-from lpn.index import ExactIndex, Kind
+from lpn.index import Box, ExactIndex, Kind, base
 from lpn.index.scan import PRECISIONS
 from lpn.machine import usable_cores
 from lpn.model import FloatArray, normalise
@@ -43,6 +46,10 @@ TILES = (951, 51_355)
 SMALL = 1000
 """Tiles up to which a search is to take a millisecond at most."""
 OTHER = (0.5, 0.3, 0.2, 0.0)
+CORNERS = (46.0, 6.0), (47.0, 8.0)
+"""South-west and north-east of the rectangle over which tiles lie."""
+BOX: Box = (46.4, 6.6, 46.5, 6.8)
+"""Has a hundredth of its area."""
 TOP = 100
 THREADS = min(8, usable_cores())
 BLOCK = 4096
@@ -59,6 +66,11 @@ def drawn(count: int, seed: int = 0) -> Iterator[tuple[int, FloatArray]]:
         centres = rng.standard_normal((size // 20 + 1, *shape), np.float32)
         about = centres[np.arange(size) // 20] + 0.7 * rng.standard_normal((size, *shape), np.float32)
         yield start, normalise(about + np.random.default_rng(7).standard_normal(shape, np.float32))
+
+
+def places(start: int, count: int) -> base.Exact:
+    """Positions of the tiles of a block, (count, 2)."""
+    return np.random.default_rng([2, start]).uniform(*CORNERS, (count, 2))
 
 
 def queries(gallery: FloatArray) -> FloatArray:
@@ -98,6 +110,7 @@ def top(scores: FloatArray) -> Any:
 def peers(gallery: FloatArray, asked: FloatArray, weights: FloatArray) -> dict[str, Task]:
     """NumPy, and faiss where it is installed; both give positions, scores, and vectors."""
     flat = gallery.reshape(len(gallery), KIND.numbers)
+    positions = np.concatenate([places(start, min(BLOCK, len(flat) - start)) for start in range(0, len(flat), BLOCK)])
     vectors = [KIND.rescaled(query, weights).astype(np.float32) for query in asked]
 
     def by_numpy(number: int) -> object:
@@ -105,7 +118,13 @@ def peers(gallery: FloatArray, asked: FloatArray, weights: FloatArray) -> dict[s
         found = top(scores)
         return found, scores[found], flat[found]
 
-    tasks: dict[str, Task] = {"NumPy": by_numpy}
+    def in_box(number: int) -> object:
+        inside = np.flatnonzero(base.within(positions, BOX))
+        scores = flat[inside] @ vectors[number]
+        found = top(scores)
+        return inside[found], scores[found], flat[inside[found]]
+
+    tasks: dict[str, Task] = {"NumPy": by_numpy, "NumPy in a box": in_box}
     try:
         faiss: Any = import_module("faiss")
     except ImportError:
@@ -123,7 +142,7 @@ def peers(gallery: FloatArray, asked: FloatArray, weights: FloatArray) -> dict[s
 def filled(index: Any, count: int) -> Any:
     """An index with a gallery added in blocks."""
     for start, block in drawn(count):
-        index.add([f"{start + i:07d}" for i in range(len(block))], block)
+        index.add([f"{start + i:07d}" for i in range(len(block))], block, places(start, len(block)))
     return index
 
 
@@ -137,6 +156,7 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
     for name, index in indexes.items():
         for said, weights in (("", equal), (", other weights", other)):
             tasks[f"{name}{said}"] = lambda i, index=index, weights=weights: index.search(asked[i], weights, TOP)
+        tasks[f"{name}, a box of 1 %"] = lambda i, index=index: index.search(asked[i], equal, TOP, BOX)
     found = medians(tasks, rounds)
     for index in indexes.values():
         index.close()
@@ -146,7 +166,9 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
     made = []
     for name in (name for name in found if name.startswith(PRECISIONS)):
         what = f"{title}, {name}"
-        if count <= SMALL:
+        if name.endswith("1 %"):
+            made.append(Figure(f"{what} (peer: NumPy)", found[name], "ms", found["NumPy in a box"]))
+        elif count <= SMALL:
             made.append(below(what, found[name], 1, peer=faiss))
         elif name.startswith("float32"):
             made.append(within(what, found[name], limit, 1.3, peer=faiss))
@@ -165,8 +187,9 @@ def grow(counts: list[int], folder: Path, rounds: int, console: Console) -> None
         "add, s",
         "first search, ms",
         "search, ms",
+        "in a box of 1 %, ms",
         "disk, MB",
-        "memory, MB",
+        "peak of anonymous memory in searches, MB",
         "with maps, MB",
     ):
         table.add_column(column, justify="right")
@@ -190,12 +213,19 @@ def row(count: int, name: Any, folder: Path, rounds: int) -> list[str]:
         started = time.perf_counter()
         index.search(asked[0], None, TOP)
         first = time.perf_counter() - started
-        took = medians({"": lambda i: index.search(asked[i], None, TOP)}, rounds)[""]
+        tasks: dict[str, Task] = {"all": lambda i: index.search(asked[i], None, TOP)}
+        tasks["box"] = lambda i: index.search(asked[i], None, TOP, BOX)
+        took = medians(tasks, rounds)
+        # By searches of their own: looking takes the processor's time from what is measured.
+        with Peak() as peak:
+            for task in tasks.values():
+                for number in range(QUERIES):
+                    task(number)
         disk = sum(file.stat().st_size for file in Path(place).rglob("*") if file.is_file())
-        own = anonymous() - before
         index.close()
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return [f"{added:.1f}", f"{1000 * first:.1f}", f"{took:.2f}", f"{disk / 1e6:,.0f}", f"{own:,.0f}", f"{peak:,.0f}"]
+    maps = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    figures = [f"{added:.1f}", f"{1000 * first:.1f}", f"{took['all']:.2f}", f"{took['box']:.2f}"]
+    return [*figures, f"{disk / 1e6:,.0f}", f"{peak.most - before:,.0f}", f"{maps:,.0f}"]
 
 
 def added_seconds(count: int, name: Any, folder: Path) -> float:
@@ -204,7 +234,7 @@ def added_seconds(count: int, name: Any, folder: Path) -> float:
     for start, block in drawn(count):
         names = [f"{start + i:07d}" for i in range(len(block))]
         began = time.perf_counter()
-        index.add(names, block)
+        index.add(names, block, places(start, len(block)))
         seconds += time.perf_counter() - began
     index.close()
     return seconds
@@ -214,6 +244,27 @@ def anonymous() -> float:
     """Resident memory of this process that is of no file, in MB."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("RssAnon")) / 1000
+
+
+class Peak(AbstractContextManager["Peak"]):
+    """The most that `anonymous` is while it is open, looked at about every half millisecond."""
+
+    def __init__(self) -> None:
+        self.most = anonymous()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._look)
+
+    def __enter__(self) -> Peak:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        while not self._ended.wait(0.0005):
+            self.most = max(self.most, anonymous())
 
 
 def nearest(count: int, asked: FloatArray, k: int) -> list[set[str]]:
@@ -229,20 +280,28 @@ def nearest(count: int, asked: FloatArray, k: int) -> list[set[str]]:
     return [{f"{name:07d}" for name in row} for row in names.tolist()]
 
 
-def recall(count: int, folder: Path, rounds: int, codes: Any, console: Console) -> None:
-    """Recall at 10 against time of faiss's inverted lists, by how many are looked through."""
+def recall(count: int, folder: Path, rounds: int, every: Sequence[Any], console: Console) -> None:
+    """Recall at 10 against time of faiss's inverted lists, by how many are looked through; a table for each of the codes."""
+    asked = queries(next(drawn(count))[1])
+    truth = nearest(count, asked, 10)
+    for codes in every:
+        recall_of(codes, count, asked, truth, folder, rounds, console)
+
+
+def recall_of(
+    codes: Any, count: int, asked: FloatArray, truth: list[set[str]], folder: Path, rounds: int, console: Console
+) -> None:
+    """One of these tables."""
     from lpn.index.faiss import FaissIndex
 
     table = Table(title=f"faiss {codes} on {count} tiles x {KIND.numbers}, top 10, {machine()}, medians of {rounds}")
     for column in ("nprobe", "depth", "recall@10, %", "ms"):
         table.add_column(column, justify="right")
-    asked = queries(next(drawn(count))[1])
     with tempfile.TemporaryDirectory(dir=folder) as place:
         index = FaissIndex.create(Path(place) / "index", KIND, codes)
         started = time.perf_counter()
         filled(index, count)
         added = time.perf_counter() - started
-        truth = nearest(count, asked, 10)
         for nprobe, depth in ((1, 4), (4, 4), (16, 8), (32, 8), (64, 16), (128, 32)):
             index.nprobe, index.depth = nprobe, depth
             hits = sum(len(truth[i] & set(index.search(query, None, 10).ids)) for i, query in enumerate(asked))
@@ -268,7 +327,7 @@ def main() -> None:
     parser.add_argument(
         "--recall", type=int, default=0, help="tiles for the table of recall against time, such as 1000000"
     )
-    parser.add_argument("--codes", choices=("sq8", "pq"), default="pq", help="of faiss in that table")
+    parser.add_argument("--codes", choices=("sq8", "pq"), nargs="+", default=("pq",), help="of faiss in such tables")
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="where indexes are made")
     parser.add_argument("--row", choices=PRECISIONS, help=argparse.SUPPRESS)

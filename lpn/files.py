@@ -15,7 +15,7 @@ from pathlib import Path
 from tokenize import TokenError
 from typing import TYPE_CHECKING, Any
 
-from lpn.errors import OutputError
+from lpn.errors import OutputError, StoreError
 from lpn.stopping import finishing
 
 if TYPE_CHECKING:
@@ -26,10 +26,17 @@ try:
 except ImportError:  # not a POSIX system: there, two processes must not write into one folder at once
     fcntl = None  # type: ignore[assignment]
 
+try:
+    import resource
+except ImportError:  # the same
+    resource = None  # type: ignore[assignment]
+
 log = logging.getLogger(__name__)
 
 _ABANDONED = 60.0
 """Seconds in which nobody wrote to what a killed process left, before it is deleted: it may be another machine's."""
+_FILES = 10_240
+"""What macOS lets a process open, which says that there is no bound."""
 
 
 def fingerprint(*paths: Path, also: str = "") -> str:
@@ -66,20 +73,37 @@ def mapped(path: Path) -> npt.NDArray[Any]:
 
     Raises:
         FileNotFoundError: when there is none.
+        OSError: when it cannot be read, whatever it holds; see `unreadable`.
         ValueError: when it is damaged, or holds Python objects.
     """
     import numpy as np
 
     try:
-        found: npt.NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-    except FileNotFoundError:
-        raise
+        found: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
     # What NumPy raises where a header is neither of today nor of Python 2.
-    except (OSError, EOFError, SyntaxError, TokenError, TypeError, OverflowError, MemoryError) as error:
+    except (EOFError, SyntaxError, TokenError, TypeError, OverflowError, MemoryError) as error:
         raise ValueError("no array") from error
-    if not isinstance(found, np.ndarray):  # an archive of several
-        raise ValueError("no array")
     return found
+
+
+def unreadable(path: Path, error: OSError) -> StoreError:
+    """The sentence about a file that is there and that the system does not let us read, which says nothing of what it holds."""
+    too_many = error.errno in (errno.EMFILE, errno.ENFILE)
+    remedy = "let more files be open at once (ulimit -n)" if too_many else "check its permissions and its disk"
+    return StoreError(f"{path} cannot be read ({error.strerror or error}); {remedy}.")
+
+
+def allow_many_files() -> None:
+    """Raise this process's limit of open files as far as the system lets it: every mapped array counts as one."""
+    if resource is None:
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == hard:
+        return
+    for most in (hard, max(soft, _FILES)):
+        with suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+            return
 
 
 def check_writable(path: Path) -> None:

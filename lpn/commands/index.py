@@ -95,22 +95,28 @@ class Search:
     """Tiles listed."""
     box: tuple[float, float, float, float] | None = None
     """Only tiles within south, west, north, and east degrees; west beyond east is across the antimeridian."""
+    effort: int | None = None
+    """Lists (faiss: 64 by default; milvus with ivf or sq8: 128) or neighbours (hnsw: 128) looked through; more miss fewer tiles
+    and take longer. Exact and flat indexes miss none and have none to choose."""
+    depth: int | None = None
+    """How many times --top tiles faiss proposes, which are then scored by their vectors; 16 by default."""
     json: Path | None = None
     """File to write the tiles to, with scores, parts, and positions."""
 
     def run(self) -> None:
         from lpn import explain, images, retrieval
         from lpn.files import check_writable, write_whole
-        from lpn.index import open_index
+        from lpn.index import check_effort, open_index
         from lpn.index.base import check_count
 
         check_count(self.top)
+        check_effort(self.effort, self.depth)
         if self.json is not None:
             check_writable(self.json)
         model = lpn.load(self.model)
         model.check_view(self.view)
         weights = explain.part_weights(model.n_parts, part_values(self.weights))
-        with open_index(self.index, model.fingerprint) as index:
+        with open_index(self.index, model.fingerprint, self.effort, self.depth) as index:
             query = retrieval.describe_picture(
                 model, images.load_picture(self.picture), self.view, self.rotate
             ).descriptor
@@ -126,6 +132,7 @@ class Search:
                 "picture": str(self.picture),
             }
             asked |= {"view": self.view, "rotate": self.rotate, "weights": weights.tolist(), "box": self.box}
+            asked |= {"effort": self.effort, "depth": self.depth}
             write_whole(self.json, (json.dumps(asked | {"matches": matches}, indent=1) + "\n").encode())
 
 

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from lpn.changes import Change
 from lpn.checksums import Checksums, crc_of_blocks, crc_of_values
 from lpn.errors import InputError, NewerStoreError, PictureError, StoreError
-from lpn.files import mapped
+from lpn.files import mapped, unreadable
 from lpn.formats import is_newer, newer
 from lpn.model import FloatArray, Model
 from lpn.spec import View
@@ -233,8 +233,10 @@ def with_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
     try:
         stat = (folder / "descriptors.npy").stat()
         descriptors = mapped(folder / "descriptors.npy")
-    except (OSError, ValueError) as error:
+    except (FileNotFoundError, ValueError) as error:
         raise StoreError(f"descriptors.npy in {folder} is missing or damaged; describe the pictures again.") from error
+    except OSError as error:
+        raise unreadable(folder / "descriptors.npy", error) from error
     if descriptors.shape != expected or descriptors.dtype != np.dtype(manifest.precision):
         raise StoreError(
             f"descriptors.npy in {folder} is {descriptors.dtype} {descriptors.shape}, but its manifest says "

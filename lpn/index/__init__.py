@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from lpn.errors import InputError, StoreError
-from lpn.index.base import Box, Found, Index, Kind
+from lpn.index.base import Box, Found, Index, Kind, check_count
 from lpn.index.exact import ExactIndex
 from lpn.index.faiss import Codes, FaissIndex
 from lpn.index.folder import Manifest
@@ -24,19 +24,24 @@ Engine = Literal["exact", "faiss", "milvus"]
 _SCHEME = f"{SCHEME}:"
 
 
-def open_index(where: str | Path, fingerprint: str | None = None) -> Index:
+def open_index(
+    where: str | Path, fingerprint: str | None = None, effort: int | None = None, depth: int | None = None
+) -> Index:
     """Open an index.
 
     Args:
         where: its folder, or milvus://host:port/collection.
         fingerprint: of the model that queries are described by, which must be the index's; None to skip that check.
+        effort: of searches that can miss tiles: the lists (faiss; ivf and sq8 of milvus) or neighbours (hnsw) that are looked
+            through, 1 or more; None for 64 (faiss) or 128 (milvus).
+        depth: how many times k tiles faiss proposes, which are then scored, 1 or more; None for 16.
 
     Raises:
         StoreError: when there is none, it is damaged, or it holds descriptors of another model.
-        InputError: when the address is none.
+        InputError: when the address is none, or effort or depth are not such numbers or are nothing that this index has.
         ModuleNotFoundError: when the package of its engine is not installed.
     """
-    index = _opened(where)
+    index = _opened(where, check_effort(effort, depth))
     if fingerprint is not None:
         try:
             index.check_model(fingerprint)
@@ -44,6 +49,12 @@ def open_index(where: str | Path, fingerprint: str | None = None) -> Index:
             index.close()
             raise
     return index
+
+
+def check_effort(effort: int | None, depth: int | None) -> dict[str, int]:
+    """Those of the two that are given, by name; InputError unless they are whole numbers of 1 or more."""
+    given = {name: value for name, value in (("effort", effort), ("depth", depth)) if value is not None}
+    return {name: check_count(value, name) for name, value in given.items()}
 
 
 def create_index(
@@ -92,13 +103,32 @@ def create_index(
     return MilvusIndex.create(str(where), kind, structure or "flat")
 
 
-def _opened(where: str | Path) -> Index:
+def _opened(where: str | Path, given: dict[str, int]) -> Index:
     if str(where).startswith(_SCHEME):
-        return MilvusIndex(str(where))
-    engine = Manifest.read(Path(where)).engine
-    if engine == ExactIndex.engine:
+        _refuse(given, ("depth",), "only faiss proposes tiles before they are scored")
+        collection = MilvusIndex(str(where), **given)
+        if collection.structure == "flat":
+            try:
+                _refuse(given, ("effort",), "a flat collection compares every vector")
+            except InputError:
+                collection.close()
+                raise
+        return collection
+    manifest = Manifest.read(Path(where))
+    if manifest.engine == ExactIndex.engine:
+        _refuse(given, ("effort", "depth"), "an exact index misses nothing")
         return ExactIndex(where)
-    return FaissIndex(where)
+    if manifest.settings.get("codes") == "flat":
+        _refuse(given, ("effort",), "an index of the codes flat compares every vector")
+    names = {"effort": "nprobe", "depth": "depth"}
+    return FaissIndex(where, **{names[name]: value for name, value in given.items()})
+
+
+def _refuse(given: dict[str, int], names: tuple[str, ...], why: str) -> None:
+    """InputError where something is given that an index has not."""
+    for name in names:
+        if name in given:
+            raise InputError(f"There is no {name} to choose here, as {why}; leave {name} {given[name]} out.")
 
 
 __all__ = [
@@ -113,6 +143,7 @@ __all__ = [
     "MilvusIndex",
     "Precision",
     "Structure",
+    "check_effort",
     "create_index",
     "open_index",
 ]

@@ -235,10 +235,10 @@ def check_positions(positions: Sequence[Sequence[float]] | Exact | None, rows: i
     return values
 
 
-def check_count(k: int) -> int:
-    """A number of tiles asked for; InputError unless it is 1 or more."""
-    if int(k) != k or k < 1:
-        raise InputError(f"The number of tiles asked for is {k}; expected 1 or more.")
+def check_count(k: int, what: str = "number of tiles asked for") -> int:
+    """A number of tiles asked for, or of something else; InputError unless it is a whole number of 1 or more."""
+    if not isinstance(k, (int, float, np.integer, np.floating)) or not k >= 1 or k % 1:
+        raise InputError(f"The {what} is {k}; expected 1 or more.")
     return int(k)
 
 
@@ -256,6 +256,20 @@ def check_box(box: Sequence[float] | None) -> Box | None:
             "south not above north (west beyond east is across the antimeridian)."
         )
     return values[0], values[1], values[2], values[3]
+
+
+def overlaps(extent: Box, box: Box) -> bool:
+    """Whether a smallest box of positions, which is not across the antimeridian, meets a box; False where it is of NaN."""
+    south, west, north, east = box
+    both = [extent[3] >= west, extent[1] <= east]
+    return extent[2] >= south and extent[0] <= north and (all(both) if west <= east else any(both))
+
+
+def covers(box: Box, extent: Box) -> bool:
+    """Whether a smallest box of positions, as for `overlaps`, lies in a box."""
+    south, west, north, east = box
+    both = [west <= extent[1], extent[3] <= east]
+    return south <= extent[0] and extent[2] <= north and (all(both) if west <= east else any(both))
 
 
 def within(positions: npt.NDArray[np.float64], box: Box) -> npt.NDArray[np.bool_]:

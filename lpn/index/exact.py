@@ -54,7 +54,7 @@ class ExactIndex(FolderIndex):
         """See `Index.search`; equal scores in the order of insertion."""
         wanted = self.kind.rescaled(query, weights)
         k, box = check_count(k), check_box(box)
-        segments = self._current()
+        segments = self._current().segments
         places, bounds = self._bounds(segments, wanted, box)
         k = min(k, len(places))
         if not k:

@@ -21,8 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.errors import InputError, StoreError
+from lpn.files import unreadable
 from lpn.index.base import Box, Found, Kind, check_box, check_count
-from lpn.index.folder import Candidates, FolderIndex, Manifest, create
+from lpn.index.folder import Candidates, FolderIndex, Manifest, State, create
 from lpn.index.segments import Segment
 
 Codes = Literal["flat", "sq8", "pq"]
@@ -54,15 +55,14 @@ class FaissIndex(FolderIndex):
 
     engine = "faiss"
     largest = 8 << 30
+    beside = FILE
 
     def __init__(self, folder: str | Path, nprobe: int = 64, depth: int = 16) -> None:
         self._faiss = cast(Any, import_module("faiss"))
+        self.nprobe, self.depth = check_count(nprobe, "number of lists looked through"), check_count(depth, "depth")
         super().__init__(folder)
-        if nprobe < 1 or depth < 1:
-            raise InputError(f"nprobe is {nprobe} and depth {depth}; expected 1 or more.")
         self.codes: Codes = self._state.manifest.settings["codes"]
-        self.nprobe, self.depth = nprobe, depth
-        self._opened: dict[Path, Any] = {}
+        self._opened: dict[tuple[Path, tuple[int, int]], Any] = {}
 
     @classmethod
     def create(
@@ -88,12 +88,12 @@ class FaissIndex(FolderIndex):
         wanted = self.kind.rescaled(query, weights)
         k, box = check_count(k), check_box(box)
         while True:
-            segments = self._current()
+            state = self._current()
             try:
-                places = self._places(segments, wanted.astype(np.float32), k, box)
+                places = self._places(state, wanted.astype(np.float32), k, box)
             except _ReplacedError:
                 continue
-            return self._found(segments, Candidates.of(segments, places, wanted), k)
+            return self._found(state.segments, Candidates.of(state.segments, places, wanted), k)
 
     def close(self) -> None:
         """See `Index.close`."""
@@ -104,19 +104,22 @@ class FaissIndex(FolderIndex):
     def _lists(self) -> bool:
         return self.codes != "flat"
 
-    def _places(
-        self, segments: list[Segment], wanted: npt.NDArray[np.float32], k: int, box: Box | None
-    ) -> npt.NDArray[np.int64]:
+    def _places(self, state: State, wanted: npt.NDArray[np.float32], k: int, box: Box | None) -> npt.NDArray[np.int64]:
         """Places, among the rows of all segments, of the tiles that are to be scored."""
         proposed: list[npt.NDArray[np.int64]] = [np.zeros(0, np.int64)]
         start = 0
-        for segment in segments:
-            proposed.append(self._proposed(segment, wanted, segment.chosen(box), k) + start)
+        for segment in state.segments:
+            proposed.append(self._proposed(state, segment, wanted, segment.chosen(box), k) + start)
             start += segment.rows
         return np.concatenate(proposed)
 
     def _proposed(
-        self, segment: Segment, wanted: npt.NDArray[np.float32], rows: npt.NDArray[np.int64] | None, k: int
+        self,
+        state: State,
+        segment: Segment,
+        wanted: npt.NDArray[np.float32],
+        rows: npt.NDArray[np.int64] | None,
+        k: int,
     ) -> npt.NDArray[np.int64]:
         """Rows of a segment that may be among the k best of those that are searched."""
         size = segment.rows if rows is None else len(rows)
@@ -126,7 +129,7 @@ class FaissIndex(FolderIndex):
             scores = (segment.vectors if rows is None else segment.vectors[rows]) @ wanted
             first = np.argpartition(scores, size - depth)[size - depth :] if depth < size else np.arange(size)
             return first if rows is None else rows[first]
-        index = self._index(segment)
+        index = self._index(state, segment)
         lists = index.nlist if self._lists else 1
         nprobe = min(self.nprobe, lists)
         while True:
@@ -147,22 +150,30 @@ class FaissIndex(FolderIndex):
             return self._faiss.SearchParametersIVF(sel=selector, nprobe=nprobe)
         return self._faiss.SearchParameters(sel=selector)
 
-    def _index(self, segment: Segment) -> Any:
-        there = {one.folder for one in self._state.segments}
-        self._opened = {folder: index for folder, index in self._opened.items() if folder in there}
-        if segment.folder not in self._opened:
+    def _index(self, state: State, segment: Segment) -> Any:
+        """A segment's faiss index; `state` is what the segment was taken from, which other threads may have moved on from."""
+        this = segment.folder, segment.identity
+        opened = self._opened
+        if this in opened:
+            return opened[this]
+        file = segment.folder / FILE
+        try:
+            index = self._faiss.read_index(str(file), self._faiss.IO_FLAG_MMAP if self._lists else 0)
+        except RuntimeError as error:
+            if self._stamp() != state.stamp:
+                raise _ReplacedError from error
             try:
-                index = self._faiss.read_index(
-                    str(segment.folder / FILE), self._faiss.IO_FLAG_MMAP if self._lists else 0
-                )
-            except RuntimeError as error:
-                if self._stamp() != self._state.stamp:
-                    raise _ReplacedError from error
-                raise StoreError(
-                    f"{FILE} in {segment.folder} is missing or damaged; delete the index and make it again."
-                ) from error
-            self._opened[segment.folder] = index
-        return self._opened[segment.folder]
+                file.open("rb").close()
+            except FileNotFoundError:
+                pass
+            except OSError as why:
+                raise unreadable(file, why) from error
+            raise StoreError(
+                f"{FILE} in {segment.folder} is missing or damaged; delete the index and make it again."
+            ) from error
+        there = {(one.folder, one.identity) for one in state.segments}
+        self._opened = {which: one for which, one in opened.items() if which in there} | {this: index}
+        return index
 
     def _finish(self, folder: Path, rows: int) -> None:
         """Learn lists and codes from a sample of a segment's vectors, and write all of them as faiss keeps them."""

@@ -17,11 +17,12 @@ many as the logarithm of the number of tiles, and each tile is written anew abou
 from __future__ import annotations
 
 import json
+import os
 import re
-import shutil
 import zlib
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,16 +32,19 @@ import numpy.typing as npt
 
 from lpn.checksums import crc_of_values
 from lpn.errors import OutputError, StoreError
-from lpn.files import alone, write_whole
+from lpn.files import allow_many_files, alone, printable, unreadable, write_whole
 from lpn.formats import is_newer, newer
 from lpn.index.base import Exact, Found, Index, Kind, best, check_names, check_positions, scores_of
 from lpn.index.scan import PRECISIONS, Precision
-from lpn.index.segments import Batch, Mask, Segment, keys_of, write_segment
-from lpn.index.sums import changed, write_sums
+from lpn.index.segments import DEAD, FILES, Batch, Mask, Segment, identity_of, keys_of, write_segment
+from lpn.index.sums import NAME, changed, write_sums
 
 FORMAT = "lpn-index/1"
 MANIFEST = "index.json"
-_OURS = re.compile(r"\d{7}|index\.json\..*\.part")
+_PART = r"\.\d+-\d+\.part"
+_UNFINISHED = re.compile(re.escape(MANIFEST) + _PART)
+_SUMS = re.compile(f"{re.escape(NAME)}({_PART})?")
+_SEGMENT = re.compile(r"\d{7,}")
 _AGAIN = "delete the index and make it again"
 _ATTEMPTS = 20
 _READ = 1024
@@ -102,7 +106,9 @@ class Manifest:
             return cls(str(values["engine"]), kind, values["precision"], settings, entries, int(values["next"]))
         except FileNotFoundError as error:
             raise StoreError(f"{folder} has no {MANIFEST}, so it is not an index; make one with lpn index.") from error
-        except (OSError, ValueError, OverflowError, RecursionError, KeyError, TypeError, AttributeError) as error:
+        except OSError as error:
+            raise unreadable(folder / MANIFEST, error) from error
+        except (ValueError, OverflowError, RecursionError, KeyError, TypeError, AttributeError) as error:
             raise StoreError(
                 f"{MANIFEST} in {folder} is damaged or not one of {FORMAT}; make the index again with lpn index."
             ) from error
@@ -123,8 +129,10 @@ def verify(folder: Path) -> bool:
             Segment(segment, manifest.kind, manifest.precision, entry.rows, entry.dead)
             dead = entry.dead if entry.dead_crc is not None else None
             found = [] if dead is None or zlib.crc32((segment / dead).read_bytes()) == entry.dead_crc else [dead]
+        except FileNotFoundError as error:
+            raise StoreError(f"{error.filename} is missing; {_AGAIN}.") from error
         except OSError as error:
-            raise StoreError(f"{error.filename} is missing or cannot be read; {_AGAIN}.") from error
+            raise unreadable(Path(error.filename or segment), error) from error
         for name in (*(wrong or ()), *found):
             raise StoreError(f"{name} in {segment} is not what its checksums were made of; {_AGAIN}.")
     return everywhere
@@ -143,10 +151,12 @@ def create(folder: Path, manifest: Manifest) -> Manifest:
         with alone(folder, wait=True):
             if (folder / MANIFEST).exists():
                 return _same(folder, Manifest.read(folder), manifest)
-            others = [file.name for file in folder.iterdir() if not _OURS.fullmatch(file.name)]
+            # Killed before it had a manifest, an index had nothing else.
+            others = [file.name for file in folder.iterdir() if not _UNFINISHED.fullmatch(file.name)]
             if others:
                 raise StoreError(
-                    f"{folder} holds other files, such as {others[0]}; choose another folder for the index."
+                    f"{folder} holds other files, such as {printable(min(others))}, and no {MANIFEST}; choose another folder "
+                    "for the index."
                 )
             write_whole(folder / MANIFEST, manifest.to_json())
     except (OSError, OutputError) as error:
@@ -155,7 +165,7 @@ def create(folder: Path, manifest: Manifest) -> Manifest:
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class State:
     """An index as one of its manifests says it is, and what tells that file from the next."""
 
     manifest: Manifest
@@ -175,9 +185,12 @@ class FolderIndex(Index):
     engine: str
     largest = 1 << 30
     """Bytes of vectors up to which segments are gathered into one."""
+    beside: str | None = None
+    """The file that `_finish` writes beside a segment's own."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
+        allow_many_files()
         self._state = self._read()
         self.kind = self._state.manifest.kind
         self.precision = self._state.manifest.precision
@@ -197,10 +210,10 @@ class FolderIndex(Index):
             return
         try:
             with alone(self.folder, wait=True):
-                self._state = self._read()
+                self._state = self._read(self._state.segments)
                 self._clear()
                 write_whole(self.folder / MANIFEST, self._write(batch).to_json())
-                self._state = self._read()
+                self._state = self._read(self._state.segments)
                 self._clear()
         except (OSError, OutputError) as error:
             raise _unwritable(self.folder, error) from error
@@ -209,13 +222,13 @@ class FolderIndex(Index):
         """See `Index.holds`."""
         found = np.zeros(len(ids), np.bool_)
         keys = keys_of(ids)
-        for segment in self._current():
+        for segment in self._current().segments:
             found |= segment.find(ids, keys) >= 0
         return found
 
     def count(self) -> int:
         """See `Index.count`."""
-        return sum(segment.size for segment in self._current())
+        return sum(segment.size for segment in self._current().segments)
 
     def close(self) -> None:
         """See `Index.close`."""
@@ -225,11 +238,12 @@ class FolderIndex(Index):
     def _finish(self, folder: Path, rows: int) -> None:
         """Write what the engine needs beside a new segment's files."""
 
-    def _current(self) -> list[Segment]:
-        """The segments as they are now, whichever process wrote them."""
-        if self._stamp() != self._state.stamp or not self._state.segments:
-            self._state = self._read()
-        return self._state.segments
+    def _current(self) -> State:
+        """The index as it is now, whichever process wrote it."""
+        state = self._state
+        if self._stamp() != state.stamp or not state.segments:
+            state = self._state = self._read(state.segments)
+        return state
 
     def _found(self, segments: list[Segment], candidates: Candidates, k: int) -> Found:
         """The k best of candidates whose scores are known."""
@@ -252,22 +266,26 @@ class FolderIndex(Index):
         return Found(names, candidates.scores[chosen], shaped, positions)
 
     def _stamp(self) -> tuple[int, ...]:
+        """What tells a manifest's file from the next; empty where there is none."""
         try:
             stat = (self.folder / MANIFEST).stat()
+        except FileNotFoundError:
+            return ()
         except OSError as error:
-            raise StoreError(f"{self.folder} cannot be read ({error.strerror or error}); check the path.") from error
+            raise unreadable(self.folder / MANIFEST, error) from error
         return stat.st_ino, stat.st_mtime_ns, stat.st_size
 
-    def _read(self) -> _State:
+    def _read(self, held: Sequence[Segment] = ()) -> State:
+        """The index as its manifest says it is; segments that are held and have not changed are not opened again."""
+        open_now = {segment.folder.name: segment for segment in held}
         for attempt in range(_ATTEMPTS):
-            stamp = self._stamp() if (self.folder / MANIFEST).exists() else ()
+            stamp = self._stamp()
             manifest = Manifest.read(self.folder)
             try:
                 segments = [
-                    Segment(self.folder / entry.name, manifest.kind, manifest.precision, entry.rows, entry.dead)
-                    for entry in manifest.entries
+                    self._opened_segment(manifest, entry, open_now.get(entry.name)) for entry in manifest.entries
                 ]
-                return _State(manifest, segments, stamp)
+                return State(manifest, segments, stamp)
             except FileNotFoundError as error:
                 # Another process may have replaced a segment since the manifest was read.
                 if attempt + 1 == _ATTEMPTS or self._stamp() == stamp:
@@ -275,6 +293,12 @@ class FolderIndex(Index):
                         f"{error.filename} is missing; the index is damaged, so delete it and make it again."
                     ) from error
         raise AssertionError
+
+    def _opened_segment(self, manifest: Manifest, entry: Entry, held: Segment | None) -> Segment:
+        folder = self.folder / entry.name
+        if held is not None and (held.rows, held.dead, held.identity) == (entry.rows, entry.dead, identity_of(folder)):
+            return held
+        return Segment(folder, manifest.kind, manifest.precision, entry.rows, entry.dead)
 
     def _write(self, batch: Batch) -> Manifest:
         """Everything an add needs on disk, and the manifest that makes it count."""
@@ -296,19 +320,20 @@ class FolderIndex(Index):
             kept -= 1
             rows_new += sizes[kept]
         entries: list[Entry] = []
-        number = manifest.next
+        number = self._free(manifest.next)
         for entry, segment, mask, size in zip(manifest.entries[:kept], segments, masks, sizes, strict=False):
             if 2 * size < segment.rows:
                 if size:
                     entries.append(self._segment(number, segment.batches(mask), size))
+                    number = self._free(number + 1)
             elif mask is not segment.alive:
                 assert mask is not None
                 dead = f"dead-{number:07d}.npy"
                 np.save(segment.folder / dead, ~mask)
                 entries.append(replace(entry, dead=dead, dead_crc=zlib.crc32((segment.folder / dead).read_bytes())))
+                number = self._free(number + 1)
             else:
                 entries.append(entry)
-            number += 1
 
         def gathered() -> Iterator[Batch]:
             for segment, mask in zip(segments[kept:], masks[kept:], strict=True):
@@ -325,22 +350,42 @@ class FolderIndex(Index):
         write_sums(self.folder / name)
         return Entry(name, rows)
 
+    def _free(self, number: int) -> int:
+        """The first number from this one on under which nobody has put anything into the folder."""
+        while os.path.lexists(self.folder / f"{number:07d}"):
+            number += 1
+        return number
+
     def _bytes(self, rows: int) -> int:
         return rows * self.kind.numbers * np.dtype(np.float32).itemsize
 
     def _clear(self) -> None:
-        """Delete what the manifest does not name: segments that were taken along, and what a killed add left."""
+        """Delete what the manifest does not name: segments that were taken along, and what a killed add left.
+
+        What an index has not made is left where it is, and so is a folder that holds any.
+        """
         entries = {entry.name: entry for entry in self._state.manifest.entries}
         for path in self.folder.iterdir():
             if path.name in entries:
                 for file in path.glob("dead-*.npy"):
-                    if file.name != entries[path.name].dead:
+                    if file.name != entries[path.name].dead and DEAD.fullmatch(file.name):
                         file.unlink(missing_ok=True)
-            elif _OURS.fullmatch(path.name):
-                if path.is_dir():
-                    shutil.rmtree(path, ignore_errors=True)
-                else:
-                    path.unlink(missing_ok=True)
+            elif _UNFINISHED.fullmatch(path.name):
+                path.unlink(missing_ok=True)
+            elif _SEGMENT.fullmatch(path.name) and path.is_dir() and not path.is_symlink():
+                with suppress(OSError):  # of files that another process has open, on some systems
+                    self._remove(path)
+
+    def _remove(self, segment: Path) -> None:
+        files = list(segment.iterdir())
+        if all(self._is_own(file) for file in files):
+            for file in files:
+                file.unlink()
+            segment.rmdir()
+
+    def _is_own(self, file: Path) -> bool:
+        named = file.name == self.beside or any(names.fullmatch(file.name) for names in (FILES, _SUMS))
+        return named and file.is_file() and not file.is_symlink()
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,11 @@ Rows keep the order in which tiles were added.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +25,14 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.errors import StoreError
-from lpn.files import mapped
-from lpn.index.base import Box, Exact, Kind, within
+from lpn.files import mapped, unreadable
+from lpn.index.base import Box, Exact, Kind, covers, overlaps, within
 from lpn.index.scan import Precision, Rows, small_copy
 from lpn.model import FloatArray
 
+DEAD = re.compile(r"dead-\d{7,}\.npy")
+FILES = re.compile(rf"(vectors|small|scales|errors|positions|ends|keys|rows)\.npy|names\.bin|{DEAD.pattern}")
+"""The names above."""
 _BLOCK = 2048
 """Rows copied at once."""
 Keys = npt.NDArray[np.uint64]
@@ -51,13 +56,17 @@ class Segment:
         rows: how many tiles the manifest says it holds.
         dead: name of the file that says which were replaced; None when none was.
 
+    Attributes:
+        identity: which files these are, also where others were written in the same place later.
+
     Raises:
-        StoreError: when a file is damaged or does not fit the others.
+        StoreError: when a file is damaged, does not fit the others, or cannot be read.
         FileNotFoundError: when one is missing, as after another process replaced the whole segment.
     """
 
     def __init__(self, folder: Path, kind: Kind, precision: Precision, rows: int, dead: str | None) -> None:
         self.folder, self.rows, self.dead = folder, rows, dead
+        self.identity = identity_of(folder)
         self.vectors: FloatArray = self._mapped("vectors", (rows, kind.numbers), np.float32)
         self.small: Rows = self.vectors
         self.scales: FloatArray | None = None
@@ -72,6 +81,10 @@ class Segment:
         self._by_key: npt.NDArray[np.int64] = self._mapped("rows", (rows,), np.int64)
         try:
             self._text = memoryview(np.memmap(folder / "names.bin", np.uint8, "r").data)
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            raise unreadable(folder / "names.bin", error) from error
         except ValueError as error:  # it is empty
             raise self._damaged("names.bin") from error
         if len(self._text) != self._ends[-1]:
@@ -84,7 +97,9 @@ class Segment:
 
     def chosen(self, box: Box | None) -> npt.NDArray[np.int64] | None:
         """Rows of the tiles that are searched, ascending; None for all."""
-        if box is None:
+        if box is not None and not overlaps(self._extent[0], box):
+            return np.zeros(0, np.int64)
+        if box is None or (self._extent[1] and covers(box, self._extent[0])):
             return None if self.alive is None else np.flatnonzero(self.alive)
         inside = within(self.positions, box)
         return np.flatnonzero(inside if self.alive is None else inside & self.alive)
@@ -125,11 +140,20 @@ class Segment:
             if len(rows):
                 yield Batch(self.names(rows), self.vectors[rows], self.positions[rows])
 
+    @cached_property
+    def _extent(self) -> tuple[Box, bool]:
+        """The smallest box of all positions, NaN where there are none, and whether every tile has one: with it, most
+        searches in a box read the positions of few segments."""
+        (south, west), (north, east) = (how.reduce(self.positions, axis=0).tolist() for how in (np.fmin, np.fmax))
+        return (south, west, north, east), not np.isnan(self.positions).any()
+
     def _mapped(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
         try:
             found = mapped(self.folder / f"{name}.npy")
         except FileNotFoundError:
             raise
+        except OSError as error:
+            raise unreadable(self.folder / f"{name}.npy", error) from error
         except ValueError as error:
             raise self._damaged(f"{name}.npy") from error
         if found.shape != shape or found.dtype != np.dtype(dtype):
@@ -138,6 +162,22 @@ class Segment:
 
     def _damaged(self, name: str) -> StoreError:
         return StoreError(f"{name} in {self.folder} is damaged; delete the index and make it again.")
+
+
+def identity_of(folder: Path) -> tuple[int, int]:
+    """What tells a segment from another that is written in its place.
+
+    Raises:
+        StoreError: when it cannot be read.
+        FileNotFoundError: when there is none.
+    """
+    try:
+        stat = (folder / "vectors.npy").stat()
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise unreadable(folder / "vectors.npy", error) from error
+    return stat.st_ino, stat.st_mtime_ns
 
 
 def write_segment(folder: Path, kind: Kind, precision: Precision, batches: Iterable[Batch], rows: int) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from lpn.checksums import BLOCK, crc_of_blocks, crc_of_values
 from lpn.errors import StoreError
-from lpn.files import write_whole
+from lpn.files import unreadable, write_whole
 
 NAME = "checksums.json"
 
@@ -39,5 +39,7 @@ def changed(segment: Path) -> list[str] | None:
         if error.filename == str(segment / NAME):
             return None
         raise StoreError(f"{error.filename} is missing; delete the index and make it again.") from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except OSError as error:
+        raise unreadable(Path(error.filename or segment), error) from error
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise StoreError(f"{NAME} in {segment} is damaged; delete the index and make it again.") from error

@@ -329,6 +329,16 @@ def test_damaged_stores_are_refused_in_words(model: Model, folder: Path, tmp_pat
             features.open_store(store)
 
 
+def test_a_store_that_cannot_be_read_is_not_called_damaged(model: Model, folder: Path, tmp_path: Path) -> None:
+    features.describe(model, features.pictures_below(folder)[:2], "drone", tmp_path / "store")
+    array = tmp_path / "store" / "descriptors.npy"
+    array.unlink()
+    array.mkdir()  # which nobody can read as a file, also where permissions do not bind
+    with pytest.raises(LPNError) as told:
+        features.open_store(tmp_path / "store")
+    assert str(told.value) == f"{array} cannot be read (Is a directory); check its permissions and its disk."
+
+
 def test_cache_is_keyed_by_files_view_and_angle(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

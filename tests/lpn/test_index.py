@@ -797,6 +797,66 @@ def test_codes_and_structure_can_be_chosen(described: Described, tmp_path: Path,
     assert main(["index", *store, *_options(out=COLLECTION, structure="ivf")]) == 2
 
 
+def test_effort_and_depth_reach_the_engine(
+    described: Described,
+    tmp_path: Path,
+    client: type[Client],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from lpn.index import FaissIndex
+
+    pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
+    places = {"exact": str(tmp_path / "exact"), "sq8": str(tmp_path / "sq8"), "milvus": COLLECTION}
+    making = ["index", *_options(descriptors=described.store)]
+    assert main([*making, *_options(out=places["exact"])]) == 0
+    assert main([*making, *_options(out=places["sq8"], engine="faiss")]) == 0
+    used: list[tuple[int, int]] = []
+    search = FaissIndex.search
+    monkeypatch.setattr(
+        FaissIndex, "search", lambda self, *given: used.append((self.nprobe, self.depth)) or search(self, *given)
+    )
+    asked: list[Any] = []
+    monkeypatch.setattr(
+        client, "search", lambda *_, search_params, **__: asked.append(search_params["params"]) or [[]], raising=False
+    )
+    with open_index(places["sq8"]) as index:
+        kind = index.kind
+    json_file = tmp_path / "found.json"
+    searching = ["search", *_options(model=described.model, picture=described.tile, view="satellite", json=json_file)]
+    for given, expected in (
+        ([], (64, 16)),
+        (["--effort", "7"], (7, 16)),
+        (["--depth", "3"], (64, 3)),
+        (["--effort", "5", "--depth", "1"], (5, 1)),
+    ):
+        assert main([*searching, "--index", places["sq8"], *given]) == 0
+        assert used.pop() == expected
+    found = json.loads(json_file.read_text())
+    assert (found["effort"], found["depth"]) == (5, 1)
+    for structure, name in (("ivf", "nprobe"), ("hnsw", "ef")):
+        client.description = json.dumps({"format": "lpn-milvus/1", **vars(kind), "structure": structure})
+        assert main([*searching, "--index", COLLECTION, "--effort", "99"]) == 0
+        assert asked.pop()[name] == 99
+    capsys.readouterr()
+    for place, given, said in (
+        ("exact", ["--effort", "7"], "no effort to choose here, as an exact index misses nothing; leave effort 7 out."),
+        ("exact", ["--depth", "7"], "no depth to choose here, as an exact index misses nothing; leave depth 7 out."),
+        ("milvus", ["--depth", "7"], "as only faiss proposes tiles before they are scored; leave depth 7 out."),
+        ("flat", ["--effort", "7"], "as a flat collection compares every vector; leave effort 7 out."),
+        ("sq8", ["--effort", "0"], "The effort is 0; expected 1 or more."),
+        ("sq8", ["--depth=-2"], "The depth is -2; expected 1 or more."),
+    ):
+        if place == "flat":
+            client.description = client.description.replace("hnsw", "flat")
+        assert main([*searching, "--index", places.get(place, COLLECTION), *given]) == 2, given
+        error = capsys.readouterr().err
+        assert said in error, (said, error)
+        assert error.count("\n") == 1
+    assert all(one.closed for one in client.clients)
+    assert (used, asked) == ([], [])
+
+
 def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
     described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

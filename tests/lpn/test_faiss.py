@@ -1,0 +1,199 @@
+"""faiss's own searches, which a segment of more than 4,096 tiles has: in a box, among replaced tiles, and how many they miss."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lpn.errors import InputError, StoreError
+from lpn.index import Box, open_index
+from lpn.model import normalise
+from tests.lpn.test_index import KIND, Tiles
+
+pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
+from lpn.index.faiss import FaissIndex
+
+COUNT = 12_000
+WIDE: list[Box] = [(-70, -160, 80, 170), (-85, 60, 85, 20)]
+"""Boxes that leave far more tiles than are compared one by one."""
+
+
+@pytest.fixture(scope="module")
+def tiles() -> Tiles:
+    return Tiles.draw(COUNT)
+
+
+@pytest.fixture(scope="module")
+def queries(tiles: Tiles) -> Any:
+    noise = np.random.default_rng(1).standard_normal((40, 4, 16)).astype(np.float32)
+    return normalise(tiles.descriptors[:40] + np.float32(0.1) * noise)
+
+
+@pytest.fixture(scope="module", params=["flat", "sq8", "pq"])
+def made(request: pytest.FixtureRequest, tiles: Tiles, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An index of one segment."""
+    folder = tmp_path_factory.mktemp("faiss") / "index"
+    with FaissIndex.create(folder, KIND, request.param) as index:
+        tiles.add_to(index, COUNT)
+    return folder
+
+
+@pytest.fixture
+def searched(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bool, int]]:
+    """Of each search by faiss: whether only some rows were allowed, and the lists it looked through."""
+    seen: list[tuple[bool, int]] = []
+    original = FaissIndex._parameters
+
+    def watched(self: FaissIndex, segment: Any, rows: Any, nprobe: int) -> Any:
+        seen.append((rows is not None, nprobe))
+        return original(self, segment, rows, nprobe)
+
+    monkeypatch.setattr(FaissIndex, "_parameters", watched)
+    return seen
+
+
+def test_a_box_that_leaves_many_tiles_is_searched_by_faiss(
+    made: Path, tiles: Tiles, queries: Any, searched: list[tuple[bool, int]]
+) -> None:
+    with FaissIndex(made, nprobe=10_000, depth=300) as index:
+        for box in WIDE:
+            assert 4096 < len(tiles.inside(box)) < 0.9 * COUNT
+            for query in queries[:3]:
+                for weights in (None, [0.5, 0.1, 0, 0.4]):
+                    tiles.check(index.search(query, weights, 10, box), query, weights, 10, box)
+    assert len(searched) == 12
+    assert all(some for some, _ in searched)
+
+
+def test_replaced_tiles_of_a_large_segment_are_not_found(
+    made: Path, tiles: Tiles, queries: Any, searched: list[tuple[bool, int]], tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(made, tmp_path / "index"))
+    # The first hundred are what the queries are near to; they come back elsewhere, with vectors of others.
+    now = replace(tiles, descriptors=tiles.descriptors.copy(), positions=tiles.positions.copy())
+    now.descriptors[:100], now.positions[:100] = tiles.descriptors[5000:5100], (50, 60)
+    with FaissIndex(folder, nprobe=10_000, depth=300) as index:
+        index.add(now.names[:100], now.descriptors[:100], now.positions[:100])
+        assert index.count() == COUNT
+        # Those that were replaced lie last in the brute force's order, not first.
+        order = np.r_[100:COUNT, :100]
+        now = Tiles([now.names[i] for i in order], now.descriptors[order], now.positions[order])
+        for query in queries[:3]:
+            for box in (None, WIDE[0]):
+                tiles_found = index.search(query, None, 10, box)
+                now.check(tiles_found, query, None, 10, box)
+        assert len(searched) == 6
+        assert all(some for some, _ in searched)
+        # So many that the segment is written anew, with codes of its own, and nothing of the old one is left.
+        index.add(now.names[:6500], now.descriptors[:6500], now.positions[:6500])
+        now.check(index.search(queries[0], None, 10), queries[0], None, 10, None)
+    named = json.loads((folder / "index.json").read_text())["segments"]
+    assert {path.name for path in folder.iterdir()} == {"index.json", *(entry["name"] for entry in named)}
+
+
+@pytest.mark.parametrize("codes", ["sq8", "pq"])
+def test_more_lists_are_looked_through_until_a_box_has_given_enough(
+    tmp_path: Path, tiles: Tiles, searched: list[tuple[bool, int]], codes: Any
+) -> None:
+    query = tiles.descriptors[0]
+    # What is like the query lies in the south, so that the lists nearest to it hold next to none of the north.
+    positions = np.where(tiles.scores(query, None) > np.median(tiles.scores(query, None)), -45.0, 45.0)
+    places = np.stack([positions, np.zeros(COUNT)], 1)
+    north: Box = (0, -10, 90, 10)
+    with FaissIndex.create(tmp_path / "index", KIND, codes, nprobe=1) as index:
+        index.add(tiles.names, tiles.descriptors, places)
+        found = index.search(query, None, 200, north)
+        assert len(set(found.ids)) == 200
+        assert (found.positions[:, 0] == 45).all()
+        lists = [nprobe for _, nprobe in searched]
+        assert lists[:3] == [1, 2, 4]
+        # Whatever is asked for, up to all that the box leaves.
+        everything = index.search(query, None, COUNT // 2 - 1500, north)
+        assert len(set(everything.ids)) == COUNT // 2 - 1500
+
+
+@pytest.mark.parametrize(("codes", "spread", "floor"), [("sq8", 2.0, 0.9), ("pq", 0.6, 0.91)])
+def test_few_tiles_are_missed_by_default_and_more_with_less_effort(
+    tmp_path: Path, codes: Any, spread: float, floor: float
+) -> None:
+    tiles = Tiles.draw(COUNT, spread=spread)
+    noise = np.random.default_rng(1).standard_normal((40, 4, 16)).astype(np.float32)
+    queries = normalise(tiles.descriptors[:40] + np.float32(0.1) * noise)
+    truth = [{tiles.names[i] for i in np.argsort(-tiles.scores(query, None))[:10]} for query in queries]
+    FaissIndex.create(tmp_path / "index", KIND, codes).close()
+
+    def recall(**given: int) -> float:
+        with open_index(tmp_path / "index", **given) as index:
+            hits = sum(len(true & set(index.search(q, None, 10).ids)) for q, true in zip(queries, truth, strict=True))
+        return hits / (10 * len(queries))
+
+    with open_index(tmp_path / "index") as index:
+        tiles.add_to(index, COUNT)
+    assert recall() >= floor
+    assert recall(effort=64, depth=16) == recall()
+    assert recall(effort=110, depth=300) >= 0.99
+    assert recall(effort=1) < floor - 0.1
+    if codes == "pq":
+        assert recall(depth=1) < floor - 0.1
+
+
+def test_what_another_thread_has_read_since_makes_no_index_damaged(
+    tmp_path: Path, tiles: Tiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread has its segments; one is gathered by a process; another thread sees that; the first opens what is gone."""
+    adder = FaissIndex.create(tmp_path / "index", KIND, "sq8")
+    adder.add(tiles.names[:5000], tiles.descriptors[:5000], tiles.positions[:5000])
+    reader = FaissIndex(tmp_path / "index")
+    current, waiting = reader._current, [True]
+
+    def overtaken() -> Any:
+        mine = current()
+        if waiting:
+            waiting.clear()
+            adder.add(tiles.names[5000:], tiles.descriptors[5000:], tiles.positions[5000:])
+            current()  # as another thread's search does
+        return mine
+
+    monkeypatch.setattr(reader, "_current", overtaken)
+    with adder, reader:
+        assert reader.search(tiles.descriptors[7000], None, 1).ids == [tiles.names[7000]]
+
+
+def test_an_index_made_anew_in_the_same_place_is_searched_by_its_own_codes(tmp_path: Path, tiles: Tiles) -> None:
+    def make(rows: slice) -> FaissIndex:
+        index = FaissIndex.create(tmp_path / "index", KIND, "sq8")
+        index.add(tiles.names[rows], tiles.descriptors[rows], tiles.positions[rows])
+        return index
+
+    with make(slice(5000)) as reader:
+        assert reader.search(tiles.descriptors[3], None, 1).ids == [tiles.names[3]]
+        shutil.rmtree(tmp_path / "index")
+        make(slice(5000, 10_000)).close()
+        for row in (5003, 7777, 9990):
+            assert reader.search(tiles.descriptors[row], None, 1).ids == [tiles.names[row]]
+
+
+def test_codes_that_cannot_be_read_are_told_as_that(tmp_path: Path, tiles: Tiles) -> None:
+    with FaissIndex.create(tmp_path / "index", KIND, "sq8") as index:
+        index.add(tiles.names[:5000], tiles.descriptors[:5000])
+        file = tmp_path / "index" / "0000001" / "faiss.index"
+        file.unlink()
+        file.mkdir()
+        with pytest.raises(StoreError, match=r"faiss.index cannot be read \(Is a directory\); check its permissions"):
+            index.search(tiles.descriptors[0], None, 1)
+
+
+def test_effort_and_depth_are_whole_numbers_of_one_or_more(made: Path) -> None:
+    for given in ({"effort": 0}, {"depth": -1}, {"effort": 1.5}, {"depth": float("nan")}, {"effort": "many"}):
+        ((name, value),) = given.items()
+        with pytest.raises(InputError, match=rf"The {name} is {value}; expected 1 or more\."):
+            open_index(made, **given)  # type: ignore[arg-type]
+    if json.loads((made / "index.json").read_text())["settings"]["codes"] == "flat":
+        with pytest.raises(InputError, match="no effort to choose here, as an index of the codes flat compares every"):
+            open_index(made, effort=4)
