@@ -12,6 +12,7 @@ does not propose are missed: how few they are is for `nprobe` and `depth` to say
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -30,7 +31,7 @@ Codes = Literal["flat", "sq8", "pq"]
 
 FILE = "faiss.index"
 _FEW = 4096
-"""Up to as many tiles are compared one by one: it is as quick, and misses none."""
+"""Of a larger segment, up to as many tiles within a box are compared one by one: it is as quick, and misses none."""
 _SAMPLE = 64
 """Vectors for each list that the lists are learnt from, at most."""
 _LEAST = 16384
@@ -56,6 +57,9 @@ class FaissIndex(FolderIndex):
     engine = "faiss"
     largest = 8 << 30
     beside = FILE
+    plain = 16384
+    """Tiles up to which the last segments together have no faiss index, and are compared one by one: learning takes as long for
+    few as for many, and comes once in so many tiles rather than at each of many small adds."""
 
     def __init__(self, folder: str | Path, nprobe: int = 64, depth: int = 16) -> None:
         self._faiss = cast(Any, import_module("faiss"))
@@ -124,7 +128,7 @@ class FaissIndex(FolderIndex):
         """Rows of a segment that may be among the k best of those that are searched."""
         size = segment.rows if rows is None else len(rows)
         depth = min(size, max(k * self.depth, k))
-        if size <= max(_FEW, depth):
+        if segment.rows <= self.plain or size <= max(_FEW, depth):
             # Their order by a product in single precision hides none behind the depth-th but among ties of its last digits.
             scores = (segment.vectors if rows is None else segment.vectors[rows]) @ wanted
             first = np.argpartition(scores, size - depth)[size - depth :] if depth < size else np.arange(size)
@@ -175,9 +179,19 @@ class FaissIndex(FolderIndex):
         self._opened = {which: one for which, one in opened.items() if which in there} | {this: index}
         return index
 
+    def _gathered(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:
+        plain = len(sizes)
+        while plain and sizes[plain - 1] <= self.plain:
+            plain -= 1
+        last = sum(sizes[plain:])
+        if last + rows <= self.plain:
+            kept, rows = super()._gathered(sizes[plain:], rows)
+            return plain + kept, rows
+        return super()._gathered(sizes[:plain], last + rows)
+
     def _finish(self, folder: Path, rows: int) -> None:
         """Learn lists and codes from a sample of a segment's vectors, and write all of them as faiss keeps them."""
-        if rows <= _FEW:
+        if rows <= self.plain:
             return
         vectors = np.load(folder / "vectors.npy", mmap_mode="r")
         name = _factory(self.codes, rows, self.kind)

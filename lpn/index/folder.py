@@ -315,10 +315,7 @@ class FolderIndex(Index):
         sizes = [
             segment.rows if mask is None else int(mask.sum()) for segment, mask in zip(segments, masks, strict=True)
         ]
-        kept, rows_new = len(segments), len(batch.names)
-        while kept and sizes[kept - 1] <= 2 * rows_new and self._bytes(rows_new + sizes[kept - 1]) <= self.largest:
-            kept -= 1
-            rows_new += sizes[kept]
+        kept, rows_new = self._gathered(sizes, len(batch.names))
         entries: list[Entry] = []
         number = self._free(manifest.next)
         for entry, segment, mask, size in zip(manifest.entries[:kept], segments, masks, sizes, strict=False):
@@ -342,6 +339,15 @@ class FolderIndex(Index):
 
         entries.append(self._segment(number, gathered(), rows_new))
         return replace(manifest, entries=tuple(entries), next=number + 1)
+
+    def _gathered(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:
+        """How many segments of these sizes stay by themselves when so many tiles are added, and the size of the one that takes
+        the rest along."""
+        kept = len(sizes)
+        while kept and sizes[kept - 1] <= 2 * rows and self._bytes(rows + sizes[kept - 1]) <= self.largest:
+            kept -= 1
+            rows += sizes[kept]
+        return kept, rows
 
     def _segment(self, number: int, batches: Iterator[Batch], rows: int) -> Entry:
         name = f"{number:07d}"

@@ -1,9 +1,10 @@
-"""faiss's own searches, which a segment of more than 4,096 tiles has: in a box, among replaced tiles, and how many they miss."""
+"""faiss's own searches, which larger segments have: in a box, among replaced tiles, and how many they miss."""
 
 from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,13 @@ from lpn.index.faiss import FaissIndex
 COUNT = 12_000
 WIDE: list[Box] = [(-70, -160, 80, 170), (-85, 60, 85, 20)]
 """Boxes that leave far more tiles than are compared one by one."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def from_few_tiles_on() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(FaissIndex, "plain", 4096)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -197,3 +205,29 @@ def test_effort_and_depth_are_whole_numbers_of_one_or_more(made: Path) -> None:
     if json.loads((made / "index.json").read_text())["settings"]["codes"] == "flat":
         with pytest.raises(InputError, match="no effort to choose here, as an index of the codes flat compares every"):
             open_index(made, effort=4)
+
+
+def test_many_small_adds_learn_once_in_many_tiles(
+    tiles: Tiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learnt: list[int] = []
+    original = FaissIndex._finish
+
+    def counted(self: FaissIndex, folder: Path, rows: int) -> None:
+        original(self, folder, rows)
+        if (folder / "faiss.index").exists():
+            learnt.append(rows)
+
+    monkeypatch.setattr(FaissIndex, "_finish", counted)
+    with FaissIndex.create(tmp_path / "index", KIND, "sq8", nprobe=10_000, depth=300) as index:
+        for start in range(0, COUNT, 500):
+            some = slice(start, start + 500)
+            index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
+            for one in index._current().segments:
+                assert (one.folder / "faiss.index").exists() == (one.rows > 4096)
+        assert learnt == [4500, 9000]
+        assert sum(one.rows for one in index._current().segments[1:]) == COUNT - 9000
+        assert len(index._current().segments) <= 5
+        for box in (None, *WIDE):
+            query = tiles.descriptors[-1]
+            tiles.check(index.search(query, None, 10, box), query, None, 10, box)

@@ -91,7 +91,9 @@ def _faiss(path: Path, codes: Any) -> Index:
     pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
     from lpn.index.faiss import FaissIndex
 
-    return FaissIndex.create(path, KIND, codes, nprobe=10_000, depth=50)
+    index = FaissIndex.create(path, KIND, codes, nprobe=10_000, depth=50)
+    index.plain = 4096
+    return index
 
 
 MAKERS: dict[str, Callable[[Path], Index]] = {
