@@ -358,7 +358,8 @@ def shards(folder: Path) -> list[Case]:
             (folder / name).write_bytes(data)
             try:
                 found = open_shards(folder)
-                for partition, tiles in enumerate(found.tiles()):
+                for partition in range(found.plan.partitions):
+                    tiles = found.tiles(partition)
                     assert tiles.positions.shape == (len(tiles.names), 2)
                     shape = found.descriptors(partition, tiles.names).shape
                     assert shape == (len(tiles.names), found.plan.n_parts, found.plan.embedding)

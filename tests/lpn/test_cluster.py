@@ -88,7 +88,8 @@ def expected(model_file: Path, folder: Path, out: Path) -> features.Store:
 def held(out: Path) -> dict[str, np.ndarray]:
     """Descriptors by name, each name once."""
     shards = open_shards(out)
-    parts = [(part.names, shards.descriptors(i, part.names)) for i, part in enumerate(shards.tiles())]
+    names = [shards.tiles(partition).names for partition in range(shards.plan.partitions)]
+    parts = [(some, shards.descriptors(partition, some)) for partition, some in enumerate(names)]
     found = [both for names, descriptors in parts for both in zip(names, descriptors, strict=True)]
     assert len(dict(found)) == len(found)
     return dict(found)
@@ -115,27 +116,31 @@ def test_two_workers_say_what_one_machine_says(
 
 
 class Killed(Worker):
-    """Is killed once, in the middle of its second partition."""
+    """Is killed once, in the middle of its second partition; says which partitions it begins, in a file."""
 
-    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
+    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:
+        with (Path(self.task.out).parent / "begun").open("a") as begun:
+            begun.write(f"{partition}\n")
         fuse = Path(self.task.out).parent / "killed"
         seen = getattr(self, "seen", 0)
         self.seen = seen + 1
         if seen == 1:
             try:
-                fuse.touch(exist_ok=False)
+                with fuse.open("x") as killed:
+                    killed.write(str(partition))
             except FileExistsError:
                 pass
             else:
                 os.kill(os.getpid(), signal.SIGKILL)
-        return super().describe(partition, items)
+        return super().describe(partition, items, source)
 
 
 def test_a_killed_worker_costs_its_partition_alone(model_file: Path, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
     summary = describe(model_file, folder, out, worker=Killed)
-    assert (tmp_path / "killed").exists()
-    assert (summary.pictures, summary.broken) == (PICTURES, [])
+    assert (summary.pictures, summary.computed, summary.broken) == (PICTURES, PICTURES, [])
+    begun = sorted(map(int, (tmp_path / "begun").read_text().split()))
+    assert begun == sorted([*range(open_shards(out).plan.partitions), int((tmp_path / "killed").read_text())])
     alone = expected(model_file, folder, tmp_path / "alone")
     store = to_store(open_shards(out), tmp_path / "store")
     assert store.manifest == alone.manifest
@@ -145,7 +150,7 @@ def test_a_killed_worker_costs_its_partition_alone(model_file: Path, folder: Pat
 class Odd(Worker):
     """Fails at every partition, as a fault of ours would make it."""
 
-    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
+    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:  # noqa: ARG002
         raise ZeroDivisionError(f"partition {partition} of {len(items)}")
 
 
@@ -173,7 +178,8 @@ def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
     rows = list(csv.reader((done / "broken.csv").read_text().splitlines()))
     assert rows == [["name", "reason"], *map(list, zip(broken, reasons, strict=True))]
     assert set(held(done)) == set(names) - set(broken)
-    assert all((part.positions == (46.5, 7.25)).all() for part in open_shards(done).tiles())
+    shards = open_shards(done)
+    assert all((shards.tiles(partition).positions == (46.5, 7.25)).all() for partition in range(shards.plan.partitions))
     again = describe(model_file, folder, done)
     assert (again.computed, again.broken) == (0, summary.broken)
     for name in broken:
@@ -191,9 +197,9 @@ from lpn.cluster import describe_shards
 from lpn.worker import Worker
 
 class Slow(Worker):
-    def describe(self, partition, items):
+    def describe(self, partition, items, source):
         time.sleep(1.0)
-        return super().describe(partition, items)
+        return super().describe(partition, items, source)
 
 describe_shards(Path(sys.argv[1]), sys.argv[2], "drone", sys.argv[3], workers=2, shard=8, worker=Slow)
 """
@@ -225,10 +231,10 @@ def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tm
 class Dying(Worker):
     """Gives up at its second partition, as when the driver is killed there."""
 
-    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
+    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:
         if partition:
             raise StoreError("The driver is gone.")
-        return super().describe(partition, items)
+        return super().describe(partition, items, source)
 
 
 def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
