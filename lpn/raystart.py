@@ -26,7 +26,7 @@ _QUIET = {
 }
 _NO_CLUSTER = "There is no Ray cluster at {}; start one with ray start, or check the address."
 _HELLO, _SETTINGS = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", b"\0\0\0\4\0\0\0\0\0"
-"""What an HTTP/2 client begins with, as Ray's are; and the frame that both sides begin with, of the kind that its fourth byte says."""
+"""What an HTTP/2 client, such as Ray's, begins with; and the frame that both sides begin with, its kind being the fourth byte."""
 _PREFIX = "lpn-ray-"
 _OURS = re.compile(rf"{_PREFIX}\w{{8}}")
 _OBJECTS = 512 << 20

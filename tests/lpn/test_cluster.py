@@ -16,6 +16,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -33,7 +34,7 @@ from lpn.files import alone
 from lpn.gather import open_shards, to_store
 from lpn.index import open_index
 from lpn.raystart import started
-from lpn.shards import Item
+from lpn.shards import BEFORE, PLAN, Item, Plan, read_shard, write_shard
 from lpn.storage import Storage
 from lpn.worker import Worker
 from tests import worlds
@@ -257,6 +258,24 @@ def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
     assert describe(model_file, folder, done).computed > 0
     rows = np.array(list(held(done).values()))
     np.testing.assert_allclose(rows, rows[:1].repeat(PICTURES, 0), atol=1e-6)
+
+
+def test_shards_of_an_earlier_version_are_gone_on_with(model_file: Path, folder: Path, done: Path) -> None:
+    storage, before = Storage(done), held(done)
+    plan = Plan.read(storage)
+    assert plan is not None
+    for partition in range(plan.partitions):
+        shard = read_shard(storage, plan, partition)
+        assert shard is not None
+        write_shard(storage, replace(plan, format=BEFORE), partition, shard.items, shard.descriptors)
+    values = asdict(plan) | {"format": BEFORE}
+    del values["contents"]
+    storage.write(PLAN, json.dumps(values).encode())
+    assert describe(model_file, folder, done).computed == 0
+    after = Plan.read(storage)
+    assert after is not None
+    assert after.contents == plan.contents
+    assert all((held(done)[name] == row).all() for name, row in before.items())
 
 
 class Interrupted(Worker):

@@ -42,11 +42,14 @@ def described(items: Sequence[Item]) -> FloatArray:
 
 def begin(folder: Path, items: Sequence[Item]) -> None:
     """What a run of lpn describe does until it writes its plan for the last time."""
-    storage = Storage(folder)
-    storage.write(PLAN, PLANNED.to_json())
+    Storage(folder).write(PLAN, PLANNED.to_json())
+    write(folder, PLANNED, items)
+
+
+def write(folder: Path, plan: Plan, items: Sequence[Item]) -> None:
     for partition in range(PARTITIONS):
-        mine = [item for item in items if PLANNED.partition(item.row.file) == partition]
-        write_shard(storage, PLANNED, partition, mine, described(mine))
+        mine = [item for item in items if plan.partition(item.row.file) == partition]
+        write_shard(Storage(folder), plan, partition, mine, described(mine))
 
 
 def end(folder: Path) -> None:
@@ -181,12 +184,7 @@ def test_shards_of_before_there_was_a_digest_of_all_are_read(folder: Path, tmp_p
     plan = json.loads((folder / PLAN).read_text())
     del plan["contents"]
     (folder / PLAN).write_text(json.dumps(plan | {"format": BEFORE}))
-    old = json.dumps(BEFORE).encode()
-    for file in folder.glob("*.parquet"):
-        data = file.read_bytes()
-        now = data.replace(json.dumps(PLANNED.format).encode(), old)
-        assert now != data
-        file.write_bytes(now)
+    write(folder, replace(PLANNED, format=BEFORE), WAS)
     assert len(to_store(open_shards(folder), tmp_path / "store").manifest.rows) == len(WAS)
 
 
