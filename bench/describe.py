@@ -4,20 +4,23 @@ The peer is the published test loop: a DataLoader with worker processes decodes 
 normalises; PyTorch in eager mode passes each batch of 32 and then its mirror, and the parts of the sum are normalised. Ours is
 `lpn.features.describe` into a store on disk, of the same network exported to ONNX, with its check of the pictures, manifest, and
 saves; and of the same network quantised. They take turns in one process, after a round that is not counted; the table gives
-medians. The limit is ONNX Runtime's bare passes, two for each picture, on as many threads as there are cores. FOLDER holds
-pictures with folders below it; without it, synthetic JPEG files of 512 x 512 pixels are made. Weights are random, which changes
-no time.
+medians. Where the extra `ray` is installed, the quantised network is then run by Ray, on a worker a core, into shards: the
+pictures a second while its workers are there, from the times of all pictures and of a few. The limit is ONNX Runtime's bare
+passes, two for each picture, on as many threads as there are cores. FOLDER holds pictures with folders below it; without it,
+synthetic JPEG files of 512 x 512 pixels are made. Weights are random, which changes no time.
 """
 
 from __future__ import annotations
 
 import argparse
 import io
+import shutil
 import statistics
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +45,8 @@ PICTURES = 96
 ROUNDS = 3
 BATCH = 32
 """Of the published test script."""
+SHARD = 4
+"""Pictures of a shard: few, so that workers end at about the same time."""
 SPEC = ModelSpec("resnet50", views=("satellite", "drone"), classes=701)
 
 
@@ -87,6 +92,30 @@ def bare(engine: Engine, passes: int) -> None:
         list(pool.map(lambda _: engine.run(single, "drone"), range(passes)))
 
 
+def with_ray(model: Path, files: Sequence[Path], root: Path, folder: Path) -> list[Figure]:
+    """Ray's pictures a second; none without the extra, or where its times do not tell."""
+    few = min(len(files) // 2, 2 * SHARD * usable_cores())
+    if find_spec("ray") is None or not few:
+        return []
+    from lpn.cluster import describe_shards
+    from lpn.raystart import started
+
+    def run(pictures: Path) -> None:
+        with tempfile.TemporaryDirectory() as out:
+            describe_shards(model, pictures, "drone", out, workers=usable_cores(), shard=SHARD, say=lambda _: None)
+
+    for name, some in (("all", files), ("few", files[:few])):
+        for file in some:
+            copy = folder / name / file.relative_to(root)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, copy)
+    with started(None, usable_cores(), 1):
+        times = take_turns({name: lambda name=name: run(folder / name) for name in ("all", "few")}, ROUNDS)  # type: ignore[misc]
+    more = statistics.median(times["all"]) - statistics.median(times["few"])
+    what = f"the same to shards, int8, Ray, {usable_cores()} workers"
+    return [Figure(what, (len(files) - few) / more, "pictures/s", more=True)] if more > 0 else []
+
+
 def agreement(a: FloatArray, b: FloatArray) -> float:
     """Mean cosine between descriptors of the same pictures."""
     return float((a * b).sum(1).mean())
@@ -111,11 +140,14 @@ def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
             tasks[f"{kind} bare"] = lambda single=single: bare(single, 2 * len(files))  # type: ignore[misc]
         apart = 1 - agreement(published(network, files, workers), ours(Engine(folder / "model.onnx"), files, root))
         speed = {name: len(files) / statistics.median(values) for name, values in take_turns(tasks, ROUNDS).items()}
+        # After the others: even an idle Ray is at work.
+        ray = with_ray(folder / "int8.onnx", files, root, folder / "ray")
     what = f"ResNet-50, {len(files)} pictures of a folder to a store"
     peer = speed["peer"]
     return [
         against_peer(f"{what}, int8", speed["int8"], peer, 6, "pictures/s", limit=speed["int8 bare"], more=True),
         Figure(f"{what}, float32", speed["float32"], "pictures/s", peer, speed["float32 bare"], more=True),
+        *ray,
         Figure("1 - mean cosine of the published descriptors and ours in float32", apart, ""),
     ]
 

@@ -13,7 +13,7 @@ import time
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -342,15 +342,16 @@ def shards(folder: Path) -> list[Case]:
     from lpn.features import Row
     from lpn.gather import open_shards
     from lpn.model import normalise
-    from lpn.shards import Item, Plan, shard_name, write_shard
+    from lpn.shards import Item, Plan, contents, read_notes, shard_name, write_shard
     from lpn.storage import Storage
 
     storage = Storage(folder)
-    plan = Plan("0" * 16, "drone", 2, 8, "float32", 1, finished=True)
+    plan = Plan("0" * 16, "drone", 2, 8, "float32", 1)
     items = [Item(Row(f"{i}.png", 100 + i, 10**18, None), (46.0, 7.0) if i % 2 else None) for i in range(9)]
     raw = normalise(np.random.default_rng(0).standard_normal((9, 2, 8)).astype(np.float32))
-    storage.write("plan.json", plan.to_json())
     write_shard(storage, plan, 0, items, raw)
+    written = contents([notes for notes in read_notes(storage, plan, [0]) if notes is not None])
+    storage.write("plan.json", replace(plan, finished=True, contents=written).to_json())
     whole = {name: (folder / name).read_bytes() for name in ("plan.json", shard_name(0))}
 
     def read(name: str) -> Read:
@@ -358,8 +359,10 @@ def shards(folder: Path) -> list[Case]:
             (folder / name).write_bytes(data)
             try:
                 found = open_shards(folder)
-                for partition, tiles in enumerate(found.tiles()):
+                for partition in range(found.plan.partitions):
+                    tiles = found.tiles(partition)
                     assert tiles.positions.shape == (len(tiles.names), 2)
+                    assert [item.row.file for item in found.items(partition)] == tiles.names
                     shape = found.descriptors(partition, tiles.names).shape
                     assert shape == (len(tiles.names), found.plan.n_parts, found.plan.embedding)
             finally:

@@ -3,7 +3,8 @@
 A worker takes a partition, reads its pictures from where they lie, describes them as one machine does, and writes the shard;
 only lists of names and counts travel. What is killed is done again: a worker's partition by another worker, a driver's
 missing partitions by the next run. A partition of which pictures were added, changed, or taken away is written anew, and the
-rows of the others are taken over.
+rows of the others are taken over. Where there are more pictures than partitions are meant for, these are doubled, as often as
+needed: the new ones take their rows from the shard that had them, which is written anew without them when all new ones are there.
 
 Broken pictures stop nothing here, unlike on one machine: among millions there are always some, and the first would cost all
 that was computed. They are named in `broken.csv`, kept in the notes of the shards, and counted at the end.
@@ -26,7 +27,7 @@ from lpn.errors import DataError, InputError, StoreError
 from lpn.features import Box
 from lpn.files import alone
 from lpn.raystart import started
-from lpn.shards import BROKEN, PLAN, Broken, Item, Plan, Precision, digest, packed, read_notes
+from lpn.shards import BROKEN, PLAN, Broken, Item, Notes, Plan, Precision, contents, digest, packed, read_notes
 from lpn.spec import View
 from lpn.storage import Storage
 from lpn.worker import Task, Worker
@@ -80,7 +81,8 @@ def describe_shards(
         address: of a Ray cluster, "auto" for the one this machine is part of; None starts workers on this machine.
         workers: how many; by default as many as there are cores for.
         threads: cores of one worker. Each worker holds the model once.
-        shard: pictures of one shard, about; what a killed worker costs at most. An existing folder keeps its own number.
+        shard: pictures of one shard, on average at most, and so about what a killed worker costs. A folder that has fewer
+            shards than that takes gets twice as many, or four times, and so on; none of its pictures is computed for that.
         positions: a file in the format of geo.csv, by default the `geo.csv` among the pictures, if there is one. Its paths may
             begin further up than the pictures' names, see `lpn.geo.match`.
         boxes: what pictures are cropped to, by their names below `pictures`.
@@ -170,34 +172,53 @@ def _run(
     progress = _Progress(len(items), sum(len(partitions[p]) for p in todo), say)
     if todo:
         # From here to the end the shards may be of pictures old and new.
-        target.write(PLAN, replace(plan, finished=False).to_json())
+        target.write(PLAN, replace(plan, finished=False, contents=None).to_json())
         task = Task(source.where, target.where, plan, model, threads)
-        rows = [{"partition": p, "items": packed(partitions[p])} for p in todo]
+        sources = [_source(p, held) for p in range(plan.partitions)]
+        # What a shard gives away must be in another before it is written anew: else a kill in between would lose it.
+        lots = [[p for p in todo if sources[p] != p], [p for p in todo if sources[p] == p]]
         with started(address, workers, threads) as (data, count, put):
             progress.start()
             reference = put(files)
-            handed_out = data.from_items(rows, override_num_blocks=min(len(rows), _MOST_BLOCKS))
-            with warnings.catch_warnings():
-                # Ray 2.60 announces another way to limit retries, and has none yet.
-                warnings.simplefilter("ignore")
-                results = handed_out.map_batches(
-                    worker,
-                    fn_constructor_args=(task, reference),
-                    batch_size=1,
-                    compute=data.ActorPoolStrategy(size=min(count, len(rows)), max_tasks_in_flight_per_actor=2),
-                    num_cpus=threads,
-                    ray_remote_args_fn=lambda: {"max_task_retries": _RETRIES},
-                )
-            for result in results.iter_rows():
-                if result["error"]:
-                    raise StoreError(str(result["error"]))
-                progress.add(result)
-    broken = _broken(target, plan)
+            for lot in filter(None, lots):
+                rows = [{"partition": p, "source": sources[p], "items": packed(partitions[p])} for p in lot]
+                handed_out = data.from_items(rows, override_num_blocks=min(len(rows), _MOST_BLOCKS))
+                with warnings.catch_warnings():
+                    # Ray 2.60 announces another way to limit retries, and has none yet.
+                    warnings.simplefilter("ignore")
+                    results = handed_out.map_batches(
+                        worker,
+                        fn_constructor_args=(task, reference),
+                        batch_size=1,
+                        compute=data.ActorPoolStrategy(size=min(count, len(rows)), max_tasks_in_flight_per_actor=2),
+                        num_cpus=threads,
+                        ray_remote_args_fn=lambda: {"max_task_retries": _RETRIES},
+                    )
+                for result in results.iter_rows():
+                    if result["error"]:
+                        raise StoreError(str(result["error"]))
+                    progress.add(result)
+    notes = _all_notes(target, plan)
+    found = [broken for one in notes for broken in one.broken]
+    broken = sorted(found, key=lambda one: one.item.row.file.split("/"))
     _write_broken(target, broken)
-    if todo or not plan.finished:
-        target.write(PLAN, replace(plan, finished=True).to_json())
+    ended = replace(plan, finished=True, contents=contents(notes))
+    if todo or ended.to_json() != plan.to_json():
+        target.write(PLAN, ended.to_json())
     progress.end()
     return Summary(len(items), progress.computed, broken)
+
+
+def _source(partition: int, held: list[Notes | None]) -> int:
+    """The partition whose shard has what was described of a partition's pictures: itself, or the one it is split off from."""
+    size = len(held)
+    while held[partition] is None and size % 2 == 0:
+        size //= 2
+        above = partition % size
+        notes = held[above]
+        if notes is not None and partition % notes.partitions == above:
+            return above
+    return partition
 
 
 def _plan(target: Storage, wanted: Plan) -> Plan:
@@ -210,20 +231,21 @@ def _plan(target: Storage, wanted: Plan) -> Plan:
             f"{target.where} holds shards of {held.view} descriptors of model {held.fingerprint} in {held.precision}, and "
             f"these would be {wanted.view} of {wanted.fingerprint} in {wanted.precision}; choose another place."
         )
-    return held
+    partitions = held.partitions
+    while partitions < wanted.partitions:
+        partitions *= 2
+    return replace(held, partitions=partitions)
 
 
-def _broken(target: Storage, plan: Plan) -> list[Broken]:
-    """What all shards say, told from their notes: also of those that an earlier run wrote."""
-    notes = read_notes(target, plan, range(plan.partitions))
-    unseen = sum(one is None for one in notes)
-    if unseen:
+def _all_notes(target: Storage, plan: Plan) -> list[Notes]:
+    """What all shards say: also those that an earlier run wrote."""
+    notes = [one for one in read_notes(target, plan, range(plan.partitions)) if one is not None]
+    if unseen := plan.partitions - len(notes):
         raise StoreError(
             f"{unseen} of {plan.partitions} shards are not to be seen in {target.where} from this machine; on a cluster give a "
             "folder that all machines share, or object storage."
         )
-    found = [broken for one in notes if one is not None for broken in one.broken]
-    return sorted(found, key=lambda one: one.item.row.file.split("/"))
+    return notes
 
 
 def _write_broken(target: Storage, broken: list[Broken]) -> None:

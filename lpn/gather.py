@@ -3,21 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lpn.errors import StoreError
-from lpn.features import Manifest, Row, Store
+from lpn.features import Manifest, Store
 from lpn.features.describing import write_store
 from lpn.features.unfinished import Unfinished
 from lpn.model import FloatArray
-from lpn.shards import AT_ONCE, BROKEN, DAMAGED, PLAN, Broken, Contents, Plan, read_notes, read_shard, shard_name
+from lpn.shards import (
+    BROKEN,
+    DAMAGED,
+    ITEM,
+    PLAN,
+    Broken,
+    Contents,
+    Item,
+    Notes,
+    Plan,
+    contents,
+    each,
+    items_of,
+    notes_of,
+    read_notes,
+    read_shard,
+    shard_name,
+)
 from lpn.storage import Storage
 
 
@@ -37,20 +54,46 @@ class Tiles(NamedTuple):
 class Shards:
     """A complete folder of shards; each picture is in one partition, and there once.
 
+    What is read is of the pictures that were described when it was opened: a shard that a later run wrote anew is refused.
+
     Attributes:
         storage: where they are.
         plan: what they hold.
         broken: the pictures that could not be described, which `broken.csv` names.
+        digests: of the pictures that each partition settles.
     """
 
     storage: Storage
     plan: Plan
     broken: list[Broken]
+    digests: list[str]
 
-    def tiles(self) -> list[Tiles]:
-        """The names and positions of each partition, without reading descriptors; StoreError when a shard is damaged."""
-        with ThreadPoolExecutor(AT_ONCE) as pool:
-            return list(pool.map(self._tiles, range(self.plan.partitions)))
+    def tiles(self, partition: int) -> Tiles:
+        """A partition's names and positions, without reading its descriptors.
+
+        Raises:
+            StoreError: when the shard is damaged, was written anew, or holds pictures of another partition.
+        """
+        table = self._table(partition, ["file", "latitude", "longitude"])
+        try:
+            names: list[str] = table.column("file").to_pylist()
+            degrees = [table.column(name).to_numpy().astype(np.float64) for name in ("latitude", "longitude")]
+            elsewhere = any(self.plan.partition(name) != partition for name in names)
+        except DAMAGED as error:
+            raise self._damaged(partition) from error
+        if elsewhere:
+            raise StoreError(
+                f"{shard_name(partition)} in {self.storage.where} holds pictures that belong in other shards; delete it and run "
+                "lpn describe --engine ray again, which computes it."
+            )
+        return Tiles(names, np.stack(degrees, axis=1))
+
+    def items(self, partition: int) -> list[Item]:
+        """A partition's described pictures, in order of its descriptors, without reading those; StoreError as for `read`."""
+        try:
+            return items_of(self._table(partition, list(ITEM)))
+        except DAMAGED as error:
+            raise self._damaged(partition) from error
 
     def descriptors(self, partition: int, names: Sequence[str]) -> FloatArray:
         """A partition's descriptors, (B, n, D) float32.
@@ -59,33 +102,39 @@ class Shards:
             names: of its pictures, as `tiles` gave them.
 
         Raises:
-            StoreError: when the shard is damaged, or holds other pictures by now.
+            StoreError: as for `read`.
         """
         contents = self.read(partition)
         if [item.row.file for item in contents.items] != list(names):
-            raise StoreError(
-                f"{shard_name(partition)} in {self.storage.where} was written anew while it was read; run this again when lpn "
-                "describe has ended."
-            )
+            raise self.written_anew(partition)
         return contents.descriptors.astype(np.float32)
 
     def read(self, partition: int) -> Contents:
-        """A whole shard; StoreError when it is damaged."""
+        """A whole shard; StoreError when it is damaged, or was written anew since this was opened."""
         contents = read_shard(self.storage, self.plan, partition)
-        if contents is None:
-            raise self._damaged(partition)
+        self._check(partition, None if contents is None else contents.notes)
+        assert contents is not None
         return contents
 
-    def _tiles(self, partition: int) -> Tiles:
-        columns = ["file", "latitude", "longitude"]
+    def written_anew(self, partition: int) -> StoreError:
+        """What is to be said of a shard that is not the one that was opened."""
+        return StoreError(_anew(self.storage, shard_name(partition)))
+
+    def _table(self, partition: int, columns: list[str]) -> pa.Table:
         try:
             with self.storage.open(shard_name(partition)) as file:
                 table = pq.read_table(file, columns=columns, page_checksum_verification=True)
-            names, *degrees = (table.column(name) for name in columns)
-            positions = np.stack([column.to_numpy().astype(np.float64) for column in degrees], axis=1)
-            return Tiles(names.to_pylist(), positions)
+            notes = notes_of(table.schema, self.plan, partition)
         except DAMAGED as error:
             raise self._damaged(partition) from error
+        self._check(partition, notes)
+        return table
+
+    def _check(self, partition: int, notes: Notes | None) -> None:
+        if notes is None:
+            raise self._damaged(partition)
+        if notes.digest != self.digests[partition]:
+            raise self.written_anew(partition)
 
     def _damaged(self, partition: int) -> StoreError:
         return StoreError(
@@ -97,14 +146,10 @@ def open_shards(where: str | Path) -> Shards:
     """A complete folder of shards.
 
     Raises:
-        StoreError: when there is none, a shard is missing, or the run that wrote it has not ended.
+        StoreError: when there is none, a shard is missing, or a run of lpn describe has not ended or began meanwhile.
     """
     storage = Storage(where)
-    plan = Plan.read(storage)
-    if plan is None:
-        raise StoreError(
-            f"{where} has no {PLAN}, so it is no folder of shards; write them with lpn describe --engine ray."
-        )
+    plan = _plan(storage)
     notes = read_notes(storage, plan, range(plan.partitions))
     there = [one for one in notes if one is not None]
     if len(there) < plan.partitions:
@@ -112,12 +157,16 @@ def open_shards(where: str | Path) -> Shards:
             f"{plan.partitions - len(there)} of {plan.partitions} shards in {where} are missing or damaged; run lpn describe "
             "--engine ray again, which computes only those."
         )
-    if not plan.finished:
+    # A run may have begun since the plan was read.
+    if not plan.finished or not _plan(storage).finished:
         raise StoreError(
             f"The shards in {where} may be of pictures old and new, as the run that wrote them has not ended; wait for it, or "
             "run lpn describe --engine ray again, which computes only what is missing."
         )
-    return Shards(storage, plan, [broken for one in there for broken in one.broken])
+    # It may even have ended.
+    if plan.contents not in (None, contents(there)):
+        raise StoreError(_anew(storage, "A shard"))
+    return Shards(storage, plan, [broken for one in there for broken in one.broken], [one.digest for one in there])
 
 
 def to_store(shards: Shards, out: str | Path) -> Store:
@@ -126,23 +175,37 @@ def to_store(shards: Shards, out: str | Path) -> Store:
     The store is what `lpn.features.describe` makes of the same pictures, so it can be gone on with there.
 
     Raises:
-        StoreError: when a shard is damaged, or `out` cannot be written or holds something else.
+        StoreError: when a shard is damaged or was written anew, or `out` cannot be written or holds something else.
     """
     plan = shards.plan
-    rows: list[Row] = []
-    for partition in range(plan.partitions):
-        rows += [item.row for item in shards.read(partition).items]
+    partitions = range(plan.partitions)
+    rows = [item.row for items in each(shards.items, partitions) for item in items]
     if not rows:
         raise StoreError(f"The shards in {shards.storage.where} hold no picture, all being broken; see {BROKEN} there.")
     rows.sort(key=lambda row: row.file.split("/"))
-    position = {row.file: i for i, row in enumerate(rows)}
+    position = {row: i for i, row in enumerate(rows)}
     manifest = Manifest(plan.fingerprint, plan.view, 0.0, plan.n_parts, plan.embedding, tuple(rows), plan.precision)
 
     def fill(unfinished: Unfinished) -> None:
-        for partition in range(plan.partitions):
-            contents = shards.read(partition)
-            if contents.items:
-                places = [position[item.row.file] for item in contents.items]
-                unfinished.put(places, contents.descriptors.astype(np.float32))
+        for partition in partitions:
+            read = shards.read(partition)
+            if not all(item.row in position for item in read.items):
+                raise shards.written_anew(partition)
+            if read.items:
+                places = [position[item.row] for item in read.items]
+                unfinished.put(places, read.descriptors.astype(np.float32))
 
     return write_store(Path(out), manifest, fill)
+
+
+def _plan(storage: Storage) -> Plan:
+    plan = Plan.read(storage)
+    if plan is None:
+        raise StoreError(
+            f"{storage.where} has no {PLAN}, so it is no folder of shards; write them with lpn describe --engine ray."
+        )
+    return plan
+
+
+def _anew(storage: Storage, what: str) -> str:
+    return f"{what} in {storage.where} was written anew while it was read; run this again when lpn describe has ended."

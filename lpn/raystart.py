@@ -25,6 +25,8 @@ _QUIET = {
     "RAY_DATA_DISABLE_PROGRESS_BARS": "1",
 }
 _NO_CLUSTER = "There is no Ray cluster at {}; start one with ray start, or check the address."
+_HELLO, _SETTINGS = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", b"\0\0\0\4\0\0\0\0\0"
+"""What an HTTP/2 client, such as Ray's, begins with; and the frame that both sides begin with, its kind being the fourth byte."""
 _PREFIX = "lpn-ray-"
 _OURS = re.compile(rf"{_PREFIX}\w{{8}}")
 _OBJECTS = 512 << 20
@@ -130,13 +132,19 @@ def _folder(short: Path) -> Iterator[Path]:
 
 
 def _check_address(address: str) -> None:
-    """Ray itself waits for minutes for a machine that is not there."""
+    """Ray itself waits for minutes for a machine that is not there, and for a server that is not Ray's."""
     host, colon, port = address.rpartition(":")
     if colon and port.isdecimal() and "/" not in host:
         try:
-            socket.create_connection((host, int(port)), timeout=10).close()
-        except OSError as error:
+            with socket.create_connection((host, int(port)), timeout=10) as connection:
+                answer = _SETTINGS
+                if os.environ.get("RAY_USE_TLS", "0") == "0":
+                    connection.sendall(_HELLO + _SETTINGS)
+                    answer = connection.makefile("rb").read(len(_SETTINGS))
+        except (OSError, OverflowError) as error:
             raise InputError(_NO_CLUSTER.format(address)) from error
+        if answer[3:4] != _SETTINGS[3:4]:
+            raise InputError(_NO_CLUSTER.format(address))
 
 
 @contextmanager

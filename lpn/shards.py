@@ -1,7 +1,7 @@
 """Descriptors past one machine: a folder or a prefix of Parquet files, written by many workers. Needs the extra `ray`.
 
-    plan.json         format, model fingerprint, view, n and D, precision, the number of partitions, and whether the last run
-                      ended: from its first shard to its end a run leaves that at false
+    plan.json         format, model fingerprint, view, n and D, precision, the number of partitions, whether the last run ended
+                      (from its first shard to its end a run leaves that at false), and then the digest of all shards
     000000.parquet    one file for each partition, which is all pictures whose name's hash falls to it:
                       file, size, time_ns, box (or null), latitude, longitude (or null), descriptor (n D numbers in a row)
     broken.csv        pictures that could not be described, with what is wrong
@@ -10,6 +10,9 @@ A shard is written whole or not at all, and a partition has one name whoever wri
 twice. Its metadata, under the key `lpn`, hold what plan.json holds, which pictures could not be described, and a digest of the
 pictures that it settles, by which a later run tells a finished partition without reading its rows. `lpn.gather` reads what is
 complete.
+
+As pictures become more, partitions are doubled: of those of a partition, about half fall to a new one then, whose number is
+higher by as many as there were. A shard of before stays, and is right where its digest is.
 """
 
 from __future__ import annotations
@@ -17,10 +20,10 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, NamedTuple, cast
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import numpy.typing as npt
 import pyarrow as pa
@@ -32,13 +35,17 @@ from lpn.formats import is_newer, newer
 from lpn.model import FloatArray
 from lpn.storage import Storage
 
-FORMAT = "lpn-shards/1"
+FORMAT = "lpn-shards/2"
+BEFORE = "lpn-shards/1"
+"""Knew of no growing partitions and no digest of all shards; what it says is true of such shards still."""
 PLAN = "plan.json"
 BROKEN = "broken.csv"
 Precision = Literal["float32", "float16"]
 Position = tuple[float, float] | None
 """Latitude and longitude in degrees."""
 
+ITEM = ("file", "size", "time_ns", "box", "latitude", "longitude")
+"""Columns of a shard: all but the descriptor."""
 DAMAGED = (
     OSError,
     ValueError,
@@ -50,8 +57,12 @@ DAMAGED = (
     pa.ArrowException,
 )
 """What is raised on a file that is no shard, by whoever notices."""
-AT_ONCE = 32
-"""Files whose metadata are read at once: it is the latency of the storage that takes the time."""
+_AT_ONCE = 32
+"""Files that are looked into at once: it is the latency of the storage that takes the time."""
+_QUEUED = 1024
+"""Files that are waited for at most, so that those of any number take no memory."""
+
+_T = TypeVar("_T")
 
 
 class Item(NamedTuple):
@@ -86,6 +97,7 @@ class Plan:
         precision: of the numbers in the files.
         partitions: how many shards there are when it is complete.
         finished: whether the last run ended, so that all shards are of one state of the pictures.
+        contents: see the function `contents`; None before a run ended, and of an earlier version.
     """
 
     fingerprint: str
@@ -96,6 +108,7 @@ class Plan:
     partitions: int
     format: str = FORMAT
     finished: bool = field(default=False, compare=False)
+    contents: str | None = field(default=None, compare=False)
 
     @classmethod
     def read(cls, storage: Storage) -> Plan | None:
@@ -108,9 +121,11 @@ class Plan:
             whole = all(type(n) is int and 0 < n < 2**31 for n in (plan.n_parts, plan.embedding, plan.partitions))
             if not whole or not isinstance(plan.fingerprint, str) or not isinstance(plan.view, str):
                 raise ValueError("values of another kind")
-            if plan.format != FORMAT or plan.precision not in ("float32", "float16"):
+            if not isinstance(plan.contents, str | None) or not isinstance(plan.finished, bool):
+                raise ValueError("values of another kind")
+            if plan.format not in (FORMAT, BEFORE) or plan.precision not in ("float32", "float16"):
                 raise ValueError("another format")
-            return plan
+            return replace(plan, format=FORMAT)
         except FileNotFoundError:
             return None
         except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
@@ -183,31 +198,52 @@ class Contents(NamedTuple):
 
     items: list[Item]
     descriptors: npt.NDArray[Any]
-    broken: list[Broken]
+    notes: Notes
 
 
 def read_shard(storage: Storage, plan: Plan, partition: int) -> Contents | None:
     """A partition's shard, None where there is none or it is damaged or of another plan."""
     try:
         table = pq.read_table(pa.BufferReader(storage.read(shard_name(partition))), page_checksum_verification=True)
-        notes = _notes(table.schema, plan, partition)
+        notes = notes_of(table.schema, plan, partition)
         if notes is None:
             return None
         column = table.column("descriptor").combine_chunks()
         numbers = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, plan.n_parts, plan.embedding)
-        values = [
-            table.column(name).to_pylist() for name in ("file", "size", "time_ns", "box", "latitude", "longitude")
-        ]
-        return Contents([_item(one) for one in zip(*values, strict=True)], numbers, notes.broken)
+        return Contents(items_of(table), numbers, notes)
     except DAMAGED:
         return None
 
 
+def items_of(table: pa.Table) -> list[Item]:
+    """The items of a shard's rows, from a table that has the columns of `ITEM`; one of `DAMAGED` where it is none."""
+    return [_item(one) for one in zip(*(table.column(name).to_pylist() for name in ITEM), strict=True)]
+
+
 class Notes(NamedTuple):
-    """What a shard says of itself: which pictures it settles, and those that could not be described."""
+    """What a shard says of itself.
+
+    Attributes:
+        digest: of the pictures that it settles, see the function `digest`.
+        broken: the pictures that could not be described.
+        partitions: how many there were when it was written.
+    """
 
     digest: str
     broken: list[Broken]
+    partitions: int
+
+
+def contents(notes: Iterable[Notes]) -> str:
+    """What tells whether shards are those of one run's end: a digest of their digests, in order of the partitions."""
+    return hashlib.sha256("\n".join(one.digest for one in notes).encode()).hexdigest()
+
+
+def each(task: Callable[[int], _T], partitions: Sequence[int]) -> Iterator[_T]:
+    """What a task that waits for the storage gives for each partition, in order; several are waited for at once."""
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        for start in range(0, len(partitions), _QUEUED):
+            yield from pool.map(task, partitions[start : start + _QUEUED])
 
 
 def read_notes(storage: Storage, plan: Plan, partitions: Sequence[int]) -> list[Notes | None]:
@@ -216,27 +252,30 @@ def read_notes(storage: Storage, plan: Plan, partitions: Sequence[int]) -> list[
     def read(partition: int) -> Notes | None:
         try:
             with storage.open(shard_name(partition)) as file:
-                return _notes(pq.read_schema(file), plan, partition)
+                return notes_of(pq.read_schema(file), plan, partition)
         except DAMAGED:
             return None
 
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        return list(pool.map(read, partitions))
+    return list(each(read, partitions))
+
+
+def notes_of(schema: pa.Schema, plan: Plan, partition: int) -> Notes | None:
+    """The notes in a file's schema, None where they are of another plan or partition; one of `DAMAGED` where they are none."""
+    notes = json.loads((schema.metadata or {}).get(b"lpn", b"{}"))
+    wanted = {**_noted(plan), "partition": partition, "partitions": (partitions := notes.get("partitions"))}
+    if notes.get("format") == BEFORE:
+        wanted["format"] = BEFORE
+    if {key: notes.get(key) for key in wanted} != wanted or type(partitions) is not int or partitions < 1:
+        return None
+    broken = [Broken(_item(item), str(reason), bool(settled)) for item, reason, settled in notes["broken"]]
+    return Notes(str(notes["digest"]), broken, partitions)
 
 
 def _noted(plan: Plan) -> dict[str, Any]:
     """What every shard repeats of its plan."""
     values = asdict(plan)
-    del values["finished"]
+    del values["finished"], values["contents"]
     return values
-
-
-def _notes(schema: pa.Schema, plan: Plan, partition: int) -> Notes | None:
-    notes = json.loads((schema.metadata or {}).get(b"lpn", b"{}"))
-    if {key: notes.get(key) for key in _noted(plan)} != _noted(plan) or notes.get("partition") != partition:
-        return None
-    broken = [Broken(_item(item), str(reason), bool(settled)) for item, reason, settled in notes["broken"]]
-    return Notes(str(notes["digest"]), broken)
 
 
 def _kind(plan: Plan) -> tuple[object, ...]:

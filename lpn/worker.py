@@ -65,18 +65,27 @@ class Worker:
         """Ray Data's batch of one partition to one row of what came of it; an error is a row too, in words."""
         partition = int(batch["partition"][0])
         try:
-            computed, described, broken = self.describe(partition, unpacked(str(batch["items"][0])))
+            items = unpacked(str(batch["items"][0]))
+            computed, described, broken = self.describe(partition, items, int(batch["source"][0]))
         except LPNError as error:
             return {"partition": [partition], "computed": [0], "described": [0], "broken": [0], "error": [str(error)]}
         counts = {"computed": [computed], "described": [described], "broken": [broken]}
         return {"partition": [partition], **counts, "error": [""]}
 
-    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
-        """Write a partition's shard; returns how many of its pictures were computed, are described, and are broken."""
+    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:
+        """Write a partition's shard.
+
+        Args:
+            items: the pictures of the partition.
+            source: the partition whose shard holds what was described of them.
+
+        Returns:
+            How many of its pictures were computed, are described, and are broken.
+        """
         plan = self.task.plan
-        before = read_shard(self.out, plan, partition)
+        before = read_shard(self.out, plan, source)
         rows = {item.row: row for item, row in zip(before.items, before.descriptors, strict=True)} if before else {}
-        known = {one.item.row: one for one in before.broken if one.settled} if before else {}
+        known = {one.item.row: one for one in before.notes.broken if one.settled} if before else {}
         missing = [item for item in items if item.row not in rows and item.row not in known]
         broken = [known[item.row]._replace(item=item) for item in items if item.row in known]
         streams = describe_each(self.model, missing, self._prepare, cast(View, plan.view), self.task.threads + 1)

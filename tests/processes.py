@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
 SOON = 10.0
 """Seconds that a process which was asked to stop may take on a busy machine; it takes 2 at most by itself."""
+
+
+def free_port() -> int:
+    """A port that nobody has, and that the system gives nobody for a connection either, while the server is down."""
+    for port in random.sample(range(21000, 32000), 1000):
+        with socket.socket() as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise RuntimeError("there is no free port")
 
 
 class Process:

@@ -37,7 +37,8 @@ class Describe:
     threads: int | None = None
     """With --engine ray: cores of one worker, 1 by default; each worker holds the model once, so more take less memory."""
     shard: int | None = None
-    """With --engine ray: pictures of one shard, 256 by default; what a killed worker costs at most."""
+    """With --engine ray: pictures of one shard, 256 by default, on average at most; about what a killed worker costs. Where there
+    are more by now, shards are split, and no picture is computed for that."""
     positions: str | None = None
     """With --engine ray: file in the format of geo.csv to take positions from, its paths below --images or further up; by default
     geo.csv among the pictures, if any."""

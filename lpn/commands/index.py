@@ -52,18 +52,18 @@ class MakeIndex:
             create_index(self.out, tiles.kind, self.engine, self.precision, self.codes, self.structure) as index,
             Progress(*columns) as bar,
         ):
-            task = bar.add_task("Indexing", total=len(tiles.names))
+            task = bar.add_task("Indexing", total=tiles.count)
             for lot in tiles.lots:
-                some = np.array(lot, np.int64)
+                some = np.arange(len(lot.names))
                 if not self.replace:
-                    some = some[~index.holds(tiles.names[lot.start : lot.stop])]
+                    some = some[~index.holds(lot.names)]
                 if len(some):
-                    chosen = [tiles.names[i] for i in some.tolist()]
-                    index.add(chosen, tiles.rows(some), None if tiles.positions is None else tiles.positions[some])
+                    chosen = [lot.names[i] for i in some.tolist()]
+                    index.add(chosen, lot.rows(some), None if lot.positions is None else lot.positions[some])
                     added += len(some)
-                bar.update(task, completed=lot.stop)
+                bar.advance(task, len(lot.names))
             print(f"{printable(_shown(self.out))} holds {index.count()} tiles, {added} of them added now.")
-        if there := len(tiles.names) - added:
+        if there := tiles.count - added:
             print(
                 f"{there} were there already and were left as they are; give --replace where pictures or positions changed."
             )

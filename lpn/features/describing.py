@@ -73,7 +73,8 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[Unfinished], None
         fill: puts all rows that are not there yet.
 
     Raises:
-        StoreError: when `out` cannot be written, or holds descriptors of another model, view, change, or precision.
+        StoreError: when `out` cannot be written, or holds descriptors of another model, view, change, or precision, or `fill`
+            left rows out.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -88,6 +89,11 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[Unfinished], None
                     fill(unfinished)
                 finally:
                     unfinished.save()
+                if not unfinished.good.all():
+                    raise StoreError(
+                        f"{int((~unfinished.good).sum())} of {len(manifest.rows)} rows of the store {out} were not written; run "
+                        "this again, which goes on there."
+                    )
                 _finish(out, manifest)
     except OSError as error:
         raise StoreError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,8 @@ from lpn.files import printable
 from lpn.index.base import Exact, Kind, check_names
 from lpn.model import FloatArray
 
+Numbers = npt.NDArray[np.int64]
+
 _LOT_BYTES = 64 << 20
 """Of descriptors added at once: what a killed run does over again."""
 _PLAN = "plan.json"
@@ -22,23 +24,34 @@ _PLAN = "plan.json"
 
 
 @dataclass(frozen=True)
+class Lot:
+    """Tiles that are best read and added together.
+
+    Attributes:
+        names: of its tiles, each a name that an index takes.
+        positions: latitude and longitude in degrees, (B, 2) float64, NaN where a tile has none; None where none has.
+        rows: gives the descriptors (C, n, D) float32 of some of them, by their ascending numbers within the lot, (C,).
+    """
+
+    names: list[str]
+    positions: Exact | None
+    rows: Callable[[Numbers], FloatArray]
+
+
+@dataclass(frozen=True)
 class Tiles:
-    """Tiles to be put into an index.
+    """Tiles to be put into an index. Those of shards are read lot by lot, and only one lot is kept.
 
     Attributes:
         kind: of their descriptors.
-        names: of all of them, each a name that an index takes.
-        positions: latitude and longitude in degrees, (N, 2) float64, NaN where a tile has none; None where none has.
-        lots: the tiles that are best read and added together, in order.
-        rows: gives the descriptors (B, n, D) float32 of some tiles of one lot, by their ascending numbers.
+        count: how many there are.
+        lots: all of them in order, each tile in one lot; StoreError where a shard is damaged or was written anew meanwhile.
         broken: how many pictures could not be described, and so are not among them.
     """
 
     kind: Kind
-    names: list[str]
-    positions: Exact | None
-    lots: list[range]
-    rows: Callable[[npt.NDArray[np.int64]], FloatArray]
+    count: int
+    lots: Iterator[Lot]
     broken: int = 0
 
 
@@ -67,33 +80,63 @@ def _of_store(folder: Path, data: Path | None) -> Tiles:
     names = [Path(row.file).as_posix() for row in manifest.rows]
     check_names(names, len(names))
     kind = Kind(manifest.fingerprint, manifest.n_parts, manifest.embedding)
+    positions = None if data is None else _positions(data, names)
     step = _step(kind)
-    lots = [range(start, min(start + step, len(names))) for start in range(0, len(names), step)]
-    return Tiles(kind, names, None if data is None else _positions(data, names), lots, store.rows)
+
+    def lot(start: int) -> Lot:
+        some = slice(start, start + step)
+        return Lot(names[some], None if positions is None else positions[some], lambda at: store.rows(start + at))
+
+    return Tiles(kind, len(names), map(lot, range(0, len(names), step)))
 
 
 def _of_shards(where: str, data: Path | None) -> Tiles:
     from lpn.gather import open_shards
+    from lpn.shards import each
 
     shards = open_shards(where)
     kind = Kind(shards.plan.fingerprint, shards.plan.n_parts, shards.plan.embedding)
-    parts = shards.tiles()
-    names = [name for part in parts for name in part.names]
-    check_names(names, len(names))
-    positions = np.concatenate([part.positions for part in parts]) if data is None else _positions(data, names)
-    starts = np.cumsum([0, *(len(part.names) for part in parts)])
 
-    def rows(chosen: npt.NDArray[np.int64]) -> FloatArray:
-        owners = np.searchsorted(starts, chosen, "right") - 1
-        read = [shards.descriptors(int(p), parts[p].names)[chosen[owners == p] - starts[p]] for p in np.unique(owners)]
-        return np.concatenate(read)
+    def checked(partition: int) -> list[str]:
+        # A partition is told by a name alone: none is in two of them.
+        names = shards.tiles(partition).names
+        return check_names(names, len(names))
 
-    lots: list[range] = []
-    for start, end in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
-        if lots and end - lots[-1].start <= _step(kind):
-            start = lots.pop().start
-        lots.append(range(start, end))
-    return Tiles(kind, names, positions, lots, rows, len(shards.broken))
+    partitions = range(shards.plan.partitions)
+    positions: Exact | None = None
+    if data is None:
+        counts = list(each(lambda partition: len(checked(partition)), partitions))
+    else:
+        # The paths of a file of positions are matched with all names, so these must be known together.
+        parts = list(each(checked, partitions))
+        counts = [len(names) for names in parts]
+        positions = _positions(data, [name for names in parts for name in names])
+    starts = np.cumsum([0, *counts])
+
+    def lot(group: range) -> Lot:
+        tiles = list(each(shards.tiles, group))
+        names = [name for part in tiles for name in part.names]
+        first = starts[group.start]
+        own = np.concatenate([part.positions for part in tiles])
+        places = own if positions is None else positions[first : first + len(names)]
+
+        def rows(at: Numbers) -> FloatArray:
+            owners = np.searchsorted(starts, first + at, "right") - 1
+            read = [
+                shards.descriptors(int(p), tiles[p - group.start].names)[(first + at)[owners == p] - starts[p]]
+                for p in np.unique(owners)
+            ]
+            return np.concatenate(read)
+
+        return Lot(names, places, rows)
+
+    groups: list[range] = []
+    for partition in partitions:
+        start = partition
+        if groups and starts[partition + 1] - starts[groups[-1].start] <= _step(kind):
+            start = groups.pop().start
+        groups.append(range(start, partition + 1))
+    return Tiles(kind, int(starts[-1]), map(lot, groups), len(shards.broken))
 
 
 def _step(kind: Kind) -> int:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-import random
 import signal
-import socket
 import subprocess
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 import pytest
+
+from tests.processes import free_port
 
 _RUN = """
 import sys
@@ -35,21 +34,12 @@ def milvus_python() -> str:
     return python
 
 
-def _free_port() -> int:
-    """A port that nobody has, and that the system gives nobody for a connection either, while the server is down."""
-    for port in random.sample(range(21000, 32000), 1000):
-        with socket.socket() as probe, suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            return port
-    raise RuntimeError("there is no free port")
-
-
 class Server:
     """A server on a port and a folder of its own, which ends with the block."""
 
     def __init__(self, python: str, folder: Path) -> None:
         self._python, self._folder = python, folder
-        self.port, self._health = _free_port(), _free_port()
+        self.port, self._health = free_port(), free_port()
         self._process: subprocess.Popen[str] | None = None
         self._server = 0
 

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+import tempfile
+import threading
 import time
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,10 +34,11 @@ from lpn.files import alone
 from lpn.gather import open_shards, to_store
 from lpn.index import open_index
 from lpn.raystart import started
-from lpn.shards import Item
+from lpn.shards import BEFORE, PLAN, Item, Plan, read_shard, write_shard
 from lpn.storage import Storage
 from lpn.worker import Worker
 from tests import worlds
+from tests.processes import free_port
 
 pytestmark = [
     # Of Ray and what it starts: deprecations within its own modules, processes and sockets it leaves to the system.
@@ -88,7 +95,8 @@ def expected(model_file: Path, folder: Path, out: Path) -> features.Store:
 def held(out: Path) -> dict[str, np.ndarray]:
     """Descriptors by name, each name once."""
     shards = open_shards(out)
-    parts = [(part.names, shards.descriptors(i, part.names)) for i, part in enumerate(shards.tiles())]
+    names = [shards.tiles(partition).names for partition in range(shards.plan.partitions)]
+    parts = [(some, shards.descriptors(partition, some)) for partition, some in enumerate(names)]
     found = [both for names, descriptors in parts for both in zip(names, descriptors, strict=True)]
     assert len(dict(found)) == len(found)
     return dict(found)
@@ -115,27 +123,31 @@ def test_two_workers_say_what_one_machine_says(
 
 
 class Killed(Worker):
-    """Is killed once, in the middle of its second partition."""
+    """Is killed once, in the middle of its second partition; says which partitions it begins, in a file."""
 
-    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
+    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:
+        with (Path(self.task.out).parent / "begun").open("a") as begun:
+            begun.write(f"{partition}\n")
         fuse = Path(self.task.out).parent / "killed"
         seen = getattr(self, "seen", 0)
         self.seen = seen + 1
         if seen == 1:
             try:
-                fuse.touch(exist_ok=False)
+                with fuse.open("x") as killed:
+                    killed.write(str(partition))
             except FileExistsError:
                 pass
             else:
                 os.kill(os.getpid(), signal.SIGKILL)
-        return super().describe(partition, items)
+        return super().describe(partition, items, source)
 
 
 def test_a_killed_worker_costs_its_partition_alone(model_file: Path, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
     summary = describe(model_file, folder, out, worker=Killed)
-    assert (tmp_path / "killed").exists()
-    assert (summary.pictures, summary.broken) == (PICTURES, [])
+    assert (summary.pictures, summary.computed, summary.broken) == (PICTURES, PICTURES, [])
+    begun = sorted(map(int, (tmp_path / "begun").read_text().split()))
+    assert begun == sorted([*range(open_shards(out).plan.partitions), int((tmp_path / "killed").read_text())])
     alone = expected(model_file, folder, tmp_path / "alone")
     store = to_store(open_shards(out), tmp_path / "store")
     assert store.manifest == alone.manifest
@@ -145,7 +157,7 @@ def test_a_killed_worker_costs_its_partition_alone(model_file: Path, folder: Pat
 class Odd(Worker):
     """Fails at every partition, as a fault of ours would make it."""
 
-    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
+    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:  # noqa: ARG002
         raise ZeroDivisionError(f"partition {partition} of {len(items)}")
 
 
@@ -173,7 +185,8 @@ def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
     rows = list(csv.reader((done / "broken.csv").read_text().splitlines()))
     assert rows == [["name", "reason"], *map(list, zip(broken, reasons, strict=True))]
     assert set(held(done)) == set(names) - set(broken)
-    assert all((part.positions == (46.5, 7.25)).all() for part in open_shards(done).tiles())
+    shards = open_shards(done)
+    assert all((shards.tiles(partition).positions == (46.5, 7.25)).all() for partition in range(shards.plan.partitions))
     again = describe(model_file, folder, done)
     assert (again.computed, again.broken) == (0, summary.broken)
     for name in broken:
@@ -191,9 +204,9 @@ from lpn.cluster import describe_shards
 from lpn.worker import Worker
 
 class Slow(Worker):
-    def describe(self, partition, items):
+    def describe(self, partition, items, source):
         time.sleep(1.0)
-        return super().describe(partition, items)
+        return super().describe(partition, items, source)
 
 describe_shards(Path(sys.argv[1]), sys.argv[2], "drone", sys.argv[3], workers=2, shard=8, worker=Slow)
 """
@@ -225,10 +238,10 @@ def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tm
 class Dying(Worker):
     """Gives up at its second partition, as when the driver is killed there."""
 
-    def describe(self, partition: int, items: list[Item]) -> tuple[int, int, int]:
+    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:
         if partition:
             raise StoreError("The driver is gone.")
-        return super().describe(partition, items)
+        return super().describe(partition, items, source)
 
 
 def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
@@ -245,6 +258,79 @@ def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
     assert describe(model_file, folder, done).computed > 0
     rows = np.array(list(held(done).values()))
     np.testing.assert_allclose(rows, rows[:1].repeat(PICTURES, 0), atol=1e-6)
+
+
+def test_shards_of_an_earlier_version_are_gone_on_with(model_file: Path, folder: Path, done: Path) -> None:
+    storage, before = Storage(done), held(done)
+    plan = Plan.read(storage)
+    assert plan is not None
+    for partition in range(plan.partitions):
+        shard = read_shard(storage, plan, partition)
+        assert shard is not None
+        write_shard(storage, replace(plan, format=BEFORE), partition, shard.items, shard.descriptors)
+    values = asdict(plan) | {"format": BEFORE}
+    del values["contents"]
+    storage.write(PLAN, json.dumps(values).encode())
+    assert describe(model_file, folder, done).computed == 0
+    after = Plan.read(storage)
+    assert after is not None
+    assert after.contents == plan.contents
+    assert all((held(done)[name] == row).all() for name, row in before.items())
+
+
+class Interrupted(Worker):
+    """Gives up at the partition that there was first, once: by then all others are there, if they are written before it."""
+
+    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:
+        fuse = Path(self.task.out).parent / "interrupted"
+        if not partition and not fuse.exists():
+            fuse.touch()
+            raise StoreError("The driver is gone.")
+        return super().describe(partition, items, source)
+
+
+def test_shards_of_a_folder_that_grows_stay_small(model_file: Path, folder: Path, tmp_path: Path) -> None:
+    """Twenty pictures join three: nothing is computed twice, also where the run that splits the shards is killed."""
+    out, pictures = tmp_path / "shards", tmp_path / "some"
+    # Of these names none of eight partitions gets more than four, and the first more than the one of the first run.
+    numbers = [14, 11, 13, *(i for i in range(10, 33) if i not in (11, 13, 14))]
+    kept = [folder / f"{i % 3}" / f"{i:02d}.png" for i in numbers]
+
+    def run(worker: type[Worker] = Worker) -> Summary:
+        return describe_shards(
+            model_file, pictures, "drone", out, workers=2, shard=4, say=lambda _: None, worker=worker
+        )
+
+    def sizes() -> list[int]:
+        shards = open_shards(out)
+        return [len(shards.items(partition)) for partition in range(shards.plan.partitions)]
+
+    pictures.mkdir()
+    for file in kept[:3]:
+        shutil.copy2(file, pictures)
+    assert run().computed == 3
+    assert sizes() == [3]
+    before = held(out)
+    for file in kept[3:]:
+        shutil.copy2(file, pictures)
+    with pytest.raises(StoreError, match="The driver is gone"):
+        run(Interrupted)
+    with pytest.raises(StoreError, match="the run that wrote them has not ended"):
+        open_shards(out)
+    assert run().computed == 3
+    assert len(sizes()) == 8
+    assert max(sizes()) == 4
+    found = held(out)
+    assert len(found) == 23
+    for name, row in before.items():
+        np.testing.assert_array_equal(found[name], row)
+    (pictures / kept[0].name).unlink()
+    worlds.write(pictures / kept[1].name, worlds.place(77))
+    assert run().computed == 1
+    alone = expected(model_file, pictures, tmp_path / "alone")
+    store = to_store(open_shards(out), tmp_path / "store")
+    assert store.manifest == alone.manifest
+    np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
 
 
 def test_shards_are_indexed_with_their_positions(
@@ -286,6 +372,81 @@ def test_a_live_runs_folder_is_kept_and_a_killed_ones_deleted(tmp_path: Path) ->
         assert one.is_dir()
         assert not other.exists()
     assert not one.exists()
+
+
+@pytest.fixture
+def cluster() -> Iterator[str]:
+    """The address of a cluster of one machine with one core, which ends with the test."""
+    port = free_port()
+    with tempfile.TemporaryDirectory(prefix="lpn-", dir="/tmp", ignore_cleanup_errors=True) as short:
+        log = Path(short, "log")
+        sizes = ["--num-cpus=1", f"--object-store-memory={80 << 20}", "--min-worker-port=0", "--max-worker-port=0"]
+        quiet = ["--include-dashboard=false", "--disable-usage-stats", f"--temp-dir={short}/ray"]
+        starting = ["start", "--head", "--block", "--node-ip-address=127.0.0.1", f"--port={port}", *sizes, *quiet]
+        with log.open("wb") as said:
+            head = subprocess.Popen([sys.executable, "-m", "ray.scripts.scripts", *starting], stdout=said, stderr=said)
+        try:
+            end = time.monotonic() + 60
+            while b"will now block" not in log.read_bytes():
+                assert head.poll() is None, log.read_text()
+                assert time.monotonic() < end, log.read_text()
+                time.sleep(0.05)
+            yield f"127.0.0.1:{port}"
+        finally:
+            head.kill()  # what it started ends with it
+            head.wait()
+
+
+COMMANDS = """
+import json, sys, time
+from lpn import cli
+
+for given in json.loads(sys.argv[1]):
+    began = time.monotonic()
+    status = cli.main(given)
+    sys.stdout.flush()
+    print(json.dumps([status, time.monotonic() - began]), file=sys.stderr, flush=True)
+"""
+
+
+def test_a_cluster_is_joined_by_its_address_and_one_that_is_not_there_is_told(
+    model_file: Path, folder: Path, cluster: str, tmp_path: Path
+) -> None:
+    """In a process that has no Ray yet; one for all of these, as it takes seconds to load."""
+    out = tmp_path / "shards"
+    common = ["describe", "--engine", "ray", "--model", str(model_file), "--images", str(folder), "--view", "drone"]
+    common += ["--out", str(out), "--address"]
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        nobody = f"127.0.0.1:{closed.getsockname()[1]}"
+    with socket.create_server(("127.0.0.1", 0)) as web:
+        threading.Thread(target=_answers, args=(web,), daemon=True).start()
+        other = f"127.0.0.1:{web.getsockname()[1]}"
+        given = [[*common, nobody], [*common, other], [*common, cluster, "--threads", "2"], [*common, cluster]]
+        ran = subprocess.run(
+            [sys.executable, "-c", COMMANDS, json.dumps(given)], capture_output=True, text=True, timeout=240, check=True
+        )
+    absent = "There is no Ray cluster at {}; start one with ray start, or check the address."
+    said = [line for line in ran.stderr.splitlines() if line]
+    ends = [json.loads(line) for line in said if line.startswith("[")]
+    assert [status for status, _ in ends] == [2, 2, 2, 0], ran.stderr
+    assert max(seconds for _, seconds in ends[:2]) < 30
+    sentences = [line for line in said if not line.startswith("[")]
+    assert [any(text in line for line in sentences) for text in (absent.format(nobody), absent.format(other))] == [
+        True
+    ] * 2
+    assert any("No machine of the cluster has 2 cores; give fewer --threads." in line for line in sentences)
+    assert len(sentences) == 3, sentences
+    assert f"{out} holds {PICTURES} descriptors, {PICTURES} of them computed now." in ran.stdout
+    assert len(held(out)) == PICTURES
+
+
+def _answers(server: socket.socket) -> None:
+    """A web server, as far as Ray would know."""
+    with suppress(OSError):
+        connection, _ = server.accept()
+        with connection:
+            connection.recv(100)
+            connection.sendall(b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n")
 
 
 def test_that_ray_does_not_start_is_told_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -271,4 +271,4 @@ def test_a_shard_whose_positions_are_damaged_is_told(tmp_path: Path) -> None:
     data[place + 5] ^= 1
     file.write_bytes(data)
     with pytest.raises(StoreError, match="damaged"):
-        open_shards(tmp_path).tiles()
+        open_shards(tmp_path).tiles(0)

@@ -1,0 +1,211 @@
+"""Shards that change while they are read: what is made of them is of one state of the pictures, or refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow", reason="the extra ray is not installed")
+
+from lpn import cli, features, gather
+from lpn.errors import StoreError
+from lpn.features import Manifest, Row
+from lpn.features.describing import write_store
+from lpn.features.unfinished import Unfinished
+from lpn.gather import open_shards, to_store
+from lpn.index import open_index
+from lpn.model import FloatArray, normalise
+from lpn.shards import BEFORE, PLAN, Item, Plan, contents, read_notes, shard_name, write_shard
+from lpn.storage import Storage
+
+PARTITIONS = 3
+PLANNED = Plan("f" * 16, "drone", 2, 4, "float32", PARTITIONS)
+WAS = [Item(Row(f"{i}.png", 10, 1), (46.0, 7.0)) for i in range(12)]
+RUNS = {
+    "removed": WAS[1:],
+    "added": [*WAS, Item(Row("new.png", 10, 1), (46.0, 7.0))],
+    "changed": [Item(Row(item.row.file, 11, 2), item.position) for item in WAS],
+}
+ANEW = "was written anew while it was read; run this again when lpn describe has ended"
+
+
+def described(items: Sequence[Item]) -> FloatArray:
+    """Descriptors that tell pictures, and their states, apart: (B, 2, 4)."""
+    raw = [np.random.default_rng([*item.row.file.encode(), item.row.size]).standard_normal((2, 4)) for item in items]
+    return normalise(np.array(raw, np.float32).reshape(-1, 2, 4))
+
+
+def begin(folder: Path, items: Sequence[Item]) -> None:
+    """What a run of lpn describe does until it writes its plan for the last time."""
+    Storage(folder).write(PLAN, PLANNED.to_json())
+    write(folder, PLANNED, items)
+
+
+def write(folder: Path, plan: Plan, items: Sequence[Item]) -> None:
+    for partition in range(PARTITIONS):
+        mine = [item for item in items if plan.partition(item.row.file) == partition]
+        write_shard(Storage(folder), plan, partition, mine, described(mine))
+
+
+def end(folder: Path) -> None:
+    storage = Storage(folder)
+    notes = [one for one in read_notes(storage, PLANNED, range(PARTITIONS)) if one is not None]
+    storage.write(PLAN, replace(PLANNED, finished=True, contents=contents(notes)).to_json())
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "shards").mkdir()
+    begin(tmp_path / "shards", WAS)
+    end(tmp_path / "shards")
+    return tmp_path / "shards"
+
+
+def changed(run: str) -> set[int]:
+    """Partitions that a run writes otherwise than they were."""
+    return {PLANNED.partition(item.row.file) for item in set(WAS) ^ set(RUNS[run])}
+
+
+def begins_before(
+    monkeypatch: pytest.MonkeyPatch, method: str, partition: int, folder: Path, items: Sequence[Item]
+) -> None:
+    """A run begins before a method of `Shards` first reads a partition."""
+    real, begun = getattr(gather.Shards, method), []
+
+    def later(self: gather.Shards, at: int, *more: object) -> object:
+        if at == partition and not begun:
+            begun.append(at)
+            begin(folder, items)
+        return real(self, at, *more)
+
+    monkeypatch.setattr(gather.Shards, method, later)
+
+
+@pytest.mark.parametrize("run", RUNS)
+@pytest.mark.parametrize(("method", "partition"), [("items", 0), *(("read", p) for p in range(PARTITIONS))])
+def test_gather_makes_a_store_of_one_state_or_none(
+    method: str,
+    partition: int,
+    run: str,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "store"
+    given = ["gather", "--shards", str(folder), "--out", str(out)]
+
+    def check(items: Sequence[Item]) -> None:
+        expected = sorted(items, key=lambda item: item.row.file)
+        store = features.open_store(out)
+        assert list(store.manifest.rows) == [item.row for item in expected]
+        np.testing.assert_array_equal(store.float32, described(expected))
+
+    begins_before(monkeypatch, method, partition, folder, RUNS[run])
+    status = cli.main(given)
+    # `items` reads several at once, so that the run may be late for some of them there.
+    if method == "items" or any(p >= partition for p in changed(run)):
+        assert status == 2
+        assert ANEW in (said := capsys.readouterr().err)
+        assert said.count("\n") == 1
+        assert not (out / "manifest.json").exists()
+    else:
+        check(WAS)
+    assert cli.main(["gather", "--shards", str(folder), "--out", str(tmp_path / "other")]) == 2
+    assert "has not ended" in capsys.readouterr().err
+    end(folder)
+    assert cli.main(given) == 0
+    check(RUNS[run])
+
+
+@pytest.mark.parametrize("run", RUNS)
+@pytest.mark.parametrize(("method", "partition"), [("tiles", 0), *(("descriptors", p) for p in range(PARTITIONS))])
+def test_an_index_is_made_of_one_state_as_far_as_it_goes(
+    method: str,
+    partition: int,
+    run: str,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("lpn.index.tiles._LOT_BYTES", 1)  # a lot for each partition
+    given = ["index", "--descriptors", str(folder), "--out", str(tmp_path / "index")]
+
+    def check(items: Sequence[Item]) -> None:
+        with open_index(tmp_path / "index") as index:
+            assert index.count() == len(items)
+            for item, row in zip(items, described(items), strict=True):
+                found = index.search(row, None, 1)
+                assert found.ids == [item.row.file]
+                np.testing.assert_array_equal(found.vectors[0], row)
+
+    begins_before(monkeypatch, method, partition, folder, RUNS[run])
+    status = cli.main(given)
+    if method == "tiles" or any(p >= partition for p in changed(run)):
+        assert status == 2
+        assert ANEW in (said := capsys.readouterr().err)
+        assert said.count("\n") == 1
+    else:
+        check(WAS)
+    end(folder)
+    assert cli.main([*given, "--replace"]) == 0
+    gone = [item for item in WAS if item.row.file not in {one.row.file for one in RUNS[run]}]
+    with open_index(tmp_path / "index") as index:
+        there = [item for item in gone if index.holds([item.row.file])[0]]
+    check([*RUNS[run], *there])
+
+
+@pytest.mark.parametrize(("ends", "said"), [(False, "the run that wrote them has not ended"), (True, ANEW)])
+def test_a_run_that_begins_or_ends_while_shards_are_opened_is_seen(
+    ends: bool, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = read_notes
+
+    def meanwhile(storage: Storage, plan: Plan, partitions: Sequence[int]) -> object:
+        """The first shard is looked at before a run begins, the others after it ended."""
+        first = real(storage, plan, partitions[:1])
+        begin(folder, RUNS["changed"])
+        if ends:
+            end(folder)
+        return first + real(storage, plan, partitions[1:])
+
+    monkeypatch.setattr(gather, "read_notes", meanwhile)
+    with pytest.raises(StoreError, match=said):
+        open_shards(folder)
+
+
+def test_shards_of_before_there_was_a_digest_of_all_are_read(folder: Path, tmp_path: Path) -> None:
+    plan = json.loads((folder / PLAN).read_text())
+    del plan["contents"]
+    (folder / PLAN).write_text(json.dumps(plan | {"format": BEFORE}))
+    write(folder, replace(PLANNED, format=BEFORE), WAS)
+    assert len(to_store(open_shards(folder), tmp_path / "store").manifest.rows) == len(WAS)
+
+
+def test_a_shard_of_other_pictures_is_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two shards with the same picture would be taken for two tiles."""
+    write_shard(Storage(folder), PLANNED, 1, WAS, described(WAS))
+    end(folder)
+    assert cli.main(["index", "--descriptors", str(folder), "--out", str(tmp_path / "index")]) == 2
+    assert f"{shard_name(1)} in {folder} holds pictures that belong in other shards" in capsys.readouterr().err
+    assert not (tmp_path / "index").exists()
+
+
+def test_a_store_with_rows_left_out_is_not_finished(tmp_path: Path) -> None:
+    rows = tuple(item.row for item in WAS)
+    manifest = Manifest("f" * 16, "drone", 0.0, 2, 4, rows)
+
+    def fill(unfinished: Unfinished) -> None:
+        missing = np.flatnonzero(~unfinished.good)[:7].tolist()
+        unfinished.put(missing, described([WAS[i] for i in missing]))
+
+    with pytest.raises(StoreError, match="5 of 12 rows of the store"):
+        write_store(tmp_path, manifest, fill)
+    assert not (tmp_path / "manifest.json").exists()
+    np.testing.assert_array_equal(write_store(tmp_path, manifest, fill).float32, described(WAS))
