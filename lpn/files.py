@@ -35,6 +35,8 @@ log = logging.getLogger(__name__)
 
 _ABANDONED = 60.0
 """Seconds in which nobody wrote to what a killed process left, before it is deleted: it may be another machine's."""
+_MANY = 65_536
+"""Open files that are enough for 7 * 10^8 tiles; a process that may have 2^30 of them can be slow to start another."""
 _FILES = 10_240
 """What macOS lets a process open, which says that there is no bound."""
 
@@ -94,13 +96,15 @@ def unreadable(path: Path, error: OSError) -> StoreError:
 
 
 def allow_many_files() -> None:
-    """Raise this process's limit of open files as far as the system lets it: every mapped array counts as one."""
+    """Raise this process's limit of open files, where the system lets it: every mapped array counts as one."""
     if resource is None:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft == hard:
-        return
-    for most in (hard, max(soft, _FILES)):
+    unbounded = hard == resource.RLIM_INFINITY
+    for most in (_MANY, _FILES):
+        most = most if unbounded else min(most, hard)
+        if most <= soft or soft == resource.RLIM_INFINITY:
+            return
         with suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
             return

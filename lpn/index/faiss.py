@@ -160,6 +160,8 @@ class FaissIndex(FolderIndex):
         opened = self._opened
         if this in opened:
             return opened[this]
+        there = {(one.folder, one.identity) for one in state.segments}
+        opened = self._opened = {which: one for which, one in opened.items() if which in there}
         file = segment.folder / FILE
         try:
             index = self._faiss.read_index(str(file), self._faiss.IO_FLAG_MMAP if self._lists else 0)
@@ -175,8 +177,7 @@ class FaissIndex(FolderIndex):
             raise StoreError(
                 f"{FILE} in {segment.folder} is missing or damaged; delete the index and make it again."
             ) from error
-        there = {(one.folder, one.identity) for one in state.segments}
-        self._opened = {which: one for which, one in opened.items() if which in there} | {this: index}
+        self._opened = opened | {this: index}
         return index
 
     def _gathered(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:

@@ -183,9 +183,12 @@ def test_a_limit_that_cannot_be_raised_is_left(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(resource, "setrlimit", refused)
     for limits, expected in (
-        ((256, 1 << 60), [(1 << 60, 1 << 60), (10_240, 1 << 60)]),  # macOS
+        ((256, resource.RLIM_INFINITY), [(65_536, resource.RLIM_INFINITY), (10_240, resource.RLIM_INFINITY)]),  # macOS
+        ((1024, 1 << 30), [(65_536, 1 << 30), (10_240, 1 << 30)]),
         ((256, 4096), [(4096, 4096)]),
         ((4096, 4096), []),
+        ((1 << 20, 1 << 20), []),
+        ((resource.RLIM_INFINITY, resource.RLIM_INFINITY), []),
     ):
         del asked[:]
         monkeypatch.setattr(resource, "getrlimit", lambda _, limits=limits: limits)
