@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
@@ -15,15 +16,28 @@ from typing import Self
 import pytest
 
 _RUN = """
-import sys
+import json, sys
 from milvus import default_server
-default_server.set_base_dir(sys.argv[1])
-default_server.listen_port, default_server.webservice_port = int(sys.argv[2]), int(sys.argv[3])
+given = json.loads(sys.argv[1])
+default_server.set_base_dir(given["folder"])
+default_server.listen_port, default_server.webservice_port = given["port"], given["health"]
+default_server.config.set("authorization_enabled", given["passwords"])
+parts = [key for key in default_server.config.configurable_items if key.endswith("_port") and key != "proxy_port"]
+default_server.config.update(**dict(zip(parts, given["ports"], strict=False)))
 default_server.start()
 print(default_server.server_proc.pid, flush=True)
 sys.stdin.read()
 default_server.stop()
 """
+_ETCD = """
+listen-client-urls: http://127.0.0.1:{0}
+advertise-client-urls: http://127.0.0.1:{0}
+listen-peer-urls: http://127.0.0.1:{1}
+initial-advertise-peer-urls: http://127.0.0.1:{1}
+initial-cluster: default=http://127.0.0.1:{1}
+"""
+_PARTS = 16
+"""Ports for a server's parts, more than there are."""
 
 
 def milvus_python() -> str:
@@ -45,11 +59,15 @@ def _free_port() -> int:
 
 
 class Server:
-    """A server on a port and a folder of its own, which ends with the block."""
+    """A server on ports and a folder of its own, beside others, which ends with the block.
 
-    def __init__(self, python: str, folder: Path) -> None:
-        self._python, self._folder = python, folder
-        self.port, self._health = _free_port(), _free_port()
+    Args:
+        passwords: whether it lets in only who has a name and a password; at first that is root with Milvus.
+    """
+
+    def __init__(self, python: str, folder: Path, passwords: bool = False) -> None:
+        self._python, self._folder, self._passwords = python, folder, passwords
+        self.port, self._health, *self._ports = (_free_port() for _ in range(_PARTS + 4))
         self._process: subprocess.Popen[str] | None = None
         self._server = 0
 
@@ -68,10 +86,20 @@ class Server:
 
     def start(self) -> None:
         """Start on the folder as it is; returns when the server answers."""
-        command = [self._python, "-c", _RUN, str(self._folder), str(self.port), str(self._health)]
+        etcd = self._folder.parent / f"{self._folder.name}.etcd.yaml"
+        etcd.write_text(_ETCD.format(*self._ports))
+        given = {
+            "folder": str(self._folder),
+            "port": self.port,
+            "health": self._health,
+            "ports": self._ports[2:],
+            "passwords": self._passwords,
+        }
+        command = [self._python, "-c", _RUN, json.dumps(given)]
+        environment = {**os.environ, "ETCD_CONFIG_PATH": str(etcd)}
         with (self._folder.parent / f"{self._folder.name}.log").open("a") as log:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, env=environment
             )
         assert self._process.stdout is not None
         said = self._process.stdout.readline()
