@@ -7,9 +7,10 @@ may miss what others wrote in the last five seconds ("bounded" consistency), as 
 a search. What `add` returned from is in the server's log: a server that is killed has it again when it is back. A lost connection
 is tried anew for a while; `add` writes over what an interrupted attempt left, so that nothing is lost and nothing is twice.
 
-Every structure gives as many tiles as were asked for, or all that there are. Milvus itself gives fewer where the lists or neighbours
-that it looks through hold too few, as they do for a small box: these are then looked through anew in full. Where tiles lie in a segment
-that still grows, which Milvus searches by lists of its own choice (16 of 128), they are read and scored here.
+Every structure gives as many tiles as were asked for, or all that there are. Milvus itself gives fewer where the lists that
+it looks through hold too few, as they may for many tiles or in a box: all lists are looked through then. Of a segment that
+still grows Milvus looks through lists of its own choice (16 of 128); where that leaves an answer short, tiles are read and
+scored here.
 
 Milvus keeps no order among equal scores; those that come back are ordered by name.
 """
@@ -94,9 +95,9 @@ class MilvusIndex(Index):
     Args:
         url: milvus://host:port/collection, or milvus://user:password@host:port/collection.
         patience: seconds for which a server that does not answer is tried again.
-        effort: 1 to 32,768 lists of each segment's 1,024 (ivf, sq8) or neighbours (hnsw) looked through; more miss fewer tiles and
-            take longer. With a box, ivf and sq8 look through so many lists that they compare as many tiles as without one, or all
-            in the box: always all where these are 50,000 or fewer.
+        effort: 1 to 32,768 lists of each segment's 1,024 (ivf, sq8) or neighbours (hnsw) looked through; more miss fewer
+            tiles and take longer. With a box, ivf and sq8 look through so many lists that they compare as many tiles as
+            without one, or all in the box: always all where these are 50,000 or fewer.
 
     Raises:
         StoreError: when there is no such server or collection, or it is not one of ours.

@@ -1,4 +1,4 @@
-"""A Milvus server of a test's own, from the environment whose Python `LPN_MILVUS_PYTHON` names; see `milvus_python`."""
+"""A Milvus server of a test's own, from the environment whose Python `LPN_MILVUS_PYTHON` names, or what stands for one."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ import random
 import signal
 import socket
 import subprocess
+import time
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, ClassVar, Self
 
 import pytest
+
+from lpn.index import Kind, Structure
 
 _RUN = """
 import json, sys
@@ -58,6 +62,62 @@ def _free_port() -> int:
     raise RuntimeError("there is no free port")
 
 
+COLLECTION = "milvus://127.0.0.1:9/tiles"
+
+
+class Client:
+    """In place of pymilvus's: a collection with a description, and what goes wrong where it is asked for."""
+
+    clients: ClassVar[list[Client]] = []
+    description = ""
+    error: Exception | None = None
+
+    def __init__(self, **_: Any) -> None:
+        self.closed = False
+        self.clients.append(self)
+
+    def has_collection(self, *_: Any, **__: Any) -> bool:
+        return True
+
+    def describe_collection(self, *_: Any, **__: Any) -> dict[str, str]:
+        return {"description": self.description}
+
+    def list_indexes(self, *_: Any) -> list[str]:
+        return ["vector"]
+
+    def load_collection(self, *_: Any) -> None:
+        if self.error is not None:
+            raise self.error
+
+    def query(self, *_: Any, **__: Any) -> None:
+        self.load_collection()
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def pretend(monkeypatch: pytest.MonkeyPatch, kind: Kind) -> type[Client]:
+    """Put a client in place of pymilvus's; returns its class, on which a test says what it meets."""
+    pymilvus = pytest.importorskip("pymilvus", reason="pymilvus is not installed (the extra milvus)")
+    said = json.dumps({"format": "lpn-milvus/1", **vars(kind), "structure": "flat"})
+    made = type("Made", (Client,), {"clients": [], "description": said})
+    monkeypatch.setattr(pymilvus, "MilvusClient", made)
+    return made
+
+
+def indexed(client: Any, name: str, structure: Structure) -> None:
+    """Returns when every tile is in the index and that is loaded; flat ones have none."""
+    client.flush(name)
+    field = client.list_indexes(name)[0]
+    while structure != "flat":
+        said = client.describe_index(name, field)
+        if not int(said["pending_index_rows"]) and int(said["indexed_rows"]) >= int(said["total_rows"]):
+            break
+        time.sleep(0.2)
+    client.release_collection(name)
+    client.load_collection(name)
+
+
 class Server:
     """A server on ports and a folder of its own, beside others, which ends with the block.
 
@@ -73,7 +133,21 @@ class Server:
 
     @property
     def url(self) -> str:
-        return f"milvus://127.0.0.1:{self.port}"
+        """Of its collections, but for their names."""
+        return self.url_of("root:Milvus" if self._passwords else "")
+
+    def url_of(self, token: str) -> str:
+        """The same of a user, user:password."""
+        return f"milvus://{token}@127.0.0.1:{self.port}" if token else f"milvus://127.0.0.1:{self.port}"
+
+    def client(self) -> Any:
+        """pymilvus's own, of one who may do all."""
+        return import_module("pymilvus").MilvusClient(f"http://127.0.0.1:{self.port}", token="root:Milvus")
+
+    @property
+    def pid(self) -> int:
+        """Of the server's process."""
+        return self._server
 
     def __enter__(self) -> Self:
         self.start()

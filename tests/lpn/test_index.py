@@ -6,22 +6,22 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lpn import explain, features
 from lpn.cli import main
-from lpn.errors import InputError, LPNError, StoreError
-from lpn.index import Box, ExactIndex, Found, Index, Kind, Structure, create_index, folder, open_index, scan, sums
+from lpn.errors import InputError, StoreError
+from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, sums
 from lpn.model import FloatArray, normalise
 from tests import worlds
+from tests.lpn.milvus_server import COLLECTION, Client, pretend
 
 KIND = Kind("0123456789abcdef", 4, 16)
 WEIGHTS: list[list[float] | None] = [None, [1, 0, 0, 0], [0.5, 0.1, 0, 0.4]]
@@ -470,48 +470,10 @@ def test_a_full_disk_is_told_in_a_sentence(tmp_path: Path, monkeypatch: pytest.M
         assert index.count() == 51
 
 
-class Client:
-    """In place of pymilvus's: a collection with a description, and what goes wrong where it is asked for."""
-
-    clients: ClassVar[list[Client]] = []
-    description = ""
-    error: Exception | None = None
-
-    def __init__(self, **_: Any) -> None:
-        self.closed = False
-        self.clients.append(self)
-
-    def has_collection(self, *_: Any, **__: Any) -> bool:
-        return True
-
-    def describe_collection(self, *_: Any, **__: Any) -> dict[str, str]:
-        return {"description": self.description}
-
-    def list_indexes(self, *_: Any) -> list[str]:
-        return ["vector"]
-
-    def load_collection(self, *_: Any) -> None:
-        if self.error is not None:
-            raise self.error
-
-    def query(self, *_: Any, **__: Any) -> None:
-        self.load_collection()
-
-    def close(self) -> None:
-        self.closed = True
-
-
 @pytest.fixture
 def client(monkeypatch: pytest.MonkeyPatch) -> type[Client]:
     """What a client of this test meets."""
-    pymilvus = pytest.importorskip("pymilvus", reason="pymilvus is not installed (the extra milvus)")
-    said = json.dumps({"format": "lpn-milvus/1", **vars(KIND), "structure": "flat"})
-    made = type("Made", (Client,), {"clients": [], "description": said})
-    monkeypatch.setattr(pymilvus, "MilvusClient", made)
-    return made
-
-
-COLLECTION = "milvus://127.0.0.1:9/tiles"
+    return pretend(monkeypatch, KIND)
 
 
 @dataclass
