@@ -6,8 +6,8 @@ takes and none of adding. Then it searches with equal weights for the 10 best, w
 Each structure has a server of its own and all the tiles: some minutes for all four at 20,000 tiles, half an hour at 100,000.
 
 Costs, by structure: tiles added a second (their drawing left out); seconds until the index is built, and until a collection is
-loaded after the server's start; the server's memory beyond that of an empty one, of its own (`anonymous`) and of files that are
-mapped, which the system may take back (`mapped`); on disk what a cluster has in object storage (vectors, `data`, and `index`), in
+loaded, once the server is up; its memory beyond that of an empty one, of its own (`anonymous`) and of files that are mapped,
+which the system may take back (`mapped`); on disk what a cluster has in object storage (vectors, `data`, and `index`), in
 its queue (`queue`, for three days), and on the disk of its query nodes (`cache`: vectors that answers were read from).
 
 Searches, by structure and effort: recall at 10 against brute force and the median time, of all tiles and in a box with one
@@ -120,10 +120,12 @@ def measure(structure: Structure, count: int, place: Path, rounds: int) -> tuple
         started = time.perf_counter()
         indexed(server.client(), "bench", structure)
         built = time.perf_counter() - started
-        server.stop()
+        server.kill()
         server.start()
-        started = time.perf_counter()
         with MilvusIndex(url, patience=300) as index:
+            index._client.release_collection("bench")
+            started = time.perf_counter()
+            index._client.load_collection("bench")
             loaded = time.perf_counter() - started
             time.sleep(SETTLED)
             rows = [searched(index, effort, asked, truths, rounds) for effort in EFFORTS[structure]]
