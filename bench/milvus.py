@@ -7,8 +7,8 @@ Each structure has a server of its own and all the tiles: some minutes for all f
 
 Costs, by structure: tiles added a second (their drawing left out); seconds until the index is built, and until a collection is
 loaded, once the server is up; its memory beyond that of an empty one, of its own (`anonymous`) and of files that are mapped,
-which the system may take back (`mapped`); on disk what a cluster has in object storage (vectors, `data`, and `index`), in
-its queue (`queue`, for three days), and on the disk of its query nodes (`cache`: vectors that answers were read from).
+which the system may take back (`mapped`: vectors that answers were read from, where the index has none); on disk what a cluster
+has in object storage (vectors, `data`, and `index`) and in its queue (`queue`, for three days), both before the first search.
 
 Searches, by structure and effort: recall at 10 against brute force and the median time, of all tiles and in a box with one
 tile of a hundred; and the median time of a search of all right after a write, which waits until the server has it.
@@ -57,7 +57,6 @@ COSTS = (
     "data, MB",
     "index, MB",
     "queue, MB",
-    "cache, MB",
 )
 SEARCHES = ("effort", "recall@10, %", "ms", "in a box, %", "in a box, ms", "after a write, ms")
 FOLDERS = {
@@ -67,9 +66,8 @@ FOLDERS = {
     "index_files": "index",
     "rocksmq": "queue",
     "rocksmq_meta_kv": "queue",
-    "etcd.data": "",
 }
-"""Of a server's data, and what each is counted as; what is of no such name is the query node's."""
+"""Of a server's data, and what each is counted as."""
 
 
 def places(count: int) -> Any:
@@ -97,7 +95,7 @@ def on_disk(place: Path) -> Counter[str]:
     sizes: Counter[str] = Counter()
     for file in (place / "data").rglob("*"):
         if file.is_file():
-            sizes[FOLDERS.get(file.relative_to(place / "data").parts[0], "cache")] += file.stat().st_size / 1e6
+            sizes[FOLDERS.get(file.relative_to(place / "data").parts[0], "")] += file.stat().st_size / 1e6
     return sizes
 
 
@@ -120,6 +118,7 @@ def measure(structure: Structure, count: int, place: Path, rounds: int) -> tuple
         started = time.perf_counter()
         indexed(server.client(), "bench", structure)
         built = time.perf_counter() - started
+        disk = on_disk(place)
         server.kill()
         server.start()
         with MilvusIndex(url, patience=300) as index:
@@ -129,14 +128,14 @@ def measure(structure: Structure, count: int, place: Path, rounds: int) -> tuple
             loaded = time.perf_counter() - started
             time.sleep(SETTLED)
             rows = [searched(index, effort, asked, truths, rounds) for effort in EFFORTS[structure]]
-            memory, disk = resident(server.pid), on_disk(place)
+            memory = resident(server.pid)
             block = next(drawn(1))[1]
             for row, effort in zip(rows, EFFORTS[structure], strict=True):
                 index._effort = effort
                 row.append(f"{after_writes(index, asked, block, at[:1]):.0f}")
     costs = [f"{count / adding:,.0f}", f"{built:.0f}", f"{loaded:.0f}"]
     costs += [f"{memory[name] - empty[name]:,.0f}" for name in ("anonymous", "mapped")]
-    return [*costs, *(f"{disk[name]:,.0f}" for name in ("data", "index", "queue", "cache"))], rows
+    return [*costs, *(f"{disk[name]:,.0f}" for name in ("data", "index", "queue"))], rows
 
 
 def searched(

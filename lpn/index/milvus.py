@@ -127,7 +127,9 @@ class MilvusIndex(Index):
 
         Args:
             structure: flat compares every vector and misses nothing; ivf and hnsw are quicker among many tiles, and so is
-                sq8, which keeps a quarter as much in memory: a byte a number. Twice as many tiles are asked for there.
+                sq8, which keeps a quarter as much in memory: a byte a number. Twice as many tiles are asked for there, and
+                their vectors are read from storage. That must be object storage: Milvus 2.3.5 with `common.storageType`
+                local deletes vectors of an sq8 collection once they were read, and lacks them after its next start.
 
         Raises:
             StoreError: when there is no server, or the collection holds something else.
