@@ -20,11 +20,19 @@ SOON = 10.0
 
 def free_port() -> int:
     """A port that nobody has, and that the system gives nobody for a connection either, while the server is down."""
+    return free_ports(1)[0]
+
+
+def free_ports(count: int) -> list[int]:
+    """As many different ones."""
+    found: list[int] = []
     for port in random.sample(range(21000, 32000), 1000):
         with socket.socket() as probe, suppress(OSError):
             probe.bind(("127.0.0.1", port))
-            return port
-    raise RuntimeError("there is no free port")
+            found.append(port)
+        if len(found) == count:
+            return found
+    raise RuntimeError(f"there are {len(found)} free ports, not {count}")
 
 
 class Process:

@@ -33,7 +33,7 @@ class MakeIndex:
     """Of the copy that exact scans: float16 and int8 take more disk and are searched faster, with the same answers."""
     codes: Literal["flat", "sq8", "pq"] | None = None
     """For faiss: sq8, by default, keeps a byte for each number, pq one for 32 and misses more; flat compares every vector."""
-    structure: Literal["flat", "ivf", "sq8", "hnsw"] | None = None
+    structure: Literal["flat", "ivf", "hnsw"] | None = None
     """For milvus: flat, by default, compares every vector; the others look at some, quicker among many, and miss a few."""
     replace: bool = False
     """Add all tiles anew, also those whose names are there, as after pictures or positions have changed."""
@@ -96,7 +96,7 @@ class Search:
     box: tuple[float, float, float, float] | None = None
     """Only tiles within south, west, north, and east degrees; west beyond east is across the antimeridian."""
     effort: int | None = None
-    """Lists (faiss: 64 by default; milvus with ivf or sq8: 128) or neighbours (hnsw: 128) looked through; more miss fewer tiles
+    """Lists (faiss: 64 by default; milvus with ivf: 128) or neighbours (hnsw: 128) looked through; more miss fewer tiles
     and take longer. Exact and flat indexes miss none and have none to choose."""
     depth: int | None = None
     """How many times --top tiles faiss proposes, which are then scored by their vectors; 16 by default."""

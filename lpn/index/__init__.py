@@ -32,7 +32,7 @@ def open_index(
     Args:
         where: its folder, or milvus://host:port/collection.
         fingerprint: of the model that queries are described by, which must be the index's; None to skip that check.
-        effort: of searches that can miss tiles: the lists (faiss; ivf and sq8 of milvus) or neighbours (hnsw) that are looked
+        effort: of searches that can miss tiles: the lists (faiss; ivf of milvus) or neighbours (hnsw) that are looked
             through, 1 or more; None for 64 (faiss) or 128 (milvus).
         depth: how many times k tiles faiss proposes, which are then scored, 1 or more; None for 16.
 

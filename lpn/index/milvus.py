@@ -7,6 +7,11 @@ may miss what others wrote in the last five seconds ("bounded" consistency), as 
 a search. What `add` returned from is in the server's log: a server that is killed has it again when it is back. A lost connection
 is tried anew for a while; `add` writes over what an interrupted attempt left, so that nothing is lost and nothing is twice.
 
+Every structure gives as many tiles as were asked for, or all that there are. Milvus itself gives fewer where the lists that
+it looks through hold too few, as they may for many tiles or in a box: all lists are looked through then. Of a segment that
+still grows Milvus looks through lists of its own choice (16 of 128); where that leaves an answer short, tiles are read and
+scored here.
+
 Milvus keeps no order among equal scores; those that come back are ordered by name.
 """
 
@@ -48,27 +53,38 @@ from lpn.index.base import (
 
 FORMAT = "lpn-milvus/1"
 SCHEME = "milvus"
-Structure = Literal["flat", "ivf", "sq8", "hnsw"]
+Structure = Literal["flat", "ivf", "hnsw"]
 
 _NOWHERE = 1000.0
 """Latitude and longitude of a tile that has none: 2.3 knows no null, and no box reaches so far."""
 _NAME_BYTES = 4 * ID_LENGTH
 _BYTES = 8 << 20
-"""Of one message's vectors, far below the 64 MB that a server takes."""
+"""Of one message's vectors, far below the 64 MB that a server takes or gives (`proxy.grpc.serverMaxSendSize`)."""
 _ROWS = 1000
 _CALL = 30.0
 _RECENT = 10.0
 """Seconds after which a bounded search sees a write for certain; Milvus's own bound is five."""
+_LISTS = 1024
+"""Of each segment that has an index, at most: smaller ones have one for 39 tiles."""
+_FEW = 50_000
+"""Tiles in a box up to which all of them are compared, whatever the effort: as many as one segment holds."""
+_MOST_EFFORT = 32768
 _PAUSES = (0.2, 0.5, 1.0, 2.0)
 _BUILD: dict[Structure, dict[str, Any]] = {
     "flat": {"index_type": "FLAT", "params": {}},
-    "ivf": {"index_type": "IVF_FLAT", "params": {"nlist": 1024}},
-    "sq8": {"index_type": "IVF_SQ8", "params": {"nlist": 1024}},
+    "ivf": {"index_type": "IVF_FLAT", "params": {"nlist": _LISTS}},
     "hnsw": {"index_type": "HNSW", "params": {"M": 32, "efConstruction": 200}},
 }
-_REFUSED = {65, 100, 1100, 1101, 1800}
-"""Milvus's codes for what no trying again mends: a collection that is gone, a wrong parameter, or no right to ask."""
+_REFUSED = {65, 100, 1100, 1101}
+"""Milvus's codes for what no trying again mends: a collection that is gone, or a wrong parameter."""
+_RELEASED = {101, 103}
+"""Of a collection that somebody has let go of, or that is being loaded."""
+_FORBIDDEN = {1400, 1401, 1800}
+_FORBIDDEN_NAMES = {"PERMISSION_DENIED", "UNAUTHENTICATED"}
+"""What 2.3 says through gRPC in place of these codes."""
 _COLLECTION = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
+_FIELDS = ("name", "vector", "latitude", "longitude")
+_Level = Literal["Strong", "Bounded"]
 _T = TypeVar("_T")
 
 
@@ -78,11 +94,13 @@ class MilvusIndex(Index):
     Args:
         url: milvus://host:port/collection, or milvus://user:password@host:port/collection.
         patience: seconds for which a server that does not answer is tried again.
-        effort: lists (ivf, sq8) or neighbours (hnsw) looked through; more miss fewer tiles and take longer.
+        effort: 1 to 32,768 lists of each segment's 1,024 (ivf) or neighbours (hnsw) looked through; more miss fewer tiles
+            and take longer. With a box, ivf looks through so many lists that it compares as many tiles as without one,
+            or all in the box: always all where these are 50,000 or fewer.
 
     Raises:
         StoreError: when there is no such server or collection, or it is not one of ours.
-        InputError: when the address is none.
+        InputError: when the address is none, or the effort is not as expected.
         ModuleNotFoundError: when pymilvus is not installed.
     """
 
@@ -95,7 +113,7 @@ class MilvusIndex(Index):
             if description is None:
                 raise StoreError(f"{self._shown} has no such collection; make it with lpn index.")
             self.kind, self.structure = _read(description, self._shown)
-            self._call(lambda client: client.load_collection(self._name))
+            self._call(self._load)
         except BaseException:
             self.close()
             raise
@@ -107,8 +125,7 @@ class MilvusIndex(Index):
         """Make an empty collection, or open the one of the same kind that is there.
 
         Args:
-            structure: flat compares every vector and misses nothing; ivf and hnsw are quicker among many tiles, and so is
-                sq8, which keeps a quarter as much in memory: a byte a number. Twice as many tiles are asked for there.
+            structure: flat compares every vector and misses nothing; ivf and hnsw are quicker among many tiles.
 
         Raises:
             StoreError: when there is no server, or the collection holds something else.
@@ -138,7 +155,7 @@ class MilvusIndex(Index):
         names = check_names(ids, len(vectors))
         places = check_positions(positions, len(vectors))
         places = np.where(np.isnan(places), _NOWHERE, places)
-        step = max(1, min(_ROWS, _BYTES // (4 * self.kind.numbers)))
+        step = self._step
         for start in range(0, len(names), step):
             rows = [
                 {
@@ -158,7 +175,7 @@ class MilvusIndex(Index):
         k, box = check_count(k), check_box(box)
         if k > self.most:
             raise InputError(f"The number of tiles asked for is {k}; Milvus gives {self.most} at most.")
-        hits = self._call(partial(self._searched, wanted, k, box))
+        hits = self._call(partial(self._found, wanted, k, box))
         vectors = np.array([hit["vector"] for hit in hits], np.float32).reshape(len(hits), self.kind.numbers)
         names = [str(hit["name"]) for hit in hits]
         scores = scores_of(vectors, wanted)
@@ -174,22 +191,24 @@ class MilvusIndex(Index):
         """See `Index.holds`."""
         there: set[str] = set()
         keys = [key_of(name) for name in ids]
-        for start in range(0, len(keys), _ROWS):
-            some = keys[start : start + _ROWS]
+        for some in _lots(keys, _ROWS):
             found = self._call(partial(self._there, some))
             there.update(str(row["id"]) for row in found)
         return np.array([key in there for key in keys], np.bool_)
 
     def count(self) -> int:
         """See `Index.count`."""
-        found = self._call(lambda client: client.query(self._name, filter="", output_fields=["count(*)"], **_now()))
-        return int(found[0]["count(*)"])
+        return self._call(lambda client: self._counted(client, "", "Strong"))
 
     def close(self) -> None:
         """See `Index.close`."""
         self._let_go()
 
     def _open(self, url: str, patience: float, effort: int) -> None:
+        if int(effort) != effort or not 1 <= effort <= _MOST_EFFORT:
+            raise InputError(
+                f"The effort is {effort}; expected 1 to {_MOST_EFFORT} lists or neighbours to look through."
+            )
         self._milvus = cast(Any, import_module("pymilvus"))
         # It prints a traceback for each attempt; what cannot be mended is said once, in a sentence.
         logging.getLogger("pymilvus").setLevel(logging.CRITICAL + 1)
@@ -198,6 +217,11 @@ class MilvusIndex(Index):
         self._patience, self._effort = patience, effort
         self._client: Any = None
         self._written = 0.0
+
+    @property
+    def _step(self) -> int:
+        """Tiles of one message."""
+        return max(1, min(_ROWS, _BYTES // (4 * self.kind.numbers)))
 
     def _description(self) -> str | None:
         def described(client: Any) -> str | None:
@@ -208,7 +232,10 @@ class MilvusIndex(Index):
         return self._call(described)
 
     def _make(self, kind: Kind, structure: Structure) -> None:
-        """The collection, its index, and only then the description that makes it count: see `_ready`."""
+        """The collection, with the description that tells it from others, and then its index.
+
+        Where an attempt ended in between, the next one makes the index.
+        """
 
         def make(client: Any) -> None:
             types = self._milvus.DataType
@@ -229,6 +256,10 @@ class MilvusIndex(Index):
 
         self._call(make)
 
+    def _load(self, client: Any) -> None:
+        client.load_collection(self._name)
+        self._written = time.monotonic()  # others may have, before this, which can take longer than a write is recent
+
     def _upsert(self, rows: list[dict[str, Any]], client: Any) -> None:
         client.upsert(self._name, rows, timeout=_CALL)
         self._written = time.monotonic()
@@ -236,25 +267,83 @@ class MilvusIndex(Index):
     def _there(self, keys: list[str], client: Any) -> list[dict[str, Any]]:
         return cast("list[dict[str, Any]]", client.query(self._name, ids=keys, output_fields=["id"], **_now()))
 
-    def _searched(self, wanted: Exact, k: int, box: Box | None, client: Any) -> list[dict[str, Any]]:
-        recent = time.monotonic() - self._written < _RECENT
-        lists = {"nprobe": self._effort}
-        effort = {"flat": {}, "ivf": lists, "sq8": lists, "hnsw": {"ef": max(self._effort, k)}}[self.structure]
+    def _counted(self, client: Any, within: str, level: _Level) -> int:
+        found = client.query(self._name, filter=within, output_fields=["count(*)"], **_now(level))
+        return int(found[0]["count(*)"])
+
+    def _found(self, wanted: Exact, k: int, box: Box | None, client: Any) -> list[dict[str, Any]]:
+        """The fields of k tiles or more, fewer only where there are fewer."""
+        level: _Level = "Strong" if time.monotonic() - self._written < _RECENT else "Bounded"
+        within = "" if box is None else expression(box)
+        lists = self._lists(client, within)
+        found = self._searched(client, wanted, k, within, lists, level)
+        if len(found) < k and lists < _LISTS and self.structure == "ivf":
+            found = self._searched(client, wanted, k, within, _LISTS, level)
+        if len(found) < k and self.structure != "flat" and len(found) < self._counted(client, within, level):
+            return self._all(client, wanted, k, within, level)
+        return found
+
+    def _lists(self, client: Any, within: str) -> int:
+        """How many lists of each segment to look through; what is counted for that may be seconds old."""
+        lists = min(self._effort, _LISTS)
+        if not within or self.structure != "ivf":
+            return lists
+        inside = self._counted(client, within, "Bounded")
+        if inside <= _FEW:
+            return _LISTS
+        return min(_LISTS, -(-lists * self._counted(client, "", "Bounded") // inside))
+
+    def _searched(
+        self, client: Any, wanted: Exact, k: int, within: str, lists: int, level: _Level
+    ) -> list[dict[str, Any]]:
+        effort = {"flat": {}, "ivf": {"nprobe": lists}, "hnsw": {"ef": max(self._effort, k)}}[self.structure]
+        whole = k <= self._step
         found = client.search(
             self._name,
             data=[wanted.astype(np.float32).tolist()],
-            filter="" if box is None else expression(box),
-            limit=min(2 * k, self.most) if self.structure == "sq8" else k,
-            output_fields=["name", "vector", "latitude", "longitude"],
+            filter=within,
+            limit=k,
+            output_fields=list(_FIELDS) if whole else [],
             search_params={"metric_type": "IP", "params": effort},
             anns_field="vector",
-            **_now("Strong" if recent else "Bounded"),
+            **_now(level),
         )
-        return [dict(hit["entity"]) for hit in found[0]]
+        if whole:
+            return [dict(hit["entity"]) for hit in found[0]]
+        keys = [str(hit["id"]) for hit in found[0]]
+        return [row for some in _lots(keys, self._step) for row in self._read(client, some, level)]
+
+    def _read(self, client: Any, keys: list[str], level: _Level) -> list[dict[str, Any]]:
+        found = client.query(self._name, ids=keys, output_fields=list(_FIELDS), **_now(level))
+        return [dict(row) for row in found]
+
+    def _all(self, client: Any, wanted: Exact, k: int, within: str, level: _Level) -> list[dict[str, Any]]:
+        """The k best of all tiles within, each of them read: for as few as an index does not find k of."""
+        keys: list[str] = []
+        while True:  # a page begins where the one before ended: an offset reaches 16,384 at most
+            after = f'id > "{keys[-1] if keys else ""}"'
+            page = client.query(
+                self._name,
+                filter=f"({within}) and {after}" if within else after,
+                limit=self.most,
+                output_fields=["id"],
+                **_now(level),
+            )
+            keys += sorted(str(row["id"]) for row in page)
+            if len(page) < self.most:
+                break
+        kept: list[dict[str, Any]] = []
+        for some in _lots(keys, self._step):
+            kept += self._read(client, some, level)
+            scores = scores_of(np.array([row["vector"] for row in kept], np.float32), wanted)
+            by_name = np.argsort(np.argsort([row["name"] for row in kept]))
+            kept = [kept[i] for i in best(scores, by_name, k)]
+        return kept
 
     def _call(self, task: Callable[[Any], _T]) -> _T:
         """What a task gives with a client that is connected; a server that does not answer is tried again for a while."""
         until = time.monotonic() + self._patience
+        released = False
         for pause in _pauses():
             try:
                 if self._client is None:
@@ -262,13 +351,22 @@ class MilvusIndex(Index):
                     self._client = self._milvus.MilvusClient(
                         uri=f"http://{self._address}", token=self._token, timeout=_CALL
                     )
+                if released:
+                    self._load(self._client)
                 return task(self._client)
             except (StoreError, InputError):
                 raise
             except Exception as error:  # pymilvus lets errors of grpc and of its own through
+                if (said := _denied(error)) is not None:
+                    raise StoreError(
+                        f"{self._shown} does not allow this ({said}); give a name and a password that may "
+                        f"({SCHEME}://user:password@host:port/collection), or have them granted the right."
+                    ) from error
                 if not self._passing(error):
                     raise StoreError(f"{self._shown} refuses: {_short(error)}.") from error
-                self._let_go()
+                released = getattr(error, "code", None) in _RELEASED
+                if not released:
+                    self._let_go()
                 if time.monotonic() + pause > until:
                     raise StoreError(
                         f"{self._shown} does not answer, tried for {self._patience:g} s ({_short(error)}); start the server, "
@@ -345,7 +443,7 @@ def _said(kind: Kind) -> str:
     return f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}"
 
 
-def _now(consistency: Literal["Strong", "Bounded"] = "Strong") -> dict[str, Any]:
+def _now(consistency: _Level = "Strong") -> dict[str, Any]:
     """What makes an answer count everything that was written before it, or until a few seconds before it."""
     return {"consistency_level": consistency, "timeout": _CALL}
 
@@ -354,6 +452,30 @@ def _pauses() -> Iterator[float]:
     return chain(_PAUSES, repeat(_PAUSES[-1]))
 
 
-def _short(error: Exception) -> str:
-    text = str(getattr(error, "message", "") or error or type(error).__name__)
+def _lots(keys: list[str], size: int) -> Iterator[list[str]]:
+    return (keys[start : start + size] for start in range(0, len(keys), size))
+
+
+def _denied(error: Exception) -> str | None:
+    """What a server says that does not let this user in, or not do this; None of any other error.
+
+    pymilvus tells of a wrong password as of a server that is not there, and has what the server said among the causes.
+    """
+    seen: list[BaseException] = []
+    cause: BaseException | None = error
+    while cause is not None and cause not in seen:
+        code = getattr(cause, "code", None)
+        if code in _FORBIDDEN:
+            return _short(cause)
+        if callable(code) and getattr(code(), "name", "") in _FORBIDDEN_NAMES:
+            return _short(cause)
+        seen.append(cause)
+        cause = cause.__cause__ or cause.__context__
+    return None
+
+
+def _short(error: BaseException) -> str:
+    details = getattr(error, "details", None)  # of gRPC's, whose text is of many lines
+    said = details() if callable(details) else getattr(error, "message", "")
+    text = str(said or error or type(error).__name__)
     return printable(" ".join(text.split())[:160]).rstrip(".")

@@ -6,23 +6,22 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lpn import explain, features
 from lpn.cli import main
-from lpn.errors import InputError, LPNError, StoreError
-from lpn.index import Box, ExactIndex, Found, Index, Kind, Structure, create_index, folder, open_index, scan, sums
+from lpn.errors import InputError, StoreError
+from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, sums
 from lpn.model import FloatArray, normalise
 from tests import worlds
-from tests.lpn.milvus_server import Server, milvus_python
+from tests.lpn.milvus_server import COLLECTION, Client, pretend
 
 KIND = Kind("0123456789abcdef", 4, 16)
 WEIGHTS: list[list[float] | None] = [None, [1, 0, 0, 0], [0.5, 0.1, 0, 0.4]]
@@ -81,12 +80,6 @@ class Tiles:
         np.testing.assert_array_equal(found.positions, self.positions[rows])
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    with Server(milvus_python(), tmp_path_factory.mktemp("milvus")) as running:
-        yield running
-
-
 def _faiss(path: Path, codes: Any) -> Index:
     pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
     from lpn.index.faiss import FaissIndex
@@ -106,12 +99,9 @@ MAKERS: dict[str, Callable[[Path], Index]] = {
 }
 
 
-@pytest.fixture(params=[*MAKERS, "milvus"])
+@pytest.fixture(params=[*MAKERS])
 def make(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[], Index]:
-    """An engine's empty index, or the same one once more."""
-    if request.param == "milvus":
-        url = f"{request.getfixturevalue('server').url}/contract_{abs(hash(tmp_path)):x}"
-        return lambda: create_index(url, KIND)
+    """An engine's empty index, or the same one once more; Milvus's is in test_milvus.py."""
     return lambda: MAKERS[request.param](tmp_path / "index")
 
 
@@ -482,179 +472,10 @@ def test_a_full_disk_is_told_in_a_sentence(tmp_path: Path, monkeypatch: pytest.M
         assert index.count() == 51
 
 
-def test_no_server_is_told_in_a_sentence() -> None:
-    pytest.importorskip("pymilvus", reason="pymilvus is not installed (the extra milvus)")
-    from lpn.index.milvus import MilvusIndex
-
-    with pytest.raises(StoreError, match="does not answer, tried for 1 s") as told:
-        MilvusIndex("milvus://someone:secret@127.0.0.1:9/tiles", patience=1)
-    assert "secret" not in str(told.value)
-
-
-class Client:
-    """In place of pymilvus's: a collection with a description, and what goes wrong where it is asked for."""
-
-    clients: ClassVar[list[Client]] = []
-    description = ""
-    error: Exception | None = None
-
-    def __init__(self, **_: Any) -> None:
-        self.closed = False
-        self.clients.append(self)
-
-    def has_collection(self, *_: Any, **__: Any) -> bool:
-        return True
-
-    def describe_collection(self, *_: Any, **__: Any) -> dict[str, str]:
-        return {"description": self.description}
-
-    def list_indexes(self, *_: Any) -> list[str]:
-        return ["vector"]
-
-    def load_collection(self, *_: Any) -> None:
-        if self.error is not None:
-            raise self.error
-
-    def query(self, *_: Any, **__: Any) -> None:
-        self.load_collection()
-
-    def close(self) -> None:
-        self.closed = True
-
-
 @pytest.fixture
 def client(monkeypatch: pytest.MonkeyPatch) -> type[Client]:
     """What a client of this test meets."""
-    pymilvus = pytest.importorskip("pymilvus", reason="pymilvus is not installed (the extra milvus)")
-    said = json.dumps({"format": "lpn-milvus/1", **vars(KIND), "structure": "flat"})
-    made = type("Made", (Client,), {"clients": [], "description": said})
-    monkeypatch.setattr(pymilvus, "MilvusClient", made)
-    return made
-
-
-COLLECTION = "milvus://127.0.0.1:9/tiles"
-
-
-def test_no_connection_is_left_open(client: type[Client]) -> None:
-    with create_index(COLLECTION, KIND):
-        assert [one.closed for one in client.clients] == [True, False]
-    assert all(one.closed for one in client.clients)
-    client.error = TypeError("not so")
-    with pytest.raises(StoreError, match="refuses: not so"):
-        open_index(COLLECTION)
-    client.description = "a diary"
-    for using in (lambda: open_index(COLLECTION), lambda: create_index(COLLECTION, KIND)):
-        with pytest.raises(StoreError) as told:
-            using()
-        assert str(told.value) == (
-            "milvus://127.0.0.1:9/tiles is a collection that lpn index did not make (lpn-milvus/1); choose another name."
-        )
-    assert len(client.clients) == 5
-    assert all(one.closed for one in client.clients)
-
-
-def test_a_collection_that_is_gone_is_told_at_once(client: type[Client], monkeypatch: pytest.MonkeyPatch) -> None:
-    from pymilvus.exceptions import MilvusException
-
-    monkeypatch.setattr(time, "sleep", lambda _: pytest.fail("it waited"))
-    with open_index(COLLECTION) as index:
-        client.error = MilvusException(100, "collection not found[collection=tiles]")
-        with pytest.raises(StoreError, match="refuses: collection not found"):
-            index.count()
-
-
-def test_a_search_waits_for_what_was_just_written_and_for_nothing_later(
-    client: type[Client], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    levels: list[str] = []
-    monkeypatch.setattr(
-        client, "search", lambda *_, consistency_level, **__: levels.append(consistency_level) or [[]], raising=False
-    )
-    monkeypatch.setattr(client, "upsert", lambda *_, **__: None, raising=False)
-    now = time.monotonic()
-    monkeypatch.setattr("lpn.index.milvus.time.monotonic", lambda: now)
-    query = Tiles.draw(1).descriptors[0]
-    with open_index(COLLECTION) as index:
-
-        def searched_after(seconds: float) -> str:
-            nonlocal now
-            now += seconds
-            index.search(query, None, 1)
-            return levels[-1]
-
-        assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
-        index.add(["one"], query[None])
-        assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
-        index._let_go()  # type: ignore[attr-defined]
-        assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
-
-
-def test_a_milvus_index_sees_its_own_writes_and_soon_those_of_others(server: Server) -> None:
-    tiles = Tiles.draw(400)
-    with create_index(f"{server.url}/shared", KIND) as one, create_index(f"{server.url}/shared", KIND) as other:
-        other._written = -1e9  # type: ignore[attr-defined]
-        one.add(tiles.names[:200], tiles.descriptors[:200])
-        assert len(one.search(tiles.descriptors[0], None, 400).ids) == 200
-        deadline = time.monotonic() + 30
-        while len(other.search(tiles.descriptors[0], None, 400).ids) < 200:
-            assert time.monotonic() < deadline
-            time.sleep(0.5)
-
-
-@pytest.mark.parametrize("structure", ["ivf", "sq8", "hnsw"])
-def test_a_milvus_collection_has_the_structure_asked_for(server: Server, structure: Structure) -> None:
-    from pymilvus import MilvusClient
-
-    tiles, url = Tiles.draw(300), f"{server.url}/of_{structure}"
-    with create_index(url, KIND, structure=structure) as index:
-        tiles.add_to(index)
-        query = tiles.descriptors[7]
-        tiles.check(index.search(query, None, 1), query, None, 1, None)
-        client = MilvusClient(uri=f"http://{server.url.removeprefix('milvus://')}")
-        built = client.describe_index(f"of_{structure}", "vector")["index_type"]
-        assert built == {"ivf": "IVF_FLAT", "sq8": "IVF_SQ8", "hnsw": "HNSW"}[structure]
-        client.drop_collection(f"of_{structure}")
-        client.close()
-        started = time.monotonic()
-        with pytest.raises(StoreError, match="refuses"):
-            index.count()
-        assert time.monotonic() - started < 20
-
-
-def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server: Server) -> None:
-    from concurrent.futures import ThreadPoolExecutor
-
-    from lpn.index.milvus import MilvusIndex
-
-    kind = Kind("m", 4, 128)
-    tiles = Tiles.draw(9000, kind=kind)
-    with ThreadPoolExecutor(1) as pool:
-        with MilvusIndex.create(f"{server.url}/killed", kind, patience=180) as index:  # a busy machine starts slowly
-            index.add(tiles.names[:2000], tiles.descriptors[:2000], tiles.positions[:2000])
-            sent: list[int] = []
-
-            def add_the_rest() -> None:
-                for start in range(2000, 9000, 200):
-                    some = slice(start, start + 200)
-                    sent.append(start)
-                    index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
-
-            adding = pool.submit(add_the_rest)
-            while len(sent) < 10:
-                time.sleep(0.001)
-            server.kill()
-            assert len(sent) < 35
-            server.start()
-            adding.result(timeout=240)
-            assert index.count() == 9000
-            assert index.holds(tiles.names).all()
-            query = tiles.descriptors[8000]
-            for weights, box in ((None, None), ([1, 0, 2, 1], BOXES[2])):
-                tiles.check(index.search(query, weights, 9000, box), query, weights, 9000, box)
-        with pytest.raises(StoreError, match="descriptors of model m, and this model is n"):
-            open_index(f"{server.url}/killed", "n")
-        with pytest.raises(LPNError, match="choose another collection"):
-            create_index(f"{server.url}/killed", KIND)
+    return pretend(monkeypatch, KIND)
 
 
 @dataclass
