@@ -170,12 +170,14 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Place:
     return Place(tmp_path / "shards", monkeypatch)
 
 
-def late(place: Place, same: bool, partition: int) -> None:
-    """A worker of a driver that has 12 pictures in two partitions, or just those there are, writes one of them last of all."""
-    two = replace(KIND, partitions=2)
-    items, split = (pictures(20), place.plan()) if same else (pictures(12), two)
-    mine = [item for item in items if split.partition(item.row.file) == partition]
-    write_shard(place.storage, two, partition, mine, described(mine))
+LATE = {"earlier": (12, 2, 2), "fewer pictures": (12, 4, 4), "old number of partitions": (20, 4, 2)}
+"""Shards that another driver's worker writes last of all: of so many pictures, so many partitions, and the number noted."""
+
+
+def late(place: Place, what: str, partition: int) -> None:
+    count, split, noted = LATE[what]
+    mine = [i for i in pictures(count) if replace(KIND, partitions=split).partition(i.row.file) == partition]
+    write_shard(place.storage, replace(KIND, partitions=noted), partition, mine, described(mine))
 
 
 @pytest.mark.parametrize("second", [1, 4, 7, 8])
@@ -233,15 +235,14 @@ def test_of_two_drivers_the_earlier_one_stops(
     place.check(pictures(20))
 
 
-@pytest.mark.parametrize("same", [False, True])
-def test_a_late_shard_of_another_driver_is_seen_before_a_run_is_finished(same: bool, place: Place) -> None:
-    """Of other pictures, or of the same with an old number of partitions."""
+@pytest.mark.parametrize("what", LATE)
+def test_a_late_shard_of_another_driver_is_seen_before_a_run_is_finished(what: str, place: Place) -> None:
     place.run(pictures(12), 6)
 
     def before(partition: int, begun: int) -> None:
         if begun == 4 - 1:
             assert partition == 1
-            late(place, same, 0)
+            late(place, what, 0)
 
     with pytest.raises(StoreError, match=ANOTHER):
         place.run(pictures(20), 6, before)
@@ -251,14 +252,13 @@ def test_a_late_shard_of_another_driver_is_seen_before_a_run_is_finished(same: b
     place.check(pictures(20))
 
 
-@pytest.mark.parametrize("same", [False, True])
+@pytest.mark.parametrize("what", LATE)
 def test_a_late_shard_of_an_ended_run_is_refused_until_a_run_mends_it(
-    same: bool, place: Place, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    what: str, place: Place, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of other pictures, or of the same with an old number of partitions."""
     place.run(pictures(20), 6)
     mine = {item.row.file for item in pictures(20) if place.plan().partition(item.row.file) == 1}
-    late(place, same, 1)
+    late(place, what, 1)
     for _ in range(2):
         assert cli.main(["gather", "--shards", str(place.folder), "--out", str(tmp_path / "store")]) == 2
         said = capsys.readouterr().err
