@@ -170,7 +170,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Place:
     return Place(tmp_path / "shards", monkeypatch)
 
 
-LATE = {"earlier": (12, 2, 2), "fewer pictures": (12, 4, 4), "old number of partitions": (20, 4, 2)}
+LATE = {"earlier": (12, 2, 2), "fewer pictures": (4, 4, 4), "old number of partitions": (20, 4, 2)}
 """Shards that another driver's worker writes last of all: of so many pictures, so many partitions, and the number noted."""
 
 
