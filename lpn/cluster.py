@@ -6,6 +6,9 @@ missing partitions by the next run. A partition of which pictures were added, ch
 rows of the others are taken over. Where there are more pictures than partitions are meant for, these are doubled, as often as
 needed: the new ones take their rows from the shard that had them, which is written anew without them when all new ones are there.
 
+A run that writes puts its id into the plan first. Of two in one place the later one goes on: the workers of the other stop, and
+whatever they wrote late is seen before a run calls itself finished.
+
 Broken pictures stop nothing here, unlike on one machine: among millions there are always some, and the first would cost all
 that was computed. They are named in `broken.csv`, kept in the notes of the shards, and counted at the end.
 """
@@ -15,6 +18,7 @@ from __future__ import annotations
 import csv
 import io
 import time
+import uuid
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -27,7 +31,20 @@ from lpn.errors import DataError, InputError, StoreError
 from lpn.features import Box
 from lpn.files import alone
 from lpn.raystart import started
-from lpn.shards import BROKEN, PLAN, Broken, Item, Notes, Plan, Precision, contents, digest, packed, read_notes
+from lpn.shards import (
+    BROKEN,
+    PLAN,
+    Broken,
+    Item,
+    Notes,
+    Plan,
+    Precision,
+    contents,
+    digest,
+    overtaken,
+    packed,
+    read_notes,
+)
 from lpn.spec import View
 from lpn.storage import Storage
 from lpn.worker import Task, Worker
@@ -36,6 +53,8 @@ _SAY_EVERY = 5.0
 """Seconds between two lines of progress."""
 _RETRIES = 5
 """Workers that a partition may cost before it is given up: it could be what kills them."""
+_SHARD = 256
+"""Pictures of one shard, where nobody says another number."""
 _MOST_BLOCKS = 4096
 """Partitions are handed out in at most so many lots."""
 
@@ -64,7 +83,7 @@ def describe_shards(
     address: str | None = None,
     workers: int | None = None,
     threads: int = 1,
-    shard: int = 256,
+    shard: int | None = None,
     positions: str | Path | None = None,
     boxes: Mapping[str, Box] | None = None,
     say: Callable[[str], None] = print,
@@ -81,8 +100,9 @@ def describe_shards(
         address: of a Ray cluster, "auto" for the one this machine is part of; None starts workers on this machine.
         workers: how many; by default as many as there are cores for.
         threads: cores of one worker. Each worker holds the model once.
-        shard: pictures of one shard, on average at most, and so about what a killed worker costs. A folder that has fewer
-            shards than that takes gets twice as many, or four times, and so on; none of its pictures is computed for that.
+        shard: pictures of one shard, on average at most, and so about what a killed worker costs; by default what the last run
+            into `out` was told, else 256. A folder that has fewer shards than that takes gets twice as many, or four times,
+            and so on; none of its pictures is computed for that.
         positions: a file in the format of geo.csv, by default the `geo.csv` among the pictures, if there is one. Its paths may
             begin further up than the pictures' names, see `lpn.geo.match`.
         boxes: what pictures are cropped to, by their names below `pictures`.
@@ -92,7 +112,8 @@ def describe_shards(
     Raises:
         InputError: when an option is of no use, there is no such cluster, or `positions` fit the pictures in two ways.
         DataError: when there are no pictures, or some have no position.
-        StoreError: when `out` holds shards of another model, view, or precision, or cannot be written.
+        StoreError: when `out` holds shards of another model, view, or precision, cannot be written, or another run wrote there
+            meanwhile.
     """
     if model.suffix != ".onnx":
         raise InputError(f"{model.name} is no exported model, which workers run; make one with lpn export.")
@@ -103,9 +124,7 @@ def describe_shards(
     engine.check_view(view)
     source, target = Storage(pictures), Storage(out)
     items = _items(source, positions, boxes or {})
-    wanted = Plan(
-        engine.fingerprint, view, engine.n_parts, engine.spec.embedding, precision, max(1, -(-len(items) // shard))
-    )
+    wanted = Plan(engine.fingerprint, view, engine.n_parts, engine.spec.embedding, precision, 1, shard=shard)
     files = {path.name: path.read_bytes() for path in graph_files(model, engine.spec.groups())}
     del engine
     if target.folder is None:
@@ -163,50 +182,72 @@ def _run(
     say: Callable[[str], None],
     worker: type[Worker],
 ) -> Summary:
-    plan = _plan(target, wanted)
+    plan = _plan(target, wanted, len(items))
     partitions: list[list[Item]] = [[] for _ in range(plan.partitions)]
     for item in items:
         partitions[plan.partition(item.row.file)].append(item)
+    digests = [digest(some) for some in partitions]
     held = read_notes(target, plan, range(plan.partitions))
-    todo = [p for p, notes in enumerate(held) if notes is None or notes.digest != digest(partitions[p])]
+    todo = [
+        p
+        for p, notes in enumerate(held)
+        if notes is None or (notes.partitions, notes.digest) != (plan.partitions, digests[p]) or _unsettled(notes)
+    ]
     progress = _Progress(len(items), sum(len(partitions[p]) for p in todo), say)
-    if todo:
-        # From here to the end the shards may be of pictures old and new.
-        target.write(PLAN, replace(plan, finished=False, contents=None).to_json())
-        task = Task(source.where, target.where, plan, model, threads)
-        sources = [_source(p, held) for p in range(plan.partitions)]
-        # What a shard gives away must be in another before it is written anew: else a kill in between would lose it.
-        lots = [[p for p in todo if sources[p] != p], [p for p in todo if sources[p] == p]]
-        with started(address, workers, threads) as (data, count, put):
-            progress.start()
-            reference = put(files)
-            for lot in filter(None, lots):
-                rows = [{"partition": p, "source": sources[p], "items": packed(partitions[p])} for p in lot]
-                handed_out = data.from_items(rows, override_num_blocks=min(len(rows), _MOST_BLOCKS))
-                with warnings.catch_warnings():
-                    # Ray 2.60 announces another way to limit retries, and has none yet.
-                    warnings.simplefilter("ignore")
-                    results = handed_out.map_batches(
-                        worker,
-                        fn_constructor_args=(task, reference),
-                        batch_size=1,
-                        compute=data.ActorPoolStrategy(size=min(count, len(rows)), max_tasks_in_flight_per_actor=2),
-                        num_cpus=threads,
-                        ray_remote_args_fn=lambda: {"max_task_retries": _RETRIES},
-                    )
-                for result in results.iter_rows():
-                    if result["error"]:
-                        raise StoreError(str(result["error"]))
-                    progress.add(result)
-    notes = _all_notes(target, plan)
+    notes = [one for one in held if one is not None]
+    ended = not todo and plan.finished and plan.contents == contents(notes)
+    if not ended:
+        # From here to the end the shards may be of pictures old and new, and the place is this run's.
+        plan = replace(plan, finished=False, contents=None, run=uuid.uuid4().hex)
+        target.write(PLAN, plan.to_json())
+        if todo:
+            sources = [_source(p, held) for p in range(plan.partitions)]
+            # What a shard gives away must be in another before it is written anew: else a kill in between would lose it.
+            lots = [[p for p in todo if sources[p] != p], [p for p in todo if sources[p] == p]]
+            rows = [
+                [{"partition": p, "source": sources[p], "items": packed(partitions[p])} for p in lot] for lot in lots
+            ]
+            task = Task(source.where, target.where, plan, model, threads)
+            with started(address, workers, threads) as (data, count, put):
+                progress.start()
+                _hand_out(data, rows, worker, task, put(files), count, progress)
+        notes = _settled(target, plan, partitions, digests)
     found = [broken for one in notes for broken in one.broken]
     broken = sorted(found, key=lambda one: one.item.row.file.split("/"))
     _write_broken(target, broken)
-    ended = replace(plan, finished=True, contents=contents(notes))
-    if todo or ended.to_json() != plan.to_json():
-        target.write(PLAN, ended.to_json())
+    if not ended:
+        target.write(PLAN, replace(plan, finished=True, contents=contents(notes)).to_json())
     progress.end()
     return Summary(len(items), progress.computed, broken)
+
+
+def _hand_out(
+    data: Any,
+    lots: list[list[dict[str, Any]]],
+    worker: type[Worker],
+    task: Task,
+    files: Any,
+    count: int,
+    progress: _Progress,
+) -> None:
+    """Have workers do lots of partitions, one lot after the other; StoreError when one of them cannot."""
+    for rows in filter(None, lots):
+        handed_out = data.from_items(rows, override_num_blocks=min(len(rows), _MOST_BLOCKS))
+        with warnings.catch_warnings():
+            # Ray 2.60 announces another way to limit retries, and has none yet.
+            warnings.simplefilter("ignore")
+            results = handed_out.map_batches(
+                worker,
+                fn_constructor_args=(task, files),
+                batch_size=1,
+                compute=data.ActorPoolStrategy(size=min(count, len(rows)), max_tasks_in_flight_per_actor=2),
+                num_cpus=task.threads,
+                ray_remote_args_fn=lambda: {"max_task_retries": _RETRIES},
+            )
+        for result in results.iter_rows():
+            if result["error"]:
+                raise StoreError(str(result["error"]))
+            progress.add(result)
 
 
 def _source(partition: int, held: list[Notes | None]) -> int:
@@ -221,30 +262,44 @@ def _source(partition: int, held: list[Notes | None]) -> int:
     return partition
 
 
-def _plan(target: Storage, wanted: Plan) -> Plan:
+def _plan(target: Storage, wanted: Plan, pictures: int) -> Plan:
+    """The plan of a place for so many pictures: what it says, or what it has to become, which no run has finished."""
     held = Plan.read(target)
-    if held is None:
-        target.write(PLAN, wanted.to_json())
-        return wanted
-    if not held.comparable(wanted):
+    if held is not None and not held.comparable(wanted):
         raise StoreError(
             f"{target.where} holds shards of {held.view} descriptors of model {held.fingerprint} in {held.precision}, and "
             f"these would be {wanted.view} of {wanted.fingerprint} in {wanted.precision}; choose another place."
         )
+    shard = wanted.shard or (held and held.shard) or _SHARD
+    least = max(1, -(-pictures // shard))
+    if held is None:
+        return replace(wanted, partitions=least, shard=shard)
     partitions = held.partitions
-    while partitions < wanted.partitions:
+    while partitions < least:
         partitions *= 2
-    return replace(held, partitions=partitions)
+    same = (partitions, shard) == (held.partitions, held.shard)
+    return replace(held, partitions=partitions, shard=shard, finished=held.finished and same)
 
 
-def _all_notes(target: Storage, plan: Plan) -> list[Notes]:
-    """What all shards say: also those that an earlier run wrote."""
+def _unsettled(notes: Notes) -> set[Item]:
+    """The pictures that are worth another try."""
+    return {broken.item for broken in notes.broken if not broken.settled}
+
+
+def _settled(target: Storage, plan: Plan, partitions: list[list[Item]], digests: list[str]) -> list[Notes]:
+    """What all shards say, also those that an earlier run wrote; StoreError where they are not what this run leaves there."""
     notes = [one for one in read_notes(target, plan, range(plan.partitions)) if one is not None]
+    plan.check_own(target)
     if unseen := plan.partitions - len(notes):
         raise StoreError(
             f"{unseen} of {plan.partitions} shards are not to be seen in {target.where} from this machine; on a cluster give a "
             "folder that all machines share, or object storage."
         )
+    for one, items, whole in zip(notes, partitions, digests, strict=True):
+        if unsettled := _unsettled(one):
+            whole = digest([item for item in items if item not in unsettled])
+        if (one.partitions, one.digest) != (plan.partitions, whole) or not unsettled <= set(items):
+            raise StoreError(overtaken(target))
     return notes
 
 

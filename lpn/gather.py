@@ -146,7 +146,8 @@ def open_shards(where: str | Path) -> Shards:
     """A complete folder of shards.
 
     Raises:
-        StoreError: when there is none, a shard is missing, or a run of lpn describe has not ended or began meanwhile.
+        StoreError: when there is none, a shard is missing or not of the run that ended last, or a run of lpn describe has not
+            ended or began meanwhile.
     """
     storage = Storage(where)
     plan = _plan(storage)
@@ -157,15 +158,20 @@ def open_shards(where: str | Path) -> Shards:
             f"{plan.partitions - len(there)} of {plan.partitions} shards in {where} are missing or damaged; run lpn describe "
             "--engine ray again, which computes only those."
         )
-    # A run may have begun since the plan was read.
-    if not plan.finished or not _plan(storage).finished:
+    # A run may have begun since the plan was read, and even have ended.
+    again = _plan(storage)
+    if not plan.finished or not again.finished:
         raise StoreError(
             f"The shards in {where} may be of pictures old and new, as the run that wrote them has not ended; wait for it, or "
             "run lpn describe --engine ray again, which computes only what is missing."
         )
-    # It may even have ended.
-    if plan.contents not in (None, contents(there)):
+    if again.to_json() != plan.to_json():
         raise StoreError(_anew(storage, "A shard"))
+    if plan.contents not in (None, contents(there)) or any(one.partitions != plan.partitions for one in there):
+        raise StoreError(
+            f"The shards in {where} are not all those of the run that ended last, as of two runs at once; run lpn describe "
+            "--engine ray again, which computes only what is missing."
+        )
     return Shards(storage, plan, [broken for one in there for broken in one.broken], [one.digest for one in there])
 
 

@@ -1,7 +1,8 @@
 """Descriptors past one machine: a folder or a prefix of Parquet files, written by many workers. Needs the extra `ray`.
 
-    plan.json         format, model fingerprint, view, n and D, precision, the number of partitions, whether the last run ended
-                      (from its first shard to its end a run leaves that at false), and then the digest of all shards
+    plan.json         format, model fingerprint, view, n and D, precision, the number of partitions, pictures of one shard, a
+                      random id of the last run, whether that ended (from before its first shard to its end a run leaves that at
+                      false), and then the digest of all shards
     000000.parquet    one file for each partition, which is all pictures whose name's hash falls to it:
                       file, size, time_ns, box (or null), latitude, longitude (or null), descriptor (n D numbers in a row)
     broken.csv        pictures that could not be described, with what is wrong
@@ -12,7 +13,7 @@ pictures that it settles, by which a later run tells a finished partition withou
 complete.
 
 As pictures become more, partitions are doubled: of those of a partition, about half fall to a new one then, whose number is
-higher by as many as there were. A shard of before stays, and is right where its digest is.
+higher by as many as there were. A run ends when each shard has the plan's number of partitions and the digest of its pictures.
 """
 
 from __future__ import annotations
@@ -98,6 +99,8 @@ class Plan:
         partitions: how many shards there are when it is complete.
         finished: whether the last run ended, so that all shards are of one state of the pictures.
         contents: see the function `contents`; None before a run ended, and of an earlier version.
+        run: a random id of the last run, by which it knows whether the place is still its own; None of an earlier version.
+        shard: pictures of one shard, on average at most; None of an earlier version.
     """
 
     fingerprint: str
@@ -109,6 +112,8 @@ class Plan:
     format: str = FORMAT
     finished: bool = field(default=False, compare=False)
     contents: str | None = field(default=None, compare=False)
+    run: str | None = field(default=None, compare=False)
+    shard: int | None = field(default=None, compare=False)
 
     @classmethod
     def read(cls, storage: Storage) -> Plan | None:
@@ -118,10 +123,12 @@ class Plan:
             if is_newer(found := values.get("format"), FORMAT):
                 raise StoreError(newer(f"{PLAN} in {storage.where}", found, FORMAT))
             plan = cls(**values)
-            whole = all(type(n) is int and 0 < n < 2**31 for n in (plan.n_parts, plan.embedding, plan.partitions))
+            numbers = (plan.n_parts, plan.embedding, plan.partitions, 1 if plan.shard is None else plan.shard)
+            whole = all(type(n) is int and 0 < n < 2**31 for n in numbers)
             if not whole or not isinstance(plan.fingerprint, str) or not isinstance(plan.view, str):
                 raise ValueError("values of another kind")
-            if not isinstance(plan.contents, str | None) or not isinstance(plan.finished, bool):
+            texts = isinstance(plan.contents, str | None) and isinstance(plan.run, str | None)
+            if not texts or not isinstance(plan.finished, bool):
                 raise ValueError("values of another kind")
             if plan.format not in (FORMAT, BEFORE) or plan.precision not in ("float32", "float16"):
                 raise ValueError("another format")
@@ -144,6 +151,17 @@ class Plan:
     def comparable(self, other: Plan) -> bool:
         """Whether shards of the other may lie beside these."""
         return _kind(self) == _kind(other)
+
+    def check_own(self, storage: Storage) -> None:
+        """Nothing, as long as the place is this run's; StoreError when another run began there since."""
+        held = Plan.read(storage)
+        if held is not None and held.run != self.run:
+            raise StoreError(overtaken(storage))
+
+
+def overtaken(storage: Storage) -> str:
+    """One sentence about a place that two runs wrote to."""
+    return f"Another run of lpn describe wrote to {storage.where} meanwhile; run this again when it has ended."
 
 
 def digest(items: Sequence[Item]) -> str:
@@ -273,9 +291,7 @@ def notes_of(schema: pa.Schema, plan: Plan, partition: int) -> Notes | None:
 
 def _noted(plan: Plan) -> dict[str, Any]:
     """What every shard repeats of its plan."""
-    values = asdict(plan)
-    del values["finished"], values["contents"]
-    return values
+    return {name: value for name, value in asdict(plan).items() if name not in ("finished", "contents", "run", "shard")}
 
 
 def _kind(plan: Plan) -> tuple[object, ...]:

@@ -81,6 +81,9 @@ class Worker:
 
         Returns:
             How many of its pictures were computed, are described, and are broken.
+
+        Raises:
+            StoreError: when another run has begun there; nothing is written then.
         """
         plan = self.task.plan
         before = read_shard(self.out, plan, source)
@@ -100,6 +103,7 @@ class Worker:
         numbers = np.zeros((len(kept), plan.n_parts, plan.embedding), np.float32)
         for i, item in enumerate(kept):
             numbers[i] = rows[item.row]
+        plan.check_own(self.out)
         write_shard(self.out, plan, partition, kept, numbers, broken)
         return computed, len(kept), len(broken)
 

@@ -37,8 +37,8 @@ class Describe:
     threads: int | None = None
     """With --engine ray: cores of one worker, 1 by default; each worker holds the model once, so more take less memory."""
     shard: int | None = None
-    """With --engine ray: pictures of one shard, 256 by default, on average at most; about what a killed worker costs. Where there
-    are more by now, shards are split, and no picture is computed for that."""
+    """With --engine ray: pictures of one shard, on average at most; about what a killed worker costs. By default what the last
+    run was told, else 256. Where there are more by now, shards are split, and no picture is computed for that."""
     positions: str | None = None
     """With --engine ray: file in the format of geo.csv to take positions from, its paths below --images or further up; by default
     geo.csv among the pictures, if any."""
@@ -80,7 +80,7 @@ class Describe:
             address=self.address,
             workers=self.workers,
             threads=1 if self.threads is None else self.threads,
-            shard=256 if self.shard is None else self.shard,
+            shard=self.shard,
             positions=self.positions,
             say=lambda line: print(line, flush=True),
         )

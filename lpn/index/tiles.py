@@ -105,16 +105,20 @@ def _of_shards(where: str, data: Path | None) -> Tiles:
     partitions = range(shards.plan.partitions)
     positions: Exact | None = None
     if data is None:
-        counts = list(each(lambda partition: len(checked(partition)), partitions))
+        seen = list(each(lambda partition: _told(checked(partition)), partitions))
     else:
         # The paths of a file of positions are matched with all names, so these must be known together.
         parts = list(each(checked, partitions))
-        counts = [len(names) for names in parts]
+        seen = [_told(names) for names in parts]
         positions = _positions(data, [name for names in parts for name in names])
-    starts = np.cumsum([0, *counts])
+    starts = np.cumsum([0, *(count for count, _ in seen)])
 
     def lot(group: range) -> Lot:
         tiles = list(each(shards.tiles, group))
+        for partition, part in zip(group, tiles, strict=True):
+            # Its digest is of pictures that it settles, of which others may be broken by now.
+            if _told(part.names) != seen[partition]:
+                raise shards.written_anew(partition)
         names = [name for part in tiles for name in part.names]
         first = starts[group.start]
         own = np.concatenate([part.positions for part in tiles])
@@ -137,6 +141,11 @@ def _of_shards(where: str, data: Path | None) -> Tiles:
             start = groups.pop().start
         groups.append(range(start, partition + 1))
     return Tiles(kind, int(starts[-1]), map(lot, groups), len(shards.broken))
+
+
+def _told(names: list[str]) -> tuple[int, int]:
+    """What tells the tiles of a shard from others, in little memory."""
+    return len(names), hash(tuple(names))
 
 
 def _step(kind: Kind) -> int:

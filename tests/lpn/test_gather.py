@@ -20,7 +20,7 @@ from lpn.features.unfinished import Unfinished
 from lpn.gather import open_shards, to_store
 from lpn.index import open_index
 from lpn.model import FloatArray, normalise
-from lpn.shards import BEFORE, PLAN, Item, Plan, contents, read_notes, shard_name, write_shard
+from lpn.shards import BEFORE, PLAN, Broken, Item, Plan, contents, read_notes, shard_name, write_shard
 from lpn.storage import Storage
 
 PARTITIONS = 3
@@ -161,10 +161,13 @@ def test_an_index_is_made_of_one_state_as_far_as_it_goes(
     check([*RUNS[run], *there])
 
 
+@pytest.mark.parametrize("earlier", [False, True])
 @pytest.mark.parametrize(("ends", "said"), [(False, "the run that wrote them has not ended"), (True, ANEW)])
 def test_a_run_that_begins_or_ends_while_shards_are_opened_is_seen(
-    ends: bool, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ends: bool, said: str, earlier: bool, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if earlier:
+        of_before(folder)
     real = read_notes
 
     def meanwhile(storage: Storage, plan: Plan, partitions: Sequence[int]) -> object:
@@ -180,12 +183,39 @@ def test_a_run_that_begins_or_ends_while_shards_are_opened_is_seen(
         open_shards(folder)
 
 
-def test_shards_of_before_there_was_a_digest_of_all_are_read(folder: Path, tmp_path: Path) -> None:
+def of_before(folder: Path) -> None:
+    """Make the folder one of an earlier version."""
     plan = json.loads((folder / PLAN).read_text())
-    del plan["contents"]
+    for name in ("contents", "run", "shard"):
+        del plan[name]
     (folder / PLAN).write_text(json.dumps(plan | {"format": BEFORE}))
     write(folder, replace(PLANNED, format=BEFORE), WAS)
+
+
+def test_shards_of_before_there_was_a_digest_of_all_are_read(folder: Path, tmp_path: Path) -> None:
+    of_before(folder)
     assert len(to_store(open_shards(folder), tmp_path / "store").manifest.rows) == len(WAS)
+
+
+@pytest.mark.parametrize("positions", [False, True])
+def test_a_tile_that_broke_between_two_looks_at_its_shard_is_seen(
+    positions: bool, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The digest of a shard is the same then: it is of what is settled."""
+    (tmp_path / "geo.csv").write_text("path,latitude,longitude\n" + "".join(f"{i.row.file},1,2\n" for i in WAS))
+    real, seen = gather.Shards.tiles, []
+
+    def tiles(self: gather.Shards, partition: int) -> gather.Tiles:
+        seen.append(partition)
+        if seen.count(1) == 2:
+            broke, *mine = [item for item in WAS if PLANNED.partition(item.row.file) == 1]
+            write_shard(self.storage, PLANNED, 1, mine, described(mine), [Broken(broke, "is damaged", True)])
+        return real(self, partition)
+
+    monkeypatch.setattr(gather.Shards, "tiles", tiles)
+    given = ["index", "--descriptors", str(folder), "--out", str(tmp_path / "index")]
+    assert cli.main([*given, "--data", str(tmp_path)] if positions else given) == 2
+    assert f"{shard_name(1)} in {folder} {ANEW}" in capsys.readouterr().err
 
 
 def test_a_shard_of_other_pictures_is_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
