@@ -32,7 +32,7 @@ class MakeIndex:
     precision: Literal["float32", "float16", "int8"] = "float32"
     """Of the copy that exact scans: float16 and int8 take more disk and are searched faster, with the same answers."""
     codes: Literal["flat", "sq8", "pq"] | None = None
-    """For faiss: sq8, by default, keeps a byte for each number, pq one for 32 and misses more; flat compares every vector."""
+    """For faiss: pq, by default, keeps a byte for 32 numbers, sq8 one for each, slower; flat compares every vector."""
     structure: Literal["flat", "ivf", "hnsw"] | None = None
     """For milvus: flat, by default, compares every vector; the others look at some, quicker among many, and miss a few."""
     replace: bool = False

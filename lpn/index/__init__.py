@@ -71,7 +71,7 @@ def create_index(
         where: a folder, or milvus://host:port/collection.
         engine: by default milvus for its addresses, and exact for folders.
         precision: of the copy that `exact` scans.
-        codes: of `faiss`, see there; sq8 by default.
+        codes: of `faiss`, see there; pq by default, or sq8 for descriptors that it cannot take.
         structure: of `milvus`, see there; flat by default.
 
     Raises:
@@ -99,7 +99,7 @@ def create_index(
     if engine == "exact":
         return ExactIndex.create(where, kind, precision)
     if engine == "faiss":
-        return FaissIndex.create(where, kind, codes or "sq8")
+        return FaissIndex.create(where, kind, codes)
     return MilvusIndex.create(str(where), kind, structure or "flat")
 
 

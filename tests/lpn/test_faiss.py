@@ -231,3 +231,9 @@ def test_many_small_adds_learn_once_in_many_tiles(
         for box in (None, *WIDE):
             query = tiles.descriptors[-1]
             tiles.check(index.search(query, None, 10, box), query, None, 10, box)
+
+
+def test_codes_are_chosen_by_what_a_descriptor_allows(tmp_path: Path) -> None:
+    for numbers, codes in ((16, "pq"), (20, "sq8")):
+        with FaissIndex.create(tmp_path / str(numbers), replace(KIND, n_parts=2, embedding=numbers)) as index:
+            assert index.codes == codes
