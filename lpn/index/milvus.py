@@ -4,8 +4,9 @@ A collection has the fields id (128 bits of the digest of the tile's name, in he
 sign can be mistaken in an expression), name, vector (n D numbers, inner product), latitude, and longitude, and says in its
 description what it holds. Every call sees what this index wrote, and whatever was written before the index was opened; searches
 may miss what others wrote in the last five seconds ("bounded" consistency), as waiting for that ("strong") takes Milvus 0.4 to
-0.8 s a search. What `add` returned from is in the server's log: a server that is killed has it again when it is back. A lost connection
-is tried anew for a while; `add` writes over what an interrupted attempt left, so that nothing is lost and nothing is twice.
+0.8 s a search. What `add` returned from is in the server's log: a server that is killed has it again when it is back. A lost
+connection is tried anew for a while; `add` writes over what an interrupted attempt left, so that nothing is lost and nothing
+is twice.
 
 Every structure gives as many tiles as were asked for, or all that there are. Milvus itself gives fewer where the lists that
 it looks through hold too few, as they may for many tiles or in a box: all lists are looked through then. Of a segment that
