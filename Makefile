@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 HOST   ?= 127.0.0.1
 PORT   ?= 8080
-JOBS   ?= 3
+JOBS   ?= 2
 
 .PHONY: explore setup test check bench fuzz soak demo format audit clean
 .DEFAULT_GOAL := test
@@ -56,8 +56,8 @@ explore: $(EXPLORE_NEEDS)
 setup: $(VENV)/.train
 	@echo "Ready. Use it with: . $(VENV)/bin/activate"
 
-# Three processes, each with whole files of tests: for two cores, as much of the time is waiting. One thread a process: the tests'
-# networks are so small that threads cost more than they save, on a busy machine many times.
+# Two processes, each with whole files of tests, as much of the time is waiting. One thread a process: the tests' networks are so
+# small that threads cost more than they save, on a busy machine many times.
 test: check $(VENV)/.browser $(VENV)/.milvus
 	OMP_NUM_THREADS=1 LPN_MILVUS_PYTHON=$(abspath $(VENV)/milvus/bin/python) $(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 

@@ -19,16 +19,23 @@ from lpn.index import Kind, Structure
 from tests.processes import free_ports
 
 _RUN = """
-import json, socket, sys
+import json, socket, sys, time
 from milvus import default_server
 
 def bound(config, port):
     # Connections of a server that was killed keep its port for a while from those who do not say this; it would take the next.
-    one = socket.socket()
-    one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    one.bind(("127.0.0.1", port))
-    one.listen()
-    return one
+    # And on a busy machine the server itself keeps it for a moment longer.
+    for _ in range(300):
+        one = socket.socket()
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            one.bind(("127.0.0.1", port))
+            one.listen()
+            return one
+        except OSError:
+            one.close()
+            time.sleep(0.1)
+    raise OSError(f"port {port} is in use")
 
 type(default_server.config).try_bind_port = bound
 given = json.loads(sys.argv[1])

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -68,8 +69,12 @@ def test_others_are_computed_one_at_a_time_while_pictures_are_prepared(
             inside.release()
 
     def prepare(i: int) -> FloatArray:
-        if inside.locked() or i >= 20:
-            preparing.set()
+        until = time.monotonic() + 20
+        # The second batch is the other thread's: it is prepared once the first is being computed.
+        while i >= model.batch and not preparing.is_set() and time.monotonic() < until:
+            if inside.locked():
+                preparing.set()
+            time.sleep(0.001)
         return pictures[i]
 
     monkeypatch.setattr(Engine, "descriptors", descriptors)
