@@ -29,6 +29,7 @@ from lpn import geo, images
 from lpn.engine import Engine, graph_files
 from lpn.errors import DataError, InputError, StoreError
 from lpn.features import Box
+from lpn.features.store import box_of
 from lpn.files import alone
 from lpn.raystart import started
 from lpn.shards import (
@@ -143,7 +144,7 @@ def _items(source: Storage, positions: str | Path | None, boxes: Mapping[str, Bo
     rows = source.files(images.SUFFIXES)
     if not rows:
         raise DataError(f"{source.where} holds no pictures; expected files ending in {', '.join(images.SUFFIXES)}.")
-    rows = [replace(row, box=boxes[row.file]) if row.file in boxes else row for row in rows]
+    rows = [replace(row, box=box_of(boxes[row.file])) if row.file in boxes else row for row in rows]
     found = _positions(source, positions)
     if found is None:
         return [Item(row) for row in rows]

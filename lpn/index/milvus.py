@@ -97,7 +97,7 @@ class MilvusIndex(Index):
         patience: seconds for which a server that does not answer is tried again.
         effort: 1 to 32,768 lists of each segment's 1,024 (ivf) or neighbours (hnsw) looked through; more miss fewer tiles
             and take longer. With a box, ivf looks through so many lists that it compares as many tiles as without one,
-            or all in the box: always all where these are 50,000 or fewer.
+            or all in the box: always all where these are 50,000 or fewer. Milvus does so once it has built its index.
 
     Raises:
         StoreError: when there is no such server or collection, or it is not one of ours.
@@ -330,9 +330,9 @@ class MilvusIndex(Index):
                 output_fields=["id"],
                 **_now(level),
             )
-            keys += sorted(str(row["id"]) for row in page)
-            if len(page) < self.most:
+            if not page:  # a short one may only have held a key twice
                 break
+            keys += sorted({str(row["id"]) for row in page})
         kept: list[dict[str, Any]] = []
         for some in _lots(keys, self._step):
             kept += self._read(client, some, level)
