@@ -30,7 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.figures import machine
-from bench.search import KIND, drawn, medians, queries
+from bench.search import KIND, drawn, medians, nearest, queries, resident
 from lpn.index import Box
 from lpn.index.milvus import MilvusIndex, Structure
 from lpn.model import FloatArray
@@ -74,21 +74,6 @@ def places(count: int) -> Any:
     return np.stack([np.zeros(count), np.random.default_rng(3).uniform(-180, 180, count)], axis=1)
 
 
-def nearest(count: int, asked: FloatArray, within: Any) -> list[set[str]]:
-    """The true 10 nearest of each query among tiles that are `within`, (count,), by drawing the gallery once more."""
-    vectors = np.stack([KIND.rescaled(query, None).astype(np.float32) for query in asked])
-    scores = np.concatenate([vectors @ block.reshape(len(block), KIND.numbers).T for _, block in drawn(count)], axis=1)
-    best = np.argsort(np.where(within, -scores, np.inf), axis=1)[:, : min(K, int(within.sum()))]
-    return [{f"{name:07d}" for name in row} for row in best.tolist()]
-
-
-def resident(pid: int) -> dict[str, float]:
-    """Resident memory of a process in MB, its own and that of files."""
-    lines = [line.split() for line in Path(f"/proc/{pid}/status").read_text().splitlines()]
-    values = {line[0]: int(line[1]) / 1000 for line in lines if line and line[0].startswith("Rss")}
-    return {"anonymous": values["RssAnon:"], "mapped": values["RssFile:"]}
-
-
 def on_disk(place: Path) -> Counter[str]:
     """MB of a server's data, by what they are."""
     sizes: Counter[str] = Counter()
@@ -101,10 +86,7 @@ def on_disk(place: Path) -> Counter[str]:
 def measure(structure: Structure, count: int, place: Path, rounds: int) -> tuple[list[str], list[list[str]]]:
     """One structure's costs, and its searches by effort, on a server of its own."""
     asked, at = queries(next(drawn(count))[1]), places(count)
-    truths = {
-        box: nearest(count, asked, np.ones(count, bool) if box is None else abs(at[:, 1]) <= BOX[3])
-        for box in (None, BOX)
-    }
+    truths = {box: nearest(count, asked, K, None if box is None else abs(at[:, 1]) <= BOX[3]) for box in (None, BOX)}
     with Server(milvus_python(), place) as server:
         empty, url = resident(server.pid), f"{server.url}/bench"
         adding = 0.0

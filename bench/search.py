@@ -240,10 +240,16 @@ def added_seconds(count: int, name: Any, folder: Path) -> float:
     return seconds
 
 
+def resident(process: int | str = "self") -> dict[str, float]:
+    """Resident memory of a process in MB: its own (`anonymous`), and that of files (`mapped`)."""
+    lines = [line.split() for line in Path(f"/proc/{process}/status").read_text().splitlines()]
+    values = {line[0]: int(line[1]) / 1000 for line in lines if line and line[0].startswith("Rss")}
+    return {"anonymous": values["RssAnon:"], "mapped": values["RssFile:"]}
+
+
 def anonymous() -> float:
     """Resident memory of this process that is of no file, in MB."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("RssAnon")) / 1000
+    return resident()["anonymous"]
 
 
 class Peak(AbstractContextManager["Peak"]):
@@ -267,13 +273,16 @@ class Peak(AbstractContextManager["Peak"]):
             self.most = max(self.most, anonymous())
 
 
-def nearest(count: int, asked: FloatArray, k: int) -> list[set[str]]:
-    """The true k nearest of each query, by drawing the gallery once more."""
+def nearest(count: int, asked: FloatArray, k: int, among: Any = None) -> list[set[str]]:
+    """The true k nearest of each query, by drawing the gallery once more; of the tiles `among` them, (count,), k or more."""
     vectors = np.stack([KIND.rescaled(query, None).astype(np.float32) for query in asked])
     best = np.full((len(asked), k), -np.inf, np.float32)
     names = np.zeros((len(asked), k), np.int64)
     for start, block in drawn(count):
-        scores = np.concatenate([best, vectors @ block.reshape(len(block), KIND.numbers).T], axis=1)
+        found = vectors @ block.reshape(len(block), KIND.numbers).T
+        if among is not None:
+            found = np.where(among[start : start + len(block)], found, -np.inf)
+        scores = np.concatenate([best, found], axis=1)
         of = np.concatenate([names, np.broadcast_to(start + np.arange(len(block)), (len(asked), len(block)))], axis=1)
         order = np.argsort(-scores, axis=1)[:, :k]
         best, names = np.take_along_axis(scores, order, 1), np.take_along_axis(of, order, 1)
