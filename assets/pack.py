@@ -15,9 +15,10 @@ from pathlib import Path
 import cv2
 
 import lpn
-from lpn import features, images
+from lpn import features
+from lpn.core import images
+from lpn.core.files import write_whole
 from lpn.datasets import open_dataset
-from lpn.files import write_whole
 from lpn.world.atlas import Settings, make_atlas
 from lpn.world.model3d import city_model, test_window
 

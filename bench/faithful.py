@@ -16,8 +16,9 @@ from rich.progress import track
 from rich.table import Table
 
 import lpn
-from lpn import explain, images, occlusion, retrieval
+from lpn import explain, occlusion, retrieval
 from lpn.commands.using import DEMO
+from lpn.core import images
 from lpn.datasets import open_dataset
 from lpn.model import Model
 

@@ -23,7 +23,8 @@ from typing import Any, Self
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from bench.figures import Figure, below, medians, show, within
-from lpn import datasets, images, load
+from lpn import datasets, load
+from lpn.core import images
 from soak.chromium import launch
 
 ROUNDS = 20

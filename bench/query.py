@@ -20,13 +20,14 @@ from PIL import Image
 
 from bench.figures import Figure, against_peer, below, medians, show, within
 from bench.pictures import make_train_split
-from lpn import images, retrieval
+from lpn import retrieval
 from lpn.changes import Change
 from lpn.checkpoints import TorchModel, load_torch, save
+from lpn.core import images
+from lpn.core.resources import usable_cores
 from lpn.datasets import Dataset, open_dataset
 from lpn.engine import Engine
 from lpn.export import export
-from lpn.machine import usable_cores
 from lpn.model import normalise
 from lpn.network import LPN
 from lpn.quantize import quantize

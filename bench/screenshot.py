@@ -17,7 +17,7 @@ from playwright.sync_api import Browser, sync_playwright
 
 from bench.page import Process, free_port
 from lpn.commands.using import DEMO, DEMO_QUERY
-from lpn.files import write_whole
+from lpn.core.files import write_whole
 from soak.chromium import launch
 
 QUALITY = 84

@@ -36,9 +36,9 @@ from rich.table import Table
 import bench.figures
 from bench.figures import Figure, below, machine, show, within
 from lpn import explain
+from lpn.core.resources import usable_cores
 from lpn.index import Box, ExactIndex, Kind, base
 from lpn.index.scan import PRECISIONS
-from lpn.machine import usable_cores
 from lpn.model import FloatArray, normalise
 
 KIND = Kind("bench", 4, 512)

@@ -30,7 +30,7 @@ from rich.console import Console
 
 from bench.figures import Figure, show, take_turns
 from bench.pictures import make_train_split
-from lpn import images
+from lpn.core import images
 from lpn.datasets import open_dataset
 from lpn.network import LPN
 from lpn.places import Places

@@ -37,13 +37,13 @@ from explorer.room import Room
 from explorer.session import State
 from explorer.stage import SCENE, Stage
 from explorer.worker import Patience, Worker
-from lpn import images
-from lpn.errors import InputError, LPNError
-from lpn.files import printable
-from lpn.logs import conceal
-from lpn.machine import pool_memory, port_taken, return_memory
+from lpn.core import images
+from lpn.core.errors import InputError, LPNError
+from lpn.core.files import printable
+from lpn.core.log import conceal
+from lpn.core.resources import pool_memory, port_taken, return_memory
+from lpn.core.shutdown import finished
 from lpn.saved import load_saved
-from lpn.stopping import finished
 
 log = logging.getLogger(__name__)
 

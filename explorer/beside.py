@@ -13,7 +13,8 @@ from explorer.bridge import send
 from explorer.exhibit import Analyst, Answer, Exhibit, Task
 from explorer.pages import SIGNS
 from explorer.session import State
-from lpn import images, overlays
+from lpn import overlays
+from lpn.core import images
 from lpn.metrics import IntArray
 from lpn.words import ordinal
 

@@ -14,7 +14,7 @@ from explorer.layout import Layout
 from explorer.planes import UPRIGHT, Plane
 from explorer.session import State
 from lpn import overlays
-from lpn.images import Picture
+from lpn.core.images import Picture
 from lpn.overlays import Colour, Palette
 from lpn.retrieval import Match
 

@@ -11,9 +11,10 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn import geo, images, overlays
+from lpn import geo, overlays
+from lpn.core import images
+from lpn.core.images import Picture
 from lpn.geo import Position
-from lpn.images import Picture
 from lpn.metrics import IntArray
 
 LARGEST = 1536

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Final
 from urllib.parse import parse_qsl, quote, unquote_plus, urlsplit
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 
 VARIABLE: Final = "LPN_TOKEN"
 """The environment variable a token is read from, where other users of the machine do not see it."""

@@ -19,13 +19,14 @@ from explorer.kept import Kept
 from explorer.layout import layout_for
 from explorer.session import TRUTH, State
 from explorer.standing import Found, Standing
-from lpn import explain, geo, images, overlays, retrieval
+from lpn import explain, geo, overlays, retrieval
 from lpn.city import CityModel
+from lpn.core import images
+from lpn.core.errors import InputError
+from lpn.core.images import Picture
 from lpn.datasets import Picture as Entry
 from lpn.datasets import Truth
-from lpn.errors import InputError
 from lpn.explain import Evidence, Mates
-from lpn.images import Picture
 from lpn.metrics import IntArray
 from lpn.model import FloatArray, Model
 from lpn.retrieval import Described, Match, Ranking

@@ -31,7 +31,7 @@ from explorer.doorstep import led_on, refused
 from explorer.entry import Entry, Onward, Refusal, Request
 from explorer.inbox import MESSAGE_BYTES, Allowance, Inbox, UnfitError, strange
 from explorer.turnstile import Turnstile
-from lpn.errors import MissingPackageError
+from lpn.core.errors import MissingPackageError
 
 log = logging.getLogger(__name__)
 

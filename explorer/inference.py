@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from explorer.jobs import GivenUpError
 from explorer.passes import MovedError, Request, compute, together, told
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.spec import View
 

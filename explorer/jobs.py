@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 
 log = logging.getLogger(__name__)
 

@@ -22,7 +22,7 @@ from explorer.reporting import Reporter
 from explorer.room import EDGE, Room
 from explorer.session import State
 from explorer.worker import Worker
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 from lpn.metrics import IntArray
 
 _UPPER = 0.49

@@ -13,7 +13,7 @@ from explorer.labstate import LabState
 from explorer.style import verdict_ink
 from lpn import breakdown, overlays
 from lpn.breakdown import Rate
-from lpn.tables import Column
+from lpn.core.tables import Column
 
 _PAIRS, _VALUES = 10, 10
 _ENOUGH = 10

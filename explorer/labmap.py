@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from explorer.laboratory import Points
 from lpn import overlays, projection
+from lpn.core.images import Picture
 from lpn.geo import FloatArray
-from lpn.images import Picture
 from lpn.metrics import IntArray
 
 Bounds = tuple[float, float, float, float]

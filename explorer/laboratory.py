@@ -12,13 +12,13 @@ import numpy as np
 from explorer.exhibit import Exhibit, Task
 from explorer.jobs import Job, Jobs, Progress, in_process
 from lpn import failures, geo, notes, projection
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
+from lpn.core.images import Picture
+from lpn.core.tables import Table
 from lpn.failures import Outcomes
 from lpn.geo import FloatArray
-from lpn.images import Picture
 from lpn.metadata import NOTE, TAGS
 from lpn.notes import Note
-from lpn.tables import Table
 
 MapKind = Literal["pca", "umap", "ground"]
 

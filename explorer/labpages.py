@@ -15,9 +15,9 @@ from explorer.labstate import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
 from explorer.pages import SIGNS
 from explorer.style import verdict_ink
 from lpn import overlays
+from lpn.core.tables import Column
 from lpn.metrics import IntArray
 from lpn.notes import Note
-from lpn.tables import Column
 
 _HINTS = {
     "rank": "Rank of the first true tile",

@@ -10,9 +10,9 @@ import numpy as np
 from explorer.laboratory import Findings, MapKind
 from lpn import breakdown, failures
 from lpn.breakdown import Rate
-from lpn.errors import InputError
+from lpn.core.errors import InputError
+from lpn.core.tables import Column, Table
 from lpn.metrics import IntArray
-from lpn.tables import Column, Table
 
 Tab = Literal["table", "breakdown", "maps"]
 Outcome = Literal["all", "failed", "found"]
@@ -51,7 +51,7 @@ class LabState:
     Attributes:
         task: whose queries these are.
         outcome: all queries, those that failed, or those that did not.
-        where: the filter in force, see `lpn.tables`; typed: the text in the box; flaw: why that is no filter, else empty.
+        where: the filter in force, see `lpn.core.tables`; typed: the text in the box; flaw: why that is no filter, else empty.
         find: text that names contain.
         picks: choices by clicks and rectangles; a query must be in all of them.
         sort, descending: the column that the table is sorted by.

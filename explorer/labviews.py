@@ -12,7 +12,7 @@ from explorer.html import Html
 from explorer.labmap import Drawn
 from explorer.laboratory import Findings, Laboratory
 from explorer.labstate import LabState
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 from lpn.metrics import IntArray
 from lpn.notes import Note
 

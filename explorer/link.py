@@ -11,7 +11,7 @@ from urllib.parse import parse_qsl, quote, urlencode
 from explorer import session
 from explorer.exhibit import Exhibit
 from explorer.session import TRUTH, State
-from lpn.files import printable
+from lpn.core.files import printable
 
 LONGEST = 20_000
 """Characters of a query that is read: a painted region of a large feature map fits."""

@@ -15,11 +15,11 @@ from explorer.exhibit import Exhibit, Task
 from explorer.standing import Standing
 from lpn import features, geo, metrics
 from lpn.city import CityModel, city_model
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 from lpn.datasets import Dataset, open_dataset
 from lpn.datasets import Picture as Entry
-from lpn.errors import DataError
 from lpn.features import Side
-from lpn.files import printable
 from lpn.rankings import Sides
 from lpn.saved import Saved
 from lpn.spec import Layout, ModelSpec, View, views_of

@@ -17,7 +17,7 @@ from explorer.cards import SHOWN
 from explorer.exhibit import Answer, Exhibit, Task
 from explorer.html import Html
 from explorer.session import State
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 from lpn.metrics import IntArray
 
 THUMBS = 12

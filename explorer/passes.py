@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 from lpn.model import FloatArray, Model, Pass
 from lpn.spec import View
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import viser
 
 from lpn import overlays
-from lpn.images import Picture
+from lpn.core.images import Picture
 from lpn.overlays import Palette
 
 Rotation = tuple[float, float, float, float]

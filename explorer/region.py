@@ -6,7 +6,8 @@ import json
 
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
-from lpn import images, overlays
+from lpn import overlays
+from lpn.core import images
 
 _HEIGHT = 460
 

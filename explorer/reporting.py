@@ -9,7 +9,7 @@ import viser
 from explorer.exhibit import Answer, Exhibit, Task
 from explorer.jobs import GivenUpError, Job, Progress
 from lpn import notes, report
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 from lpn.model import FloatArray, Model
 from lpn.study import Study
 

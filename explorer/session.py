@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from lpn.changes import Change
-from lpn.images import Picture
+from lpn.core.images import Picture
 from lpn.metrics import IntArray
 from lpn.overlays import DARK, LIGHT, Palette
 

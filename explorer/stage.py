@@ -20,9 +20,10 @@ from explorer.layout import CAPTION, Layout, Point
 from explorer.planes import UPRIGHT, Plane, Rotation, title
 from explorer.session import State
 from explorer.viewpoint import Viewpoint
-from lpn import images, overlays
+from lpn import overlays
+from lpn.core import images
+from lpn.core.images import Picture
 from lpn.explain import Evidence
-from lpn.images import Picture
 from lpn.overlays import Palette
 from lpn.retrieval import Described, Match
 from lpn.spec import View

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from explorer.chart import Places
 from explorer.jobs import Job, Jobs, Progress
 from lpn import rankings
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 from lpn.evaluate import error_shares
 from lpn.metrics import Retrieval
 from lpn.rankings import Progressing, Sides

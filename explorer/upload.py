@@ -6,9 +6,9 @@ import threading
 from weakref import WeakValueDictionary
 
 from explorer.session import Upload
-from lpn import images
-from lpn.errors import PictureError
-from lpn.files import printable
+from lpn.core import images
+from lpn.core.errors import PictureError
+from lpn.core.files import printable
 
 MAX_UPLOAD = 30_000_000
 """Bytes of a picture."""

@@ -11,7 +11,8 @@ import numpy as np
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.style import part_ink
-from lpn import images, overlays, words
+from lpn import overlays, words
+from lpn.core import images
 from lpn.explain import Evidence, Mates
 from lpn.model import FloatArray
 from lpn.retrieval import Described

@@ -6,7 +6,7 @@ import logging
 import threading
 from collections.abc import Callable
 
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 
 log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from lpn.checksums import BLANK, SEAL, sealed
+from lpn.core.checksums import BLANK, SEAL, sealed
 from lpn.engine import FORMAT
 from lpn.network import LPN
 from lpn.spec import ModelSpec

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 
 Read = Callable[[bytes], object]
 
@@ -35,7 +35,7 @@ def pictures(folder: Path) -> list[Case]:
     """Uploads and picture files, in every format that is accepted, with 8 and 16 bits, transparent, animated, and turned."""
     from PIL import Image
 
-    from lpn import images
+    from lpn.core import images
     from lpn.integrity import flaw_within
     from tests import worlds
 
@@ -232,7 +232,7 @@ def safetensors(folder: Path) -> list[Case]:
 
     from fuzz.small_models import SPEC, state_dict
     from lpn.checkpoints import FORMAT, load_torch
-    from lpn.checksums import BLANK, SEAL, sealed
+    from lpn.core.checksums import BLANK, SEAL, sealed
 
     metadata = {"format": FORMAT, "spec": SPEC.to_json(), "recipe": "{}", "epochs": "3"}
     plain = save(state_dict(), metadata)

@@ -11,8 +11,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lpn.errors import LPNError, MissingPackageError
-from lpn.version import __version__
+from lpn.core.errors import LPNError, MissingPackageError
+from lpn.core.version import __version__
 
 if TYPE_CHECKING:
     from lpn import metrics

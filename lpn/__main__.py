@@ -23,7 +23,7 @@ def _without(error: Exception) -> int:
         from lpn.commands.using import Doctor
 
         return Doctor().run()
-    from lpn.packages import flaw
+    from lpn.core.requirements import flaw
 
     print(f"lpn: {flaw(error)}", file=sys.stderr)
     return 2

@@ -8,8 +8,8 @@ from typing import cast
 import cv2
 import numpy as np
 
-from lpn import images
-from lpn.images import Picture
+from lpn.core import images
+from lpn.core.images import Picture
 from lpn.recipes import Recipe
 from lpn.spec import View
 

@@ -11,7 +11,7 @@ from typing import Literal, cast
 import torch
 from torch import Tensor, nn
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 
 BackboneName = Literal["resnet18", "resnet50", "vgg16_bn"]
 LastLayer = Literal["layer3", "layer4"]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
+from lpn.core.tables import Column
 from lpn.failures import Outcomes
 from lpn.geo import FloatArray
 from lpn.metrics import IntArray
-from lpn.tables import Column
 
 _NORMAL_95 = 1.959963984540054
 """Two-sided 95 % of the normal distribution."""

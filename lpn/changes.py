@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lpn import images
+from lpn.core import images
+from lpn.core.errors import InputError
+from lpn.core.images import Picture
 from lpn.datasets import Picture as Entry
-from lpn.errors import InputError
-from lpn.images import Picture
 
 MAX_SCALE = 16.0
 

@@ -15,10 +15,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
-from lpn.checksums import BLANK, SEAL, check_entries, check_seal, check_unpacked, sealed
-from lpn.errors import ModelFileError
-from lpn.files import fingerprint, write_whole
-from lpn.formats import is_newer, newer
+from lpn.core.checksums import BLANK, SEAL, check_entries, check_seal, check_unpacked, sealed
+from lpn.core.errors import ModelFileError
+from lpn.core.files import fingerprint, write_whole
+from lpn.core.formats import is_newer, newer
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.network import LPN, map_size
 from lpn.published import State, infer_backbone, infer_spec, read_options

@@ -13,9 +13,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
-from lpn import machine, packages
-from lpn.errors import LPNError, OutputError
-from lpn.files import check_writable, printable
+from lpn.core import requirements, resources
+from lpn.core.errors import LPNError, OutputError
+from lpn.core.files import check_writable, printable
 
 Level = Literal["OK", "note", "problem"]
 HOST, PORT = "127.0.0.1", 8080
@@ -108,11 +108,13 @@ def healthy(findings: list[Finding]) -> bool:
 
 def _python_and_packages() -> Iterator[Finding]:
     found = ".".join(map(str, sys.version_info[:3]))  # not as a build may call itself: "3.13.0+"
-    told = packages.asked()
+    told = requirements.asked()
     if told is None:
-        yield Finding("Python", "note", f"{found}; what {packages.NAME} asks for is not known", "install it with pip")
+        yield Finding(
+            "Python", "note", f"{found}; what {requirements.NAME} asks for is not known", "install it with pip"
+        )
         return
-    if packages.within(found, told.python):
+    if requirements.within(found, told.python):
         yield Finding("Python", "OK", f"{found} in {sys.prefix}")
     else:
         yield Finding("Python", "problem", f"{found}; {told.python} is needed", "make an environment with a newer one")
@@ -129,7 +131,7 @@ def _python_and_packages() -> Iterator[Finding]:
         yield _extra(extra, of)
 
 
-def _broken(package: packages.Package) -> str:
+def _broken(package: requirements.Package) -> str:
     """What is wrong with a package of the base; empty where nothing is."""
     if not package.fits:
         return _unfit(package)
@@ -159,7 +161,7 @@ def _unheard() -> Iterator[None]:
         yield
 
 
-def _unfit(package: packages.Package) -> str:
+def _unfit(package: requirements.Package) -> str:
     if package.found is None:
         return "is not installed"
     return f"{package.found} is installed, and {package.wanted} is needed"
@@ -169,14 +171,14 @@ def _install(requirement: str) -> str:
     return f"pip install '{requirement}'"
 
 
-def _extra(extra: str, of: tuple[packages.Package, ...]) -> Finding:
+def _extra(extra: str, of: tuple[requirements.Package, ...]) -> Finding:
     use, name = _USES.get(extra, "further things"), f"extra {extra}"
     wrong = [package for package in of if not package.fits]
     if not wrong:
         return Finding(name, "OK", ", ".join(f"{package.name} {package.found}" for package in of))
     missing = all(package.found is None for package in of)
     said = "not installed" if missing else ", ".join(f"{package.name} {_unfit(package)}" for package in wrong)
-    return Finding(name, "note", said, f"for {use}: {_install(f'{packages.NAME}[{extra}]')}")
+    return Finding(name, "note", said, f"for {use}: {_install(f'{requirements.NAME}[{extra}]')}")
 
 
 def _onnxruntime() -> Iterator[Finding]:
@@ -207,9 +209,9 @@ def _torch() -> Iterator[Finding]:
 
 
 def _machine() -> Iterator[Finding]:
-    cores, there = machine.usable_cores(), os.cpu_count() or 1
+    cores, there = resources.usable_cores(), os.cpu_count() or 1
     yield Finding("cores", "OK", f"{cores} of {there} can be used")
-    if (memory := machine.memory()) is None:
+    if (memory := resources.memory()) is None:
         return
     total, free = memory
     said = f"{free / 1e9:.1f} of {total / 1e9:.1f} GB are free"
@@ -243,7 +245,7 @@ def _cache() -> Iterator[Finding]:
 
 
 def _port() -> Iterator[Finding]:
-    if taken := machine.port_taken(HOST, PORT):
+    if taken := resources.port_taken(HOST, PORT):
         yield Finding(
             "port", "note", taken.removeprefix("Port "), "close what uses it, or start the explorer with --port"
         )

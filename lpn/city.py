@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lpn.errors import DataError
+from lpn.core.errors import DataError
 from lpn.geo import Position
 
 NAME = "city.glb"

@@ -12,7 +12,6 @@ from typing import Any
 import tyro
 
 import lpn
-from lpn import logs
 from lpn.commands.describing import Describe, Gather
 from lpn.commands.failures import Failures
 from lpn.commands.index import MakeIndex, Search
@@ -22,10 +21,11 @@ from lpn.commands.report import Report
 from lpn.commands.sweep import Sweep
 from lpn.commands.using import Doctor, Evaluate, Explore
 from lpn.commands.verify import Verify
-from lpn.errors import LPNError, MissingPackageError
-from lpn.files import printable
-from lpn.packages import flaw
-from lpn.stopping import WRITING, Stop, finished, leave
+from lpn.core import log
+from lpn.core.errors import LPNError, MissingPackageError
+from lpn.core.files import printable
+from lpn.core.requirements import flaw
+from lpn.core.shutdown import WRITING, Stop, finished, leave
 
 COMMANDS: dict[str, type[Any]] = {
     "explore": Explore,
@@ -61,7 +61,7 @@ def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> i
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        level, given = logs.level_given(list(sys.argv[1:] if arguments is None else arguments))
+        level, given = log.level_given(list(sys.argv[1:] if arguments is None else arguments))
     except LPNError as error:
         print(f"lpn: {error}", file=sys.stderr)
         return 2
@@ -76,7 +76,7 @@ def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> i
         return 2
     parsed: list[Any] = []
     stop = Stop(lambda number: _stopped(parsed, number))
-    with logs.shown(level), stop.listening():
+    with log.shown(level), stop.listening():
         try:
             return _run(given, parsed)
         except KeyboardInterrupt:
@@ -162,7 +162,7 @@ def _help() -> str:
             *lines,
             "",
             "lpn COMMAND --help lists the options of a command; lpn --version prints the version.",
-            f"lpn {logs.FLAG} debug COMMAND shows more of what goes on ({', '.join(logs.LEVELS)}; or set {logs.VARIABLE}).",
+            f"lpn {log.FLAG} debug COMMAND shows more of what goes on ({', '.join(log.LEVELS)}; or set {log.VARIABLE}).",
         ]
     )
 

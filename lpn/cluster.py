@@ -25,12 +25,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lpn import geo, images
+from lpn import geo
+from lpn.core import images
+from lpn.core.errors import DataError, InputError, StoreError
+from lpn.core.files import alone
 from lpn.engine import Engine, graph_files
-from lpn.errors import DataError, InputError, StoreError
 from lpn.features import Box
 from lpn.features.store import box_of
-from lpn.files import alone
 from lpn.raystart import started
 from lpn.shards import (
     BROKEN,

@@ -14,7 +14,7 @@ import torch.distributed as dist
 from torch import Tensor
 
 from lpn.checkpoints import best_device
-from lpn.errors import InputError, LPNError
+from lpn.core.errors import InputError, LPNError
 
 T = TypeVar("T")
 

@@ -13,9 +13,9 @@ from rich.console import Console
 from rich.table import Table
 
 from lpn import geo
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 from lpn.datasets import Dataset, LeftOut, Picture
-from lpn.errors import DataError
-from lpn.files import printable
 from lpn.integrity import flaws
 from lpn.recipes import RECIPES
 from lpn.spec import views_of

@@ -13,11 +13,11 @@ from typing import Any, cast
 import numpy as np
 import onnxruntime as ort
 
-from lpn.checksums import SEAL, check_seal
-from lpn.errors import InputError, ModelFileError
-from lpn.files import fingerprint
-from lpn.formats import is_newer, newer
-from lpn.machine import usable_cores
+from lpn.core.checksums import SEAL, check_seal
+from lpn.core.errors import InputError, ModelFileError
+from lpn.core.files import fingerprint
+from lpn.core.formats import is_newer, newer
+from lpn.core.resources import usable_cores
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.onnxfile import check_self_contained
 from lpn.spec import ModelSpec, View

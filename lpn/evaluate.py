@@ -12,8 +12,8 @@ import numpy as np
 
 from lpn import features, geo, metrics
 from lpn.changes import UNCHANGED, Change
+from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture, Truth
-from lpn.errors import InputError
 from lpn.geo import FloatArray
 from lpn.integrity import check_whole
 from lpn.metrics import IntArray

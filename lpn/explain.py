@@ -24,7 +24,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.model import FloatArray, normalise
 from lpn.trace import Exact, Trace
 

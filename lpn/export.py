@@ -16,10 +16,10 @@ import torch
 from torch import Tensor, nn
 
 from lpn.checkpoints import TorchModel, load_torch
-from lpn.checksums import BLANK, SEAL, sealed
+from lpn.core.checksums import BLANK, SEAL, sealed
+from lpn.core.errors import InputError
+from lpn.core.files import check_writable, write_whole
 from lpn.engine import FORMAT, OUTPUTS, extra_outputs, graph_files
-from lpn.errors import InputError
-from lpn.files import check_writable, write_whole
 from lpn.network import weigh
 from lpn.spec import View
 

@@ -17,13 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import explain, geo, metadata, metrics
+from lpn.core.errors import InputError
+from lpn.core.tables import Column, Table, number_column, text_column
 from lpn.datasets import Picture, Truth
-from lpn.errors import InputError
 from lpn.geo import FloatArray
 from lpn.metadata import NOTE, TAGS
 from lpn.metrics import IntArray, Retrieval
 from lpn.model import FloatArray as Descriptors
-from lpn.tables import Column, Table, number_column, text_column
 
 _CHUNK_BYTES = 64_000_000
 OUTCOME = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lpn.errors import StoreError
+from lpn.core.errors import StoreError
 from lpn.features import Manifest, Store
 from lpn.features.describing import write_store
 from lpn.features.unfinished import Unfinished

@@ -27,9 +27,9 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
 from lpn.datasets import Picture
-from lpn.errors import DataError, InputError
-from lpn.files import printable
 
 NAME = "geo.csv"
 EARTH_RADIUS = 6_371_008.8

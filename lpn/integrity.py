@@ -18,9 +18,9 @@ from typing import BinaryIO
 
 from PIL import Image
 
-from lpn import images
-from lpn.errors import PictureError
-from lpn.files import printable
+from lpn.core import images
+from lpn.core.errors import PictureError
+from lpn.core.files import printable
 
 _AT_ONCE = 2048
 DAMAGED = "is damaged"

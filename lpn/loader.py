@@ -16,11 +16,11 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from lpn import images
 from lpn.augment import augment, place_draw
-from lpn.errors import InputError
-from lpn.images import Picture
-from lpn.machine import usable_cores
+from lpn.core import images
+from lpn.core.errors import InputError
+from lpn.core.images import Picture
+from lpn.core.resources import usable_cores
 from lpn.places import Places
 from lpn.recipes import Recipe
 from lpn.spec import branch_of

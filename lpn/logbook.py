@@ -11,8 +11,8 @@ from pathlib import Path
 from rich.console import Console
 from tensorboardX import SummaryWriter
 
-from lpn.errors import OutputError
-from lpn.files import write_whole
+from lpn.core.errors import OutputError
+from lpn.core.files import write_whole
 from lpn.selection import Row
 
 _EIGHTHS = " ▁▂▃▄▅▆▇█"

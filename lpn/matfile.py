@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from lpn.errors import DataError
-from lpn.files import printable
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 
 MOST_BYTES = 4_000_000_000
 """The largest file, and the largest content of one when unpacked, that is read."""

@@ -21,13 +21,13 @@ from dataclasses import astuple, fields
 from pathlib import Path
 
 from lpn import geo
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.core.formats import WORLD as WORLD_FORMAT
+from lpn.core.formats import is_newer, newer
+from lpn.core.tables import Column, number_column, text_column
 from lpn.datasets import Picture
 from lpn.datasets.base import read_rows
-from lpn.errors import DataError
-from lpn.files import printable
-from lpn.formats import WORLD as WORLD_FORMAT
-from lpn.formats import is_newer, newer
-from lpn.tables import Column, number_column, text_column
 
 log = logging.getLogger(__name__)
 

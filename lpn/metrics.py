@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import ranks
+from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.errors import InputError
 from lpn.model import as_array
 from lpn.ranks import JUNK, Marks, Ranked
 from lpn.scores import FloatArray, IntArray, Scores, norms

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn import images as pictures
-from lpn.errors import InputError, ModelFileError
-from lpn.images import Picture
+from lpn.core import images as pictures
+from lpn.core.errors import InputError, ModelFileError
+from lpn.core.images import Picture
 from lpn.spec import ModelSpec, View
 
 FloatArray = npt.NDArray[np.float32]
@@ -51,7 +51,7 @@ class Pass(NamedTuple):
 class Model(ABC):
     """A trained LPN, ready to describe pictures.
 
-    Images are (B, 3, H, W) float32, RGB, ImageNet-normalised (see `lpn.images`), as NumPy array or torch tensor.
+    Images are (B, 3, H, W) float32, RGB, ImageNet-normalised (see `lpn.core.images`), as NumPy array or torch tensor.
     """
 
     spec: ModelSpec

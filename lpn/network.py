@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lpn.backbones import BackboneName, LastLayer, build_backbone
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.partition import Partition
 from lpn.spec import BRANCH, ModelSpec, View
 

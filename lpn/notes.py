@@ -16,11 +16,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpn.errors import DataError, InputError, OutputError
-from lpn.files import alone, check_writable, printable, write_whole
+from lpn.core.errors import DataError, InputError, OutputError
+from lpn.core.files import alone, check_writable, printable, write_whole
+from lpn.core.shutdown import finishing
+from lpn.core.tables import Column, text_column
 from lpn.metadata import NOTE, TAGS
-from lpn.stopping import finishing
-from lpn.tables import Column, text_column
 
 NAME = "notes.csv"
 LONGEST_TAG, MOST_TAGS, LONGEST_NOTE = 30, 20, 2000

@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from lpn import explain, images
+from lpn import explain
+from lpn.core import images
+from lpn.core.images import Picture
 from lpn.explain import Evidence
-from lpn.images import Picture
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 

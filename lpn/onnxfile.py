@@ -9,7 +9,7 @@ import mmap
 from collections.abc import Iterator
 from pathlib import Path
 
-from lpn.errors import ModelFileError
+from lpn.core.errors import ModelFileError
 
 LARGEST = 2**31
 """Bytes that Protocol Buffers can read."""

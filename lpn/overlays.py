@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
-from lpn import images
-from lpn.images import Picture
+from lpn.core import images
+from lpn.core.images import Picture
 from lpn.model import FloatArray
 from lpn.partition import Partition
 

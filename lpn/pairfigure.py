@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw
 
-from lpn import images, overlays, words
+from lpn import overlays, words
+from lpn.core import images
+from lpn.core.images import Picture
 from lpn.explain import Evidence
-from lpn.images import Picture
 from lpn.model import FloatArray
 from lpn.overlays import AGAINST, BACKGROUND, DIM, FOR, TEXT, font
 from lpn.spec import ModelSpec, View

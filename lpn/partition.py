@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 
 Kind = Literal["rings", "rows", "columns", "windows", "whole"]
 Weighting = Literal["published", "area"]

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from lpn import images
+from lpn.core import images
+from lpn.core.errors import DataError, InputError
 from lpn.datasets import Dataset, Picture
-from lpn.errors import DataError, InputError
 from lpn.integrity import flaws, naming
 from lpn.spec import VIEWS, View
 

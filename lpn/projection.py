@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import InputError, MissingPackageError
+from lpn.core.errors import InputError, MissingPackageError
 from lpn.geo import FloatArray
 from lpn.metrics import IntArray, flat_sides
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpn.changes import UNCHANGED, Change
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.metrics import IntArray
 from lpn.model import FloatArray, normalise
 from lpn.spec import View

@@ -11,8 +11,8 @@ import torch
 import yaml
 from torch import Tensor
 
-from lpn.errors import ModelFileError
-from lpn.files import printable
+from lpn.core.errors import ModelFileError
+from lpn.core.files import printable
 from lpn.spec import BRANCH, ModelSpec, View
 
 log = logging.getLogger(__name__)

@@ -18,12 +18,12 @@ import numpy as np
 import onnx
 from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
-from lpn import images
-from lpn.checksums import BLANK, SEAL, sealed
+from lpn.core import images
+from lpn.core.checksums import BLANK, SEAL, sealed
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import check_writable, printable, write_whole
 from lpn.datasets import Dataset, Picture
 from lpn.engine import COMPUTE, Engine, graph_files
-from lpn.errors import DataError, InputError
-from lpn.files import check_writable, printable, write_whole
 from lpn.integrity import check_whole
 from lpn.model import FloatArray
 from lpn.spec import View

@@ -21,10 +21,10 @@ from zipfile import BadZipFile
 import numpy as np
 
 from lpn import metrics
+from lpn.core.errors import OutputError
+from lpn.core.files import write_whole
 from lpn.datasets import Truth
-from lpn.errors import OutputError
 from lpn.features import cache_folder
-from lpn.files import write_whole
 from lpn.metrics import IntArray, Retrieval
 from lpn.model import FloatArray
 from lpn.ranks import Ranked

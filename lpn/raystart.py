@@ -14,9 +14,9 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from lpn.errors import InputError, OutputError, StoreError
-from lpn.files import alone
-from lpn.machine import usable_cores
+from lpn.core.errors import InputError, OutputError, StoreError
+from lpn.core.files import alone
+from lpn.core.resources import usable_cores
 
 _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",

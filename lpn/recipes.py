@@ -8,7 +8,7 @@ import sys
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.partition import Weighting
 from lpn.spec import Layout, Pooling
 

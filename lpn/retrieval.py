@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lpn import explain, images
+from lpn import explain
 from lpn.changes import UNCHANGED, Change
+from lpn.core import images
+from lpn.core.images import Picture
 from lpn.datasets import Truth
-from lpn.images import Picture
 from lpn.metrics import JUNK
 from lpn.model import FloatArray, Model, normalise
 from lpn.spec import View

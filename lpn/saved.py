@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import matfile
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
 from lpn.datasets import Dataset, Picture
-from lpn.errors import DataError, InputError
-from lpn.files import printable
 from lpn.metrics import IntArray
 from lpn.model import FloatArray
 from lpn.spec import VIEWS, View, views_of

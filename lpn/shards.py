@@ -30,9 +30,9 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lpn.errors import StoreError
+from lpn.core.errors import StoreError
+from lpn.core.formats import is_newer, newer
 from lpn.features import Row
-from lpn.formats import is_newer, newer
 from lpn.model import FloatArray
 from lpn.storage import Storage
 

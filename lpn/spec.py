@@ -6,9 +6,9 @@ import json
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, cast
 
-from lpn.errors import InputError, ModelFileError
-from lpn.files import printable
-from lpn.formats import UPGRADE
+from lpn.core.errors import InputError, ModelFileError
+from lpn.core.files import printable
+from lpn.core.formats import UPGRADE
 from lpn.partition import WEIGHTINGS, Partition, Weighting
 
 View = Literal["satellite", "street", "drone"]

@@ -10,10 +10,10 @@ from typing import Any
 
 import torch
 
-from lpn.checksums import check_entries
-from lpn.errors import InputError, ModelFileError
-from lpn.files import write_whole
-from lpn.formats import newer
+from lpn.core.checksums import check_entries
+from lpn.core.errors import InputError, ModelFileError
+from lpn.core.files import write_whole
+from lpn.core.formats import newer
 from lpn.recipes import Recipe
 from lpn.selection import Row
 

@@ -14,9 +14,9 @@ from typing import Any
 import pyarrow
 from pyarrow import fs
 
-from lpn.errors import DataError, InputError, OutputError
+from lpn.core.errors import DataError, InputError, OutputError
+from lpn.core.files import printable, write_whole
 from lpn.features import Row
-from lpn.files import printable, write_whole
 
 _TRIES = 3
 _PAUSE = 0.5

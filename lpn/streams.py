@@ -17,8 +17,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from lpn.errors import PictureError
-from lpn.machine import usable_cores
+from lpn.core.errors import PictureError
+from lpn.core.resources import usable_cores
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy.typing as npt
 
 from lpn import explain, failures, features, metrics, notes, retrieval, versus
+from lpn.core.errors import InputError
+from lpn.core.files import printable
+from lpn.core.tables import Table
 from lpn.datasets import Dataset, Picture, Truth
-from lpn.errors import InputError
 from lpn.failures import Outcomes
-from lpn.files import printable
 from lpn.metrics import IntArray
 from lpn.model import FloatArray, Model
 from lpn.notes import Note
 from lpn.retrieval import Ranking
 from lpn.spec import ModelSpec, View, views_of
-from lpn.tables import Table
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,9 @@ import numpy as np
 
 from lpn import explain, retrieval
 from lpn.changes import MAX_SCALE, UNCHANGED, Change
+from lpn.core.errors import InputError
+from lpn.core.images import Picture
 from lpn.datasets import Truth
-from lpn.errors import InputError
-from lpn.images import Picture
 from lpn.metrics import IntArray
 from lpn.model import FloatArray, Model
 from lpn.spec import View

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.spec import View
 

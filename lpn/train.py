@@ -18,10 +18,11 @@ from torch import Tensor
 
 from lpn import checkpoints
 from lpn.backbones import CHANNELS
+from lpn.core.errors import DivergedError, InputError, ModelFileError
+from lpn.core.files import check_writable
+from lpn.core.shutdown import finishing
 from lpn.datasets import Dataset
 from lpn.distributed import Group, alone
-from lpn.errors import DivergedError, InputError, ModelFileError
-from lpn.files import check_writable
 from lpn.learner import Learner
 from lpn.loader import Batch, Loader
 from lpn.logbook import Logbook
@@ -31,7 +32,6 @@ from lpn.recipes import Recipe
 from lpn.selection import HeldOut, Judge, Row, TestSplit, best
 from lpn.spec import ModelSpec, views_of
 from lpn.state import State, read_state
-from lpn.stopping import finishing
 
 _EXPLODED = 10.0
 """A mean loss this many times the first step's, which is about chance, is that of a training that has diverged."""

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lpn.checksums import check_entries, check_seal
-from lpn.errors import InputError, LPNError, StoreError
+from lpn.core.checksums import check_entries, check_seal
+from lpn.core.errors import InputError, LPNError, StoreError
+from lpn.core.files import printable
 from lpn.features import Store, open_store
-from lpn.files import printable
 from lpn.index.folder import verify as verify_index
 
 _CHUNK = 4096

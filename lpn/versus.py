@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import explain, metrics
+from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.errors import InputError
 from lpn.least_distance import shortest
 from lpn.metrics import IntArray
 from lpn.model import FloatArray

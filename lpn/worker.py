@@ -11,10 +11,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from lpn import images
 from lpn.changes import UNCHANGED
+from lpn.core import images
+from lpn.core.errors import LPNError, PictureError
 from lpn.engine import Engine
-from lpn.errors import LPNError, PictureError
 from lpn.features.describing import prepared
 from lpn.integrity import DAMAGED, flaw_within
 from lpn.model import FloatArray

@@ -10,8 +10,8 @@ import tyro
 from rich.console import Console
 
 from lpn.commands.using import DEMO
-from lpn.errors import InputError, LPNError
-from lpn.files import check_writable, write_whole
+from lpn.core.errors import InputError, LPNError
+from lpn.core.files import check_writable, write_whole
 from soak.run import Soak
 
 

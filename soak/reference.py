@@ -13,11 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 import lpn
-from lpn import explain, features, images, retrieval
+from lpn import explain, features, retrieval
 from lpn.changes import Change
+from lpn.core import images
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 from lpn.datasets import Picture, Truth, open_dataset
-from lpn.errors import DataError
-from lpn.files import printable
 from lpn.model import FloatArray
 from lpn.retrieval import Match, Ranking
 from lpn.spec import View, views_of

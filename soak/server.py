@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 
 START = 300.0
 """Seconds that it may take to start; a data set that was never described takes long."""
 END = 10.0
-"""Seconds that it may take to end; it has promised two (lpn.stopping), on a machine that does nothing else."""
+"""Seconds that it may take to end; it has promised two (lpn.core.shutdown), on a machine that does nothing else."""
 _TRACEBACK = re.compile(r"Traceback \(most recent call last\):\n(?:[ \t].*\n|\n)*.*\n?")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import savemat
 
-from lpn.images import Picture
+from lpn.core.images import Picture
 from tests import worlds
 
 

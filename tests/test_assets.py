@@ -11,9 +11,10 @@ import pytest
 import trimesh
 
 import lpn
-from lpn import features, images
+from lpn import features
 from lpn.city import city_model
 from lpn.commands.using import DEMO, DEMO_QUERY
+from lpn.core import images
 from lpn.datasets import open_dataset
 from lpn.geo import Positions, on_plane
 

@@ -20,7 +20,7 @@ from explorer.exhibit import Analyst, Answer
 from explorer.opening import open_model
 from explorer.session import State
 from lpn import features
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 from lpn.model import normalise
 from soak import hand, reading
 from soak import server as server_module

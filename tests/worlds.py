@@ -11,8 +11,8 @@ import numpy as np
 import torch
 
 from lpn.checkpoints import save
+from lpn.core.images import Picture, polar, rotate
 from lpn.export import export
-from lpn.images import Picture, polar, rotate
 from lpn.network import LPN
 from lpn.spec import ModelSpec
 from lpn.world.glb import Primitive, glb

@@ -8,7 +8,7 @@ from typing import Literal
 
 import lpn
 from lpn.commands.using import ViewName
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 
 _FOR_RAY = ("address", "workers", "threads", "shard", "positions")
 

@@ -11,15 +11,15 @@ from rich.text import Text
 
 import lpn
 from lpn.commands.using import TaskName
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.breakdown import Rate
+    from lpn.core.tables import Table
     from lpn.metrics import IntArray
     from lpn.study import Study
-    from lpn.tables import Table
 
 
 @dataclass
@@ -49,9 +49,9 @@ class Failures:
         from rich.console import Console
 
         from lpn import metadata
+        from lpn.core.files import check_writable, write_whole
         from lpn.datasets import open_dataset
         from lpn.failures import OUTCOME
-        from lpn.files import check_writable, write_whole
         from lpn.study import open_study
 
         if self.top < 1:

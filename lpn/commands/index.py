@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import lpn
 from lpn.commands.reasons import part_values
 from lpn.commands.using import ViewName
-from lpn.files import printable
+from lpn.core.files import printable
 
 if TYPE_CHECKING:
     from lpn.index import Found
@@ -104,8 +104,9 @@ class Search:
     """File to write the tiles to, with scores, parts, and positions."""
 
     def run(self) -> None:
-        from lpn import explain, images, retrieval
-        from lpn.files import check_writable, write_whole
+        from lpn import explain, retrieval
+        from lpn.core import images
+        from lpn.core.files import check_writable, write_whole
         from lpn.index import check_effort, open_index
         from lpn.index.base import check_count
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, cast
 
 import tyro
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.recipes import RECIPES, Recipe, method
 
 MethodName = Literal[

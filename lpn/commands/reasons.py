@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import lpn
 from lpn.commands.using import ViewName
-from lpn.errors import InputError
-from lpn.files import printable
+from lpn.core.errors import InputError
+from lpn.core.files import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,8 +49,9 @@ class Explain:
     def run(self) -> None:
         from rich.console import Console
 
-        from lpn import explain, images, occlusion, pairfigure, retrieval, words
-        from lpn.files import check_writable, write_whole
+        from lpn import explain, occlusion, pairfigure, retrieval, words
+        from lpn.core import images
+        from lpn.core.files import check_writable, write_whole
 
         for file in (self.json, self.png):
             if file is not None:

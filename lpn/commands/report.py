@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import lpn
 from lpn.commands.using import TaskName
-from lpn.errors import InputError
-from lpn.files import printable
+from lpn.core.errors import InputError
+from lpn.core.files import printable
 
 if TYPE_CHECKING:
     from lpn.datasets import Picture
@@ -56,8 +56,8 @@ class Report:
         from lpn import report
         from lpn.changes import Change
         from lpn.commands.reasons import part_values
+        from lpn.core.files import check_writable, write_whole
         from lpn.datasets import open_dataset
-        from lpn.files import check_writable, write_whole
         from lpn.spec import views_of
         from lpn.study import open_study, task_of
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import lpn
 from lpn.commands.reasons import part_values
 from lpn.commands.using import TaskName
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.spec import views_of
 
 if TYPE_CHECKING:
@@ -51,8 +51,8 @@ class Sweep:
     def run(self) -> None:
         from rich.console import Console
 
+        from lpn.core.files import check_writable, write_whole
         from lpn.datasets import open_dataset
-        from lpn.files import check_writable, write_whole
 
         for file in filter(None, (self.csv, self.png)):
             check_writable(file)
@@ -79,7 +79,8 @@ class Sweep:
         import numpy as np
         from rich.progress import track
 
-        from lpn import explain, features, images, sweeps
+        from lpn import explain, features, sweeps
+        from lpn.core import images
 
         query_view, gallery_view = views_of(task)
         for view in (query_view, gallery_view):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import lpn
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 
 if TYPE_CHECKING:
     from lpn.evaluate import Result
@@ -114,7 +114,7 @@ class Evaluate:
 
     def run(self) -> None:
         from lpn.changes import Change
-        from lpn.files import check_writable, write_whole
+        from lpn.core.files import check_writable, write_whole
         from lpn.protocol import Protocol
 
         if self.json is not None:
@@ -194,7 +194,7 @@ class Doctor:
     """File to write everything found to, with every name."""
 
     def run(self) -> int:
-        from lpn.files import check_writable, write_whole
+        from lpn.core.files import check_writable, write_whole
 
         if self.json is not None:
             check_writable(self.json)
@@ -220,7 +220,7 @@ class Doctor:
 
     def _machine(self) -> int:
         from lpn import checkup
-        from lpn.files import write_whole
+        from lpn.core.files import write_whole
 
         if self.quick:
             raise InputError("--quick is about the pictures of a data set; give one with --data.")

@@ -17,8 +17,8 @@ class Verify:
     """Files and folders, searched with all folders below; by default the cache of descriptors."""
 
     def run(self) -> int:
+        from lpn.core.files import printable
         from lpn.features import cache_folder
-        from lpn.files import printable
         from lpn.verify import verify
 
         damaged = 0

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 from lpn.datasets import cvact, cvusa, landmarks, pairs
 from lpn.datasets.base import Dataset, LeftOut, Picture, Size, Truth, files_below, hidden
 from lpn.datasets.cvact import CVACT
@@ -17,8 +19,6 @@ from lpn.datasets.landmarks import Landmarks
 from lpn.datasets.pairs import PairsCSV
 from lpn.datasets.rendered import is_rendered
 from lpn.datasets.university import University
-from lpn.errors import DataError
-from lpn.files import printable
 
 __all__ = [
     "CVACT",

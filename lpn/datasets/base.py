@@ -14,9 +14,9 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import DataError
-from lpn.files import printable
-from lpn.images import SUFFIXES
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.core.images import SUFFIXES
 from lpn.spec import views_of
 
 log = logging.getLogger(__name__)

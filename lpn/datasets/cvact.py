@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import matfile
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, Size, say_left_out
-from lpn.errors import DataError
-from lpn.files import printable
 
 NAME = "ACT_data.mat"
 FULL = {

@@ -11,10 +11,10 @@ import re
 from pathlib import Path
 from typing import Literal
 
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, Size, below, read_rows, say_left_out
 from lpn.datasets.rendered import is_rendered
-from lpn.errors import DataError
-from lpn.files import printable
 
 Split = Literal["train", "val"]
 

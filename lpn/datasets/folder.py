@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lpn.core.files import printable
 from lpn.datasets.base import ListedDataset, Picture
-from lpn.files import printable
 
 
 class Folder(ListedDataset):

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, files_below, read_lines, say_left_out
-from lpn.errors import DataError
-from lpn.files import printable
 from lpn.integrity import flaws
 
 PREFIX = "oxc1_"

@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, below, read_rows, say_left_out
-from lpn.errors import DataError
-from lpn.files import printable
 from lpn.spec import VIEWS
 
 NAME = "pairs.csv"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lpn.errors import DataError
-from lpn.files import printable
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 
 PLAN = "world.json"
 UNFINISHED = "unfinished.txt"

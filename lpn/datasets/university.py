@@ -11,11 +11,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.core.images import SUFFIXES
 from lpn.datasets.base import Dataset, Picture, Size, tasks_between
 from lpn.datasets.rendered import is_rendered
-from lpn.errors import DataError
-from lpn.files import printable
-from lpn.images import SUFFIXES
 
 # The pictures of train/street are left open: the publications' sum (50,218 training pictures) and counts of the
 # released folder do not agree.

@@ -14,12 +14,12 @@ from typing import Any, Literal
 import numpy as np
 
 from lpn.changes import UNCHANGED, Change
+from lpn.core.errors import OutputError, StoreError
+from lpn.core.files import printable
 from lpn.datasets import Picture
-from lpn.errors import OutputError, StoreError
 from lpn.features.describing import describe
 from lpn.features.store import Box, Manifest, open_store, row_of
 from lpn.features.unfinished import complete
-from lpn.files import printable
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 

@@ -9,13 +9,13 @@ from typing import cast
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from lpn import images
 from lpn.changes import UNCHANGED, Change
+from lpn.core import images
+from lpn.core.errors import DataError, StoreError
+from lpn.core.files import alone, printable, write_whole
 from lpn.datasets import files_below
-from lpn.errors import DataError, StoreError
 from lpn.features.store import Box, Manifest, Precision, Row, Store, open_store, row_of
 from lpn.features.unfinished import Unfinished, renamed_only, usable
-from lpn.files import alone, printable, write_whole
 from lpn.integrity import check_whole
 from lpn.model import FloatArray, Model
 from lpn.spec import View

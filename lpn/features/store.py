@@ -5,7 +5,7 @@
     manifest.json     format, model fingerprint, view, what was done to the pictures, and for each row its file with size and
                       time, and the box it was cropped to where it was
 
-The manifest is written last, so a folder with a manifest is complete. It has checksums of the array, see `lpn.checksums`; those
+The manifest is written last, so a folder with a manifest is complete. It has checksums of the array, see `lpn.core.checksums`; those
 of earlier versions have none.
 """
 
@@ -21,10 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.changes import Change
-from lpn.checksums import Checksums, crc_of_blocks, crc_of_values
-from lpn.errors import InputError, NewerStoreError, PictureError, StoreError
-from lpn.files import mapped, unreadable
-from lpn.formats import is_newer, newer
+from lpn.core.checksums import Checksums, crc_of_blocks, crc_of_values
+from lpn.core.errors import InputError, NewerStoreError, PictureError, StoreError
+from lpn.core.files import mapped, unreadable
+from lpn.core.formats import is_newer, newer
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 

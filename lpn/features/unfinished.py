@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import LPNError, NewerStoreError, StoreError
+from lpn.core.errors import LPNError, NewerStoreError, StoreError
+from lpn.core.files import mapped, write_whole
 from lpn.features.store import FORMAT, Manifest, Store, stored, with_array
-from lpn.files import mapped, write_whole
 from lpn.model import FloatArray
 
 _SECONDS = 1.0

@@ -12,7 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal, get_args
 
-from lpn.errors import InputError, StoreError
+from lpn.core.errors import InputError, StoreError
 from lpn.index.base import Box, Found, Index, Kind, check_count
 from lpn.index.exact import ExactIndex
 from lpn.index.faiss import Codes, FaissIndex

@@ -21,8 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import explain
-from lpn.errors import InputError, StoreError
-from lpn.files import printable
+from lpn.core.errors import InputError, StoreError
+from lpn.core.files import printable
 from lpn.model import FloatArray
 
 Exact = npt.NDArray[np.float64]

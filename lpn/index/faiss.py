@@ -21,8 +21,8 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import InputError, StoreError
-from lpn.files import unreadable
+from lpn.core.errors import InputError, StoreError
+from lpn.core.files import unreadable
 from lpn.index.base import Box, Found, Kind, check_box, check_count
 from lpn.index.folder import Candidates, FolderIndex, Manifest, State, create
 from lpn.index.segments import Segment

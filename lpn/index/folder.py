@@ -30,10 +30,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lpn.checksums import crc_of_values
-from lpn.errors import OutputError, StoreError
-from lpn.files import allow_many_files, alone, printable, unreadable, write_whole
-from lpn.formats import is_newer, newer
+from lpn.core.checksums import crc_of_values
+from lpn.core.errors import OutputError, StoreError
+from lpn.core.files import allow_many_files, alone, printable, unreadable, write_whole
+from lpn.core.formats import is_newer, newer
 from lpn.index.base import Exact, Found, Index, Kind, best, check_names, check_positions, scores_of
 from lpn.index.scan import PRECISIONS, Precision
 from lpn.index.segments import DEAD, FILES, Batch, Mask, Segment, identity_of, keys_of, write_segment

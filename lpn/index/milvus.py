@@ -34,9 +34,9 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import InputError, StoreError
-from lpn.files import printable
-from lpn.formats import is_newer, newer
+from lpn.core.errors import InputError, StoreError
+from lpn.core.files import printable
+from lpn.core.formats import is_newer, newer
 from lpn.index.base import (
     ID_LENGTH,
     Box,

@@ -27,8 +27,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.resources import usable_cores
 from lpn.index.base import LONGEST, Exact, Kind
-from lpn.machine import usable_cores
 from lpn.model import FloatArray
 
 Precision = Literal["float32", "float16", "int8"]

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import StoreError
-from lpn.files import mapped, unreadable
+from lpn.core.errors import StoreError
+from lpn.core.files import mapped, unreadable
 from lpn.index.base import Box, Exact, Kind, covers, overlaps, within
 from lpn.index.scan import Precision, Rows, small_copy
 from lpn.model import FloatArray

@@ -1,4 +1,4 @@
-"""Checksums of a segment's files, in a file beside them: a CRC-32 of every block, as for `lpn.checksums.Checksums`."""
+"""Checksums of a segment's files, in a file beside them: a CRC-32 of every block, as for `lpn.core.checksums.Checksums`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from lpn.checksums import BLOCK, crc_of_blocks, crc_of_values
-from lpn.errors import StoreError
-from lpn.files import unreadable, write_whole
+from lpn.core.checksums import BLOCK, crc_of_blocks, crc_of_values
+from lpn.core.errors import StoreError
+from lpn.core.files import unreadable, write_whole
 
 NAME = "checksums.json"
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import features, geo
-from lpn.errors import DataError, InputError
-from lpn.files import printable
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
 from lpn.index.base import Exact, Kind, check_names
 from lpn.model import FloatArray
 

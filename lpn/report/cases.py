@@ -8,13 +8,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from lpn import explain, geo, images, retrieval, sweeps, versus
+from lpn import explain, geo, retrieval, sweeps, versus
 from lpn.changes import UNCHANGED, Change
+from lpn.core import images
+from lpn.core.errors import InputError
+from lpn.core.images import Picture
 from lpn.datasets import Picture as Entry
-from lpn.errors import InputError
 from lpn.explain import Evidence
 from lpn.failures import described_by
-from lpn.images import Picture
 from lpn.metadata import NOTE, TAGS
 from lpn.retrieval import Described, Match, Ranking
 from lpn.study import Study

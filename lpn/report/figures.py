@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import overlays
+from lpn.core.files import printable
 from lpn.explain import Evidence
-from lpn.files import printable
 from lpn.sweeps import Profile
 from lpn.versus import Margin
 

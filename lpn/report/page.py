@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 
 import lpn
-from lpn import images, protocol
-from lpn.errors import InputError
+from lpn import protocol
+from lpn.core import images
+from lpn.core.errors import InputError
 from lpn.report.cases import Case, Cases, Options, Own, shown
 from lpn.report.figures import text
 from lpn.report.sections import KINDS, parts_legend, said, section, sign, thumbnail

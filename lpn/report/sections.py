@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lpn import images, overlays, words
-from lpn.images import Picture
+from lpn import overlays, words
+from lpn.core import images
+from lpn.core.images import Picture
 from lpn.report import figures
 from lpn.report.cases import Case, Pair
 from lpn.report.figures import colour, text

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.model import Model
 from lpn.recipes import Recipe
 from lpn.reproduce.runs import Job

@@ -11,8 +11,8 @@ from typing import Any
 from rich.console import Console
 
 import lpn
-from lpn.errors import InputError
-from lpn.files import alone, check_writable, write_whole
+from lpn.core.errors import InputError
+from lpn.core.files import alone, check_writable, write_whole
 from lpn.model import Model
 from lpn.recipes import Recipe
 from lpn.reproduce import checks, foot, pictures, report, runs, starts

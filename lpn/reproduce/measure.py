@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, cast
 
 from lpn.changes import Change
-from lpn.checksums import crc_of_values
-from lpn.errors import InputError
+from lpn.core.checksums import crc_of_values
+from lpn.core.errors import InputError
+from lpn.core.files import write_whole
+from lpn.core.formats import is_newer, newer
 from lpn.evaluate import Result, evaluate
-from lpn.files import write_whole
-from lpn.formats import is_newer, newer
 from lpn.model import Model
 from lpn.protocol import Protocol
 from lpn.reproduce.paper import Values

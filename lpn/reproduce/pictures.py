@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lpn import explain, features, images, retrieval
+from lpn import explain, features, retrieval
+from lpn.core import images
+from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture
-from lpn.errors import InputError
 from lpn.model import Model
 from lpn.reproduce.plots import png, pyplot
 from lpn.spec import View

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lpn.files import write_whole
+from lpn.core.files import write_whole
 from lpn.reproduce.measure import Measured, by_column
 from lpn.reproduce.paper import CLAIMS, Claim
 from lpn.reproduce.plots import png, pyplot

@@ -13,9 +13,9 @@ from typing import Any
 
 from rich.console import Console
 
-from lpn.errors import DivergedError, InputError
-from lpn.files import fingerprint, write_whole
-from lpn.formats import is_newer, newer
+from lpn.core.errors import DivergedError, InputError
+from lpn.core.files import fingerprint, write_whole
+from lpn.core.formats import is_newer, newer
 from lpn.recipes import Recipe
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture, open_dataset
-from lpn.errors import InputError
 from lpn.evaluate import check_test_split, lists_of
 from lpn.places import Places
 from lpn.reproduce import world

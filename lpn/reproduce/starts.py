@@ -11,8 +11,8 @@ from torch import nn
 
 from lpn import checkpoints
 from lpn.backbones import CHANNELS
-from lpn.errors import InputError, ModelFileError
-from lpn.files import fingerprint
+from lpn.core.errors import InputError, ModelFileError
+from lpn.core.files import fingerprint
 from lpn.network import LPN
 from lpn.recipes import Recipe
 from lpn.spec import ModelSpec

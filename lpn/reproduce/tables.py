@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.recipes import RECIPES, Recipe, method
 from lpn.reproduce import paper
 from lpn.spec import View

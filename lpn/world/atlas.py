@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lpn.formats import WORLD
+from lpn.core.formats import WORLD
 from lpn.world import cvusa
 from lpn.world.cameras import Panorama, Pose, Site, Tile, drone_poses, tile_around
 from lpn.world.city import City, Target

@@ -17,10 +17,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn import city
+from lpn.core.errors import InputError, OutputError
+from lpn.core.files import check_writable, write_whole
+from lpn.core.formats import UPGRADE, WORLD, is_newer, newer
 from lpn.datasets.rendered import PLAN, UNFINISHED
-from lpn.errors import InputError, OutputError
-from lpn.files import check_writable, write_whole
-from lpn.formats import UPGRADE, WORLD, is_newer, newer
 from lpn.world import photo
 from lpn.world.atlas import EDITION, SIGHT, SPARE, Atlas, Sector, Settings, Shot, make_atlas
 from lpn.world.cameras import TILE, Panorama, Pose, Sweep, Tile

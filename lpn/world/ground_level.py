@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.world.cameras import TILE, Panorama, Pose
 from lpn.world.city import SPECIES, City, Target
 from lpn.world.geometry import Points, segment_distance

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lpn.city import LARGEST
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.world import light, paint, photo, solids, textures
 from lpn.world.atlas import Atlas
 from lpn.world.cameras import TILE, Site, Tile

@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.world.city import (
     Block,
     Bridge,

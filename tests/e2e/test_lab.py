@@ -14,8 +14,8 @@ from playwright.sync_api import BrowserContext, Locator, expect
 
 import lpn
 from lpn import breakdown, datasets, failures, features
+from lpn.core.tables import Table
 from lpn.failures import Outcomes
-from lpn.tables import Table
 from tests import worlds
 from tests.e2e.conftest import Explorer, Running, started
 

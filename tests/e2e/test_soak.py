@@ -17,7 +17,7 @@ from explorer.app import App
 from explorer.exhibit import Analyst, Answer
 from explorer.opening import open_model
 from explorer.session import State
-from lpn.files import write_whole
+from lpn.core.files import write_whole
 from soak.asked import Asked
 from soak.chromium import Tab
 from soak.hand import FaultError, StoppedError

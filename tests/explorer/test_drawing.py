@@ -11,7 +11,7 @@ from explorer.exhibit import Analyst, Exhibit
 from explorer.opening import open_model
 from explorer.session import State, Upload
 from lpn import overlays
-from lpn.errors import DataError, InputError
+from lpn.core.errors import DataError, InputError
 from lpn.partition import Partition
 from tests import worlds
 

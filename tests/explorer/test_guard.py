@@ -33,7 +33,7 @@ from explorer.inbox import BURST, FIELDS, RATE, UPLOADS, Inbox, UnfitError, stra
 from explorer.opening import open_model
 from explorer.session import State, Upload
 from explorer.turnstile import ALL_WAITING, FIRST, FORGET, KEPT, LONGEST, WAITING, Turnstile
-from lpn.errors import InputError, MissingPackageError, PictureError
+from lpn.core.errors import InputError, MissingPackageError, PictureError
 from soak.client import Talker
 from tests import worlds
 

@@ -15,7 +15,7 @@ from explorer.inference import KEPT, ROOM, TURN, BusyError, Inference
 from explorer.jobs import GivenUpError
 from explorer.kept import Kept
 from explorer.worker import Worker
-from lpn.errors import InputError, LPNError, ModelFileError
+from lpn.core.errors import InputError, LPNError, ModelFileError
 from lpn.model import FloatArray, Heads, Model, Pass
 from lpn.spec import ModelSpec, View
 

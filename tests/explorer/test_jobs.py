@@ -12,7 +12,7 @@ import pytest
 from explorer import labpages
 from explorer.jobs import GivenUpError, Job, Jobs, Progress, in_process
 from lpn import notes
-from lpn.errors import InputError, LPNError
+from lpn.core.errors import InputError, LPNError
 
 
 def test_work_ends_when_the_last_one_leaves_and_begins_anew() -> None:

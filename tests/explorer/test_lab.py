@@ -20,8 +20,8 @@ from explorer.labviews import MapView, NoteView
 from explorer.opening import open_model
 from explorer.session import State
 from lpn import breakdown, notes, overlays
-from lpn.errors import InputError, OutputError
-from lpn.tables import Column, Table, number_column, text_column
+from lpn.core.errors import InputError, OutputError
+from lpn.core.tables import Column, Table, number_column, text_column
 from tests import worlds
 
 TASK = "drone-to-satellite"

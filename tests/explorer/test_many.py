@@ -37,8 +37,9 @@ from explorer.session import State, Upload
 from explorer.stage import Stage
 from explorer.sweep import Sweep
 from explorer.wakeup import Buffer
-from lpn import explain, images, retrieval
-from lpn.errors import ModelFileError
+from lpn import explain, retrieval
+from lpn.core import images
+from lpn.core.errors import ModelFileError
 from lpn.model import FloatArray, Model, Pass
 from lpn.saved import load_saved
 from lpn.spec import View

@@ -10,7 +10,7 @@ from explorer import pages, words
 from explorer.exhibit import Analyst, Exhibit
 from explorer.opening import open_model, open_saved
 from explorer.session import State, Upload
-from lpn.errors import DataError, InputError
+from lpn.core.errors import DataError, InputError
 from lpn.saved import load_saved
 from tests import worlds
 from tests.saved import save_result

@@ -12,7 +12,7 @@ import pytest
 from explorer import session
 from explorer.session import State, Upload
 from explorer.worker import Worker
-from lpn.errors import PictureError
+from lpn.core.errors import PictureError
 
 
 @pytest.fixture

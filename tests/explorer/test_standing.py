@@ -14,7 +14,7 @@ from explorer.follower import Follower
 from explorer.laboratory import Laboratory
 from explorer.opening import open_model
 from lpn import rankings
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 from tests import worlds
 
 TASK = "drone-to-satellite"

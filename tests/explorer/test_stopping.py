@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from lpn.core.shutdown import GRACE
 from lpn.notes import read_notes
-from lpn.stopping import GRACE
 from soak.client import Talker
 from tests import worlds
 from tests.processes import SOON, Process

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lpn import images
 from lpn.augment import augment
-from lpn.images import Picture
+from lpn.core import images
+from lpn.core.images import Picture
 from lpn.recipes import Recipe
 from tests import worlds
 

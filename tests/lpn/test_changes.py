@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from lpn import features, images
+from lpn import features
 from lpn.changes import UNCHANGED, Change
 from lpn.checkpoints import TorchModel
+from lpn.core import images
+from lpn.core.errors import InputError, PictureError
 from lpn.datasets import open_dataset
-from lpn.errors import InputError, PictureError
 from lpn.evaluate import evaluate
 from lpn.network import LPN
 from lpn.protocol import Protocol

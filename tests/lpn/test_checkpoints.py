@@ -11,7 +11,7 @@ from torch import Tensor
 
 import lpn
 from lpn.checkpoints import load_backbone, load_torch, save
-from lpn.errors import LPNError, ModelFileError
+from lpn.core.errors import LPNError, ModelFileError
 from lpn.network import LPN
 from lpn.published import infer_spec
 from lpn.spec import ModelSpec

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn import checkup, cli, machine, packages, rankings
+from lpn import checkup, cli, rankings
 from lpn.checkup import Finding, healthy
 from lpn.commands import using
 from lpn.commands.using import DEMO
-from lpn.errors import OutputError
+from lpn.core import requirements, resources
+from lpn.core.errors import OutputError
 from lpn.features import cache_folder
 
 
@@ -208,8 +209,8 @@ def test_a_python_may_call_itself_what_it_likes(monkeypatch: pytest.MonkeyPatch)
 def test_an_installed_package_knows_its_ranges_without_a_checkout(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    there = packages.asked()
-    monkeypatch.setattr(packages, "_CHECKOUT", tmp_path / "pyproject.toml")
+    there = requirements.asked()
+    monkeypatch.setattr(requirements, "_CHECKOUT", tmp_path / "pyproject.toml")
     told = {
         "Requires-Python": ">=3.11",
         "extras": ["train"],
@@ -222,7 +223,7 @@ def test_an_installed_package_knows_its_ranges_without_a_checkout(
 
     monkeypatch.setattr(metadata, "metadata", lambda _: Told(told))
     monkeypatch.setattr(metadata, "requires", lambda _: told["requires"])
-    found = packages.asked()
+    found = requirements.asked()
     assert there is not None
     assert found is not None
     assert [package.requirement for package in found.base] == ["numpy>=1.26"]
@@ -231,7 +232,7 @@ def test_an_installed_package_knows_its_ranges_without_a_checkout(
 
 
 def test_little_room_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "memory", lambda: (8 * 10**9, 3 * 10**8))
+    monkeypatch.setattr(resources, "memory", lambda: (8 * 10**9, 3 * 10**8))
     assert of("memory", checkup._machine).line == (
         "note    memory: 0.3 of 8.0 GB are free; close other programs; the explorer takes about half a GB, trainings more."
     )
@@ -241,7 +242,7 @@ def test_little_room_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_memory_is_what_the_system_says() -> None:
-    found = machine.memory()
+    found = resources.memory()
     if Path("/proc/meminfo").exists():
         assert found is not None
         assert 0 < found[1] <= found[0]
@@ -252,9 +253,9 @@ def test_memory_is_that_of_the_group_without_what_is_kept_of_files(
 ) -> None:
     (tmp_path / "self").write_text("4:memory:/other\n0::/jobs/mine\n")
     (tmp_path / "jobs" / "mine").mkdir(parents=True)
-    monkeypatch.setattr(machine, "_GROUPS", tmp_path)
-    monkeypatch.setattr(machine, "_OWN", tmp_path / "self")
-    system = machine.memory()
+    monkeypatch.setattr(resources, "_GROUPS", tmp_path)
+    monkeypatch.setattr(resources, "_OWN", tmp_path / "self")
+    system = resources.memory()
 
     def group(folder: Path, most: object, used: int, kept: int) -> None:
         (folder / "memory.max").write_text(f"{most}\n")
@@ -262,20 +263,20 @@ def test_memory_is_that_of_the_group_without_what_is_kept_of_files(
         (folder / "memory.stat").write_text(f"anon {used - kept}\nactive_file 0\ninactive_file {kept}\n")
 
     group(tmp_path / "jobs" / "mine", "max", 100 << 20, 0)
-    assert machine._groups()[-1] == tmp_path / "jobs" / "mine"
+    assert resources._groups()[-1] == tmp_path / "jobs" / "mine"
     group(tmp_path / "jobs", 100 << 20, 90 << 20, 70 << 20)
-    found = machine.memory()
+    found = resources.memory()
     if system is not None:  # on Linux
         assert found == (100 << 20, 80 << 20)
 
 
 def test_cores_are_as_many_as_a_group_has_time_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "_GROUPS", tmp_path)
-    monkeypatch.setattr(machine, "_OWN", tmp_path / "self")
-    monkeypatch.setattr(machine.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
+    monkeypatch.setattr(resources, "_GROUPS", tmp_path)
+    monkeypatch.setattr(resources, "_OWN", tmp_path / "self")
+    monkeypatch.setattr(resources.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
     (tmp_path / "self").write_text("0::/all/job\n")
     (tmp_path / "all" / "job").mkdir(parents=True)
-    assert machine.usable_cores() == 16
+    assert resources.usable_cores() == 16
     for whole, job, cores in (
         ("max 100000", "250000 100000", 3),
         ("150000 100000", "max 100000", 2),
@@ -283,7 +284,7 @@ def test_cores_are_as_many_as_a_group_has_time_for(tmp_path: Path, monkeypatch: 
     ):
         (tmp_path / "all" / "cpu.max").write_text(f"{whole}\n")
         (tmp_path / "all" / "job" / "cpu.max").write_text(f"{job}\n")
-        assert machine.usable_cores() == cores
+        assert resources.usable_cores() == cores
 
 
 def test_quick_is_for_pictures(capsys: pytest.CaptureFixture[str]) -> None:

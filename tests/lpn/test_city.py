@@ -16,7 +16,7 @@ import trimesh
 
 from lpn import geo
 from lpn.city import LARGEST, NAME, city_model
-from lpn.errors import DataError, InputError
+from lpn.core.errors import DataError, InputError
 from lpn.geo import Position
 from lpn.world import model3d
 from lpn.world.atlas import Atlas, Settings, make_atlas

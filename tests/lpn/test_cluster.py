@@ -28,9 +28,9 @@ pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 
 from lpn import cli, features, raystart
 from lpn.cluster import Summary, describe_shards
+from lpn.core.errors import DataError, InputError, LPNError, StoreError
+from lpn.core.files import alone
 from lpn.engine import Engine
-from lpn.errors import DataError, InputError, LPNError, StoreError
-from lpn.files import alone
 from lpn.gather import open_shards, to_store
 from lpn.index import open_index
 from lpn.raystart import started

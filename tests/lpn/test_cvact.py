@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from lpn.core.errors import DataError
 from lpn.datasets import CVACT, open_dataset
-from lpn.errors import DataError
 from tests import layouts
 
 WITHOUT_SCIPY = """

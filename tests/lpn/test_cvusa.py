@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from lpn.core.errors import DataError
 from lpn.datasets import CVUSA, open_dataset
-from lpn.errors import DataError
 from lpn.places import Places
 from tests import layouts, worlds
 

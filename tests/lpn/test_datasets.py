@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
-from lpn.errors import DataError
 from tests import layouts, worlds
 
 

@@ -10,8 +10,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from lpn.core.errors import InputError
 from lpn.distributed import Group
-from lpn.errors import InputError
 from tests import worlds
 from tests.lpn.two_processes import trainer
 

@@ -16,7 +16,7 @@ pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 
 from lpn import cli, cluster
 from lpn.cluster import Summary
-from lpn.errors import PictureError, StoreError
+from lpn.core.errors import PictureError, StoreError
 from lpn.features import Row
 from lpn.gather import open_shards, to_store
 from lpn.model import FloatArray, normalise

@@ -9,10 +9,10 @@ import torch
 
 import lpn
 from lpn.checkpoints import load_torch, save
+from lpn.core.errors import InputError, ModelFileError
+from lpn.core.images import normalise
 from lpn.engine import Engine
-from lpn.errors import InputError, ModelFileError
 from lpn.export import Storage, export
-from lpn.images import normalise
 from lpn.network import LPN
 from lpn.retrieval import describe_picture
 from lpn.spec import ModelSpec

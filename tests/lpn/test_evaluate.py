@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import features, images, metrics
+from lpn import features, metrics
 from lpn.changes import Change
 from lpn.checkpoints import save
+from lpn.core import images
+from lpn.core.errors import InputError
 from lpn.datasets import Picture, Truth, University, open_dataset
-from lpn.errors import InputError
 from lpn.evaluate import evaluate
 from lpn.model import FloatArray, Model
 from lpn.network import LPN

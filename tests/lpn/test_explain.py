@@ -10,12 +10,13 @@ import onnx
 import pytest
 import torch
 
-from lpn import explain, images, retrieval
+from lpn import explain, retrieval
 from lpn.checkpoints import TorchModel, save
 from lpn.commands.using import DEMO
+from lpn.core import images
+from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.engine import Engine
-from lpn.errors import InputError
 from lpn.export import export
 from lpn.model import Model
 from lpn.network import LPN

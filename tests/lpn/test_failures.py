@@ -10,12 +10,12 @@ import pytest
 
 import lpn
 from lpn import breakdown, cli, explain, geo, metrics, notes, retrieval, scores
+from lpn.core.errors import DataError, InputError
+from lpn.core.tables import number_column, text_column
 from lpn.datasets import Picture, Truth, open_dataset
-from lpn.errors import DataError, InputError
 from lpn.failures import OUTCOME, Outcomes, build, described_by, labels_of, table
 from lpn.features import cached_descriptors, describe, known_descriptors
 from lpn.model import FloatArray, normalise
-from lpn.tables import number_column, text_column
 from tests import worlds
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn.errors import InputError, StoreError
+from lpn.core.errors import InputError, StoreError
 from lpn.index import Box, open_index
 from lpn.model import normalise
 from tests.lpn.test_index import KIND, Tiles

@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import features, images
+from lpn import features
 from lpn.changes import Change
-from lpn.errors import DataError, LPNError, PictureError, StoreError
+from lpn.core import images
+from lpn.core.errors import DataError, LPNError, PictureError, StoreError
+from lpn.core.files import write_whole
 from lpn.features import describing
-from lpn.files import write_whole
 from lpn.model import FloatArray, Model
 from lpn.spec import View
 from tests import worlds

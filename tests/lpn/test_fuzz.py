@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from fuzz.readers import an_input, run
 from fuzz.targets import TARGETS, complaint, described, misbehaving
 from lpn import features
-from lpn.errors import LPNError
+from lpn.core.errors import LPNError
 from lpn.geo import read_positions
 from lpn.spec import ModelSpec
 

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 
 from lpn import cli, features, gather
-from lpn.errors import StoreError
+from lpn.core.errors import StoreError
 from lpn.features import Manifest, Row
 from lpn.features.describing import write_store
 from lpn.features.unfinished import Unfinished

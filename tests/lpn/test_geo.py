@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lpn import cli, geo
+from lpn.core.errors import DataError, InputError
 from lpn.datasets import Picture, open_dataset
-from lpn.errors import DataError, InputError
 from lpn.geo import Position, Positions
 from tests import worlds
 

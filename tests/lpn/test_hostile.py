@@ -16,9 +16,9 @@ import torch
 
 from lpn import cli, features
 from lpn.checkpoints import load_torch
-from lpn.checksums import Checksums
+from lpn.core.checksums import Checksums
+from lpn.core.errors import DataError, ModelFileError
 from lpn.engine import Engine
-from lpn.errors import DataError, ModelFileError
 from lpn.geo import read_positions
 from lpn.integrity import flaw
 from lpn.network import LPN
@@ -256,7 +256,7 @@ def test_parts_of_two_quantisations_are_not_one_model(tmp_path: Path) -> None:
 
 def test_a_shard_whose_positions_are_damaged_is_told(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
-    from lpn.errors import StoreError
+    from lpn.core.errors import StoreError
     from lpn.gather import open_shards
     from lpn.shards import Item, Plan, shard_name, write_shard
     from lpn.storage import Storage

@@ -17,7 +17,7 @@ import pytest
 
 from lpn import explain, features
 from lpn.cli import main
-from lpn.errors import InputError, StoreError
+from lpn.core.errors import InputError, StoreError
 from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, sums
 from lpn.model import FloatArray, normalise
 from tests import worlds

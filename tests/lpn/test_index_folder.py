@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn.errors import StoreError
+from lpn.core.errors import StoreError
 from lpn.index import Box, ExactIndex, create_index, folder, open_index, segments
 from lpn.index.base import covers, overlaps, within
 from lpn.verify import verify
@@ -148,7 +148,7 @@ def test_an_index_made_anew_in_the_same_place_is_read_anew(tmp_path: Path) -> No
 
 LIMITED = """
 import resource, sys
-from lpn.errors import StoreError
+from lpn.core.errors import StoreError
 from lpn.index import ExactIndex
 resource.setrlimit(resource.RLIMIT_NOFILE, (60, 400))
 with ExactIndex(sys.argv[1]) as index:
@@ -172,7 +172,7 @@ def test_more_files_than_may_be_open_are_allowed_or_told_as_that(tmp_path: Path)
 
 
 def test_a_limit_that_cannot_be_raised_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    from lpn import files
+    from lpn.core import files
 
     asked: list[tuple[int, int]] = []
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from lpn import images
-from lpn.errors import PictureError
+from lpn.core import images
+from lpn.core.errors import PictureError
 from lpn.integrity import flaw, flaws, naming
 from tests import worlds
 

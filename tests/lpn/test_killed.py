@@ -21,9 +21,9 @@ import pytest
 
 import lpn
 from lpn import features, index
+from lpn.core.errors import DataError, StoreError
+from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
-from lpn.errors import DataError, StoreError
-from lpn.images import load_picture
 from tests import worlds
 from tests.killing import Killer
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from lpn.core.errors import DataError
 from lpn.datasets import Landmarks, open_dataset
 from lpn.datasets.landmarks import CORRUPT
-from lpn.errors import DataError
 from tests import layouts, worlds
 
 

@@ -13,9 +13,9 @@ import pytest
 import torch
 from rich.console import Console
 
-from lpn import images
+from lpn.core import images
+from lpn.core.errors import InputError, PictureError
 from lpn.datasets import open_dataset
-from lpn.errors import InputError, PictureError
 from lpn.loader import Batch, Loader, choose_workers
 from lpn.places import Places
 from lpn.recipes import RECIPES

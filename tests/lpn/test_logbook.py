@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 from tensorboardX.proto.event_pb2 import Event
 
-from lpn.errors import OutputError
+from lpn.core.errors import OutputError
 from lpn.logbook import Logbook, chart
 from lpn.selection import Row, best
 

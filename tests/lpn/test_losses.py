@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from lpn.errors import InputError
+from lpn.core.errors import InputError
 from lpn.losses import (
     contrastive_loss,
     descriptors,

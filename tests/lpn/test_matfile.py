@@ -9,7 +9,7 @@ from scipy.io import savemat
 from scipy.sparse import eye_array
 
 from lpn import matfile
-from lpn.errors import DataError
+from lpn.core.errors import DataError
 
 VALUES = {
     "names": np.array(["abc", "déf"]),

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lpn import metrics, scores
+from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.errors import InputError
 from tests import seeded
 
 Case = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from lpn.errors import InputError, LPNError, StoreError
+from lpn.core.errors import InputError, LPNError, StoreError
 from lpn.index import Box, Index, Kind, MilvusIndex, Structure, create_index, milvus, open_index
 from lpn.model import normalise
 from tests.lpn.milvus_server import COLLECTION, Client, Server, indexed, milvus_python, pretend

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lpn.errors import DataError, InputError, OutputError
+from lpn.core.errors import DataError, InputError, OutputError
 from lpn.notes import LONGEST_NOTE, Note, columns, read_notes, set_note
 
 

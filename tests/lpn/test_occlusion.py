@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from bench.faithful import curves
-from lpn import explain, images, load, occlusion, retrieval
+from lpn import explain, load, occlusion, retrieval
 from lpn.commands.using import DEMO
+from lpn.core import images
 from tests import worlds
 
 

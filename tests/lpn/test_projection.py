@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from lpn.errors import InputError, MissingPackageError
+from lpn.core.errors import InputError, MissingPackageError
 from lpn.projection import inside, pca, umap
 
 

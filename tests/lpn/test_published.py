@@ -12,7 +12,7 @@ import yaml
 from torch import Tensor
 
 import lpn
-from lpn.errors import ModelFileError
+from lpn.core.errors import ModelFileError
 from lpn.export import export
 from lpn.network import LPN
 from lpn.published import infer_spec

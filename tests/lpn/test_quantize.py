@@ -10,10 +10,10 @@ import torch
 import lpn
 from lpn import cli, evaluate, explain
 from lpn.checkpoints import save
+from lpn.core.errors import InputError, PictureError
+from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
-from lpn.errors import InputError, PictureError
 from lpn.export import export
-from lpn.images import load_picture
 from lpn.network import LPN
 from lpn.quantize import calibration_pictures, quantize
 from lpn.retrieval import describe_picture

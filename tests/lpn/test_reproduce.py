@@ -14,8 +14,8 @@ from safetensors.torch import save_file
 
 from lpn.checkpoints import save
 from lpn.cli import main
+from lpn.core.errors import DataError, DivergedError, InputError, LPNError, ModelFileError
 from lpn.datasets import open_dataset
-from lpn.errors import DataError, DivergedError, InputError, LPNError, ModelFileError
 from lpn.network import LPN
 from lpn.recipes import METHODS
 from lpn.reproduce import foot, paper, report, sources

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lpn import explain, retrieval
+from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.errors import InputError
 from lpn.model import FloatArray, normalise
 
 

@@ -19,11 +19,12 @@ import torch
 from PIL import Image
 
 import lpn
-from lpn import cli, features, images
+from lpn import cli, features
 from lpn.checkpoints import load_torch, save
+from lpn.core import images
+from lpn.core.errors import DataError, LPNError, ModelFileError, PictureError, StoreError
 from lpn.datasets import open_dataset
 from lpn.engine import Engine
-from lpn.errors import DataError, LPNError, ModelFileError, PictureError, StoreError
 from lpn.geo import read_positions
 from tests import worlds
 
@@ -168,7 +169,7 @@ def test_numbers_that_are_none_are_found_in_a_store(
         ["index", "--descriptors", str(store), "--out", str(tmp_path / "index")], capsys
     )
     from lpn import metrics
-    from lpn.errors import InputError
+    from lpn.core.errors import InputError
 
     held, labels = features.open_store(store).float32, np.arange(14)
     with pytest.raises(InputError, match="not finite; delete their store"):

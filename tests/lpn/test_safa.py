@@ -12,12 +12,12 @@ import torch
 
 import lpn
 from lpn.checkpoints import TorchModel, save
+from lpn.core.errors import InputError
+from lpn.core.images import Picture, load_picture, polar
 from lpn.datasets import open_dataset
-from lpn.errors import InputError
 from lpn.evaluate import evaluate
 from lpn.export import export
 from lpn.features import describe
-from lpn.images import Picture, load_picture, polar
 from lpn.model import normalise
 from lpn.network import LPN, SpatialAware
 from lpn.partition import Partition

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lpn import streams
+from lpn.core.errors import PictureError
 from lpn.engine import Engine
-from lpn.errors import PictureError
 from lpn.model import FloatArray
 from lpn.streams import describe_each
 

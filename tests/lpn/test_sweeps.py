@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import cli, explain, features, images, retrieval, sweeps
+from lpn import cli, explain, features, retrieval, sweeps
 from lpn.changes import Change
 from lpn.commands.using import DEMO
+from lpn.core import images
+from lpn.core.errors import InputError
 from lpn.datasets import Truth, open_dataset
-from lpn.errors import InputError
 from lpn.geo import Positions
 from lpn.model import FloatArray, Model
 from lpn.sweeps import Point, Profile, changes_over, profile

@@ -15,8 +15,8 @@ from torch import Tensor
 import lpn
 from lpn import optimization
 from lpn.checkpoints import load_torch, save
+from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, PictureError
 from lpn.datasets import open_dataset
-from lpn.errors import DataError, InputError, LPNError, ModelFileError, PictureError
 from lpn.evaluate import evaluate
 from lpn.recipes import RECIPES, Recipe
 from lpn.selection import HeldOut, TestSplit

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import linprog, minimize
 
 from lpn import explain, metrics, retrieval, scores, versus
+from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.errors import InputError
 from lpn.least_distance import shortest
 from lpn.model import FloatArray, normalise
 from lpn.retrieval import Ranking

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 
 from lpn import cli
+from lpn.core.errors import InputError, OutputError
 from lpn.datasets import Picture, open_dataset
-from lpn.errors import InputError, OutputError
 from lpn.geo import Position, Positions, camera, metres
 from lpn.world import cameras
 from lpn.world.atlas import Atlas, Settings, make_atlas

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from lpn.errors import PictureError
-from lpn.files import printable
-from lpn.machine import usable_cores
+from lpn.core.errors import PictureError
+from lpn.core.files import printable
+from lpn.core.resources import usable_cores
 
 # Its remarks on damaged files would stand between the sentences that name them.
 if hasattr(cv2, "setLogLevel"):  # OpenCV 4

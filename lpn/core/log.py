@@ -15,8 +15,8 @@ from contextlib import contextmanager, suppress
 from typing import Final, Literal, get_args
 from urllib.parse import quote, quote_plus
 
-from lpn.errors import InputError
-from lpn.files import printable
+from lpn.core.errors import InputError
+from lpn.core.files import printable
 
 VARIABLE: Final = "LPN_LOG"
 """The environment variable that the level is read from."""

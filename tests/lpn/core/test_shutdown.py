@@ -11,10 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from lpn import cli, features, stopping
+from lpn import cli, features
+from lpn.core import shutdown
+from lpn.core.files import write_whole
+from lpn.core.shutdown import Stop, finished, finishing
 from lpn.features import open_store
-from lpn.files import write_whole
-from lpn.stopping import Stop, finished, finishing
 from lpn.verify import verify
 from tests import worlds
 from tests.processes import Process
@@ -128,7 +129,7 @@ def test_a_library_that_computes_is_not_waited_for(tmp_path: Path) -> None:
         process.terminate()
         status, seconds = process.ended()
         assert status == 143
-        assert seconds >= stopping.GRACE - 0.1
+        assert seconds >= shutdown.GRACE - 0.1
         assert last_line(process) == "lpn: Stopped. Nothing is half-written; give the same command again."
 
 
@@ -140,7 +141,7 @@ def test_a_second_ctrl_c_ends_at_once(tmp_path: Path) -> None:
         process.interrupt()
         status, seconds = process.ended()
         assert status == 130
-        assert seconds < stopping.GRACE - 0.5
+        assert seconds < shutdown.GRACE - 0.5
         assert process.err == ""
 
 
@@ -190,7 +191,7 @@ def test_what_another_thread_writes_is_waited_for() -> None:
 
 
 def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = [signal.getsignal(number) for number in stopping.SIGNALS]
+    before = [signal.getsignal(number) for number in shutdown.SIGNALS]
     assert cli.main(["verify", str(tmp_path / "absent")]) == 2
 
     def interrupted(_: object) -> int:
@@ -198,7 +199,7 @@ def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr(cli.COMMANDS["verify"], "run", interrupted)
     assert cli.main(["verify"]) == 130
-    assert [signal.getsignal(number) for number in stopping.SIGNALS] == before
+    assert [signal.getsignal(number) for number in shutdown.SIGNALS] == before
     assert not [thread for thread in threading.enumerate() if thread.name == "lpn-stopping"]
 
 

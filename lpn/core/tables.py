@@ -22,8 +22,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from lpn.errors import InputError
-from lpn.files import printable
+from lpn.core.errors import InputError
+from lpn.core.files import printable
 from lpn.metrics import IntArray
 
 _COMPARED: dict[str, Callable[[Any, Any], Any]] = {

@@ -2,7 +2,7 @@
 
 The first signal raises KeyboardInterrupt in the main thread, though not while it writes a file: then, when the file is whole.
 What still computes two seconds later is not waited for, nor is anything after a second signal: whatever is on the disk
-is whole at any moment, see `lpn.files.write_whole`.
+is whole at any moment, see `lpn.core.files.write_whole`.
 """
 
 from __future__ import annotations

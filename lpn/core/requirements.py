@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from lpn.files import printable
+from lpn.core.files import printable
 
 NAME = "lpn-explorer"
-_CHECKOUT = Path(__file__).parents[1] / "pyproject.toml"
+_CHECKOUT = Path(__file__).parents[2] / "pyproject.toml"
 
 
 @dataclass(frozen=True)

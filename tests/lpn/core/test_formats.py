@@ -18,11 +18,11 @@ from safetensors.torch import save_file
 import lpn
 from lpn import features, metadata
 from lpn.checkpoints import load_torch
-from lpn.checksums import crc_of_values
+from lpn.core.checksums import crc_of_values
+from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, OutputError, StoreError
+from lpn.core.formats import is_newer
 from lpn.engine import Engine
-from lpn.errors import DataError, InputError, LPNError, ModelFileError, OutputError, StoreError
 from lpn.features import open_store
-from lpn.formats import is_newer
 from lpn.index import ExactIndex, Kind, open_index, sums
 from lpn.recipes import RECIPES
 from lpn.reproduce.measure import FORMAT, Figures, Notebook

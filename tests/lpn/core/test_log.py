@@ -5,21 +5,22 @@ import re
 
 import pytest
 
-from lpn import cli, logs
-from lpn.errors import InputError
+from lpn import cli
+from lpn.core import log
+from lpn.core.errors import InputError
 
 LINE = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3} "
 
 
 @pytest.fixture
-def log() -> logging.Logger:
+def logger() -> logging.Logger:
     return logging.getLogger("lpn.somewhere")
 
 
 @pytest.fixture(autouse=True)
 def _no_secrets(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(logs, "_SECRETS", [])
-    monkeypatch.delenv(logs.VARIABLE, raising=False)
+    monkeypatch.setattr(log, "_SECRETS", [])
+    monkeypatch.delenv(log.VARIABLE, raising=False)
 
 
 def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
@@ -28,11 +29,11 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
 
 @pytest.mark.parametrize(("level", "count"), [("debug", 4), ("info", 3), ("warning", 2), ("error", 1)])
 def test_what_is_asked_for_is_shown_and_no_more(
-    level: logs.Level, count: int, log: logging.Logger, capsys: pytest.CaptureFixture[str]
+    level: log.Level, count: int, logger: logging.Logger, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with logs.shown(level):
+    with log.shown(level):
         for number in (logging.ERROR, logging.WARNING, logging.INFO, logging.DEBUG):
-            log.log(number, "It is %s", "so")
+            logger.log(number, "It is %s", "so")
     found = lines(capsys)
     assert [line.split()[2] for line in found] == ["ERROR", "WARNING", "INFO", "DEBUG"][:count]
     assert re.fullmatch(LINE + "ERROR   lpn.somewhere: It is so", found[0])
@@ -40,11 +41,11 @@ def test_what_is_asked_for_is_shown_and_no_more(
 
 
 def test_libraries_say_warnings_and_not_how_their_connections_end(capsys: pytest.CaptureFixture[str]) -> None:
-    with logs.shown("debug"):
+    with log.shown("debug"):
         logging.getLogger("websockets.server").info("connection open")
         logging.getLogger("asyncio").debug("Using selector")
     assert lines(capsys) == []
-    with logs.shown("warning"):
+    with log.shown("warning"):
         logging.getLogger("websockets.server").error("opening handshake failed", exc_info=ValueError("x"))
         logging.getLogger("asyncio").warning("slow")
         try:
@@ -58,15 +59,15 @@ def test_libraries_say_warnings_and_not_how_their_connections_end(capsys: pytest
     ]
 
 
-def test_no_text_of_others_breaks_a_line(log: logging.Logger, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_text_of_others_breaks_a_line(logger: logging.Logger, capsys: pytest.CaptureFixture[str]) -> None:
     mistaken = logging.LogRecord("lpn", logging.WARNING, "", 0, "A mistake %s %d", ("of ours",), None)
-    assert logs.Lines(False).format(mistaken).endswith("lpn: A mistake %s %d")
-    with logs.shown("warning"):
-        log.warning("The picture %s", "a\nb\r\x1b[2J\u2028\x00%s" + "x" * 5000)
+    assert log.Lines(False).format(mistaken).endswith("lpn: A mistake %s %d")
+    with log.shown("warning"):
+        logger.warning("The picture %s", "a\nb\r\x1b[2J\u2028\x00%s" + "x" * 5000)
         try:
             raise ValueError("first\nsecond \x1b[31m")
         except ValueError:
-            log.exception("It failed")
+            logger.exception("It failed")
     found = lines(capsys)
     assert found[0].endswith("x" * 900)
     assert "The picture a?b??[2J??%sxxx" in found[0]
@@ -77,16 +78,16 @@ def test_no_text_of_others_breaks_a_line(log: logging.Logger, capsys: pytest.Cap
     assert "\x1b" not in "".join(found)
 
 
-def test_no_token_is_shown(log: logging.Logger, capsys: pytest.CaptureFixture[str]) -> None:
-    logs.conceal("correct horse/battery")
-    logs.conceal(None)
-    with logs.shown("debug"):
-        log.debug("GET /?query=1&token=guessed%%20one&map=1 and %s", "correct horse/battery")
-        log.info("In an address: %s", "correct%20horse%2Fbattery")
+def test_no_token_is_shown(logger: logging.Logger, capsys: pytest.CaptureFixture[str]) -> None:
+    log.conceal("correct horse/battery")
+    log.conceal(None)
+    with log.shown("debug"):
+        logger.debug("GET /?query=1&token=guessed%%20one&map=1 and %s", "correct horse/battery")
+        logger.info("In an address: %s", "correct%20horse%2Fbattery")
         try:
             raise ValueError("token=another and correct horse/battery")
         except ValueError:
-            log.exception("It failed")
+            logger.exception("It failed")
     shown = "\n".join(lines(capsys))
     for secret in ("guessed", "horse", "another"):
         assert secret not in shown.replace('raise ValueError("token=another', "")
@@ -94,15 +95,15 @@ def test_no_token_is_shown(log: logging.Logger, capsys: pytest.CaptureFixture[st
 
 
 def test_no_half_of_a_token_is_shown_where_a_line_is_cut(
-    log: logging.Logger, capsys: pytest.CaptureFixture[str]
+    logger: logging.Logger, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    logs.conceal("correct horse/battery")
-    with logs.shown("debug"):
-        log.info("%s%s", "x" * 990, "correct horse/battery")
-        log.error("Failed", exc_info=ValueError("x" * 978 + "correct horse/battery"))
-    with logs.shown("info"):
+    log.conceal("correct horse/battery")
+    with log.shown("debug"):
+        logger.info("%s%s", "x" * 990, "correct horse/battery")
+        logger.error("Failed", exc_info=ValueError("x" * 978 + "correct horse/battery"))
+    with log.shown("info"):
         logging.getLogger("viser").error("Failed", exc_info=ValueError("x" * 190 + "correct horse/battery"))
-        log.info("token of a form: correct+horse%2Fbattery")
+        logger.info("token of a form: correct+horse%2Fbattery")
     shown = capsys.readouterr().err
     assert shown.count("***") == 4
     assert max(map(len, shown.splitlines())) < 1100
@@ -110,21 +111,25 @@ def test_no_half_of_a_token_is_shown_where_a_line_is_cut(
 
 
 def test_the_level_comes_from_the_command_line_or_else_from_the_environment() -> None:
-    assert logs.level_given(["explore"], {}) == ("warning", ["explore"])
-    assert logs.level_given(["explore"], {"LPN_LOG": " INFO "}) == ("info", ["explore"])
-    assert logs.level_given(["--log-level", "debug", "explore", "--port", "1"], {"LPN_LOG": "info"}) == (
+    assert log.level_given(["explore"], {}) == ("warning", ["explore"])
+    assert log.level_given(["explore"], {"LPN_LOG": " INFO "}) == ("info", ["explore"])
+    assert log.level_given(["--logger-level", "debug", "explore", "--port", "1"], {"LPN_LOG": "info"}) == (
         "debug",
         ["explore", "--port", "1"],
     )
-    assert logs.level_given(["explore", "--log-level=error"], {}) == ("error", ["explore"])
-    for given, environ in ((["--log-level", "all"], {}), (["x", "--log-level"], {}), ([], {"LPN_LOG": "verbose"})):
+    assert log.level_given(["explore", "--logger-level=error"], {}) == ("error", ["explore"])
+    for given, environ in (
+        (["--logger-level", "all"], {}),
+        (["x", "--logger-level"], {}),
+        ([], {"LPN_LOG": "verbose"}),
+    ):
         with pytest.raises(InputError, match="expected one of debug, info, warning, error"):
-            logs.level_given(given, environ)
+            log.level_given(given, environ)
 
 
 def test_the_command_line_names_it(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert cli.main(["--help"]) == 0
-    assert "--log-level debug COMMAND" in capsys.readouterr().out
+    assert "--logger-level debug COMMAND" in capsys.readouterr().out
     monkeypatch.setenv("LPN_LOG", "loud")
     assert cli.main(["verify"]) == 2
     assert capsys.readouterr().err == "lpn: LPN_LOG is 'loud'; expected one of debug, info, warning, error.\n"

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lpn import images
-from lpn.errors import PictureError
-from lpn.machine import usable_cores
+from lpn.core import images
+from lpn.core.errors import PictureError
+from lpn.core.resources import usable_cores
 from tests import worlds
 
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from tokenize import TokenError
 from typing import TYPE_CHECKING, Any
 
-from lpn.errors import OutputError, StoreError
-from lpn.stopping import finishing
+from lpn.core.errors import OutputError, StoreError
+from lpn.core.shutdown import finishing
 
 if TYPE_CHECKING:
     import numpy.typing as npt

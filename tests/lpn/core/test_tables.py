@@ -8,8 +8,8 @@ import time
 import numpy as np
 import pytest
 
-from lpn.errors import InputError
-from lpn.tables import Table, number_column, text_column
+from lpn.core.errors import InputError
+from lpn.core.tables import Table, number_column, text_column
 
 NAMES = ["0003", "0001/02", "0001/01", "0002"]
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lpn.errors import ModelFileError
+from lpn.core.errors import ModelFileError
 
 SEAL = "seal"
 """The entry of a model file's metadata that holds the seal."""

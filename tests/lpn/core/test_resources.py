@@ -9,7 +9,7 @@ import pytest
 HELD = """
 import sys
 import numpy as np
-from lpn.machine import pool_memory, return_memory
+from lpn.core.resources import pool_memory, return_memory
 
 def resident():
     with open("/proc/self/statm") as file:

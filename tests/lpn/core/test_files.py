@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from lpn.errors import OutputError
-from lpn.files import check_writable, fingerprint, write_whole
+from lpn.core.errors import OutputError
+from lpn.core.files import check_writable, fingerprint, write_whole
 
 
 def test_a_file_is_whole_however_many_write_it(tmp_path: Path) -> None:
