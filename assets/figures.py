@@ -17,7 +17,7 @@ from lpn import features, metrics
 from lpn.changes import Change
 from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.evaluate import evaluate
-from lpn.model import FloatArray, Model
+from lpn.models.base import FloatArray, Model
 from lpn.protocol import Protocol
 
 ANGLES = (15, 45, 90, 180)

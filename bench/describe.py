@@ -31,16 +31,16 @@ from torch.utils.data import DataLoader, Dataset
 from bench.figures import Figure, against_peer, show, take_turns
 from bench.pictures import make_folder, make_train_split
 from lpn import features
-from lpn.checkpoints import TorchModel, load_torch, save
 from lpn.core import images
 from lpn.core.resources import usable_cores
 from lpn.datasets import open_dataset
-from lpn.engine import Engine
-from lpn.export import export
-from lpn.model import FloatArray, Model
-from lpn.network import LPN
-from lpn.quantize import quantize
-from lpn.spec import ModelSpec
+from lpn.models.base import FloatArray, Model
+from lpn.models.checkpoints import TorchModel, load_torch, save
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.onnx_engine import Engine
+from lpn.models.quantize import quantize
+from lpn.models.spec import ModelSpec
 
 PICTURES = 96
 ROUNDS = 3

@@ -20,7 +20,7 @@ from lpn import explain, occlusion, retrieval
 from lpn.commands.using import DEMO
 from lpn.core import images
 from lpn.datasets import open_dataset
-from lpn.model import Model
+from lpn.models.base import Model
 
 STEPS = 8
 

@@ -28,8 +28,8 @@ from bench.page import Process, free_port, page_seconds
 from lpn import datasets
 from lpn.changes import UNCHANGED
 from lpn.features import STORES, Manifest, Row
-from lpn.model import Model
-from lpn.spec import View
+from lpn.models.base import Model
+from lpn.models.spec import View
 from soak.chromium import launch
 
 QUERIES, TILES, PLACES = 40_000, 51_355, 951

@@ -33,7 +33,7 @@ from bench.figures import machine
 from bench.search import KIND, drawn, medians, nearest, queries, resident
 from lpn.index import Box
 from lpn.index.milvus import MilvusIndex, Structure
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
 from tests.lpn.milvus_server import Server, indexed, milvus_python
 
 K = 10

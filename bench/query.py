@@ -22,16 +22,16 @@ from bench.figures import Figure, against_peer, below, medians, show, within
 from bench.pictures import make_train_split
 from lpn import retrieval
 from lpn.changes import Change
-from lpn.checkpoints import TorchModel, load_torch, save
 from lpn.core import images
 from lpn.core.resources import usable_cores
 from lpn.datasets import Dataset, open_dataset
-from lpn.engine import Engine
-from lpn.export import export
-from lpn.model import normalise
-from lpn.network import LPN
-from lpn.quantize import quantize
-from lpn.spec import ModelSpec
+from lpn.models.base import normalise
+from lpn.models.checkpoints import TorchModel, load_torch, save
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.onnx_engine import Engine
+from lpn.models.quantize import quantize
+from lpn.models.spec import ModelSpec
 
 SPECS = {
     "ResNet-50": ModelSpec("resnet50", views=("satellite", "drone"), classes=701),

@@ -39,7 +39,7 @@ from lpn import explain
 from lpn.core.resources import usable_cores
 from lpn.index import Box, ExactIndex, Kind, base
 from lpn.index.scan import PRECISIONS
-from lpn.model import FloatArray, normalise
+from lpn.models.base import FloatArray, normalise
 
 KIND = Kind("bench", 4, 512)
 TILES = (951, 51_355)

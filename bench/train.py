@@ -32,7 +32,7 @@ from bench.figures import Figure, show, take_turns
 from bench.pictures import make_train_split
 from lpn.core import images
 from lpn.datasets import open_dataset
-from lpn.network import LPN
+from lpn.models.network import LPN
 from lpn.places import Places
 from lpn.recipes import RECIPES, Recipe
 from lpn.train import Trainer

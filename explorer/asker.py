@@ -7,8 +7,8 @@ from typing import TypeVar
 
 from explorer.inference import Inference
 from explorer.passes import MovedError, joined
-from lpn.model import FloatArray, Heads, Model, Pass
-from lpn.spec import View
+from lpn.models.base import FloatArray, Heads, Model, Pass
+from lpn.models.spec import View
 
 T = TypeVar("T")
 

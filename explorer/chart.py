@@ -11,10 +11,11 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn import geo, overlays
+from lpn import overlays
 from lpn.core import images
 from lpn.core.images import Picture
-from lpn.geo import Position
+from lpn.datasets import geo
+from lpn.datasets.geo import Position
 from lpn.metrics import IntArray
 
 LARGEST = 1536

@@ -19,18 +19,18 @@ from explorer.kept import Kept
 from explorer.layout import layout_for
 from explorer.session import TRUTH, State
 from explorer.standing import Found, Standing
-from lpn import explain, geo, overlays, retrieval
-from lpn.city import CityModel
+from lpn import explain, overlays, retrieval
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.images import Picture
 from lpn.datasets import Picture as Entry
-from lpn.datasets import Truth
+from lpn.datasets import Truth, geo
+from lpn.datasets.city_model import CityModel
 from lpn.explain import Evidence, Mates
 from lpn.metrics import IntArray
-from lpn.model import FloatArray, Model
+from lpn.models.base import FloatArray, Model
+from lpn.models.spec import ModelSpec, View
 from lpn.retrieval import Described, Match, Ranking
-from lpn.spec import ModelSpec, View
 
 TILES = 48
 """Described tiles that are kept: with their feature maps, a large network's are 4 MB each."""

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 from explorer.jobs import GivenUpError
 from explorer.passes import MovedError, Request, compute, together, told
 from lpn.core.errors import LPNError
-from lpn.model import FloatArray, Heads, Model, Pass
-from lpn.spec import View
+from lpn.models.base import FloatArray, Heads, Model, Pass
+from lpn.models.spec import View
 
 if TYPE_CHECKING:
     from explorer.asker import Asker

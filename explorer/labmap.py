@@ -11,7 +11,7 @@ import numpy.typing as npt
 from explorer.laboratory import Points
 from lpn import overlays, projection
 from lpn.core.images import Picture
-from lpn.geo import FloatArray
+from lpn.datasets.geo import FloatArray
 from lpn.metrics import IntArray
 
 Bounds = tuple[float, float, float, float]

@@ -11,13 +11,14 @@ import numpy as np
 
 from explorer.exhibit import Exhibit, Task
 from explorer.jobs import Job, Jobs, Progress, in_process
-from lpn import failures, geo, notes, projection
+from lpn import failures, notes, projection
 from lpn.core.errors import LPNError
 from lpn.core.images import Picture
 from lpn.core.tables import Table
+from lpn.datasets import geo
+from lpn.datasets.geo import FloatArray
+from lpn.datasets.metadata import NOTE, TAGS
 from lpn.failures import Outcomes
-from lpn.geo import FloatArray
-from lpn.metadata import NOTE, TAGS
 from lpn.notes import Note
 
 MapKind = Literal["pca", "umap", "ground"]

@@ -13,16 +13,16 @@ import lpn
 from explorer import chart
 from explorer.exhibit import Exhibit, Task
 from explorer.standing import Standing
-from lpn import features, geo, metrics
-from lpn.city import CityModel, city_model
+from lpn import features, metrics
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets import Dataset, open_dataset
+from lpn.datasets import Dataset, geo, open_dataset
 from lpn.datasets import Picture as Entry
+from lpn.datasets.city_model import CityModel, city_model
 from lpn.features import Side
+from lpn.models.spec import Layout, ModelSpec, View, views_of
 from lpn.rankings import Sides
 from lpn.saved import Saved
-from lpn.spec import Layout, ModelSpec, View, views_of
 
 log = logging.getLogger(__name__)
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from lpn.core.errors import LPNError
-from lpn.model import FloatArray, Model, Pass
-from lpn.spec import View
+from lpn.models.base import FloatArray, Model, Pass
+from lpn.models.spec import View
 
 if TYPE_CHECKING:
     from explorer.asker import Asker

@@ -10,7 +10,7 @@ from explorer.exhibit import Answer, Exhibit, Task
 from explorer.jobs import GivenUpError, Job, Progress
 from lpn import notes, report
 from lpn.core.errors import LPNError
-from lpn.model import FloatArray, Model
+from lpn.models.base import FloatArray, Model
 from lpn.study import Study
 
 Work = Callable[[Progress, Model | None], tuple[str, bytes]]

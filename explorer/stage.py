@@ -24,9 +24,9 @@ from lpn import overlays
 from lpn.core import images
 from lpn.core.images import Picture
 from lpn.explain import Evidence
+from lpn.models.spec import View
 from lpn.overlays import Palette
 from lpn.retrieval import Described, Match
-from lpn.spec import View
 
 _LIFT = 0.5
 _STEP = 0.12

@@ -9,7 +9,7 @@ from dataclasses import replace
 from explorer.exhibit import Answer, Exhibit
 from lpn import sweeps
 from lpn.changes import UNCHANGED
-from lpn.model import Model
+from lpn.models.base import Model
 from lpn.sweeps import FIELD, Over, Point, Profile
 
 

@@ -14,10 +14,10 @@ from explorer.style import part_ink
 from lpn import overlays, words
 from lpn.core import images
 from lpn.explain import Evidence, Mates
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
+from lpn.models.spec import View
+from lpn.models.trace import Exact
 from lpn.retrieval import Described
-from lpn.spec import View
-from lpn.trace import Exact
 
 HINT = "Move over a cell to see what it adds and which cell of the other picture it agrees with; click to keep it."
 HELD = {"safa": " The weights of the cells, which SAFA chooses for each picture, are held as they are."}

@@ -11,9 +11,9 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from lpn.core.checksums import BLANK, SEAL, sealed
-from lpn.engine import FORMAT
-from lpn.network import LPN
-from lpn.spec import ModelSpec
+from lpn.models.network import LPN
+from lpn.models.onnx_engine import FORMAT
+from lpn.models.spec import ModelSpec
 from tests.worlds import make_network
 
 SPEC = ModelSpec("resnet18", "layer3", views=("satellite", "drone"), n_parts=2, embedding=4, input_size=(32, 32))

@@ -36,7 +36,7 @@ def pictures(folder: Path) -> list[Case]:
     from PIL import Image
 
     from lpn.core import images
-    from lpn.integrity import flaw_within
+    from lpn.datasets.integrity import flaw_within
     from tests import worlds
 
     del folder
@@ -77,7 +77,7 @@ def stores(folder: Path) -> list[Case]:
     from lpn.changes import UNCHANGED
     from lpn.features.describing import write_store
     from lpn.features.unfinished import Unfinished
-    from lpn.model import normalise
+    from lpn.models.base import normalise
 
     rows = tuple(features.Row(f"{i % 3}/{i:02d}.png", 100 + i, 10**18 + i, (0.0, 1.0, 9.5, 9.0)) for i in range(12))
     plain = features.Manifest("0" * 16, "drone", UNCHANGED.rotate, 2, 8, rows)
@@ -122,8 +122,8 @@ def stores(folder: Path) -> list[Case]:
 def tables(folder: Path) -> list[Case]:
     """geo.csv, pairs.csv, metadata.csv, CVUSA's lists, and the ground-truth files of landmarks."""
     from lpn.datasets import open_dataset
-    from lpn.geo import read_positions
-    from lpn.metadata import columns
+    from lpn.datasets.geo import read_positions
+    from lpn.datasets.metadata import columns
     from tests import layouts, worlds
 
     world = worlds.map_dataset(worlds.make_dataset(folder / "world", train=1, test=3))
@@ -208,7 +208,7 @@ def matlab(folder: Path) -> list[Case]:
 def onnx(folder: Path) -> list[Case]:
     """Exported models, sealed and as before there were seals."""
     from fuzz.small_models import SPEC, onnx_file
-    from lpn.engine import Engine
+    from lpn.models.onnx_engine import Engine
 
     blank = np.ones((1, 3, *SPEC.input_size), np.float32)
 
@@ -231,8 +231,8 @@ def safetensors(folder: Path) -> list[Case]:
     from safetensors.torch import save
 
     from fuzz.small_models import SPEC, state_dict
-    from lpn.checkpoints import FORMAT, load_torch
     from lpn.core.checksums import BLANK, SEAL, sealed
+    from lpn.models.checkpoints import FORMAT, load_torch
 
     metadata = {"format": FORMAT, "spec": SPEC.to_json(), "recipe": "{}", "epochs": "3"}
     plain = save(state_dict(), metadata)
@@ -253,7 +253,7 @@ def pth(folder: Path) -> list[Case]:
     """Published checkpoints, the options beside them, and the state of a training."""
 
     from fuzz.small_models import pth_file, state_dict
-    from lpn.checkpoints import load_torch
+    from lpn.models.checkpoints import load_torch
     from lpn.recipes import RECIPES
     from lpn.state import State, read_state
 
@@ -314,7 +314,7 @@ def notes(folder: Path) -> list[Case]:
 def rankings(folder: Path) -> list[Case]:
     """A ranking kept between runs."""
     from lpn import metrics
-    from lpn.model import normalise
+    from lpn.models.base import normalise
     from lpn.rankings import Sides, keep, kept
 
     os.environ["LPN_CACHE"] = str(folder)
@@ -341,7 +341,7 @@ def shards(folder: Path) -> list[Case]:
     """Parquet files of descriptors, and their plan."""
     from lpn.features import Row
     from lpn.gather import open_shards
-    from lpn.model import normalise
+    from lpn.models.base import normalise
     from lpn.shards import Item, Plan, contents, read_notes, shard_name, write_shard
     from lpn.storage import Storage
 
@@ -406,7 +406,7 @@ def links(folder: Path) -> list[Case]:
 def indexes(folder: Path) -> list[Case]:
     """The manifest and the segments of an index in a folder."""
     from lpn import index
-    from lpn.model import normalise
+    from lpn.models.base import normalise
 
     rng = np.random.default_rng(0)
     made = index.create_index(folder / "index", index.Kind("0" * 16, 2, 8))
@@ -431,7 +431,7 @@ def indexes(folder: Path) -> list[Case]:
 
 def cities(folder: Path) -> list[Case]:
     """The 3-D model that a browser gets."""
-    from lpn.city import city_model
+    from lpn.datasets.city_model import city_model
     from tests import worlds
 
     def read(data: bytes) -> None:

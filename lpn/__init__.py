@@ -16,13 +16,18 @@ from lpn.core.version import __version__
 
 if TYPE_CHECKING:
     from lpn import metrics
-    from lpn.model import Model
-    from lpn.partition import Partition
-    from lpn.spec import ModelSpec, View
+    from lpn.models.base import Model
+    from lpn.models.partition import Partition
+    from lpn.models.spec import ModelSpec, View
 
 __all__ = ["LPNError", "Model", "ModelSpec", "Partition", "View", "__version__", "load", "metrics"]
 
-_HOMES = {"Model": "lpn.model", "ModelSpec": "lpn.spec", "Partition": "lpn.partition", "View": "lpn.spec"}
+_HOMES = {
+    "Model": "lpn.models.base",
+    "ModelSpec": "lpn.models.spec",
+    "Partition": "lpn.models.partition",
+    "View": "lpn.models.spec",
+}
 
 if not TYPE_CHECKING:
 
@@ -44,11 +49,11 @@ def load(path: str | Path) -> Model:
         MissingPackageError: when torch is needed and not installed.
     """
     if Path(path).suffix == ".onnx":
-        from lpn.engine import Engine
+        from lpn.models.onnx_engine import Engine
 
         return Engine(path)
     try:
-        from lpn.checkpoints import best_device, load_torch
+        from lpn.models.checkpoints import best_device, load_torch
     except ModuleNotFoundError as error:
         raise MissingPackageError(
             f"Opening {Path(path).name} needs the package {error.name}; "

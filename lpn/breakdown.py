@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from lpn.core.errors import InputError
 from lpn.core.tables import Column
+from lpn.datasets.geo import FloatArray
 from lpn.failures import Outcomes
-from lpn.geo import FloatArray
 from lpn.metrics import IntArray
 
 _NORMAL_95 = 1.959963984540054

@@ -25,13 +25,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lpn import geo
 from lpn.core import images
 from lpn.core.errors import DataError, InputError, StoreError
 from lpn.core.files import alone
-from lpn.engine import Engine, graph_files
+from lpn.datasets import geo
 from lpn.features import Box
 from lpn.features.store import box_of
+from lpn.models.onnx_engine import Engine, graph_files
+from lpn.models.spec import View
 from lpn.raystart import started
 from lpn.shards import (
     BROKEN,
@@ -47,7 +48,6 @@ from lpn.shards import (
     packed,
     read_notes,
 )
-from lpn.spec import View
 from lpn.storage import Storage
 from lpn.worker import Task, Worker
 
@@ -106,7 +106,7 @@ def describe_shards(
             into `out` was told, else 256. A folder that has fewer shards than that takes gets twice as many, or four times,
             and so on; none of its pictures is computed for that.
         positions: a file in the format of geo.csv, by default the `geo.csv` among the pictures, if there is one. Its paths may
-            begin further up than the pictures' names, see `lpn.geo.match`.
+            begin further up than the pictures' names, see `lpn.datasets.geo.match`.
         boxes: what pictures are cropped to, by their names below `pictures`.
         say: told of the progress, a line each time.
         worker: what does the work.

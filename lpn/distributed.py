@@ -13,8 +13,8 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from lpn.checkpoints import best_device
 from lpn.core.errors import InputError, LPNError
+from lpn.models.checkpoints import best_device
 
 T = TypeVar("T")
 

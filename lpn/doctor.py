@@ -12,13 +12,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from lpn import geo
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets import Dataset, LeftOut, Picture
-from lpn.integrity import flaws
+from lpn.datasets import Dataset, LeftOut, Picture, geo
+from lpn.datasets.integrity import flaws
+from lpn.models.spec import views_of
 from lpn.recipes import RECIPES
-from lpn.spec import views_of
 
 _RECIPES = {
     "University-1652": ("university1652", "small", "world"),
@@ -122,7 +121,7 @@ def examine(dataset: Dataset, decode: bool = True, report: Callable[[int, int], 
     """Look at every picture of a data set and at how its lists fit each other.
 
     Args:
-        decode: decode every picture; else read headers and ends only, see `lpn.integrity`.
+        decode: decode every picture; else read headers and ends only, see `lpn.datasets.integrity`.
         report: told now and then how many of how many files have been looked at.
 
     Raises:

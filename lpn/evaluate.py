@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from lpn import features, geo, metrics
+from lpn import features, metrics
 from lpn.changes import UNCHANGED, Change
 from lpn.core.errors import InputError
-from lpn.datasets import Dataset, Picture, Truth
-from lpn.geo import FloatArray
-from lpn.integrity import check_whole
+from lpn.datasets import Dataset, Picture, Truth, geo
+from lpn.datasets.geo import FloatArray
+from lpn.datasets.integrity import check_whole
 from lpn.metrics import IntArray
-from lpn.model import FloatArray as Descriptors
-from lpn.model import Model
+from lpn.models.base import FloatArray as Descriptors
+from lpn.models.base import Model
+from lpn.models.spec import View, views_of
 from lpn.protocol import Protocol, averaged, sentence
 from lpn.saved import Saved
-from lpn.spec import View, views_of
 
 log = logging.getLogger(__name__)
 

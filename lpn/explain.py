@@ -25,8 +25,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.core.errors import InputError
-from lpn.model import FloatArray, normalise
-from lpn.trace import Exact, Trace
+from lpn.models.base import FloatArray, normalise
+from lpn.models.trace import Exact, Trace
 
 
 def part_weights(n: int, values: npt.ArrayLike | None = None) -> FloatArray:

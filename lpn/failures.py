@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from lpn import explain, geo, metadata, metrics
+from lpn import explain, metrics
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table, number_column, text_column
-from lpn.datasets import Picture, Truth
-from lpn.geo import FloatArray
-from lpn.metadata import NOTE, TAGS
+from lpn.datasets import Picture, Truth, geo, metadata
+from lpn.datasets.geo import FloatArray
+from lpn.datasets.metadata import NOTE, TAGS
 from lpn.metrics import IntArray, Retrieval
-from lpn.model import FloatArray as Descriptors
+from lpn.models.base import FloatArray as Descriptors
 
 _CHUNK_BYTES = 64_000_000
 OUTCOME = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance")
@@ -121,7 +121,7 @@ def table(
     outcomes: Outcomes,
     part_names: Sequence[str] | None = None,
 ) -> Table:
-    """One row for each query: its outcome, and whatever the data set's folder says of its picture (`lpn.metadata`).
+    """One row for each query: its outcome, and whatever the data set's folder says of its picture (`lpn.datasets.metadata`).
 
     Columns: `name`, `rank` (from 1, unknown without a true match), `margin`, `part` (that decides), `truth`, `answer`,
     and `false` (names of tiles), `distance` (metres from what the query shows to the answer, where there is a geo.csv),

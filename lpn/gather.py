@@ -16,7 +16,7 @@ from lpn.core.errors import StoreError
 from lpn.features import Manifest, Store
 from lpn.features.describing import write_store
 from lpn.features.unfinished import Unfinished
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
 from lpn.shards import (
     BROKEN,
     DAMAGED,

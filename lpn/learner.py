@@ -10,14 +10,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from lpn import checkpoints
 from lpn.distributed import Group
 from lpn.loader import Batch
 from lpn.losses import total_loss
-from lpn.network import LPN
+from lpn.models import checkpoints
+from lpn.models.network import LPN
+from lpn.models.spec import branch_of
 from lpn.optimization import Arithmetic, build_optimizer, follow, rate_factor
 from lpn.recipes import Recipe
-from lpn.spec import branch_of
 
 
 class Learner:

@@ -21,9 +21,9 @@ from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.images import Picture
 from lpn.core.resources import usable_cores
+from lpn.models.spec import branch_of
 from lpn.places import Places
 from lpn.recipes import Recipe
-from lpn.spec import branch_of
 
 Chunk = npt.NDArray[np.int64]
 

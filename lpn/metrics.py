@@ -16,7 +16,7 @@ import numpy.typing as npt
 from lpn import ranks
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.model import as_array
+from lpn.models.base import as_array
 from lpn.ranks import JUNK, Marks, Ranked
 from lpn.scores import FloatArray, IntArray, Scores, norms
 

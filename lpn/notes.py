@@ -20,7 +20,7 @@ from lpn.core.errors import DataError, InputError, OutputError
 from lpn.core.files import alone, check_writable, printable, write_whole
 from lpn.core.shutdown import finishing
 from lpn.core.tables import Column, text_column
-from lpn.metadata import NOTE, TAGS
+from lpn.datasets.metadata import NOTE, TAGS
 
 NAME = "notes.csv"
 LONGEST_TAG, MOST_TAGS, LONGEST_NOTE = 30, 20, 2000

@@ -17,8 +17,8 @@ from lpn import explain
 from lpn.core import images
 from lpn.core.images import Picture
 from lpn.explain import Evidence
-from lpn.model import FloatArray, Model
-from lpn.spec import View
+from lpn.models.base import FloatArray, Model
+from lpn.models.spec import View
 
 SQUARES = 8
 """Squares across and down that a picture is divided into."""

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 import torch
 from torch import Tensor
 
-from lpn.network import LPN
+from lpn.models.network import LPN
 from lpn.recipes import Recipe
 
 

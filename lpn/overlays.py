@@ -14,8 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from lpn.core import images
 from lpn.core.images import Picture
-from lpn.model import FloatArray
-from lpn.partition import Partition
+from lpn.models.base import FloatArray
+from lpn.models.partition import Partition
 
 Colour = tuple[int, int, int]
 

@@ -10,9 +10,9 @@ from lpn import overlays, words
 from lpn.core import images
 from lpn.core.images import Picture
 from lpn.explain import Evidence
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
+from lpn.models.spec import ModelSpec, View
 from lpn.overlays import AGAINST, BACKGROUND, DIM, FOR, TEXT, font
-from lpn.spec import ModelSpec, View
 
 _WIDTH, _MARGIN, _ROW = 1200, 24, 46
 NOTE = "Exact: it accounts for the score; it does not say what the score would be were a cell not there."

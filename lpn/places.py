@@ -13,8 +13,8 @@ from rich.console import Console
 from lpn.core import images
 from lpn.core.errors import DataError, InputError
 from lpn.datasets import Dataset, Picture
-from lpn.integrity import flaws, naming
-from lpn.spec import VIEWS, View
+from lpn.datasets.integrity import flaws, naming
+from lpn.models.spec import VIEWS, View
 
 CACHE_BYTES = 2_000_000_000
 """Pictures are decoded once and kept, as long as those kept take less than this."""
@@ -23,7 +23,7 @@ CACHE_BYTES = 2_000_000_000
 class Places:
     """The training pictures by place: for each set (satellite, drone, street, google), each place's files.
 
-    Pictures that are not whole (see `lpn.integrity`) are left out, which is said once.
+    Pictures that are not whole (see `lpn.datasets.integrity`) are left out, which is said once.
 
     Raises:
         DataError: when there is no place with a satellite picture and one of another view.

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.core.errors import InputError, MissingPackageError
-from lpn.geo import FloatArray
+from lpn.datasets.geo import FloatArray
 from lpn.metrics import IntArray, flat_sides
 
 SAMPLE = 2000

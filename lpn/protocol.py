@@ -10,8 +10,8 @@ import numpy as np
 from lpn.changes import UNCHANGED, Change
 from lpn.core.errors import InputError
 from lpn.metrics import IntArray
-from lpn.model import FloatArray, normalise
-from lpn.spec import View
+from lpn.models.base import FloatArray, normalise
+from lpn.models.spec import View
 
 
 @dataclass(frozen=True)

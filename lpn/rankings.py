@@ -26,7 +26,7 @@ from lpn.core.files import write_whole
 from lpn.datasets import Truth
 from lpn.features import cache_folder
 from lpn.metrics import IntArray, Retrieval
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
 from lpn.ranks import Ranked
 
 log = logging.getLogger(__name__)

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from lpn.core.errors import InputError
-from lpn.partition import Weighting
-from lpn.spec import Layout, Pooling
+from lpn.models.partition import Weighting
+from lpn.models.spec import Layout, Pooling
 
 _ABOVE_ZERO = math.ulp(0.0)
 _BELOW_ONE = math.nextafter(1.0, 0.0)

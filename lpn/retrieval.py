@@ -13,9 +13,9 @@ from lpn.core import images
 from lpn.core.images import Picture
 from lpn.datasets import Truth
 from lpn.metrics import JUNK
-from lpn.model import FloatArray, Model, normalise
-from lpn.spec import View
-from lpn.trace import Trace
+from lpn.models.base import FloatArray, Model, normalise
+from lpn.models.spec import View
+from lpn.models.trace import Trace
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,12 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn import matfile
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
-from lpn.datasets import Dataset, Picture
+from lpn.datasets import Dataset, Picture, matlab
 from lpn.metrics import IntArray
-from lpn.model import FloatArray
-from lpn.spec import VIEWS, View, views_of
+from lpn.models.base import FloatArray
+from lpn.models.spec import VIEWS, View, views_of
 
 _NORM_TOLERANCE = 0.01
 
@@ -149,7 +148,7 @@ def _read(path: Path, name: str) -> dict[str, Any]:
             f"{name} is a MATLAB 7.3 file, which is not read; save it with scipy.io.savemat, as the published test code does."
         )
     expected = "pytorch_result.mat of the published test code"
-    return matfile.load(path, (), expected, (*_NEEDED, "query_path", "gallery_path"), simplify=False)
+    return matlab.load(path, (), expected, (*_NEEDED, "query_path", "gallery_path"), simplify=False)
 
 
 def _start(path: Path) -> bytes:

@@ -13,8 +13,8 @@ from lpn import features, metrics
 from lpn.changes import Change
 from lpn.datasets import Dataset, Picture
 from lpn.evaluate import check_test_split, evaluate
-from lpn.model import FloatArray, Model
-from lpn.spec import View
+from lpn.models.base import FloatArray, Model
+from lpn.models.spec import View
 
 Row = dict[str, float]
 """One epoch's figures, a line of log.csv."""

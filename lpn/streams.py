@@ -19,8 +19,8 @@ import numpy as np
 
 from lpn.core.errors import PictureError
 from lpn.core.resources import usable_cores
-from lpn.model import FloatArray, Model
-from lpn.spec import View
+from lpn.models.base import FloatArray, Model
+from lpn.models.spec import View
 
 T = TypeVar("T")
 

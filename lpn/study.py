@@ -16,10 +16,10 @@ from lpn.core.tables import Table
 from lpn.datasets import Dataset, Picture, Truth
 from lpn.failures import Outcomes
 from lpn.metrics import IntArray
-from lpn.model import FloatArray, Model
+from lpn.models.base import FloatArray, Model
+from lpn.models.spec import ModelSpec, View, views_of
 from lpn.notes import Note
 from lpn.retrieval import Ranking
-from lpn.spec import ModelSpec, View, views_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,8 @@ from lpn.core.errors import InputError
 from lpn.core.images import Picture
 from lpn.datasets import Truth
 from lpn.metrics import IntArray
-from lpn.model import FloatArray, Model
-from lpn.spec import View
+from lpn.models.base import FloatArray, Model
+from lpn.models.spec import View
 
 Over = Literal["rotation", "shift", "shift-down", "zoom"]
 """What is changed: degrees counter-clockwise, pixels of the network's input to the right or down, or a factor."""

@@ -16,8 +16,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
-from lpn import checkpoints
-from lpn.backbones import CHANNELS
 from lpn.core.errors import DivergedError, InputError, ModelFileError
 from lpn.core.files import check_writable
 from lpn.core.shutdown import finishing
@@ -26,11 +24,13 @@ from lpn.distributed import Group, alone
 from lpn.learner import Learner
 from lpn.loader import Batch, Loader
 from lpn.logbook import Logbook
-from lpn.network import LPN
+from lpn.models import checkpoints
+from lpn.models.backbones import CHANNELS
+from lpn.models.network import LPN
+from lpn.models.spec import ModelSpec, views_of
 from lpn.places import Places
 from lpn.recipes import Recipe
 from lpn.selection import HeldOut, Judge, Row, TestSplit, best
-from lpn.spec import ModelSpec, views_of
 from lpn.state import State, read_state
 
 _EXPLODED = 10.0

@@ -75,9 +75,9 @@ def _verified(path: Path) -> str:
         return "is what was written, as far as its entries have checksums"
     # One that is cut short has lost its checksum, too.
     if path.suffix == ".onnx":
-        from lpn.engine import check_opens
+        from lpn.models.onnx_engine import check_opens
     else:
-        from lpn.checkpoints import check_opens
+        from lpn.models.checkpoints import check_opens
     check_opens(path)
     return "can be read, and has no checksum: an earlier version or another program wrote it"
 

@@ -19,7 +19,7 @@ from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.least_distance import shortest
 from lpn.metrics import IntArray
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
 from lpn.retrieval import Ranking
 
 Exact = npt.NDArray[np.float64]

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpn.explain import Evidence
+from lpn.models.spec import View
+from lpn.models.trace import Exact
 from lpn.retrieval import Match
-from lpn.spec import View
 from lpn.sweeps import Profile
-from lpn.trace import Exact
 from lpn.versus import Effect, Reweighting, Without
 
 _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")

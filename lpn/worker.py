@@ -14,12 +14,12 @@ import numpy as np
 from lpn.changes import UNCHANGED
 from lpn.core import images
 from lpn.core.errors import LPNError, PictureError
-from lpn.engine import Engine
+from lpn.datasets.integrity import DAMAGED, flaw_within
 from lpn.features.describing import prepared
-from lpn.integrity import DAMAGED, flaw_within
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
+from lpn.models.onnx_engine import Engine
+from lpn.models.spec import View
 from lpn.shards import Broken, Item, Plan, read_shard, unpacked, write_shard
-from lpn.spec import View
 from lpn.storage import Storage
 from lpn.streams import describe_each
 

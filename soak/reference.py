@@ -19,9 +19,9 @@ from lpn.core import images
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import Picture, Truth, open_dataset
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
+from lpn.models.spec import View, views_of
 from lpn.retrieval import Match, Ranking
-from lpn.spec import View, views_of
 from soak.asked import Asked, Own
 from soak.reading import Row, Shown
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from lpn.checkpoints import save
 from lpn.datasets import open_dataset
+from lpn.models.checkpoints import save
 from lpn.recipes import RECIPES
 from lpn.train import Trainer
 from tests import worlds

@@ -50,7 +50,14 @@ class Killer:
         self._folder = folder
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(
-            ["tests.killing", "lpn.train", "lpn.export", "lpn.quantize", "lpn.features", "lpn.world.build"]
+            [
+                "tests.killing",
+                "lpn.train",
+                "lpn.models.export",
+                "lpn.models.quantize",
+                "lpn.features",
+                "lpn.world.build",
+            ]
         )
         self.log = folder / "said.txt"
 

@@ -12,11 +12,11 @@ import trimesh
 
 import lpn
 from lpn import features
-from lpn.city import city_model
 from lpn.commands.using import DEMO, DEMO_QUERY
 from lpn.core import images
 from lpn.datasets import open_dataset
-from lpn.geo import Positions, on_plane
+from lpn.datasets.city_model import city_model
+from lpn.datasets.geo import Positions, on_plane
 
 
 @pytest.mark.parametrize(("folder", "view"), [("query_drone", "drone"), ("gallery_satellite", "satellite")])

@@ -21,7 +21,7 @@ from explorer.opening import open_model
 from explorer.session import State
 from lpn import features
 from lpn.core.errors import LPNError
-from lpn.model import normalise
+from lpn.models.base import normalise
 from soak import hand, reading
 from soak import server as server_module
 from soak.asked import Asked, fits, strange

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import torch
 
-from lpn.checkpoints import save
 from lpn.core.images import Picture, polar, rotate
-from lpn.export import export
-from lpn.network import LPN
-from lpn.spec import ModelSpec
+from lpn.models.checkpoints import save
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.spec import ModelSpec
 from lpn.world.glb import Primitive, glb
 
 SIZE = 96

@@ -48,9 +48,8 @@ class Failures:
     def run(self) -> None:
         from rich.console import Console
 
-        from lpn import metadata
         from lpn.core.files import check_writable, write_whole
-        from lpn.datasets import open_dataset
+        from lpn.datasets import metadata, open_dataset
         from lpn.failures import OUTCOME
         from lpn.study import open_study
 

@@ -14,7 +14,7 @@ from lpn.core.files import printable
 
 if TYPE_CHECKING:
     from lpn.index import Found
-    from lpn.model import FloatArray, Model
+    from lpn.models.base import FloatArray, Model
 
 
 @dataclass

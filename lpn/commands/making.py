@@ -94,7 +94,7 @@ class Export:
     """Of the weights in the file: float16 halves it, int8 takes it to about a third; all compute in float32."""
 
     def run(self) -> None:
-        files = import_module("lpn.export").export(self.model, self.out, self.storage)
+        files = import_module("lpn.models.export").export(self.model, self.out, self.storage)
         print(f"Wrote {', '.join(file.name for file in files)} to {self.out.parent}.")
 
 
@@ -113,7 +113,7 @@ class Quantize:
 
     def run(self) -> None:
         dataset = import_module("lpn.datasets").open_dataset(self.data)
-        files, agreement = import_module("lpn.quantize").quantize(self.model, dataset, self.out, self.pictures)
+        files, agreement = import_module("lpn.models.quantize").quantize(self.model, dataset, self.out, self.pictures)
         print(f"Wrote {', '.join(file.name for file in files)} to {self.out.parent}.")
         said = ", ".join(f"{view} {cosine:.4f}" for view, cosine in agreement.items())
         print(f"Mean cosine with the float32 descriptors of calibration pictures: {said}.")

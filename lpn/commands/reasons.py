@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.explain import Evidence
-    from lpn.model import FloatArray, Model
+    from lpn.models.base import FloatArray, Model
     from lpn.retrieval import Described
 
 

@@ -58,7 +58,7 @@ class Report:
         from lpn.commands.reasons import part_values
         from lpn.core.files import check_writable, write_whole
         from lpn.datasets import open_dataset
-        from lpn.spec import views_of
+        from lpn.models.spec import views_of
         from lpn.study import open_study, task_of
 
         if self.query and (self.failures is not None or self.where):

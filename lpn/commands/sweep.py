@@ -10,14 +10,14 @@ import lpn
 from lpn.commands.reasons import part_values
 from lpn.commands.using import TaskName
 from lpn.core.errors import InputError
-from lpn.spec import views_of
+from lpn.models.spec import views_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.datasets import Dataset
-    from lpn.model import Model
-    from lpn.spec import View
+    from lpn.models.base import Model
+    from lpn.models.spec import View
     from lpn.sweeps import Point, Profile
 
 _BAR = 24

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.images import SUFFIXES
-from lpn.spec import views_of
+from lpn.models.spec import views_of
 
 log = logging.getLogger(__name__)
 

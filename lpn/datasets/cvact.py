@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from lpn import matfile
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.datasets import matlab
 from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, Size, say_left_out
 
 NAME = "ACT_data.mat"
@@ -80,7 +80,7 @@ def _find(there: Names, view: str, name: str) -> str | None:
 def _read(path: Path) -> tuple[list[str], dict[str, npt.NDArray[np.int64]]]:
     """The ids of all panoramas, and the 1-based rows of the pairs to train on and to test with."""
     expected = "a MATLAB 5 file with panoIds, trainSet.trainInd, and valSet.valInd"
-    values = matfile.load(path, ["panoIds", "trainSet", "valSet"], expected)
+    values = matlab.load(path, ["panoIds", "trainSet", "valSet"], expected)
     try:
         ids = [str(name).strip() for name in np.atleast_1d(values["panoIds"]).reshape(-1)]
         raw = {"train": values["trainSet"]["trainInd"], "test": values["valSet"]["valInd"]}

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, files_below, read_lines, say_left_out
-from lpn.integrity import flaws
+from lpn.datasets.integrity import flaws
 
 PREFIX = "oxc1_"
 TASK = "street-to-street"

@@ -17,7 +17,7 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, below, read_rows, say_left_out
-from lpn.spec import VIEWS
+from lpn.models.spec import VIEWS
 
 NAME = "pairs.csv"
 _MOST = 2**62

@@ -20,8 +20,8 @@ from lpn.datasets import Picture
 from lpn.features.describing import describe
 from lpn.features.store import Box, Manifest, open_store, row_of
 from lpn.features.unfinished import complete
-from lpn.model import FloatArray, Model
-from lpn.spec import View
+from lpn.models.base import FloatArray, Model
+from lpn.models.spec import View
 
 STORES = "descriptors"
 """Folder of a data set in which stores of its test split may come along: `query_drone`, `gallery_satellite`, ..."""

@@ -14,11 +14,11 @@ from lpn.core import images
 from lpn.core.errors import DataError, StoreError
 from lpn.core.files import alone, printable, write_whole
 from lpn.datasets import files_below
+from lpn.datasets.integrity import check_whole
 from lpn.features.store import Box, Manifest, Precision, Row, Store, open_store, row_of
 from lpn.features.unfinished import Unfinished, renamed_only, usable
-from lpn.integrity import check_whole
-from lpn.model import FloatArray, Model
-from lpn.spec import View
+from lpn.models.base import FloatArray, Model
+from lpn.models.spec import View
 from lpn.streams import describe_each
 
 
@@ -48,7 +48,7 @@ def describe(
         precision: of the numbers on disk; they are computed in float32.
 
     Raises:
-        PictureError: naming the files that are no whole pictures (see `lpn.integrity`), before anything is computed.
+        PictureError: naming the files that are no whole pictures (see `lpn.datasets.integrity`), before anything is computed.
         InputError: when the model has no such view, or the change would leave nothing of a picture.
         StoreError: when `out` cannot be written, or holds descriptors of another model, view, change, or precision.
     """

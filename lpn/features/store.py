@@ -25,8 +25,8 @@ from lpn.core.checksums import Checksums, crc_of_blocks, crc_of_values
 from lpn.core.errors import InputError, NewerStoreError, PictureError, StoreError
 from lpn.core.files import mapped, unreadable
 from lpn.core.formats import is_newer, newer
-from lpn.model import FloatArray, Model
-from lpn.spec import View
+from lpn.models.base import FloatArray, Model
+from lpn.models.spec import View
 
 FORMAT = "lpn-descriptors/2"
 BEFORE = "lpn-descriptors/1"

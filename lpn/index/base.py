@@ -23,7 +23,7 @@ import numpy.typing as npt
 from lpn import explain
 from lpn.core.errors import InputError, StoreError
 from lpn.core.files import printable
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
 
 Exact = npt.NDArray[np.float64]
 Box = tuple[float, float, float, float]
@@ -85,7 +85,7 @@ class Kind:
             row, part = np.argwhere(~good)[0]
             raise InputError(
                 f"Part {part + 1} of descriptor {row + 1} has norm {norms[row, part] / self.n_parts**0.5:g}; expected "
-                f"{self.n_parts**-0.5:g}, as lpn.model.normalise makes it."
+                f"{self.n_parts**-0.5:g}, as lpn.models.base.normalise makes it."
             )
         return values.reshape(len(values), self.numbers)
 

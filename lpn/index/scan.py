@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from lpn.core.resources import usable_cores
 from lpn.index.base import LONGEST, Exact, Kind
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
 
 Precision = Literal["float32", "float16", "int8"]
 PRECISIONS: tuple[Precision, ...] = ("float32", "float16", "int8")

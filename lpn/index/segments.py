@@ -28,7 +28,7 @@ from lpn.core.errors import StoreError
 from lpn.core.files import mapped, unreadable
 from lpn.index.base import Box, Exact, Kind, covers, overlaps, within
 from lpn.index.scan import Precision, Rows, small_copy
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
 
 DEAD = re.compile(r"dead-\d{7,}\.npy")
 FILES = re.compile(rf"(vectors|small|scales|errors|positions|ends|keys|rows)\.npy|names\.bin|{DEAD.pattern}")

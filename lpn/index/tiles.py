@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from lpn import features, geo
+from lpn import features
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
+from lpn.datasets import geo
 from lpn.index.base import Exact, Kind, check_names
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
 
 Numbers = npt.NDArray[np.int64]
 
@@ -60,7 +61,7 @@ def open_tiles(where: str, data: Path | None = None) -> Tiles:
 
     Args:
         where: folder of a store, or folder or address of shards.
-        data: folder whose geo.csv gives the positions, in place of those that shards have; see `lpn.geo.match` for its paths.
+        data: folder whose geo.csv gives the positions, in place of those that shards have; see `lpn.datasets.geo.match` for its paths.
 
     Raises:
         StoreError: when there is neither a complete store nor complete shards.

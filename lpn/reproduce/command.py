@@ -13,7 +13,7 @@ from rich.console import Console
 import lpn
 from lpn.core.errors import InputError
 from lpn.core.files import alone, check_writable, write_whole
-from lpn.model import Model
+from lpn.models.base import Model
 from lpn.recipes import Recipe
 from lpn.reproduce import checks, foot, pictures, report, runs, starts
 from lpn.reproduce.checks import Use

@@ -15,7 +15,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import write_whole
 from lpn.core.formats import is_newer, newer
 from lpn.evaluate import Result, evaluate
-from lpn.model import Model
+from lpn.models.base import Model
 from lpn.protocol import Protocol
 from lpn.reproduce.paper import Values
 from lpn.reproduce.sources import TASKS, Source

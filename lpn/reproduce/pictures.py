@@ -10,9 +10,9 @@ from lpn import explain, features, retrieval
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture
-from lpn.model import Model
+from lpn.models.base import Model
+from lpn.models.spec import View
 from lpn.reproduce.plots import png, pyplot
-from lpn.spec import View
 
 TRUE, FALSE = "#f2c200", "#2f6fdb"
 """Frames of true and false matches, yellow and blue as in the paper; a tick or cross stands beside them."""

@@ -9,13 +9,13 @@ from typing import cast
 import torch
 from torch import nn
 
-from lpn import checkpoints
-from lpn.backbones import CHANNELS
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import fingerprint
-from lpn.network import LPN
+from lpn.models import checkpoints
+from lpn.models.backbones import CHANNELS
+from lpn.models.network import LPN
+from lpn.models.spec import ModelSpec
 from lpn.recipes import Recipe
-from lpn.spec import ModelSpec
 
 
 def by_backbone(files: Sequence[Path]) -> dict[str, Path]:

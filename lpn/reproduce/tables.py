@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from lpn.core.errors import InputError
+from lpn.models.spec import View
 from lpn.recipes import RECIPES, Recipe, method
 from lpn.reproduce import paper
-from lpn.spec import View
 
 Role = Literal["places", "panoramas"]
 Measure = Literal["both ways", "ground", "landmarks"]

@@ -9,11 +9,10 @@ import os
 import shutil
 from pathlib import Path
 
-from lpn import geo
 from lpn.core.errors import DataError
 from lpn.core.files import write_whole
 from lpn.core.images import load_picture
-from lpn.datasets import Picture, open_dataset
+from lpn.datasets import Picture, geo, open_dataset
 
 _REGION = 0.8
 """Side of a landmark's region in its query, as a share of the picture's."""

@@ -1,7 +1,7 @@
 """Every picture of a world before it is taken: its path, camera, and place; and the files that say so.
 
 world.json   what stands where, and how each picture was taken
-geo.csv      where what each picture shows lies, in the format of `lpn.geo`, with the drone's pose and the tile's width
+geo.csv      where what each picture shows lies, in the format of `lpn.datasets.geo`, with the drone's pose and the tile's width
 cvusa/       the panoramas and their tiles have files of their own, see `lpn.world.cvusa`
 """
 
@@ -138,7 +138,7 @@ class Atlas:
         return (json.dumps(values, indent=1) + "\n").encode()
 
     def geo_csv(self) -> bytes:
-        """The file geo.csv, as `lpn.geo` reads it: positions of what pictures show."""
+        """The file geo.csv, as `lpn.datasets.geo` reads it: positions of what pictures show."""
         return self._geo([(path, shot) for shot in self.shots if not _of_cvusa(shot) for path in shot.paths])
 
     def cvusa_files(self) -> dict[str, bytes]:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from lpn import city
 from lpn.core.errors import InputError, OutputError
 from lpn.core.files import check_writable, write_whole
 from lpn.core.formats import UPGRADE, WORLD, is_newer, newer
+from lpn.datasets.city_model import NAME as CITY_NAME
 from lpn.datasets.rendered import PLAN, UNFINISHED
 from lpn.world import photo
 from lpn.world.atlas import EDITION, SIGHT, SPARE, Atlas, Sector, Settings, Shot, make_atlas
@@ -112,7 +112,8 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
     write_whole(out / "geo.csv", atlas.geo_csv())
     for name, data in atlas.cvusa_files().items():
         write_whole(out / name, data)
-    if part.number == 1 and not (out / city.NAME).is_file():  # parts that run at the same time need not all make it
+    # Parts that run at the same time need not all make it.
+    if part.number == 1 and not (out / CITY_NAME).is_file():
         _write_city(atlas, out)
     mine = [sector for sector in atlas.sectors if sector.number % part.count == part.number - 1]
     tally = Tally()
@@ -144,9 +145,9 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
 def _write_city(atlas: Atlas, out: Path) -> None:
     """A city too large for its model is photographed all the same."""
     try:
-        write_whole(out / city.NAME, city_model(atlas.city, atlas.site, test_window(atlas)))
+        write_whole(out / CITY_NAME, city_model(atlas.city, atlas.site, test_window(atlas)))
     except InputError as error:
-        log.warning("The world gets no %s: %s", city.NAME, error)
+        log.warning("The world gets no %s: %s", CITY_NAME, error)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpn.geo import metres_per_degree
+from lpn.datasets.geo import metres_per_degree
 from lpn.world.geometry import Points
 
 TILE = 160.0  # metres a satellite tile shows

@@ -3,7 +3,7 @@
     cvusa/bingmap/19/<number>.jpg      the tile: north up, the panorama's camera in the middle
     cvusa/streetview/panos/<number>.jpg   the panorama: north in the middle column, as the polar transform of a tile
     cvusa/splits/{train,val}-19zl.csv  pairs of both, by the split of the place
-    cvusa/geo.csv                      where both were taken, in the format of `lpn.geo`
+    cvusa/geo.csv                      where both were taken, in the format of `lpn.datasets.geo`
 
 A number is its place's, followed by two digits that count the place's panoramas from 00.
 """

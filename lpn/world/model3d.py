@@ -1,6 +1,6 @@
 """The city as a light 3-D model, `city.glb`: ground, buildings, bridges, and trees, with the day's light baked in.
 
-The file says in `lpn.city` what it must. Nothing in it needs a lamp, which also makes it quick to draw without a graphics
+The file says in `lpn.datasets.city_model` what it must. Nothing in it needs a lamp, which also makes it quick to draw without a graphics
 card.
 """
 
@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lpn.city import LARGEST
 from lpn.core.errors import InputError
+from lpn.datasets.city_model import LARGEST
 from lpn.world import light, paint, photo, solids, textures
 from lpn.world.atlas import Atlas
 from lpn.world.cameras import TILE, Site, Tile

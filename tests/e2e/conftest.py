@@ -19,11 +19,11 @@ import pytest
 import torch
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
 
-from lpn.checkpoints import save
 from lpn.commands.using import DEMO
-from lpn.export import export
-from lpn.network import LPN
-from lpn.spec import ModelSpec
+from lpn.models.checkpoints import save
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.spec import ModelSpec
 from soak.chromium import launch
 from tests import worlds
 from tests.conftest import RealRun

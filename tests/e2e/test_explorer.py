@@ -12,9 +12,10 @@ import pytest
 from playwright.sync_api import BrowserContext, expect
 
 import lpn
-from lpn import datasets, explain, geo, retrieval
+from lpn import datasets, explain, retrieval
 from lpn.commands.using import DEMO_QUERY
 from lpn.core import images
+from lpn.datasets import geo
 from lpn.retrieval import Ranking
 from tests import worlds
 from tests.e2e.conftest import Explorer, Running

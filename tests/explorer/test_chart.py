@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from explorer import chart
-from lpn import geo
-from lpn.datasets import open_dataset
-from lpn.geo import Position, Positions
+from lpn.datasets import geo, open_dataset
+from lpn.datasets.geo import Position, Positions
 from tests import worlds
 
 

@@ -12,7 +12,7 @@ from explorer.opening import open_model
 from explorer.session import State, Upload
 from lpn import overlays
 from lpn.core.errors import DataError, InputError
-from lpn.partition import Partition
+from lpn.models.partition import Partition
 from tests import worlds
 
 

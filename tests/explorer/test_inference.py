@@ -16,8 +16,8 @@ from explorer.jobs import GivenUpError
 from explorer.kept import Kept
 from explorer.worker import Worker
 from lpn.core.errors import InputError, LPNError, ModelFileError
-from lpn.model import FloatArray, Heads, Model, Pass
-from lpn.spec import ModelSpec, View
+from lpn.models.base import FloatArray, Heads, Model, Pass
+from lpn.models.spec import ModelSpec, View
 
 SPEC = ModelSpec(views=("satellite", "drone"), n_parts=2, embedding=3, input_size=(4, 4))
 

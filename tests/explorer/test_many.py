@@ -40,9 +40,9 @@ from explorer.wakeup import Buffer
 from lpn import explain, retrieval
 from lpn.core import images
 from lpn.core.errors import ModelFileError
-from lpn.model import FloatArray, Model, Pass
+from lpn.models.base import FloatArray, Model, Pass
+from lpn.models.spec import View
 from lpn.saved import load_saved
-from lpn.spec import View
 from soak.client import CHUNK, Talker
 from tests import worlds
 from tests.saved import save_result

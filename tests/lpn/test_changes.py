@@ -8,14 +8,14 @@ import torch
 
 from lpn import features
 from lpn.changes import UNCHANGED, Change
-from lpn.checkpoints import TorchModel
 from lpn.core import images
 from lpn.core.errors import InputError, PictureError
 from lpn.datasets import open_dataset
 from lpn.evaluate import evaluate
-from lpn.network import LPN
+from lpn.models.checkpoints import TorchModel
+from lpn.models.network import LPN
+from lpn.models.spec import ModelSpec
 from lpn.protocol import Protocol
-from lpn.spec import ModelSpec
 from tests import worlds
 
 

@@ -30,9 +30,9 @@ from lpn import cli, features, raystart
 from lpn.cluster import Summary, describe_shards
 from lpn.core.errors import DataError, InputError, LPNError, StoreError
 from lpn.core.files import alone
-from lpn.engine import Engine
 from lpn.gather import open_shards, to_store
 from lpn.index import open_index
+from lpn.models.onnx_engine import Engine
 from lpn.raystart import started
 from lpn.shards import BEFORE, PLAN, Item, Plan, read_shard, write_shard
 from lpn.storage import Storage

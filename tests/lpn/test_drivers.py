@@ -19,7 +19,7 @@ from lpn.cluster import Summary
 from lpn.core.errors import PictureError, StoreError
 from lpn.features import Row
 from lpn.gather import open_shards, to_store
-from lpn.model import FloatArray, normalise
+from lpn.models.base import FloatArray, normalise
 from lpn.shards import PLAN, Item, Plan, read_notes, shard_name, write_shard
 from lpn.storage import Storage
 from lpn.streams import Described

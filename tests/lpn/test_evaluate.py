@@ -10,13 +10,13 @@ import pytest
 import lpn
 from lpn import features, metrics
 from lpn.changes import Change
-from lpn.checkpoints import save
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import Picture, Truth, University, open_dataset
 from lpn.evaluate import evaluate
-from lpn.model import FloatArray, Model
-from lpn.network import LPN
+from lpn.models.base import FloatArray, Model
+from lpn.models.checkpoints import save
+from lpn.models.network import LPN
 from lpn.protocol import Protocol
 from tests import worlds
 

@@ -11,17 +11,17 @@ import pytest
 import torch
 
 from lpn import explain, retrieval
-from lpn.checkpoints import TorchModel, save
 from lpn.commands.using import DEMO
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
-from lpn.engine import Engine
-from lpn.export import export
-from lpn.model import Model
-from lpn.network import LPN
+from lpn.models.base import Model
+from lpn.models.checkpoints import TorchModel, save
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.onnx_engine import Engine
+from lpn.models.spec import ModelSpec, View
 from lpn.retrieval import Described
-from lpn.spec import ModelSpec, View
 
 SPECS = {
     "rings": ModelSpec("resnet18", "layer3", n_parts=4, embedding=24, classes=5, input_size=(64, 64)),

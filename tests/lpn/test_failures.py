@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import breakdown, cli, explain, geo, metrics, notes, retrieval, scores
+from lpn import breakdown, cli, explain, metrics, notes, retrieval, scores
 from lpn.core.errors import DataError, InputError
 from lpn.core.tables import number_column, text_column
-from lpn.datasets import Picture, Truth, open_dataset
+from lpn.datasets import Picture, Truth, geo, open_dataset
 from lpn.failures import OUTCOME, Outcomes, build, described_by, labels_of, table
 from lpn.features import cached_descriptors, describe, known_descriptors
-from lpn.model import FloatArray, normalise
+from lpn.models.base import FloatArray, normalise
 from tests import worlds
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from lpn.core.errors import InputError, StoreError
 from lpn.index import Box, open_index
-from lpn.model import normalise
+from lpn.models.base import normalise
 from tests.lpn.test_index import KIND, Tiles
 
 pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")

@@ -21,8 +21,8 @@ from lpn.core import images
 from lpn.core.errors import DataError, LPNError, PictureError, StoreError
 from lpn.core.files import write_whole
 from lpn.features import describing
-from lpn.model import FloatArray, Model
-from lpn.spec import View
+from lpn.models.base import FloatArray, Model
+from lpn.models.spec import View
 from tests import worlds
 
 
@@ -470,7 +470,7 @@ import os, signal, sys, time
 from pathlib import Path
 import lpn
 from lpn import features
-from lpn.model import Model
+from lpn.models.base import Model
 
 model, root, out = lpn.load(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3])
 described, kind, seen = type(model).descriptors, type(model), []

@@ -16,8 +16,8 @@ from fuzz.readers import an_input, run
 from fuzz.targets import TARGETS, complaint, described, misbehaving
 from lpn import features
 from lpn.core.errors import LPNError
-from lpn.geo import read_positions
-from lpn.spec import ModelSpec
+from lpn.datasets.geo import read_positions
+from lpn.models.spec import ModelSpec
 
 FEW = {"pth": 60, "safetensors": 60, "onnx": 100}
 """Of these, an input takes tens of milliseconds."""

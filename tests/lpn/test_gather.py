@@ -19,7 +19,7 @@ from lpn.features.describing import write_store
 from lpn.features.unfinished import Unfinished
 from lpn.gather import open_shards, to_store
 from lpn.index import open_index
-from lpn.model import FloatArray, normalise
+from lpn.models.base import FloatArray, normalise
 from lpn.shards import BEFORE, PLAN, Broken, Item, Plan, contents, read_notes, shard_name, write_shard
 from lpn.storage import Storage
 

@@ -15,14 +15,14 @@ import pytest
 import torch
 
 from lpn import cli, features
-from lpn.checkpoints import load_torch
 from lpn.core.checksums import Checksums
 from lpn.core.errors import DataError, ModelFileError
-from lpn.engine import Engine
-from lpn.geo import read_positions
-from lpn.integrity import flaw
-from lpn.network import LPN
-from lpn.published import read_options
+from lpn.datasets.geo import read_positions
+from lpn.datasets.integrity import flaw
+from lpn.models.checkpoints import load_torch
+from lpn.models.network import LPN
+from lpn.models.onnx_engine import Engine
+from lpn.models.published_checkpoints import read_options
 from tests import worlds
 
 
@@ -221,7 +221,7 @@ def test_a_model_of_many_epochs_without_its_state_is_not_trained_over(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Whoever copies a model to another machine and adds --resume must not lose it to a first epoch."""
-    from lpn.checkpoints import save
+    from lpn.models.checkpoints import save
 
     places = worlds.make_dataset(tmp_path / "places", train=3, test=2)
     out = tmp_path / "run"
@@ -236,9 +236,9 @@ def test_a_model_of_many_epochs_without_its_state_is_not_trained_over(
 
 def test_parts_of_two_quantisations_are_not_one_model(tmp_path: Path) -> None:
     """As a kill between the two files of a model leaves them, where other files were there before."""
-    from lpn.checkpoints import save
-    from lpn.export import export
-    from lpn.spec import ModelSpec
+    from lpn.models.checkpoints import save
+    from lpn.models.export import export
+    from lpn.models.spec import ModelSpec
 
     spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=1, input_size=(32, 32))
     torch.manual_seed(0)

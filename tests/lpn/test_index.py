@@ -19,7 +19,7 @@ from lpn import explain, features
 from lpn.cli import main
 from lpn.core.errors import InputError, StoreError
 from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, sums
-from lpn.model import FloatArray, normalise
+from lpn.models.base import FloatArray, normalise
 from tests import worlds
 from tests.lpn.milvus_server import COLLECTION, Client, pretend
 

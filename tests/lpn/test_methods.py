@@ -12,10 +12,10 @@ import pytest
 from rich.console import Console
 
 import lpn
-from lpn.checkpoints import save
 from lpn.datasets import open_dataset
 from lpn.evaluate import evaluate
-from lpn.export import export
+from lpn.models.checkpoints import save
+from lpn.models.export import export
 from lpn.recipes import METHODS, RECIPES, method
 from lpn.train import Trainer
 from tests import worlds

@@ -11,7 +11,7 @@ import pytest
 
 from lpn.core.errors import InputError, LPNError, StoreError
 from lpn.index import Box, Index, Kind, MilvusIndex, Structure, create_index, milvus, open_index
-from lpn.model import normalise
+from lpn.models.base import normalise
 from tests.lpn.milvus_server import COLLECTION, Client, Server, indexed, milvus_python, pretend
 from tests.lpn.test_index import (  # noqa: F401 - the contract, with `make` of this module
     BOXES,

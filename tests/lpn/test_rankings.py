@@ -8,7 +8,7 @@ import pytest
 
 from lpn import metrics, rankings
 from lpn.datasets import Truth
-from lpn.model import normalise
+from lpn.models.base import normalise
 from lpn.rankings import Progressing, Sides
 
 

@@ -12,18 +12,18 @@ import torch
 from rich.console import Console
 from safetensors.torch import save_file
 
-from lpn.checkpoints import save
 from lpn.cli import main
 from lpn.core.errors import DataError, DivergedError, InputError, LPNError, ModelFileError
 from lpn.datasets import open_dataset
-from lpn.network import LPN
+from lpn.models.checkpoints import save
+from lpn.models.network import LPN
+from lpn.models.spec import ModelSpec
 from lpn.recipes import METHODS
 from lpn.reproduce import foot, paper, report, sources
 from lpn.reproduce.command import KEYS, Reproduction
 from lpn.reproduce.sources import Source
 from lpn.reproduce.starts import features_alone
 from lpn.reproduce.tables import SCALES, find, tables
-from lpn.spec import ModelSpec
 from lpn.train import Trainer
 from tests import layouts, worlds
 

@@ -8,7 +8,7 @@ import pytest
 from lpn import explain, retrieval
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.model import FloatArray, normalise
+from lpn.models.base import FloatArray, normalise
 
 
 def descriptors(seed: int, count: int, n: int) -> FloatArray:

@@ -20,12 +20,12 @@ from PIL import Image
 
 import lpn
 from lpn import cli, features
-from lpn.checkpoints import load_torch, save
 from lpn.core import images
 from lpn.core.errors import DataError, LPNError, ModelFileError, PictureError, StoreError
 from lpn.datasets import open_dataset
-from lpn.engine import Engine
-from lpn.geo import read_positions
+from lpn.datasets.geo import read_positions
+from lpn.models.checkpoints import load_torch, save
+from lpn.models.onnx_engine import Engine
 from tests import worlds
 
 
@@ -125,7 +125,7 @@ def test_links_that_lead_nowhere_or_in_a_circle_are_named(model_file: Path, tmp_
 
 
 def test_a_picture_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from lpn.integrity import check_whole
+    from lpn.datasets.integrity import check_whole
 
     file = tmp_path / "a.png"
     worlds.write(file, worlds.place(1))

@@ -9,8 +9,8 @@ import pytest
 
 from lpn import streams
 from lpn.core.errors import PictureError
-from lpn.engine import Engine
-from lpn.model import FloatArray
+from lpn.models.base import FloatArray
+from lpn.models.onnx_engine import Engine
 from lpn.streams import describe_each
 
 

@@ -15,8 +15,8 @@ from lpn.commands.using import DEMO
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import Truth, open_dataset
-from lpn.geo import Positions
-from lpn.model import FloatArray, Model
+from lpn.datasets.geo import Positions
+from lpn.models.base import FloatArray, Model
 from lpn.sweeps import Point, Profile, changes_over, profile
 from tests import worlds
 

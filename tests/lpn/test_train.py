@@ -14,10 +14,10 @@ from torch import Tensor
 
 import lpn
 from lpn import optimization
-from lpn.checkpoints import load_torch, save
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, PictureError
 from lpn.datasets import open_dataset
 from lpn.evaluate import evaluate
+from lpn.models.checkpoints import load_torch, save
 from lpn.recipes import RECIPES, Recipe
 from lpn.selection import HeldOut, TestSplit
 from lpn.train import Trainer

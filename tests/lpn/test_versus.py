@@ -10,7 +10,7 @@ from lpn import explain, metrics, retrieval, scores, versus
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.least_distance import shortest
-from lpn.model import FloatArray, normalise
+from lpn.models.base import FloatArray, normalise
 from lpn.retrieval import Ranking
 
 

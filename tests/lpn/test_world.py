@@ -21,7 +21,7 @@ import pytest
 from lpn import cli
 from lpn.core.errors import InputError, OutputError
 from lpn.datasets import Picture, open_dataset
-from lpn.geo import Position, Positions, camera, metres
+from lpn.datasets.geo import Position, Positions, camera, metres
 from lpn.world import cameras
 from lpn.world.atlas import Atlas, Settings, make_atlas
 from lpn.world.build import Part, Tally, build_world, check_folder

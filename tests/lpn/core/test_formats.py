@@ -16,18 +16,19 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 import lpn
-from lpn import features, metadata
-from lpn.checkpoints import load_torch
+from lpn import features
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, OutputError, StoreError
 from lpn.core.formats import is_newer
-from lpn.engine import Engine
+from lpn.datasets import metadata
 from lpn.features import open_store
 from lpn.index import ExactIndex, Kind, open_index, sums
+from lpn.models.checkpoints import load_torch
+from lpn.models.onnx_engine import Engine
+from lpn.models.spec import ModelSpec
 from lpn.recipes import RECIPES
 from lpn.reproduce.measure import FORMAT, Figures, Notebook
 from lpn.shards import Plan
-from lpn.spec import ModelSpec
 from lpn.state import State, read_state
 from lpn.storage import Storage
 from lpn.verify import verify

@@ -8,14 +8,14 @@ import pytest
 import torch
 
 import lpn
-from lpn.checkpoints import load_torch, save
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.images import normalise
-from lpn.engine import Engine
-from lpn.export import Storage, export
-from lpn.network import LPN
+from lpn.models.checkpoints import load_torch, save
+from lpn.models.export import Storage, export
+from lpn.models.network import LPN
+from lpn.models.onnx_engine import Engine
+from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture
-from lpn.spec import ModelSpec
 from tests import seeded, worlds
 
 

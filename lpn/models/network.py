@@ -14,10 +14,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lpn.backbones import BackboneName, LastLayer, build_backbone
 from lpn.core.errors import InputError
-from lpn.partition import Partition
-from lpn.spec import BRANCH, ModelSpec, View
+from lpn.models.backbones import BackboneName, LastLayer, build_backbone
+from lpn.models.partition import Partition
+from lpn.models.spec import BRANCH, ModelSpec, View
 
 
 class SpatialAware(nn.Module):

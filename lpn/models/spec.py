@@ -9,7 +9,7 @@ from typing import Any, Literal, cast
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import printable
 from lpn.core.formats import UPGRADE
-from lpn.partition import WEIGHTINGS, Partition, Weighting
+from lpn.models.partition import WEIGHTINGS, Partition, Weighting
 
 View = Literal["satellite", "street", "drone"]
 Activation = Literal["none", "leaky_relu"]

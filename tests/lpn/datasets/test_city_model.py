@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from lpn import geo
-from lpn.city import LARGEST, NAME, city_model
 from lpn.core.errors import DataError, InputError
-from lpn.geo import Position
+from lpn.datasets import geo
+from lpn.datasets.city_model import LARGEST, NAME, city_model
+from lpn.datasets.geo import Position
 from lpn.world import model3d
 from lpn.world.atlas import Atlas, Settings, make_atlas
 from lpn.world.cameras import Site

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from lpn.core.errors import ModelFileError
 from lpn.core.files import printable
-from lpn.spec import BRANCH, ModelSpec, View
+from lpn.models.spec import BRANCH, ModelSpec, View
 
 log = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ import pytest
 from scipy.io import savemat
 from scipy.sparse import eye_array
 
-from lpn import matfile
 from lpn.core.errors import DataError
+from lpn.datasets import matlab
 
 VALUES = {
     "names": np.array(["abc", "déf"]),
@@ -24,7 +24,7 @@ VALUES = {
 @pytest.mark.parametrize("packed", [False, True])
 def test_what_was_saved_is_read(packed: bool, tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", VALUES, do_compression=packed)
-    found = matfile.load(tmp_path / "a.mat", list(VALUES), "such a file")
+    found = matlab.load(tmp_path / "a.mat", list(VALUES), "such a file")
     assert list(found) == list(VALUES)
     assert found["names"].tolist() == ["abc", "déf"]
     assert found["set"]["rows"].tolist() == [1, 2]
@@ -38,9 +38,9 @@ def test_what_was_saved_is_read(packed: bool, tmp_path: Path) -> None:
 def test_what_is_none_is_one_sentence(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "a.mat").write_bytes(content)
     with pytest.raises(DataError, match=r"a\.mat cannot be read \(it is no MATLAB 5 file.*; expected such a file\."):
-        matfile.load(tmp_path / "a.mat", ["names"], "such a file")
+        matlab.load(tmp_path / "a.mat", ["names"], "such a file")
     with pytest.raises(DataError, match="No such file"):
-        matfile.load(tmp_path / "absent.mat", ["names"], "such a file")
+        matlab.load(tmp_path / "absent.mat", ["names"], "such a file")
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -51,7 +51,7 @@ def test_a_cut_file_is_one_sentence(packed: bool, tmp_path: Path) -> None:
     for kept in range(0, len(whole) - 1, 37):
         file.write_bytes(whole[:kept])
         with pytest.raises(DataError, match="cannot be read"):
-            matfile.load(file, list(VALUES), "such a file")
+            matlab.load(file, list(VALUES), "such a file")
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -66,7 +66,7 @@ def test_damage_anywhere_never_ends_the_process(packed: bool, tmp_path: Path) ->
             damaged[rng.randrange(len(whole))] = rng.randrange(256)
         file.write_bytes(damaged)
         try:
-            matfile.load(file, list(VALUES), "such a file")
+            matlab.load(file, list(VALUES), "such a file")
         except DataError as error:
             said.append(str(error))
     assert len(said) > 60
@@ -75,6 +75,6 @@ def test_damage_anywhere_never_ends_the_process(packed: bool, tmp_path: Path) ->
 
 def test_only_what_is_asked_for_must_be_readable(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", VALUES | {"sparse": eye_array(3)})
-    assert list(matfile.load(tmp_path / "a.mat", ["wide"], "such a file")) == ["wide"]
+    assert list(matlab.load(tmp_path / "a.mat", ["wide"], "such a file")) == ["wide"]
     with pytest.raises(DataError, match="of class 5, which is neither numbers nor text"):
-        matfile.load(tmp_path / "a.mat", ["sparse"], "such a file")
+        matlab.load(tmp_path / "a.mat", ["sparse"], "such a file")

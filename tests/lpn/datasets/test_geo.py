@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpn import cli, geo
+from lpn import cli
 from lpn.core.errors import DataError, InputError
-from lpn.datasets import Picture, open_dataset
-from lpn.geo import Position, Positions
+from lpn.datasets import Picture, geo, open_dataset
+from lpn.datasets.geo import Position, Positions
 from tests import worlds
 
 

@@ -11,19 +11,19 @@ import pytest
 import torch
 
 import lpn
-from lpn.checkpoints import TorchModel, save
 from lpn.core.errors import InputError
 from lpn.core.images import Picture, load_picture, polar
 from lpn.datasets import open_dataset
 from lpn.evaluate import evaluate
-from lpn.export import export
 from lpn.features import describe
-from lpn.model import normalise
-from lpn.network import LPN, SpatialAware
-from lpn.partition import Partition
+from lpn.models.base import normalise
+from lpn.models.checkpoints import TorchModel, save
+from lpn.models.export import export
+from lpn.models.network import LPN, SpatialAware
+from lpn.models.partition import Partition
+from lpn.models.spec import ModelSpec
 from lpn.protocol import Protocol
 from lpn.retrieval import describe_picture
-from lpn.spec import ModelSpec
 from tests import seeded, worlds
 
 SPEC = ModelSpec(

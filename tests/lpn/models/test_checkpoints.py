@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 import lpn
-from lpn.checkpoints import load_backbone, load_torch, save
 from lpn.core.errors import LPNError, ModelFileError
-from lpn.network import LPN
-from lpn.published import infer_spec
-from lpn.spec import ModelSpec
+from lpn.models.checkpoints import load_backbone, load_torch, save
+from lpn.models.network import LPN
+from lpn.models.published_checkpoints import infer_spec
+from lpn.models.spec import ModelSpec
 from tests import seeded, worlds
 
 

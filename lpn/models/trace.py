@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.core.errors import InputError
-from lpn.model import FloatArray, Heads, Model, Pass
-from lpn.spec import View
+from lpn.models.base import FloatArray, Heads, Model, Pass
+from lpn.models.spec import View
 
 Exact = npt.NDArray[np.float64]
 

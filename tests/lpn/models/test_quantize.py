@@ -9,15 +9,15 @@ import torch
 
 import lpn
 from lpn import cli, evaluate, explain
-from lpn.checkpoints import save
 from lpn.core.errors import InputError, PictureError
 from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
-from lpn.export import export
-from lpn.network import LPN
-from lpn.quantize import calibration_pictures, quantize
+from lpn.models.checkpoints import save
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.quantize import calibration_pictures, quantize
+from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture
-from lpn.spec import ModelSpec
 from tests import worlds
 from tests.conftest import RealRun
 

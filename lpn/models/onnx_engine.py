@@ -18,13 +18,13 @@ from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import fingerprint
 from lpn.core.formats import is_newer, newer
 from lpn.core.resources import usable_cores
-from lpn.model import FloatArray, Heads, Model, Pass
-from lpn.onnxfile import check_self_contained
-from lpn.spec import ModelSpec, View
+from lpn.models.base import FloatArray, Heads, Model, Pass
+from lpn.models.onnx_check import check_self_contained
+from lpn.models.spec import ModelSpec, View
 
 FORMAT = "lpn-explorer-onnx/1"
 COMPUTE = "compute"
-"""Entry of the metadata of a quantised file, see `lpn.quantize`."""
+"""Entry of the metadata of a quantised file, see `lpn.models.quantize`."""
 OUTPUTS = ("parts", "features")
 HEAD_OUTPUTS = ("head_weight", "head_bias", "cells")
 SAFA_OUTPUTS = ("attention",)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from lpn.core import images as pictures
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.images import Picture
-from lpn.spec import ModelSpec, View
+from lpn.models.spec import ModelSpec, View
 
 FloatArray = npt.NDArray[np.float32]
 

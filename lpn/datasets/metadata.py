@@ -1,6 +1,6 @@
 """What a data set's folder says of its pictures beside the pictures themselves, as columns of a table.
 
-    geo.csv        latitude, longitude, altitude, heading, tilt, fov, width: see `lpn.geo`
+    geo.csv        latitude, longitude, altitude, heading, tilt, fov, width: see `lpn.datasets.geo`
     world.json     of a rendered world, what a picture's building is: district, its character, kind, height, twins
     metadata.csv   anything else, one line for each picture:
 
@@ -20,13 +20,12 @@ from collections.abc import Sequence
 from dataclasses import astuple, fields
 from pathlib import Path
 
-from lpn import geo
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.formats import WORLD as WORLD_FORMAT
 from lpn.core.formats import is_newer, newer
 from lpn.core.tables import Column, number_column, text_column
-from lpn.datasets import Picture
+from lpn.datasets import Picture, geo
 from lpn.datasets.base import read_rows
 
 log = logging.getLogger(__name__)

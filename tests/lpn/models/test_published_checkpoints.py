@@ -13,10 +13,10 @@ from torch import Tensor
 
 import lpn
 from lpn.core.errors import ModelFileError
-from lpn.export import export
-from lpn.network import LPN
-from lpn.published import infer_spec
-from lpn.spec import ModelSpec
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.published_checkpoints import infer_spec
+from lpn.models.spec import ModelSpec
 from tests import published, seeded, worlds
 from tests.published import State
 

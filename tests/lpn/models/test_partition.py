@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from lpn.core.errors import InputError
-from lpn.partition import Partition
+from lpn.models.partition import Partition
 
 SIZES = [(8, 8), (16, 16), (20, 20), (24, 24), (32, 32), (7, 7), (15, 17), (16, 40), (1, 1), (5, 3)]
 

@@ -7,7 +7,7 @@ from PIL import Image
 
 from lpn.core import images
 from lpn.core.errors import PictureError
-from lpn.integrity import flaw, flaws, naming
+from lpn.datasets.integrity import flaw, flaws, naming
 from tests import worlds
 
 KINDS = ("jpg", "png", "webp")

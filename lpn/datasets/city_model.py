@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from lpn.core.errors import DataError
-from lpn.geo import Position
+from lpn.datasets.geo import Position
 
 NAME = "city.glb"
 LARGEST = 4_000_000
