@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 import lpn
-from lpn import features, metrics
-from lpn.changes import Change
+from lpn import descriptors, metrics
 from lpn.datasets import Dataset, Picture, open_dataset
+from lpn.descriptors.transforms import Change
 from lpn.evaluate import evaluate
 from lpn.models.base import FloatArray, Model
 from lpn.protocol import Protocol
@@ -80,7 +80,7 @@ def _by_picture(model: Model, dataset: Dataset) -> dict[str, float]:
 
 
 def _described(model: Model, pictures: list[Picture], view: str) -> tuple[FloatArray, Labels]:
-    described = features.cached_descriptors(model, pictures, view)  # type: ignore[arg-type]
+    described = descriptors.cached_descriptors(model, pictures, view)  # type: ignore[arg-type]
     return described, np.array([picture.label for picture in pictures])
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 
 import lpn
-from lpn import features
+from lpn import descriptors
 from lpn.core import images
 from lpn.core.files import write_whole
 from lpn.datasets import open_dataset
@@ -63,7 +63,7 @@ def main() -> None:
     ):
         root = out / "test" / folder
         files = [picture.path for picture in pictures]
-        features.describe(opened, files, view, out / "descriptors" / folder, root=root, precision=precision)
+        descriptors.describe(opened, files, view, out / "descriptors" / folder, root=root, precision=precision)
     out.rename(whole)
 
 

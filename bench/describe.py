@@ -2,7 +2,7 @@
 
 The peer is the published test loop: a DataLoader with worker processes decodes with Pillow, resizes bicubically, and
 normalises; PyTorch in eager mode passes each batch of 32 and then its mirror, and the parts of the sum are normalised. Ours is
-`lpn.features.describe` into a store on disk, of the same network exported to ONNX, with its check of the pictures, manifest, and
+`lpn.descriptors.describe` into a store on disk, of the same network exported to ONNX, with its check of the pictures, manifest, and
 saves; and of the same network quantised. They take turns in one process, after a round that is not counted; the table gives
 medians. Where the extra `ray` is installed, the quantised network is then run by Ray, on a worker a core, into shards: the
 pictures a second while its workers are there, from the times of all pictures and of a few. The limit is ONNX Runtime's bare
@@ -30,7 +30,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from bench.figures import Figure, against_peer, show, take_turns
 from bench.pictures import make_folder, make_train_split
-from lpn import features
+from lpn import descriptors
 from lpn.core import images
 from lpn.core.resources import usable_cores
 from lpn.datasets import open_dataset
@@ -82,7 +82,7 @@ def published(network: TorchModel, files: Sequence[Path], workers: int) -> Float
 def ours(model: Model, files: Sequence[Path], root: Path) -> FloatArray:
     """A store's descriptors, made anew, (N, n D)."""
     with tempfile.TemporaryDirectory() as out, redirect_stdout(io.StringIO()):
-        store = features.describe(model, files, "drone", out, root=root)
+        store = descriptors.describe(model, files, "drone", out, root=root)
         return np.array(store.descriptors).reshape(len(files), -1)
 
 
@@ -128,7 +128,7 @@ def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         root = given or make_folder(folder / "pictures", count)
-        files = features.pictures_below(root)[:count]
+        files = descriptors.pictures_below(root)[:count]
         save(LPN(SPEC), folder / "model.safetensors")
         export(folder / "model.safetensors", folder / "model.onnx")
         quantize(folder / "model.onnx", open_dataset(make_train_split(folder / "places")), folder / "int8.onnx", 32)

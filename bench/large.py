@@ -26,8 +26,8 @@ from bench.evaluate import Size, draw
 from bench.figures import Figure, below, show
 from bench.page import Process, free_port, page_seconds
 from lpn import datasets
-from lpn.changes import UNCHANGED
-from lpn.features import STORES, Manifest, Row
+from lpn.descriptors import STORES, Manifest, Row
+from lpn.descriptors.transforms import UNCHANGED
 from lpn.models.base import Model
 from lpn.models.spec import View
 from soak.chromium import launch

@@ -21,10 +21,10 @@ from PIL import Image
 from bench.figures import Figure, against_peer, below, medians, show, within
 from bench.pictures import make_train_split
 from lpn import retrieval
-from lpn.changes import Change
 from lpn.core import images
 from lpn.core.resources import usable_cores
 from lpn.datasets import Dataset, open_dataset
+from lpn.descriptors.transforms import Change
 from lpn.models.base import normalise
 from lpn.models.checkpoints import TorchModel, load_torch, save
 from lpn.models.export import export

@@ -13,13 +13,13 @@ import lpn
 from explorer import chart
 from explorer.exhibit import Exhibit, Task
 from explorer.standing import Standing
-from lpn import features, metrics
+from lpn import descriptors, metrics
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import Dataset, geo, open_dataset
 from lpn.datasets import Picture as Entry
 from lpn.datasets.city_model import CityModel, city_model
-from lpn.features import Side
+from lpn.descriptors import Side
 from lpn.models.spec import Layout, ModelSpec, View, views_of
 from lpn.rankings import Sides
 from lpn.saved import Saved
@@ -55,8 +55,8 @@ def open_model(data: Path, model: Path, query: str | None = None, beside: Path |
     tasks = []
     for views in known:
         queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
-        asked = features.known_side(opened, queries, views[0], data, "query")
-        tiles = features.known_side(opened, gallery, views[1], data, "gallery")
+        asked = descriptors.known_side(opened, queries, views[0], data, "query")
+        tiles = descriptors.known_side(opened, gallery, views[1], data, "gallery")
         tasks.append(_task(dataset, where, views, queries, gallery, asked, tiles))
     map_sizes = {view: opened.map_size(view) for view in opened.views}
     city = None if where is None else _city(data)
@@ -80,7 +80,7 @@ def open_saved(data: Path, saved: Saved, query: str | None = None) -> Exhibit:
     views, queries, gallery = saved.pictures(dataset)
     where = geo.positions(data)
     labels = saved.query_labels, saved.gallery_labels
-    asked, tiles = (features.Side(values, "") for values in (saved.query, saved.gallery))
+    asked, tiles = (descriptors.Side(values, "") for values in (saved.query, saved.gallery))
     task = _task(dataset, where, views, queries, gallery, asked, tiles, labels)
     layout: Layout = "cvusa" if dataset.panoramas else "university"
     spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)

@@ -10,8 +10,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from lpn.changes import Change
 from lpn.core.images import Picture
+from lpn.descriptors.transforms import Change
 from lpn.metrics import IntArray
 from lpn.overlays import DARK, LIGHT, Palette
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from explorer.exhibit import Answer, Exhibit
 from lpn import sweeps
-from lpn.changes import UNCHANGED
+from lpn.descriptors.transforms import UNCHANGED
 from lpn.models.base import Model
 from lpn.sweeps import FIELD, Over, Point, Profile
 

@@ -73,14 +73,14 @@ def pictures(folder: Path) -> list[Case]:
 
 def stores(folder: Path) -> list[Case]:
     """Manifest, array, and progress of a store of descriptors."""
-    from lpn import features
-    from lpn.changes import UNCHANGED
-    from lpn.features.describing import write_store
-    from lpn.features.unfinished import Unfinished
+    from lpn import descriptors
+    from lpn.descriptors.partial_store import Unfinished
+    from lpn.descriptors.transforms import UNCHANGED
+    from lpn.descriptors.writer import write_store
     from lpn.models.base import normalise
 
-    rows = tuple(features.Row(f"{i % 3}/{i:02d}.png", 100 + i, 10**18 + i, (0.0, 1.0, 9.5, 9.0)) for i in range(12))
-    plain = features.Manifest("0" * 16, "drone", UNCHANGED.rotate, 2, 8, rows)
+    rows = tuple(descriptors.Row(f"{i % 3}/{i:02d}.png", 100 + i, 10**18 + i, (0.0, 1.0, 9.5, 9.0)) for i in range(12))
+    plain = descriptors.Manifest("0" * 16, "drone", UNCHANGED.rotate, 2, 8, rows)
     raw = normalise(np.random.default_rng(0).standard_normal((12, 2, 8)).astype(np.float32))
     write_store(folder, plain, lambda unfinished: unfinished.put(range(12), raw))
     whole = {name: (folder / name).read_bytes() for name in ("manifest.json", "descriptors.npy")}
@@ -89,7 +89,7 @@ def stores(folder: Path) -> list[Case]:
         def read(data: bytes) -> None:
             (folder / name).write_bytes(data)
             try:
-                store = features.open_store(folder)
+                store = descriptors.open_store(folder)
                 assert store.float32.shape == (
                     len(store.manifest.rows),
                     store.manifest.n_parts,
@@ -339,7 +339,7 @@ def rankings(folder: Path) -> list[Case]:
 
 def shards(folder: Path) -> list[Case]:
     """Parquet files of descriptors, and their plan."""
-    from lpn.features import Row
+    from lpn.descriptors import Row
     from lpn.gather import open_shards
     from lpn.models.base import normalise
     from lpn.shards import Item, Plan, contents, read_notes, shard_name, write_shard

@@ -224,7 +224,7 @@ def _machine() -> Iterator[Finding]:
 
 
 def _cache() -> Iterator[Finding]:
-    from lpn.features import cache_folder
+    from lpn.descriptors import cache_folder
 
     try:
         folder = cache_folder()
@@ -266,8 +266,8 @@ def _demo(demo: Path) -> Iterator[Finding]:
 
 def _demo_flaw(demo: Path) -> str | None:
     import lpn
-    from lpn.features import open_store
-    from lpn.features.cache import STORES
+    from lpn.descriptors import open_store
+    from lpn.descriptors.cache import STORES
     from lpn.verify import verify
 
     for verdict in verify(demo):

@@ -29,8 +29,8 @@ from lpn.core import images
 from lpn.core.errors import DataError, InputError, StoreError
 from lpn.core.files import alone
 from lpn.datasets import geo
-from lpn.features import Box
-from lpn.features.store import box_of
+from lpn.descriptors import Box
+from lpn.descriptors.store import box_of
 from lpn.models.onnx_engine import Engine, graph_files
 from lpn.models.spec import View
 from lpn.raystart import started

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from lpn import features, metrics
-from lpn.changes import UNCHANGED, Change
+from lpn import descriptors, metrics
 from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.datasets.geo import FloatArray
 from lpn.datasets.integrity import check_whole
+from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.metrics import IntArray
 from lpn.models.base import FloatArray as Descriptors
 from lpn.models.base import Model
@@ -99,7 +99,7 @@ def evaluate(
     dataset: Dataset,
     task: str,
     protocol: Protocol | None = None,
-    read: features.Reader = features.cached_descriptors,
+    read: descriptors.Reader = descriptors.cached_descriptors,
 ) -> Result:
     """Evaluate one task, such as "drone-to-satellite".
 

@@ -13,9 +13,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lpn.core.errors import StoreError
-from lpn.features import Manifest, Store
-from lpn.features.describing import write_store
-from lpn.features.unfinished import Unfinished
+from lpn.descriptors import Manifest, Store
+from lpn.descriptors.partial_store import Unfinished
+from lpn.descriptors.writer import write_store
 from lpn.models.base import FloatArray
 from lpn.shards import (
     BROKEN,
@@ -178,7 +178,7 @@ def open_shards(where: str | Path) -> Shards:
 def to_store(shards: Shards, out: str | Path) -> Store:
     """Shards as a store of descriptors on this machine, in order of the pictures' names; a store has no positions.
 
-    The store is what `lpn.features.describe` makes of the same pictures, so it can be gone on with there.
+    The store is what `lpn.descriptors.describe` makes of the same pictures, so it can be gone on with there.
 
     Raises:
         StoreError: when a shard is damaged or was written anew, or `out` cannot be written or holds something else.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpn.changes import UNCHANGED, Change
 from lpn.core.errors import InputError
+from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.metrics import IntArray
 from lpn.models.base import FloatArray, normalise
 from lpn.models.spec import View

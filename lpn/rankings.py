@@ -24,7 +24,7 @@ from lpn import metrics
 from lpn.core.errors import OutputError
 from lpn.core.files import write_whole
 from lpn.datasets import Truth
-from lpn.features import cache_folder
+from lpn.descriptors import cache_folder
 from lpn.metrics import IntArray, Retrieval
 from lpn.models.base import FloatArray
 from lpn.ranks import Ranked

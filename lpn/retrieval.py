@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn import explain
-from lpn.changes import UNCHANGED, Change
 from lpn.core import images
 from lpn.core.images import Picture
 from lpn.datasets import Truth
+from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.metrics import JUNK
 from lpn.models.base import FloatArray, Model, normalise
 from lpn.models.spec import View

@@ -9,9 +9,9 @@ from typing import Protocol, cast
 import numpy as np
 from rich.console import Console
 
-from lpn import features, metrics
-from lpn.changes import Change
+from lpn import descriptors, metrics
 from lpn.datasets import Dataset, Picture
+from lpn.descriptors.transforms import Change
 from lpn.evaluate import check_test_split, evaluate
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import View
@@ -56,7 +56,7 @@ class TestSplit:
         def once(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> FloatArray:
             key = (view, change, tuple(picture.path for picture in pictures))
             if key not in seen:
-                seen[key] = features.passing_descriptors(model, pictures, view, change)
+                seen[key] = descriptors.passing_descriptors(model, pictures, view, change)
             return seen[key]
 
         for task in self.tasks:
@@ -91,7 +91,7 @@ class HeldOut:
         """Recall@1 and AP among the held-out places alone."""
         sides = [
             (
-                features.passing_descriptors(model, pictures, cast(View, view)),
+                descriptors.passing_descriptors(model, pictures, cast(View, view)),
                 np.array([picture.label for picture in pictures]),
             )
             for view, pictures in self.pictures.items()

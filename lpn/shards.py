@@ -32,7 +32,7 @@ import pyarrow.parquet as pq
 
 from lpn.core.errors import StoreError
 from lpn.core.formats import is_newer, newer
-from lpn.features import Row
+from lpn.descriptors import Row
 from lpn.models.base import FloatArray
 from lpn.storage import Storage
 

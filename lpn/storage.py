@@ -16,7 +16,7 @@ from pyarrow import fs
 
 from lpn.core.errors import DataError, InputError, OutputError
 from lpn.core.files import printable, write_whole
-from lpn.features import Row
+from lpn.descriptors import Row
 
 _TRIES = 3
 _PAUSE = 0.5

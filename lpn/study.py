@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy.typing as npt
 
-from lpn import explain, failures, features, metrics, notes, retrieval, versus
+from lpn import descriptors, explain, failures, metrics, notes, retrieval, versus
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Table
@@ -136,8 +136,8 @@ def open_study(
         failures.labels_of(queries),
         failures.labels_of(gallery),
         dataset.truth(task),
-        features.known_descriptors(model, queries, views[0], dataset.root, "query"),
-        features.known_descriptors(model, gallery, views[1], dataset.root, "gallery"),
+        descriptors.known_descriptors(model, queries, views[0], dataset.root, "query"),
+        descriptors.known_descriptors(model, gallery, views[1], dataset.root, "gallery"),
         weights,
         read,
     )

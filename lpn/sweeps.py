@@ -19,10 +19,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from lpn import explain, retrieval
-from lpn.changes import MAX_SCALE, UNCHANGED, Change
 from lpn.core.errors import InputError
 from lpn.core.images import Picture
 from lpn.datasets import Truth
+from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.metrics import IntArray
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import View

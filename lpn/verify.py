@@ -11,7 +11,7 @@ import numpy as np
 from lpn.core.checksums import check_entries, check_seal
 from lpn.core.errors import InputError, LPNError, StoreError
 from lpn.core.files import printable
-from lpn.features import Store, open_store
+from lpn.descriptors import Store, open_store
 from lpn.index.folder import verify as verify_index
 
 _CHUNK = 4096

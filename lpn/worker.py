@@ -11,17 +11,17 @@ from typing import Any, cast
 
 import numpy as np
 
-from lpn.changes import UNCHANGED
 from lpn.core import images
 from lpn.core.errors import LPNError, PictureError
 from lpn.datasets.integrity import DAMAGED, flaw_within
-from lpn.features.describing import prepared
+from lpn.descriptors.parallel_inference import describe_each
+from lpn.descriptors.transforms import UNCHANGED
+from lpn.descriptors.writer import prepared
 from lpn.models.base import FloatArray
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import View
 from lpn.shards import Broken, Item, Plan, read_shard, unpacked, write_shard
 from lpn.storage import Storage
-from lpn.streams import describe_each
 
 
 @dataclass(frozen=True)

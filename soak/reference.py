@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 import lpn
-from lpn import explain, features, retrieval
-from lpn.changes import Change
+from lpn import descriptors, explain, retrieval
 from lpn.core import images
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import Picture, Truth, open_dataset
+from lpn.descriptors.transforms import Change
 from lpn.models.base import FloatArray
 from lpn.models.spec import View, views_of
 from lpn.retrieval import Match, Ranking
@@ -78,7 +78,7 @@ class Reference:
                 continue
             gallery = dataset.gallery(views[1])
             labels = np.array([entry.label for entry in gallery], np.int64)
-            known = features.known_side(opened, gallery, views[1], data, "gallery")
+            known = descriptors.known_side(opened, gallery, views[1], data, "gallery")
             truth = dataset.truth(name)
             self._look_at(gallery, known.descriptors, views[1])
             self.sides[name] = Side(views[0], dataset.queries(views[0]), gallery, known.descriptors, labels, truth)

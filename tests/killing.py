@@ -55,7 +55,7 @@ class Killer:
                 "lpn.train",
                 "lpn.models.export",
                 "lpn.models.quantize",
-                "lpn.features",
+                "lpn.descriptors",
                 "lpn.world.build",
             ]
         )

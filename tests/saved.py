@@ -10,7 +10,7 @@ from scipy.io import savemat
 
 import lpn
 from lpn.datasets import open_dataset
-from lpn.features import cached_descriptors
+from lpn.descriptors import cached_descriptors
 
 
 def flat(descriptors: np.ndarray) -> np.ndarray:

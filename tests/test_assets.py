@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 import lpn
-from lpn import features
+from lpn import descriptors
 from lpn.commands.using import DEMO, DEMO_QUERY
 from lpn.core import images
 from lpn.datasets import open_dataset
@@ -23,7 +23,7 @@ from lpn.datasets.geo import Positions, on_plane
 def test_the_demo_s_descriptors_are_its_model_s(folder: str, view: str) -> None:
     model, dataset = lpn.load(DEMO / "lpn.onnx"), open_dataset(DEMO)
     pictures = dataset.queries("drone") if view == "drone" else dataset.gallery("satellite")
-    shipped = features.shipped_descriptors(model, pictures, view, DEMO / "descriptors" / folder)  # type: ignore[arg-type]
+    shipped = descriptors.shipped_descriptors(model, pictures, view, DEMO / "descriptors" / folder)  # type: ignore[arg-type]
     assert shipped is not None
     some = range(0, len(pictures), max(1, len(pictures) // 6))
     prepared = np.stack([images.prepare(images.load_picture(pictures[i].path), model.input_size) for i in some])

@@ -19,7 +19,7 @@ from explorer.app import App
 from explorer.exhibit import Analyst, Answer
 from explorer.opening import open_model
 from explorer.session import State
-from lpn import features
+from lpn import descriptors
 from lpn.core.errors import LPNError
 from lpn.models.base import normalise
 from soak import hand, reading
@@ -210,13 +210,13 @@ def test_two_queries_of_one_picture_are_described_each_within_its_box(data: Path
 def test_descriptors_that_are_not_of_their_pictures_are_no_reference(
     data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right = features.known_side
+    right = descriptors.known_side
 
     def wrong(*asked: Any) -> Any:
         found = right(*asked)
         return replace(found, descriptors=found.descriptors[::-1])
 
-    monkeypatch.setattr(features, "known_side", wrong)
+    monkeypatch.setattr(descriptors, "known_side", wrong)
     with pytest.raises(LPNError, match="is not that of its picture"):
         Reference(data, model_file)
 

@@ -51,7 +51,7 @@ class Describe:
         return f"What {self.out} has by now is kept; the same command goes on."
 
     def _store(self) -> int:
-        from lpn import features
+        from lpn import descriptors
 
         if given := [name for name in _FOR_RAY if getattr(self, name) is not None]:
             raise InputError(f"--{given[0]} is for many workers; give it with --engine ray.")
@@ -59,8 +59,8 @@ class Describe:
             raise InputError("Only --engine ray reads and writes addresses; give folders, or --engine ray.")
         model, root, out = lpn.load(self.model), Path(self.images), Path(self.out)
         model.check_view(self.view)
-        files = features.pictures_below(root)
-        store = features.describe(model, files, self.view, out, root=root, precision=self.precision)
+        files = descriptors.pictures_below(root)
+        store = descriptors.describe(model, files, self.view, out, root=root, precision=self.precision)
         shape = " x ".join(map(str, store.descriptors.shape))
         print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")
         return 0

@@ -54,10 +54,10 @@ class Report:
         from rich.progress import Progress
 
         from lpn import report
-        from lpn.changes import Change
         from lpn.commands.reasons import part_values
         from lpn.core.files import check_writable, write_whole
         from lpn.datasets import open_dataset
+        from lpn.descriptors.transforms import Change
         from lpn.models.spec import views_of
         from lpn.study import open_study, task_of
 

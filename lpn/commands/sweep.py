@@ -79,7 +79,7 @@ class Sweep:
         import numpy as np
         from rich.progress import track
 
-        from lpn import explain, features, sweeps
+        from lpn import descriptors, explain, sweeps
         from lpn.core import images
 
         query_view, gallery_view = views_of(task)
@@ -97,7 +97,7 @@ class Sweep:
         entry, truth = queries[position], dataset.truth(task)
         picture = images.crop(images.load_picture(entry.path), entry.box, entry.name)
         changes = [change.of(entry) for change in sweeps.changes_over(self.over, self.step, self.reach, side)]
-        tiles = features.cached_descriptors(model, gallery, gallery_view)
+        tiles = descriptors.cached_descriptors(model, gallery, gallery_view)
         labels = np.array([tile.label for tile in gallery], np.int64)
         listed = None if truth is None else truth[position]
         points = sweeps.profile(model, picture, query_view, tiles, weights, changes, labels, entry.label, listed)

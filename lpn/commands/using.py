@@ -113,8 +113,8 @@ class Evaluate:
     """File to write the figures to."""
 
     def run(self) -> None:
-        from lpn.changes import Change
         from lpn.core.files import check_writable, write_whole
+        from lpn.descriptors.transforms import Change
         from lpn.protocol import Protocol
 
         if self.json is not None:
@@ -148,8 +148,8 @@ class Evaluate:
 
     def _described(self, protocol: Protocol) -> tuple[str, Result]:
         from lpn.datasets import open_dataset
+        from lpn.descriptors import reader
         from lpn.evaluate import evaluate
-        from lpn.features import reader
 
         _only_saved(self.n_parts)
         if self.data is None or self.model is None:

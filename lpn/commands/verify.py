@@ -18,7 +18,7 @@ class Verify:
 
     def run(self) -> int:
         from lpn.core.files import printable
-        from lpn.features import cache_folder
+        from lpn.descriptors import cache_folder
         from lpn.verify import verify
 
         damaged = 0

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from lpn import features
+from lpn import descriptors
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.datasets import geo
@@ -74,7 +74,7 @@ def open_tiles(where: str, data: Path | None = None) -> Tiles:
 
 
 def _of_store(folder: Path, data: Path | None) -> Tiles:
-    store = features.open_store(folder)
+    store = descriptors.open_store(folder)
     manifest = store.manifest
     if manifest.cropped:
         raise InputError(f"{folder} holds cropped pictures, of which several can share a file; index whole ones.")

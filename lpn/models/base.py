@@ -140,7 +140,7 @@ class Model(ABC):
         return normalise(raw)
 
     def for_streams(self) -> Model:
-        """The same model as several threads use it best, see `lpn.streams`; here this one, in turn."""
+        """The same model as several threads use it best, see `lpn.descriptors.parallel_inference`; here this one, in turn."""
         return self
 
     def check_view(self, view: str) -> None:

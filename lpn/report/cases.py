@@ -9,13 +9,13 @@ from functools import lru_cache
 import numpy as np
 
 from lpn import explain, retrieval, sweeps, versus
-from lpn.changes import UNCHANGED, Change
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.images import Picture
 from lpn.datasets import Picture as Entry
 from lpn.datasets import geo
 from lpn.datasets.metadata import NOTE, TAGS
+from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Evidence
 from lpn.failures import described_by
 from lpn.retrieval import Described, Match, Ranking

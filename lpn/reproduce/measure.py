@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from lpn.changes import Change
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import InputError
 from lpn.core.files import write_whole
 from lpn.core.formats import is_newer, newer
+from lpn.descriptors.transforms import Change
 from lpn.evaluate import Result, evaluate
 from lpn.models.base import Model
 from lpn.protocol import Protocol

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lpn import explain, features, retrieval
+from lpn import descriptors, explain, retrieval
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture
@@ -71,7 +71,7 @@ def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 
     )
     for row, (query, view, other) in zip(axes, asked, strict=True):
         gallery = dataset.gallery(other)
-        described = features.cached_descriptors(model, gallery, other)
+        described = descriptors.cached_descriptors(model, gallery, other)
         found = retrieval.describe_picture(model, images.load_picture(query.path), view)
         cosines = explain.part_cosines(found.descriptor, described)
         order = np.argsort(-cosines.mean(axis=1), kind="stable")[:top]

@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import BrowserContext, Locator, expect
 
 import lpn
-from lpn import breakdown, datasets, failures, features
+from lpn import breakdown, datasets, descriptors, failures
 from lpn.core.tables import Table
 from lpn.failures import Outcomes
 from tests import worlds
@@ -46,7 +46,7 @@ def truth(lab_app: Running) -> tuple[Outcomes, Table]:
     model, dataset = lpn.load(lab_app.model), datasets.open_dataset(lab_app.data)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
     described = [
-        features.passing_descriptors(model, entries, view)
+        descriptors.passing_descriptors(model, entries, view)
         for entries, view in ((queries, "drone"), (gallery, "satellite"))
     ]
     outcomes = failures.build(*described, failures.labels_of(queries), failures.labels_of(gallery))

@@ -9,7 +9,7 @@ from playwright.sync_api import BrowserContext, expect
 
 import lpn
 from lpn import datasets, explain, retrieval
-from lpn.features import cached_descriptors
+from lpn.descriptors import cached_descriptors
 from tests.e2e.conftest import Explorer, Running
 
 

@@ -21,7 +21,7 @@ from explorer.room import Room
 from explorer.session import State, Upload
 from explorer.sweep import Sweep
 from lpn import explain, sweeps, words
-from lpn.changes import Change
+from lpn.descriptors.transforms import Change
 from lpn.versus import Effect
 from tests import worlds
 

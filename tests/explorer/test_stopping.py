@@ -64,7 +64,7 @@ import time, explorer.app
 explorer.app.finished = lambda seconds: (print("ending", flush=True), time.sleep(30))
 """
 SLOW_OPENING = """
-import time, lpn.features.describing as d
+import time, lpn.descriptors.writer as d
 prepared = d.prepared
 d.prepared = lambda *given: (print("describing", flush=True), time.sleep(0.5), prepared(*given))[2]
 """

@@ -23,7 +23,7 @@ from lpn.commands import using
 from lpn.commands.using import DEMO
 from lpn.core import requirements, resources
 from lpn.core.errors import OutputError
-from lpn.features import cache_folder
+from lpn.descriptors import cache_folder
 
 
 def of(name: str, *checks: Any) -> Finding:

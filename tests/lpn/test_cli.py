@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from lpn import cli
-from lpn.features import open_store
+from lpn.descriptors import open_store
 from tests import worlds
 
 WITHOUT_TORCH = """

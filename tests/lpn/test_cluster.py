@@ -26,7 +26,7 @@ import pytest
 pytest.importorskip("ray", reason="the extra ray is not installed")
 pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 
-from lpn import cli, features, raystart
+from lpn import cli, descriptors, raystart
 from lpn.cluster import Summary, describe_shards
 from lpn.core.errors import DataError, InputError, LPNError, StoreError
 from lpn.core.files import alone
@@ -88,8 +88,8 @@ def describe(model_file: Path, folder: Path, out: Path, **given: object) -> Summ
     return describe_shards(model_file, folder, "drone", out, workers=2, shard=8, say=lambda _: None, **given)  # type: ignore[arg-type]
 
 
-def expected(model_file: Path, folder: Path, out: Path) -> features.Store:
-    return features.describe(Engine(model_file), features.pictures_below(folder), "drone", out, root=folder)
+def expected(model_file: Path, folder: Path, out: Path) -> descriptors.Store:
+    return descriptors.describe(Engine(model_file), descriptors.pictures_below(folder), "drone", out, root=folder)
 
 
 def held(out: Path) -> dict[str, np.ndarray]:
@@ -176,7 +176,7 @@ def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
     worlds.write(folder / "0" / "00.png", worlds.place(51))
     worlds.write(folder / "3" / "new.png", worlds.place(52))
     (folder / "2" / "02.png").unlink()
-    names = [path.relative_to(folder).as_posix() for path in features.pictures_below(folder)]
+    names = [path.relative_to(folder).as_posix() for path in descriptors.pictures_below(folder)]
     (folder / "geo.csv").write_text("path,latitude,longitude\n" + "".join(f"{name},46.5,7.25\n" for name in names))
     summary = describe(model_file, folder, done)
     assert (summary.pictures, summary.computed) == (len(names), 2)
@@ -247,7 +247,7 @@ class Dying(Worker):
 def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
     model_file: Path, folder: Path, done: Path, tmp_path: Path
 ) -> None:
-    for file in features.pictures_below(folder):
+    for file in descriptors.pictures_below(folder):
         worlds.write(file, worlds.place(90))
     with pytest.raises(StoreError, match="The driver is gone"):
         describe(model_file, folder, done, worker=Dying)
@@ -337,7 +337,7 @@ def test_shards_are_indexed_with_their_positions(
     model_file: Path, folder: Path, done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Given to describe in a file above the pictures, and so named as `lpn index --data` takes them."""
-    names = [path.relative_to(folder).as_posix() for path in features.pictures_below(folder)]
+    names = [path.relative_to(folder).as_posix() for path in descriptors.pictures_below(folder)]
     lines = [f"{folder.name}/{name},{i},{2 * i}\n" for i, name in enumerate(names)]
     (tmp_path / "geo.csv").write_text("path,latitude,longitude\n" + "".join(lines))
     (folder / "0" / "text.jpg").write_bytes(b"no picture")
@@ -480,7 +480,7 @@ def test_commands_say_what_they_did(
     assert cli.main(["gather", "--shards", str(out), "--out", str(tmp_path / "store")]) == 0
     assert f"1 pictures are broken and not in it; broken.csv in {out} names them." in capsys.readouterr().out
     (folder / "1" / "text.jpg").unlink()
-    store = features.open_store(tmp_path / "store")
+    store = descriptors.open_store(tmp_path / "store")
     alone = expected(model_file, folder, tmp_path / "alone")
     assert (store.manifest.precision, store.manifest.rows) == ("float16", alone.manifest.rows)
     np.testing.assert_allclose(store.float32, alone.descriptors, atol=2e-4)
@@ -494,7 +494,7 @@ def test_commands_say_what_they_did(
 
 
 def test_object_storage_is_read_like_a_folder(folder: Path) -> None:
-    names = [str(path.relative_to(folder)) for path in features.pictures_below(folder)]
+    names = [str(path.relative_to(folder)) for path in descriptors.pictures_below(folder)]
     (folder / ".hidden").mkdir()
     worlds.write(folder / ".hidden" / "a.png", worlds.place(0))
     for where in (folder, f"file://{folder}", f"local://{folder}"):  # the last is opened by fsspec

@@ -17,12 +17,12 @@ pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 from lpn import cli, cluster
 from lpn.cluster import Summary
 from lpn.core.errors import PictureError, StoreError
-from lpn.features import Row
+from lpn.descriptors import Row
+from lpn.descriptors.parallel_inference import Described
 from lpn.gather import open_shards, to_store
 from lpn.models.base import FloatArray, normalise
 from lpn.shards import PLAN, Item, Plan, read_notes, shard_name, write_shard
 from lpn.storage import Storage
-from lpn.streams import Described
 from lpn.worker import Task, Worker, _UnreadError
 
 KIND = Plan("f" * 16, "drone", 2, 4, "float32", 1)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import features, metrics
-from lpn.changes import Change
+from lpn import descriptors, metrics
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import Picture, Truth, University, open_dataset
+from lpn.descriptors.transforms import Change
 from lpn.evaluate import evaluate
 from lpn.models.base import FloatArray, Model
 from lpn.models.checkpoints import save
@@ -53,7 +53,7 @@ def test_figures_are_those_of_the_turned_queries_and_the_chosen_parts(
 
 def test_figures_in_training_leave_nothing_in_the_cache(data: Path, model_file: Path) -> None:
     model, dataset = lpn.load(model_file), open_dataset(data)
-    passing = evaluate(model, dataset, "drone-to-satellite", read=features.passing_descriptors)
+    passing = evaluate(model, dataset, "drone-to-satellite", read=descriptors.passing_descriptors)
     assert not Path(os.environ["LPN_CACHE"]).exists()
     assert passing.recall == evaluate(model, dataset, "drone-to-satellite").recall
 

@@ -13,8 +13,8 @@ from lpn import breakdown, cli, explain, metrics, notes, retrieval, scores
 from lpn.core.errors import DataError, InputError
 from lpn.core.tables import number_column, text_column
 from lpn.datasets import Picture, Truth, geo, open_dataset
+from lpn.descriptors import cached_descriptors, describe, known_descriptors
 from lpn.failures import OUTCOME, Outcomes, build, described_by, labels_of, table
-from lpn.features import cached_descriptors, describe, known_descriptors
 from lpn.models.base import FloatArray, normalise
 from tests import worlds
 

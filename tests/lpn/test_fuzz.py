@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from fuzz.readers import an_input, run
 from fuzz.targets import TARGETS, complaint, described, misbehaving
-from lpn import features
+from lpn import descriptors
 from lpn.core.errors import LPNError
 from lpn.datasets.geo import read_positions
 from lpn.models.spec import ModelSpec
@@ -77,7 +77,7 @@ MANIFEST: dict[str, Any] = {
     "precision": "float32",
     "shift": 0,
     "scale": 1.0,
-    "format": features.FORMAT,
+    "format": descriptors.FORMAT,
     "checksums": {"block": 1024, "blocks": [1], "manifest": 2},
 }
 
@@ -86,11 +86,11 @@ MANIFEST: dict[str, Any] = {
 @given(key=st.sampled_from([*MANIFEST, "other"]), value=VALUES)
 def test_a_manifest_with_any_value_is_read_or_refused(key: str, value: Any) -> None:
     try:
-        read = features.Manifest.from_json(json.dumps(MANIFEST | {key: value}).encode(), "manifest.json")
+        read = descriptors.Manifest.from_json(json.dumps(MANIFEST | {key: value}).encode(), "manifest.json")
     except LPNError:
         return
     # What is accepted can be written and is the same again.
-    assert features.Manifest.from_json(read.to_json(), "manifest.json") == read
+    assert descriptors.Manifest.from_json(read.to_json(), "manifest.json") == read
 
 
 @QUIET

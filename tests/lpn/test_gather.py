@@ -12,11 +12,11 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 
-from lpn import cli, features, gather
+from lpn import cli, descriptors, gather
 from lpn.core.errors import StoreError
-from lpn.features import Manifest, Row
-from lpn.features.describing import write_store
-from lpn.features.unfinished import Unfinished
+from lpn.descriptors import Manifest, Row
+from lpn.descriptors.partial_store import Unfinished
+from lpn.descriptors.writer import write_store
 from lpn.gather import open_shards, to_store
 from lpn.index import open_index
 from lpn.models.base import FloatArray, normalise
@@ -102,7 +102,7 @@ def test_gather_makes_a_store_of_one_state_or_none(
 
     def check(items: Sequence[Item]) -> None:
         expected = sorted(items, key=lambda item: item.row.file)
-        store = features.open_store(out)
+        store = descriptors.open_store(out)
         assert list(store.manifest.rows) == [item.row for item in expected]
         np.testing.assert_array_equal(store.float32, described(expected))
 

@@ -14,7 +14,7 @@ import onnx
 import pytest
 import torch
 
-from lpn import cli, features
+from lpn import cli, descriptors
 from lpn.core.checksums import Checksums
 from lpn.core.errors import DataError, ModelFileError
 from lpn.datasets.geo import read_positions
@@ -208,12 +208,12 @@ def test_checksums_of_another_number_of_blocks_are_not_counted(
 ) -> None:
     """A manifest that tells of blocks of one byte would have a store of gigabytes counted byte by byte."""
     worlds.write(tmp_path / "a.png", worlds.place(1))
-    made = features.describe(Engine(exported, threads=1), [tmp_path / "a.png"], "drone", tmp_path / "store")
+    made = descriptors.describe(Engine(exported, threads=1), [tmp_path / "a.png"], "drone", tmp_path / "store")
     told = made.manifest.checksums
     assert told is not None
     assert not made.damaged().any()
     lying = replace(made, manifest=replace(made.manifest, checksums=Checksums(1, told.blocks, told.manifest)))
-    monkeypatch.setattr("lpn.features.store.crc_of_blocks", lambda *_: pytest.fail("counted"))
+    monkeypatch.setattr("lpn.descriptors.store.crc_of_blocks", lambda *_: pytest.fail("counted"))
     assert lying.damaged().all()
 
 
@@ -263,7 +263,7 @@ def test_a_shard_whose_positions_are_damaged_is_told(tmp_path: Path) -> None:
 
     storage = Storage(tmp_path)
     storage.write("plan.json", (plan := Plan("0" * 16, "drone", 1, 4, "float32", 1, finished=True)).to_json())
-    items = [Item(features.Row(f"{i}.png", 9, 1, None), (46.125, 7.5)) for i in range(9)]
+    items = [Item(descriptors.Row(f"{i}.png", 9, 1, None), (46.125, 7.5)) for i in range(9)]
     write_shard(storage, plan, 0, items, np.full((9, 1, 4), 0.5, np.float32))
     file = tmp_path / shard_name(0)
     data = bytearray(file.read_bytes())

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn import explain, features
+from lpn import descriptors, explain
 from lpn.cli import main
 from lpn.core.errors import InputError, StoreError
 from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, sums
@@ -560,7 +560,7 @@ def test_names_are_checked_before_anything_is_added(
 def test_positions_that_fit_two_folders_are_asked_about(
     described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    names = [row.file for row in features.open_store(described.store).manifest.rows]
+    names = [row.file for row in descriptors.open_store(described.store).manifest.rows]
     given = ["index", *_options(descriptors=described.store, data=tmp_path, out=tmp_path / "i")]
 
     def write(**folders: float) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import features, index
+from lpn import descriptors, index
 from lpn.core.errors import DataError, StoreError
 from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
@@ -95,9 +95,9 @@ def test_describe(model_file: Path, places: Path, tmp_path: Path, killer: Killer
     def whole() -> object:
         if not (out / "manifest.json").exists():
             with pytest.raises(StoreError, match="has no manifest"):
-                features.open_store(out)
+                descriptors.open_store(out)
             return None
-        store = features.open_store(out)
+        store = descriptors.open_store(out)
         assert not store.damaged().any()
         assert not store.manifest.damaged
         return np.array(store.descriptors).round(5).tobytes(), store.manifest.rows
@@ -123,8 +123,8 @@ def test_quantize(model_file: Path, places: Path, tmp_path: Path, killer: Killer
 def test_index(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
     store = tmp_path / "store"
-    files = features.pictures_below(places)
-    made = features.describe(lpn.load(model_file), files, "drone", store, root=places)
+    files = descriptors.pictures_below(places)
+    made = descriptors.describe(lpn.load(model_file), files, "drone", store, root=places)
     query = np.array(made.descriptors[3])
 
     def found() -> object:
@@ -234,9 +234,9 @@ def test_a_store_read_while_it_is_written_is_none_or_whole(
         shutil.copytree(before, out)
         killed += killer.run(arguments, step=step)[0] == -signal.SIGKILL
         if (out / "manifest.json").exists():
-            store = features.open_store(out)
+            store = descriptors.open_store(out)
             assert not store.damaged().any()
             assert len(store.descriptors) == len(store.manifest.rows)
         assert killer.run(arguments)[0] == 0, killer.log.read_text()
-        assert len(features.open_store(out).descriptors) == len(features.pictures_below(pictures))
+        assert len(descriptors.open_store(out).descriptors) == len(descriptors.pictures_below(pictures))
     assert killed >= steps - 2, "a run may save once less than another"

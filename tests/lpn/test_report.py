@@ -14,10 +14,10 @@ import pytest
 
 import lpn
 from lpn import cli, report, retrieval, versus, words
-from lpn.changes import Change
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
+from lpn.descriptors.transforms import Change
 from lpn.notes import NAME as NOTES
 from lpn.report import Options, Own, figures
 from lpn.study import Study, open_study

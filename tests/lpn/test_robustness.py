@@ -19,7 +19,7 @@ import torch
 from PIL import Image
 
 import lpn
-from lpn import cli, features
+from lpn import cli, descriptors
 from lpn.core import images
 from lpn.core.errors import DataError, LPNError, ModelFileError, PictureError, StoreError
 from lpn.datasets import open_dataset
@@ -101,9 +101,9 @@ def test_names_of_any_kind_are_described(model_file: Path, tmp_path: Path) -> No
         worlds.write(tmp_path / "a.png", worlds.place(i))
         (folder / name).parent.mkdir(exist_ok=True)
         (tmp_path / "a.png").rename(folder / name)
-    files = features.pictures_below(folder)
-    store = features.describe(lpn.load(model_file), files, "drone", tmp_path / "store", root=folder)
-    assert {row.file for row in features.open_store(tmp_path / "store").manifest.rows} == set(NAMES)
+    files = descriptors.pictures_below(folder)
+    store = descriptors.describe(lpn.load(model_file), files, "drone", tmp_path / "store", root=folder)
+    assert {row.file for row in descriptors.open_store(tmp_path / "store").manifest.rows} == set(NAMES)
     assert all("\n" not in picture.name for picture in open_dataset(folder).lists()["pictures"])
     assert len(store.descriptors) == len(NAMES)
 
@@ -114,13 +114,13 @@ def test_links_that_lead_nowhere_or_in_a_circle_are_named(model_file: Path, tmp_
     (place / "gone.png").symlink_to(tmp_path / "absent.png")
     (place / "circle.png").symlink_to(place / "circle.png")
     (root / "test" / "loop").symlink_to(root)
-    files = features.pictures_below(root / "test")
+    files = descriptors.pictures_below(root / "test")
     assert len(files) == 3 * 4 + 2
     with pytest.raises(PictureError, match=r"circle\.png .*cannot be read"):
-        features.describe(lpn.load(model_file), files, "satellite", tmp_path / "store")
+        descriptors.describe(lpn.load(model_file), files, "satellite", tmp_path / "store")
     tiles = open_dataset(root).gallery("satellite")
     with pytest.raises(LPNError, match=r"(circle|gone|absent)\.png"):
-        features.cached_descriptors(lpn.load(model_file), tiles, "satellite")
+        descriptors.cached_descriptors(lpn.load(model_file), tiles, "satellite")
     assert cli.main(["doctor", "--data", str(root)]) == 1
 
 
@@ -151,8 +151,8 @@ def test_one_place_is_too_few_to_train_on_and_says_nothing_when_tested(
 
 @pytest.fixture
 def store(model_file: Path, data: Path, tmp_path: Path) -> Path:
-    files = features.pictures_below(data / "test" / "query_drone")
-    features.describe(lpn.load(model_file), files, "drone", tmp_path / "store", root=data)
+    files = descriptors.pictures_below(data / "test" / "query_drone")
+    descriptors.describe(lpn.load(model_file), files, "drone", tmp_path / "store", root=data)
     return tmp_path / "store"
 
 
@@ -171,7 +171,7 @@ def test_numbers_that_are_none_are_found_in_a_store(
     from lpn import metrics
     from lpn.core.errors import InputError
 
-    held, labels = features.open_store(store).float32, np.arange(14)
+    held, labels = descriptors.open_store(store).float32, np.arange(14)
     with pytest.raises(InputError, match="not finite; delete their store"):
         metrics.evaluate(held, labels, held, labels)
 
@@ -184,11 +184,11 @@ def test_a_model_that_computes_nan_is_told_before_anything_is_kept(tmp_path: Pat
             weight.CopyFrom(onnx.numpy_helper.from_array(np.full((4, 512), np.nan, np.float32), weight.name))
     del proto.metadata_props[[entry.key for entry in proto.metadata_props].index("seal")]
     file.write_bytes(proto.SerializeToString())
-    files = features.pictures_below(data / "test" / "query_drone")
+    files = descriptors.pictures_below(data / "test" / "query_drone")
     with pytest.raises(ModelFileError, match="not finite"):
-        features.describe(Engine(file), files, "drone", tmp_path / "store")
+        descriptors.describe(Engine(file), files, "drone", tmp_path / "store")
     with pytest.raises(StoreError):
-        features.open_store(tmp_path / "store")
+        descriptors.open_store(tmp_path / "store")
 
 
 def test_a_flipped_byte_is_found_in_every_file(
@@ -218,12 +218,12 @@ def test_a_flipped_byte_is_found_in_every_file(
 
 
 def test_rows_of_a_damaged_store_are_not_taken_over(model_file: Path, data: Path, store: Path) -> None:
-    model, files = lpn.load(model_file), features.pictures_below(data / "test" / "query_drone")
-    whole = np.array(features.open_store(store).descriptors)
+    model, files = lpn.load(model_file), descriptors.pictures_below(data / "test" / "query_drone")
+    whole = np.array(descriptors.open_store(store).descriptors)
     array = np.lib.format.open_memmap(store / "descriptors.npy", mode="r+")
     array[2] = -array[2]
     del array
-    made = features.describe(model, files[:-1], "drone", store, root=data)
+    made = descriptors.describe(model, files[:-1], "drone", store, root=data)
     np.testing.assert_allclose(made.descriptors, whole[:-1], atol=1e-6)
 
 
@@ -241,7 +241,7 @@ def test_files_of_earlier_versions_without_checksums_are_read(model_file: Path, 
     assert lpn.load(tmp_path / "old.safetensors").n_parts == 4
     text = (store / "manifest.json").read_text()
     (store / "manifest.json").write_text(text[: text.index(',\n "checksums"')] + "\n}")
-    assert not features.open_store(store).damaged().any()
+    assert not descriptors.open_store(store).damaged().any()
     assert cli.main(["verify", str(tmp_path)]) == 0
 
 

@@ -10,9 +10,9 @@ from scipy.io import savemat
 
 import lpn
 from lpn import cli
-from lpn.changes import Change
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.datasets import open_dataset
+from lpn.descriptors.transforms import Change
 from lpn.evaluate import evaluate, evaluate_saved
 from lpn.protocol import Protocol
 from lpn.saved import load_saved

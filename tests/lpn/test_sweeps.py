@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import cli, explain, features, retrieval, sweeps
-from lpn.changes import Change
+from lpn import cli, descriptors, explain, retrieval, sweeps
 from lpn.commands.using import DEMO
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import Truth, open_dataset
 from lpn.datasets.geo import Positions
+from lpn.descriptors.transforms import Change
 from lpn.models.base import FloatArray, Model
 from lpn.sweeps import Point, Profile, changes_over, profile
 from tests import worlds
@@ -171,7 +171,7 @@ def test_the_demo_s_headings_are_found_more_often_than_by_chance() -> None:
     model, dataset = lpn.load(DEMO / "lpn.onnx"), open_dataset(DEMO)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
     known = Positions(DEMO).of(queries)
-    tiles = features.shipped_descriptors(model, gallery, "satellite", DEMO / "descriptors" / "gallery_satellite")
+    tiles = descriptors.shipped_descriptors(model, gallery, "satellite", DEMO / "descriptors" / "gallery_satellite")
     assert tiles is not None
     # Straight down: only those pictures' headings differ from north and south by much.
     downward = [i for i, place in enumerate(known) if place.tilt == -90][::20]

@@ -16,12 +16,12 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 import lpn
-from lpn import features
+from lpn import descriptors
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, OutputError, StoreError
 from lpn.core.formats import is_newer
 from lpn.datasets import metadata
-from lpn.features import open_store
+from lpn.descriptors import open_store
 from lpn.index import ExactIndex, Kind, open_index, sums
 from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
@@ -76,24 +76,24 @@ def test_a_later_number_of_the_same_kind_is_newer(found: object, newer: bool) ->
 
 @pytest.fixture
 def store(model_file: Path, data: Path, tmp_path: Path) -> Path:
-    files = features.pictures_below(data / "test" / "gallery_satellite")
-    features.describe(lpn.load(model_file), files, "satellite", tmp_path / "store", root=data)
+    files = descriptors.pictures_below(data / "test" / "gallery_satellite")
+    descriptors.describe(lpn.load(model_file), files, "satellite", tmp_path / "store", root=data)
     return tmp_path / "store"
 
 
 def test_a_later_store_is_neither_read_nor_replaced(store: Path, model_file: Path, data: Path) -> None:
     of_later(store / "manifest.json")
     before = (store / "manifest.json").read_bytes()
-    files = features.pictures_below(data / "test" / "gallery_satellite")
+    files = descriptors.pictures_below(data / "test" / "gallery_satellite")
     with pytest.raises(StoreError, match="manifest.json was written " + LATER):
         open_store(store)
     with pytest.raises(StoreError, match=LATER):
-        features.describe(lpn.load(model_file), files, "satellite", store, root=data)
+        descriptors.describe(lpn.load(model_file), files, "satellite", store, root=data)
     (store / "manifest.json").rename(store / "planned.json")
     (store / "descriptors.npy").rename(store / "descriptors.part")
     (store / "progress.json").write_text('{"done": [[0, 3]]}')
     with pytest.raises(StoreError, match="planned.json was written " + LATER):
-        features.describe(lpn.load(model_file), files, "satellite", store, root=data)
+        descriptors.describe(lpn.load(model_file), files, "satellite", store, root=data)
     assert (store / "planned.json").read_bytes() == before
     assert (store / "descriptors.part").exists()
 

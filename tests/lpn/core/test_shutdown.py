@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from lpn import cli, features
+from lpn import cli, descriptors
 from lpn.core import shutdown
 from lpn.core.files import write_whole
 from lpn.core.shutdown import Stop, finished, finishing
-from lpn.features import open_store
+from lpn.descriptors import open_store
 from lpn.verify import verify
 from tests import worlds
 from tests.processes import Process
@@ -23,7 +23,7 @@ from tests.processes import Process
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's")
 
 SLOW_DESCRIBING = """
-import time, lpn.features.describing as d
+import time, lpn.descriptors.writer as d
 prepared = d.prepared
 d.prepared = lambda *a: (time.sleep(0.15), prepared(*a))[1]
 """
@@ -105,14 +105,14 @@ def test_a_description_goes_on_where_it_was_stopped(how: str, model_file: Path, 
         assert not half_written(out)
         assert not (out / "manifest.json").exists()
         assert cli.main([str(one) for one in given]) == 0
-        assert len(open_store(out).descriptors) == len(features.pictures_below(data / "test"))
+        assert len(open_store(out).descriptors) == len(descriptors.pictures_below(data / "test"))
 
 
 def test_an_index_is_as_it_was_before_the_add(model_file: Path, data: Path, tmp_path: Path) -> None:
     import lpn
 
-    files = features.pictures_below(data / "test" / "gallery_satellite")
-    features.describe(lpn.load(model_file), files, "satellite", tmp_path / "store", root=data)
+    files = descriptors.pictures_below(data / "test" / "gallery_satellite")
+    descriptors.describe(lpn.load(model_file), files, "satellite", tmp_path / "store", root=data)
     given: list[object] = ["index", "--descriptors", tmp_path / "store", "--out", tmp_path / "index"]
     with Process(given, tmp_path / "cache", SLOW_INDEX) as process:
         process.until(lambda: "writing" in process.out)

@@ -14,8 +14,8 @@ import lpn
 from lpn.core.errors import InputError
 from lpn.core.images import Picture, load_picture, polar
 from lpn.datasets import open_dataset
+from lpn.descriptors import describe
 from lpn.evaluate import evaluate
-from lpn.features import describe
 from lpn.models.base import normalise
 from lpn.models.checkpoints import TorchModel, save
 from lpn.models.export import export

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import features
-from lpn.changes import Change
+from lpn import descriptors
 from lpn.core import images
 from lpn.core.errors import DataError, LPNError, PictureError, StoreError
 from lpn.core.files import write_whole
-from lpn.features import describing
+from lpn.descriptors import writer
+from lpn.descriptors.transforms import Change
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import View
 from tests import worlds
@@ -68,8 +68,8 @@ class Counting:
 
 
 def test_store_holds_what_the_model_says(model: Model, folder: Path, tmp_path: Path) -> None:
-    files = features.pictures_below(folder)
-    store = features.describe(model, files, "drone", tmp_path / "store", root=folder)
+    files = descriptors.pictures_below(folder)
+    store = descriptors.describe(model, files, "drone", tmp_path / "store", root=folder)
     prepared = np.stack([images.prepare(images.load_picture(file), model.input_size) for file in files])
     np.testing.assert_allclose(store.descriptors, model.descriptors(prepared, "drone"), atol=1e-6)
     assert [row.file for row in store.manifest.rows] == [str(file.relative_to(folder)) for file in files]
@@ -80,49 +80,49 @@ def test_store_holds_what_the_model_says(model: Model, folder: Path, tmp_path: P
 def test_a_killed_description_goes_on_where_it_stood(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files = features.pictures_below(folder)
-    whole = np.array(features.describe(model, files, "drone", tmp_path / "whole").descriptors)
+    files = descriptors.pictures_below(folder)
+    whole = np.array(descriptors.describe(model, files, "drone", tmp_path / "whole").descriptors)
     with monkeypatch.context() as patch:
         Counting(model, patch, die_after=8)
         with pytest.raises(KeyboardInterrupt):
-            features.describe(model, files, "drone", tmp_path / "store")
+            descriptors.describe(model, files, "drone", tmp_path / "store")
     with pytest.raises(StoreError, match="not finished"):
-        features.open_store(tmp_path / "store")
+        descriptors.open_store(tmp_path / "store")
     count = Counting(model, monkeypatch)
-    store = features.describe(model, files, "drone", tmp_path / "store")
+    store = descriptors.describe(model, files, "drone", tmp_path / "store")
     assert count.described == 12
     np.testing.assert_array_equal(store.descriptors, whole)
 
 
 def test_nothing_is_computed_twice(model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    files = features.pictures_below(folder)
-    features.describe(model, files, "drone", tmp_path / "store")
+    files = descriptors.pictures_below(folder)
+    descriptors.describe(model, files, "drone", tmp_path / "store")
     count = Counting(model, monkeypatch)
-    features.describe(model, files, "drone", tmp_path / "store")
+    descriptors.describe(model, files, "drone", tmp_path / "store")
     assert count.described == 0
     worlds.write(folder / "3" / "new.png", worlds.place(99))
     worlds.write(files[4], worlds.place(98))
-    store = features.describe(model, features.pictures_below(folder), "drone", tmp_path / "store")
+    store = descriptors.describe(model, descriptors.pictures_below(folder), "drone", tmp_path / "store")
     assert count.described == 2
     assert len(store.descriptors) == 21
     with pytest.raises(StoreError, match="choose another folder"):
-        features.describe(model, files, "satellite", tmp_path / "store")
+        descriptors.describe(model, files, "satellite", tmp_path / "store")
     assert count.described == 2
 
 
 def test_a_removed_picture_costs_nothing_that_was_done(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files = features.pictures_below(folder)
+    files = descriptors.pictures_below(folder)
     count = Counting(model, monkeypatch, die_after=16)
     with pytest.raises(KeyboardInterrupt):
-        features.describe(model, files, "drone", tmp_path / "store")
+        descriptors.describe(model, files, "drone", tmp_path / "store")
     assert count.described == 16
     count.die_after = None
     rest = [*files[:3], *files[4:]]
-    store = features.describe(model, rest, "drone", tmp_path / "store")
+    store = descriptors.describe(model, rest, "drone", tmp_path / "store")
     assert count.described == 20
-    expected = features.describe(model, rest, "drone", tmp_path / "other").descriptors
+    expected = descriptors.describe(model, rest, "drone", tmp_path / "other").descriptors
     np.testing.assert_allclose(store.descriptors, expected, atol=1e-6)
 
 
@@ -130,13 +130,13 @@ def test_a_kill_while_a_changed_list_is_taken_over_loses_no_row(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At each step in turn that changes a name in the folder."""
-    files = features.pictures_below(folder)
+    files = descriptors.pictures_below(folder)
     rest = [*files[:3], *files[4:]]
     with monkeypatch.context() as patch:
         Counting(model, patch, die_after=16)
         with pytest.raises(KeyboardInterrupt):
-            features.describe(model, files, "drone", tmp_path / "left")
-    expected = features.describe(model, rest, "drone", tmp_path / "other").descriptors
+            descriptors.describe(model, files, "drone", tmp_path / "left")
+    expected = descriptors.describe(model, rest, "drone", tmp_path / "other").descriptors
     count = Counting(model, monkeypatch, die_after=0)
     for step in range(20):
         out = shutil.copytree(tmp_path / "left", tmp_path / f"{step}")
@@ -145,9 +145,9 @@ def test_a_kill_while_a_changed_list_is_taken_over_loses_no_row(
             for owner, name in ((os, "replace"), (Path, "unlink")):
                 patch.setattr(owner, name, _killed_after(steps, getattr(owner, name)))
             with pytest.raises((Killed, KeyboardInterrupt)) as ended:
-                features.describe(model, rest, "drone", out)
+                descriptors.describe(model, rest, "drone", out)
         before, count.die_after = count.described, None
-        np.testing.assert_allclose(features.describe(model, rest, "drone", out).descriptors, expected, atol=1e-6)
+        np.testing.assert_allclose(descriptors.describe(model, rest, "drone", out).descriptors, expected, atol=1e-6)
         assert count.described - before == 4, step
         assert sorted(path.name for path in out.iterdir()) == ["descriptors.npy", "manifest.json"]
         if ended.type is KeyboardInterrupt:  # it came as far as computing
@@ -162,9 +162,9 @@ def test_an_error_that_the_system_has_no_name_for_is_told(
     def short(*_: object) -> None:
         raise OSError("512 requested and 0 written")  # as NumPy says of a full disk
 
-    monkeypatch.setattr(describing.Unfinished, "save", short)
+    monkeypatch.setattr(writer.Unfinished, "save", short)
     with pytest.raises(StoreError, match=r"cannot be written \(512 requested and 0 written\)"):
-        features.describe(model, features.pictures_below(folder), "drone", tmp_path / "store")
+        descriptors.describe(model, descriptors.pictures_below(folder), "drone", tmp_path / "store")
     monkeypatch.setattr(Path, "write_bytes", short)
     with pytest.raises(LPNError, match=r"cannot be written \(512 requested and 0 written\)"):
         write_whole(tmp_path / "file", b"")
@@ -175,7 +175,7 @@ def test_files_of_other_origin_are_not_touched(model: Model, folder: Path, tmp_p
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / name).write_text('{"name": "my web app"}')
     with pytest.raises(StoreError, match="choose another folder"):
-        features.describe(model, features.pictures_below(folder), "drone", tmp_path / "own")
+        descriptors.describe(model, descriptors.pictures_below(folder), "drone", tmp_path / "own")
     assert [p.name for p in (tmp_path / "own").iterdir()] == [name]
     assert (tmp_path / "own" / name).read_text() == '{"name": "my web app"}'
 
@@ -188,7 +188,7 @@ def test_a_cache_that_cannot_be_written_says_how_to_choose_another(
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "file" / "cache"))
     with pytest.raises(StoreError, match="Set LPN_CACHE"):
-        features.cached_descriptors(model, [Picture(features.pictures_below(folder)[0], 1, "1")], "drone")
+        descriptors.cached_descriptors(model, [Picture(descriptors.pictures_below(folder)[0], 1, "1")], "drone")
 
 
 def test_a_store_that_comes_along_is_used_for_its_own_pictures_and_model(
@@ -196,26 +196,26 @@ def test_a_store_that_comes_along_is_used_for_its_own_pictures_and_model(
 ) -> None:
     from lpn.datasets import Picture
 
-    files = features.pictures_below(folder)
-    made = np.array(features.describe(model, files, "drone", tmp_path / "store", root=folder).descriptors)
+    files = descriptors.pictures_below(folder)
+    made = np.array(descriptors.describe(model, files, "drone", tmp_path / "store", root=folder).descriptors)
     copied = [tmp_path / "copy" / file.relative_to(folder) for file in files]
     for source, target in zip(files, copied, strict=True):
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(source.read_bytes())
     pictures = [Picture(file, 1, file.stem) for file in copied]
-    shipped = features.shipped_descriptors(model, pictures, "drone", tmp_path / "store")
+    shipped = descriptors.shipped_descriptors(model, pictures, "drone", tmp_path / "store")
     assert shipped is not None
     np.testing.assert_array_equal(shipped, made)
-    assert features.shipped_descriptors(model, pictures, "satellite", tmp_path / "store") is None
-    assert features.shipped_descriptors(model, pictures[1:], "drone", tmp_path / "store") is None
-    assert features.shipped_descriptors(model, pictures, "drone", tmp_path / "absent") is None
+    assert descriptors.shipped_descriptors(model, pictures, "satellite", tmp_path / "store") is None
+    assert descriptors.shipped_descriptors(model, pictures[1:], "drone", tmp_path / "store") is None
+    assert descriptors.shipped_descriptors(model, pictures, "drone", tmp_path / "absent") is None
     copied[3].write_bytes(copied[3].read_bytes() + b"\0")
-    assert features.shipped_descriptors(model, pictures, "drone", tmp_path / "store") is None
+    assert descriptors.shipped_descriptors(model, pictures, "drone", tmp_path / "store") is None
 
 
 @pytest.mark.parametrize(("precision", "error"), [("float16", 2e-4), ("int8", 4e-3)])
 def test_a_smaller_store_says_nearly_the_same(
-    precision: features.Precision,
+    precision: descriptors.Precision,
     error: float,
     model: Model,
     folder: Path,
@@ -224,14 +224,14 @@ def test_a_smaller_store_says_nearly_the_same(
 ) -> None:
     from lpn.datasets import Picture
 
-    files = features.pictures_below(folder)
-    whole = features.describe(model, files, "drone", tmp_path / "whole", root=folder)
+    files = descriptors.pictures_below(folder)
+    whole = descriptors.describe(model, files, "drone", tmp_path / "whole", root=folder)
     with monkeypatch.context() as patch:
         Counting(model, patch, die_after=8)
         with pytest.raises(KeyboardInterrupt):
-            features.describe(model, files, "drone", tmp_path / "small", root=folder, precision=precision)
+            descriptors.describe(model, files, "drone", tmp_path / "small", root=folder, precision=precision)
     count = Counting(model, monkeypatch)
-    small = features.describe(model, files, "drone", tmp_path / "small", root=folder, precision=precision)
+    small = descriptors.describe(model, files, "drone", tmp_path / "small", root=folder, precision=precision)
     assert count.described == 12
     assert (small.descriptors.dtype, small.float32.dtype, small.manifest.precision) == (
         precision,
@@ -242,15 +242,15 @@ def test_a_smaller_store_says_nearly_the_same(
     np.testing.assert_allclose(np.linalg.norm(small.float32, axis=2), 0.5, atol=1e-3)
     assert np.abs(small.float32 - whole.descriptors).max() > 0
     pictures = [Picture(file, 1, file.stem) for file in files]
-    shipped = features.shipped_descriptors(model, pictures, "drone", tmp_path / "small")
+    shipped = descriptors.shipped_descriptors(model, pictures, "drone", tmp_path / "small")
     assert shipped is not None
     np.testing.assert_array_equal(shipped, small.float32)
     with pytest.raises(StoreError, match=rf"in {precision}, and these would be .* in float32"):
-        features.describe(model, files, "drone", tmp_path / "small", root=folder)
+        descriptors.describe(model, files, "drone", tmp_path / "small", root=folder)
     manifest = json.loads((tmp_path / "whole" / "manifest.json").read_text())
     del manifest["precision"]  # as stores made before there was a choice
     (tmp_path / "whole" / "manifest.json").write_text(json.dumps(manifest))
-    assert features.open_store(tmp_path / "whole").manifest.precision == "float32"
+    assert descriptors.open_store(tmp_path / "whole").manifest.precision == "float32"
 
 
 def test_a_data_sets_own_store_is_evaluated_where_it_is_exact(
@@ -261,15 +261,15 @@ def test_a_data_sets_own_store_is_evaluated_where_it_is_exact(
     root = shutil.copytree(data, tmp_path / "data")
     tiles = open_dataset(root).gallery("satellite")
     folder = root / "test" / "gallery_satellite"
-    count, read = Counting(model, monkeypatch), features.reader(root)
+    count, read = Counting(model, monkeypatch), descriptors.reader(root)
     stores = root / "descriptors"
     files = [tile.path for tile in tiles]
-    features.describe(model, files, "satellite", stores / "gallery_satellite", root=folder, precision="float16")
+    descriptors.describe(model, files, "satellite", stores / "gallery_satellite", root=folder, precision="float16")
     assert count.described == len(tiles)
     read(model, tiles, "satellite")
     assert count.described == 2 * len(tiles)
     shutil.rmtree(stores)
-    features.describe(model, files, "satellite", stores / "gallery_satellite", root=folder)
+    descriptors.describe(model, files, "satellite", stores / "gallery_satellite", root=folder)
     shutil.rmtree(tmp_path / "cache")
     before = count.described
     read(model, tiles, "satellite")
@@ -281,19 +281,19 @@ def test_a_data_sets_own_store_is_evaluated_where_it_is_exact(
 def test_two_at_once_describe_into_one_folder_once(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files = features.pictures_below(folder)
+    files = descriptors.pictures_below(folder)
     count = Counting(model, monkeypatch)
     with ThreadPoolExecutor(2) as pool:
-        both = [pool.submit(features.describe, model, files, "drone", tmp_path / "store") for _ in range(2)]
+        both = [pool.submit(descriptors.describe, model, files, "drone", tmp_path / "store") for _ in range(2)]
     assert count.described == 20
     np.testing.assert_array_equal(both[0].result().descriptors, both[1].result().descriptors)
 
 
 def test_hidden_files_are_not_pictures(folder: Path) -> None:
-    before = features.pictures_below(folder)
+    before = descriptors.pictures_below(folder)
     for name in (".ipynb_checkpoints/a.png", "1/._02.png"):
         worlds.write(folder / name, worlds.place(0))
-    assert features.pictures_below(folder) == before
+    assert descriptors.pictures_below(folder) == before
 
 
 def test_unreadable_pictures_are_named_before_anything_is_computed(
@@ -304,19 +304,19 @@ def test_unreadable_pictures_are_named_before_anything_is_computed(
     cut.write_bytes(cut.read_bytes()[:-500])
     count = Counting(model, monkeypatch)
     with pytest.raises(PictureError, match=r"2 of 21 pictures .*04\.png is cut short.*zz\.jpg is not a picture"):
-        features.describe(model, features.pictures_below(folder), "drone", tmp_path / "store")
+        descriptors.describe(model, descriptors.pictures_below(folder), "drone", tmp_path / "store")
     assert count.described == 0
     (tmp_path / "empty").mkdir()
     for missing in ("empty", "absent"):
         with pytest.raises(DataError, match=missing):
-            features.pictures_below(tmp_path / missing)
+            descriptors.pictures_below(tmp_path / missing)
 
 
 def test_damaged_stores_are_refused_in_words(model: Model, folder: Path, tmp_path: Path) -> None:
-    files = features.pictures_below(folder)
+    files = descriptors.pictures_below(folder)
     for damage in ("cut", "shape", "precision", "manifest", "text"):
         store = tmp_path / damage
-        features.describe(model, files, "drone", store)
+        descriptors.describe(model, files, "drone", store)
         if damage == "cut":
             (store / "descriptors.npy").write_bytes((store / "descriptors.npy").read_bytes()[:500])
         elif damage == "shape":
@@ -327,16 +327,16 @@ def test_damaged_stores_are_refused_in_words(model: Model, folder: Path, tmp_pat
         else:
             (store / "manifest.json").write_text("{}" if damage == "manifest" else "\x00")
         with pytest.raises(LPNError, match="describe the pictures again"):
-            features.open_store(store)
+            descriptors.open_store(store)
 
 
 def test_a_store_that_cannot_be_read_is_not_called_damaged(model: Model, folder: Path, tmp_path: Path) -> None:
-    features.describe(model, features.pictures_below(folder)[:2], "drone", tmp_path / "store")
+    descriptors.describe(model, descriptors.pictures_below(folder)[:2], "drone", tmp_path / "store")
     array = tmp_path / "store" / "descriptors.npy"
     array.unlink()
     array.mkdir()  # which nobody can read as a file, also where permissions do not bind
     with pytest.raises(LPNError) as told:
-        features.open_store(tmp_path / "store")
+        descriptors.open_store(tmp_path / "store")
     assert str(told.value) == f"{array} cannot be read (Is a directory); check its permissions and its disk."
 
 
@@ -345,13 +345,13 @@ def test_cache_is_keyed_by_files_view_and_angle(
 ) -> None:
     from lpn.datasets import Picture
 
-    pictures = [Picture(file, 1, file.stem) for file in features.pictures_below(folder)]
+    pictures = [Picture(file, 1, file.stem) for file in descriptors.pictures_below(folder)]
     count = Counting(model, monkeypatch)
-    first = features.cached_descriptors(model, pictures, "drone")
-    turned = features.cached_descriptors(model, pictures, "drone", Change(rotate=90))
+    first = descriptors.cached_descriptors(model, pictures, "drone")
+    turned = descriptors.cached_descriptors(model, pictures, "drone", Change(rotate=90))
     assert count.described == 40
     assert np.abs(first - turned).max() > 1e-3
-    np.testing.assert_array_equal(features.cached_descriptors(model, pictures, "drone"), first)
+    np.testing.assert_array_equal(descriptors.cached_descriptors(model, pictures, "drone"), first)
     assert count.described == 40
     manifests = [json.loads(p.read_text()) for p in (tmp_path / "cache").rglob("manifest.json")]
     assert sorted(m["rotate"] for m in manifests) == [0, 90]
@@ -360,9 +360,9 @@ def test_cache_is_keyed_by_files_view_and_angle(
 def test_a_kill_before_the_new_manifest_leaves_no_old_one_and_loses_nothing(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files = features.pictures_below(folder)
+    files = descriptors.pictures_below(folder)
     store = tmp_path / "store"
-    features.describe(model, files, "drone", store)
+    descriptors.describe(model, files, "drone", store)
 
     def killed(path: Path, data: bytes) -> None:
         if path.name == "manifest.json":
@@ -370,32 +370,32 @@ def test_a_kill_before_the_new_manifest_leaves_no_old_one_and_loses_nothing(
         write_whole(path, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(describing, "write_whole", killed)
+        patch.setattr(writer, "write_whole", killed)
         with pytest.raises(KeyboardInterrupt):
-            features.describe(model, files[::-1], "drone", store)
+            descriptors.describe(model, files[::-1], "drone", store)
     with pytest.raises(StoreError):
-        features.open_store(store)
+        descriptors.open_store(store)
     counting = Counting(model, monkeypatch)
-    again = features.describe(model, files[::-1], "drone", store)
+    again = descriptors.describe(model, files[::-1], "drone", store)
     assert counting.described == 0
-    expected = features.describe(model, files, "drone", tmp_path / "other").descriptors[::-1]
+    expected = descriptors.describe(model, files, "drone", tmp_path / "other").descriptors[::-1]
     np.testing.assert_allclose(again.descriptors, expected, atol=1e-6)
 
 
 def test_a_store_from_before_there_were_shifts_is_still_used(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files, store = features.pictures_below(folder), tmp_path / "store"
-    made = features.describe(model, files, "drone", store)
+    files, store = descriptors.pictures_below(folder), tmp_path / "store"
+    made = descriptors.describe(model, files, "drone", store)
     manifest = json.loads((store / "manifest.json").read_text())
     assert manifest["format"] == "lpn-descriptors/2"
     assert (manifest.pop("shift"), manifest.pop("scale")) == (0, 1)
     (store / "manifest.json").write_text(json.dumps(manifest | {"format": "lpn-descriptors/1"}))
     count = Counting(model, monkeypatch)
-    np.testing.assert_array_equal(features.describe(model, files, "drone", store).descriptors, made.descriptors)
+    np.testing.assert_array_equal(descriptors.describe(model, files, "drone", store).descriptors, made.descriptors)
     assert count.described == 0
     with pytest.raises(StoreError, match=r"unchanged, in float32, and these would be .* shifted 3 px to the right"):
-        features.describe(model, files, "drone", store, change=Change(shift=3))
+        descriptors.describe(model, files, "drone", store, change=Change(shift=3))
 
 
 def test_cache_is_keyed_by_every_change_and_box(
@@ -403,19 +403,19 @@ def test_cache_is_keyed_by_every_change_and_box(
 ) -> None:
     from lpn.datasets import Picture
 
-    pictures = [Picture(file, 1, file.stem) for file in features.pictures_below(folder)[:5]]
+    pictures = [Picture(file, 1, file.stem) for file in descriptors.pictures_below(folder)[:5]]
     boxed = [replace(picture, box=(0.0, 10.0, 50.5, 60.0)) for picture in pictures]
     count = Counting(model, monkeypatch)
     asked = [(pictures, Change(**given)) for given in ({}, {"shift": 4}, {"scale": 2}, {"down": 4})]
     asked.append((boxed, Change()))
-    made = [features.cached_descriptors(model, given, "drone", change) for given, change in asked]
+    made = [descriptors.cached_descriptors(model, given, "drone", change) for given, change in asked]
     assert count.described == 25
-    again = [features.cached_descriptors(model, given, "drone", change) for given, change in asked]
+    again = [descriptors.cached_descriptors(model, given, "drone", change) for given, change in asked]
     assert count.described == 25
     np.testing.assert_array_equal(made, again)
     assert len({array.tobytes() for array in made}) == 5
     manifests = [
-        features.Manifest.from_json(p.read_bytes(), p.name) for p in (tmp_path / "cache").rglob("manifest.json")
+        descriptors.Manifest.from_json(p.read_bytes(), p.name) for p in (tmp_path / "cache").rglob("manifest.json")
     ]
     assert sorted((m.shift, m.scale, m.down, m.cropped) for m in manifests) == [
         (0, 1, 0, False),
@@ -427,7 +427,7 @@ def test_cache_is_keyed_by_every_change_and_box(
     written = [json.loads(p.read_text()) for p in (tmp_path / "cache").rglob("manifest.json")]
     assert [m["down"] for m in written if "down" in m] == [4]
     moved = [*boxed[:4], replace(boxed[4], box=(1.0, 10.0, 50.5, 60.0))]
-    features.cached_descriptors(model, moved, "drone")
+    descriptors.cached_descriptors(model, moved, "drone")
     assert count.described == 26
 
 
@@ -435,33 +435,33 @@ def test_rows_are_kept_in_whatever_order_they_were_done(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rows 4 to 7 and the last are left by a killed run; the rest alone is computed, and not before the folder says so."""
-    files, out = features.pictures_below(folder), tmp_path / "store"
-    whole = np.array(features.describe(model, files, "drone", tmp_path / "whole").descriptors)
+    files, out = descriptors.pictures_below(folder), tmp_path / "store"
+    whole = np.array(descriptors.describe(model, files, "drone", tmp_path / "whole").descriptors)
     with monkeypatch.context() as patch:
         Counting(model, patch, die_after=4)
         with pytest.raises(KeyboardInterrupt):
-            features.describe(model, files, "drone", out)
+            descriptors.describe(model, files, "drone", out)
     part = np.lib.format.open_memmap(out / "descriptors.part", mode="r+")
     part[:] = 0
     part[4:8], part[19] = whole[4:8], whole[19]
     del part
     (out / "progress.json").write_text(json.dumps({"done": [[4, 8], [19, 20]]}))
     count = Counting(model, monkeypatch)
-    np.testing.assert_allclose(features.describe(model, files, "drone", out).descriptors, whole, atol=1e-6)
+    np.testing.assert_allclose(descriptors.describe(model, files, "drone", out).descriptors, whole, atol=1e-6)
     assert count.described == 15
 
 
 def test_an_unfinished_store_of_before_is_gone_on_with(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files, out = features.pictures_below(folder), tmp_path / "store"
+    files, out = descriptors.pictures_below(folder), tmp_path / "store"
     with monkeypatch.context() as patch:
         Counting(model, patch, die_after=8)
         with pytest.raises(KeyboardInterrupt):
-            features.describe(model, files, "drone", out)
+            descriptors.describe(model, files, "drone", out)
     (out / "progress.json").write_text('{"done": 8}')  # rows from the first, as they were counted once
     count = Counting(model, monkeypatch)
-    features.describe(model, files, "drone", out)
+    descriptors.describe(model, files, "drone", out)
     assert count.described == 12
 
 
@@ -496,6 +496,6 @@ def test_a_kill_costs_about_a_second(
     command = [sys.executable, "-c", KILLED, str(model_file), str(folder), str(out)]
     assert subprocess.run(command, capture_output=True, check=False).returncode == -signal.SIGKILL
     count = Counting(model, monkeypatch)
-    store = features.describe(model, features.pictures_below(folder), "drone", out)
+    store = descriptors.describe(model, descriptors.pictures_below(folder), "drone", out)
     assert 0 < count.described <= 16
     assert len(store.descriptors) == 20

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from lpn import features
-from lpn.changes import UNCHANGED, Change
+from lpn import descriptors
 from lpn.core import images
 from lpn.core.errors import InputError, PictureError
 from lpn.datasets import open_dataset
+from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.evaluate import evaluate
 from lpn.models.checkpoints import TorchModel
 from lpn.models.network import LPN
@@ -132,11 +132,11 @@ def test_stores_of_turned_panoramas_are_told_from_those_of_turned_pictures(tmp_p
     spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=2, input_size=(64, 64))
     model, queries = TorchModel(LPN(spec), "f" * 16), dataset.queries("street")
     found = {
-        change.around: features.cached_descriptors(model, queries, "street", change)
+        change.around: descriptors.cached_descriptors(model, queries, "street", change)
         for change in (Change(rotate=90), Change(rotate=90).of(queries[0]))
     }
     assert not np.allclose(found[True], found[False], atol=1e-3)
-    again = features.cached_descriptors(model, queries, "street", Change(rotate=90, around=True))
+    again = descriptors.cached_descriptors(model, queries, "street", Change(rotate=90, around=True))
     np.testing.assert_array_equal(found[True], again)
     protocol = Protocol(Change(rotate=90))
     assert "columns moved around" in evaluate(model, dataset, "street-to-satellite", protocol).said

@@ -3,7 +3,7 @@ leaves, and `cache` finds what was described before."""
 
 from __future__ import annotations
 
-from lpn.features.cache import (
+from lpn.descriptors.cache import (
     STORES,
     Reader,
     Side,
@@ -15,8 +15,8 @@ from lpn.features.cache import (
     reader,
     shipped_descriptors,
 )
-from lpn.features.describing import describe, pictures_below
-from lpn.features.store import BEFORE, FORMAT, Box, Manifest, Precision, Row, Store, open_store
+from lpn.descriptors.store import BEFORE, FORMAT, Box, Manifest, Precision, Row, Store, open_store
+from lpn.descriptors.writer import describe, pictures_below
 
 __all__ = [
     "BEFORE",

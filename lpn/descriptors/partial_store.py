@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from lpn.core.errors import LPNError, NewerStoreError, StoreError
 from lpn.core.files import mapped, write_whole
-from lpn.features.store import FORMAT, Manifest, Store, stored, with_array
+from lpn.descriptors.store import FORMAT, Manifest, Store, stored, with_array
 from lpn.models.base import FloatArray
 
 _SECONDS = 1.0

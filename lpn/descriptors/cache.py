@@ -13,13 +13,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lpn.changes import UNCHANGED, Change
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import printable
 from lpn.datasets import Picture
-from lpn.features.describing import describe
-from lpn.features.store import Box, Manifest, open_store, row_of
-from lpn.features.unfinished import complete
+from lpn.descriptors.partial_store import complete
+from lpn.descriptors.store import Box, Manifest, open_store, row_of
+from lpn.descriptors.transforms import UNCHANGED, Change
+from lpn.descriptors.writer import describe
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import View
 

@@ -9,17 +9,17 @@ from typing import cast
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from lpn.changes import UNCHANGED, Change
 from lpn.core import images
 from lpn.core.errors import DataError, StoreError
 from lpn.core.files import alone, printable, write_whole
 from lpn.datasets import files_below
 from lpn.datasets.integrity import check_whole
-from lpn.features.store import Box, Manifest, Precision, Row, Store, open_store, row_of
-from lpn.features.unfinished import Unfinished, renamed_only, usable
+from lpn.descriptors.parallel_inference import describe_each
+from lpn.descriptors.partial_store import Unfinished, renamed_only, usable
+from lpn.descriptors.store import Box, Manifest, Precision, Row, Store, open_store, row_of
+from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import View
-from lpn.streams import describe_each
 
 
 def describe(

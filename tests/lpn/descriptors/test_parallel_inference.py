@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpn import streams
 from lpn.core.errors import PictureError
+from lpn.descriptors import parallel_inference
+from lpn.descriptors.parallel_inference import describe_each
 from lpn.models.base import FloatArray
 from lpn.models.onnx_engine import Engine
-from lpn.streams import describe_each
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def test_streams_say_what_one_call_says(
     worth: int, model_file: Path, pictures: FloatArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whether each stream computes by itself, or all take turns with the model as it was opened."""
-    monkeypatch.setattr(streams, "_WORTH_OPENING", worth)
+    monkeypatch.setattr(parallel_inference, "_WORTH_OPENING", worth)
     model = Engine(model_file, threads=2)
     np.testing.assert_allclose(collected(model, pictures, 3), model.descriptors(pictures, "drone"), atol=1e-6)
 

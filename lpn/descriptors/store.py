@@ -20,11 +20,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from lpn.changes import Change
 from lpn.core.checksums import Checksums, crc_of_blocks, crc_of_values
 from lpn.core.errors import InputError, NewerStoreError, PictureError, StoreError
 from lpn.core.files import mapped, unreadable
 from lpn.core.formats import is_newer, newer
+from lpn.descriptors.transforms import Change
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import View
 
