@@ -13,12 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 import lpn
-from lpn import descriptors, metrics
+from lpn import descriptors
 from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.evaluate import evaluate
 from lpn.models.base import FloatArray, Model
-from lpn.protocol import Protocol
+from lpn.retrieval import metrics
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
 
 ANGLES = (15, 45, 90, 180)
 Labels = npt.NDArray[np.int64]

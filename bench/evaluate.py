@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.figures import Figure, below, show, within
-from lpn import metrics
+from lpn.retrieval import metrics
 
 LENGTH, PARTS, LATENT, NOISE = 2048, 4, 96, 1.2
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")

@@ -21,6 +21,7 @@ from lpn.commands.using import DEMO
 from lpn.core import images
 from lpn.datasets import open_dataset
 from lpn.models.base import Model
+from lpn.retrieval import scoring
 
 STEPS = 8
 
@@ -32,7 +33,7 @@ def curves(data: Path, model: Model, queries: int, steps: int = STEPS) -> dict[t
     entries = [entry for entry in dataset.queries("drone") if entry.label in tiles]
     chosen = [entries[len(entries) * i // queries] for i in range(queries)]
     sums: dict[tuple[str, str], np.ndarray] = {}
-    weights = explain.part_weights(model.n_parts)
+    weights = scoring.part_weights(model.n_parts)
     for entry in track(chosen, "Covering", console=Console(stderr=True)):
         picture = images.load_picture(entry.path)
         query = retrieval.describe_picture(model, picture, "drone")

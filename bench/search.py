@@ -35,11 +35,11 @@ from rich.table import Table
 
 import bench.figures
 from bench.figures import Figure, below, machine, show, within
-from lpn import explain
 from lpn.core.resources import usable_cores
 from lpn.index import Box, ExactIndex, Kind, base
 from lpn.index.scan import PRECISIONS
 from lpn.models.base import FloatArray, normalise
+from lpn.retrieval import scoring
 
 KIND = Kind("bench", 4, 512)
 TILES = (951, 51_355)
@@ -150,7 +150,7 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
     """The figures of one gallery."""
     gallery = np.concatenate([block for _, block in drawn(count)])
     asked = queries(gallery)
-    equal, other = explain.part_weights(KIND.n_parts), explain.part_weights(KIND.n_parts, OTHER)
+    equal, other = scoring.part_weights(KIND.n_parts), scoring.part_weights(KIND.n_parts, OTHER)
     indexes = {name: filled(ExactIndex.create(folder / f"{count}-{name}", KIND, name), count) for name in PRECISIONS}
     tasks = readers(gallery) | peers(gallery, asked, equal)
     for name, index in indexes.items():

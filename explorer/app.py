@@ -43,7 +43,7 @@ from lpn.core.files import printable
 from lpn.core.log import conceal
 from lpn.core.resources import pool_memory, port_taken, return_memory
 from lpn.core.shutdown import finished
-from lpn.saved import load_saved
+from lpn.retrieval.published_results import load_saved
 
 log = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from explorer.pages import SIGNS
 from explorer.session import State
 from lpn import overlays
 from lpn.core import images
-from lpn.metrics import IntArray
+from lpn.retrieval.metrics import IntArray
 from lpn.words import ordinal
 
 _SHOWN, _LISTED, _HEIGHT = 5, 8, 240

@@ -16,7 +16,7 @@ from lpn.core import images
 from lpn.core.images import Picture
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
-from lpn.metrics import IntArray
+from lpn.retrieval.metrics import IntArray
 
 LARGEST = 1536
 """Pixels of the longer side of the picture of all tiles."""

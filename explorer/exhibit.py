@@ -27,10 +27,10 @@ from lpn.datasets import Picture as Entry
 from lpn.datasets import Truth, geo
 from lpn.datasets.city_model import CityModel
 from lpn.explain import Evidence, Mates
-from lpn.metrics import IntArray
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import ModelSpec, View
-from lpn.retrieval import Described, Match, Ranking
+from lpn.retrieval import Described, Match, Ranking, scoring
+from lpn.retrieval.metrics import IntArray
 
 TILES = 48
 """Described tiles that are kept: with their feature maps, a large network's are 4 MB each."""
@@ -286,11 +286,11 @@ class Analyst:
         if self._query_key != key:
             self._query = self._described(task, state)
             self._query_key, self._searched_key = key, None
-        weights = explain.part_weights(state.n_parts, state.part_values())
+        weights = scoring.part_weights(state.n_parts, state.part_values())
         searched = (key, state.region, state.part_values() if state.region else None)
         if self._searched_key != searched:
             descriptor = self._searched(state, weights)
-            self._cosines = explain.part_cosines(descriptor, task.descriptors)
+            self._cosines = scoring.part_cosines(descriptor, task.descriptors)
             self._lengths = state.n_parts * (descriptor**2).sum(axis=1) if state.region else None
             self._searched_key = searched
         ranked = (searched, state.part_values())

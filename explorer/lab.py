@@ -23,7 +23,7 @@ from explorer.room import EDGE, Room
 from explorer.session import State
 from explorer.worker import Worker
 from lpn.core.errors import LPNError
-from lpn.metrics import IntArray
+from lpn.retrieval.metrics import IntArray
 
 _UPPER = 0.49
 """Share of the stage, from its top, that the compared pair takes."""

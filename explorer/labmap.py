@@ -12,7 +12,7 @@ from explorer.laboratory import Points
 from lpn import overlays, projection
 from lpn.core.images import Picture
 from lpn.datasets.geo import FloatArray
-from lpn.metrics import IntArray
+from lpn.retrieval.metrics import IntArray
 
 Bounds = tuple[float, float, float, float]
 BoolArray = npt.NDArray[np.bool_]

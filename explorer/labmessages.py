@@ -10,7 +10,7 @@ from explorer import labstate
 from explorer.labmap import Drawn
 from explorer.laboratory import Findings
 from explorer.labstate import MAPS, OUTCOMES, TABS, LabState, Pick
-from lpn.metrics import IntArray
+from lpn.retrieval.metrics import IntArray
 
 Changed = LabState | None
 

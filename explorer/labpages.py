@@ -16,8 +16,8 @@ from explorer.pages import SIGNS
 from explorer.style import verdict_ink
 from lpn import overlays
 from lpn.core.tables import Column
-from lpn.metrics import IntArray
 from lpn.notes import Note
+from lpn.retrieval.metrics import IntArray
 
 _HINTS = {
     "rank": "Rank of the first true tile",

@@ -12,7 +12,7 @@ from lpn import breakdown, failures
 from lpn.breakdown import Rate
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table
-from lpn.metrics import IntArray
+from lpn.retrieval.metrics import IntArray
 
 Tab = Literal["table", "breakdown", "maps"]
 Outcome = Literal["all", "failed", "found"]

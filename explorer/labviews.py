@@ -13,8 +13,8 @@ from explorer.labmap import Drawn
 from explorer.laboratory import Findings, Laboratory
 from explorer.labstate import LabState
 from lpn.core.errors import LPNError
-from lpn.metrics import IntArray
 from lpn.notes import Note
+from lpn.retrieval.metrics import IntArray
 
 
 class MapView:

@@ -13,7 +13,7 @@ import lpn
 from explorer import chart
 from explorer.exhibit import Exhibit, Task
 from explorer.standing import Standing
-from lpn import descriptors, metrics
+from lpn import descriptors
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import Dataset, geo, open_dataset
@@ -21,8 +21,9 @@ from lpn.datasets import Picture as Entry
 from lpn.datasets.city_model import CityModel, city_model
 from lpn.descriptors import Side
 from lpn.models.spec import Layout, ModelSpec, View, views_of
-from lpn.rankings import Sides
-from lpn.saved import Saved
+from lpn.retrieval import metrics
+from lpn.retrieval.published_results import Saved
+from lpn.retrieval.ranking_cache import Sides
 
 log = logging.getLogger(__name__)
 

@@ -18,7 +18,7 @@ from explorer.exhibit import Answer, Exhibit, Task
 from explorer.html import Html
 from explorer.session import State
 from lpn.core.errors import LPNError
-from lpn.metrics import IntArray
+from lpn.retrieval.metrics import IntArray
 
 THUMBS = 12
 LEFT, RIGHT, NARROW = 290, 370, 330

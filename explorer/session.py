@@ -12,8 +12,8 @@ import numpy as np
 
 from lpn.core.images import Picture
 from lpn.descriptors.transforms import Change
-from lpn.metrics import IntArray
 from lpn.overlays import DARK, LIGHT, Palette
+from lpn.retrieval.metrics import IntArray
 
 MAX_WEIGHT = 2.0
 TRUTH: Final = "truth"

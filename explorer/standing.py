@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 from explorer.chart import Places
 from explorer.jobs import Job, Jobs, Progress
-from lpn import rankings
 from lpn.core.errors import LPNError
-from lpn.evaluate import error_shares
-from lpn.metrics import Retrieval
-from lpn.rankings import Progressing, Sides
+from lpn.retrieval import ranking_cache
+from lpn.retrieval.evaluate import error_shares
+from lpn.retrieval.metrics import Retrieval
+from lpn.retrieval.ranking_cache import Progressing, Sides
 
 QUICK = 20_000_000_000
 """Multiplications that are done before the first page is served: half a second of two cores."""
@@ -25,7 +25,7 @@ class Found:
 
     Attributes:
         ranking: of the gallery for each.
-        results: recall and AP in percent, see `lpn.metrics.evaluate`; with positions, `median error m` and more.
+        results: recall and AP in percent, see `lpn.retrieval.metrics.evaluate`; with positions, `median error m` and more.
     """
 
     ranking: Retrieval
@@ -50,7 +50,7 @@ class Standing:
         """Rank at once where that is quick, and take what is kept of another time; InputError when that cannot be done."""
         if self._sides.work <= QUICK:
             self.found = self._told(self._ranking.finish(lambda *_: None))
-        elif (kept := rankings.kept(self._sides)) is not None:
+        elif (kept := ranking_cache.kept(self._sides)) is not None:
             self.found = self._told(kept)
 
     @property
@@ -100,7 +100,7 @@ class Standing:
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
         with self._turn:  # one that was given up may still be at its last block
             ranking = self._ranking.finish(progress)
-        rankings.keep(self._sides, ranking)
+        ranking_cache.keep(self._sides, ranking)
         self.found = self._told(ranking)
         return self.found
 

@@ -170,7 +170,7 @@ def matlab(folder: Path) -> list[Case]:
     from scipy.io import savemat
 
     from lpn.datasets import open_dataset
-    from lpn.saved import load_saved
+    from lpn.retrieval.published_results import load_saved
     from tests import layouts
 
     def packings(values: dict[str, object]) -> list[bytes]:
@@ -313,9 +313,9 @@ def notes(folder: Path) -> list[Case]:
 
 def rankings(folder: Path) -> list[Case]:
     """A ranking kept between runs."""
-    from lpn import metrics
     from lpn.models.base import normalise
-    from lpn.rankings import Sides, keep, kept
+    from lpn.retrieval import metrics
+    from lpn.retrieval.ranking_cache import Sides, keep, kept
 
     os.environ["LPN_CACHE"] = str(folder)
     rng = np.random.default_rng(0)

@@ -15,10 +15,10 @@ from lpn.core.errors import LPNError, MissingPackageError
 from lpn.core.version import __version__
 
 if TYPE_CHECKING:
-    from lpn import metrics
     from lpn.models.base import Model
     from lpn.models.partition import Partition
     from lpn.models.spec import ModelSpec, View
+    from lpn.retrieval import metrics
 
 __all__ = ["LPNError", "Model", "ModelSpec", "Partition", "View", "__version__", "load", "metrics"]
 
@@ -33,7 +33,7 @@ if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> object:
         if name == "metrics":
-            return import_module("lpn.metrics")
+            return import_module("lpn.retrieval.metrics")
         if name in _HOMES:
             return getattr(import_module(_HOMES[name]), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

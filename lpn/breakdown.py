@@ -11,7 +11,7 @@ from lpn.core.errors import InputError
 from lpn.core.tables import Column
 from lpn.datasets.geo import FloatArray
 from lpn.failures import Outcomes
-from lpn.metrics import IntArray
+from lpn.retrieval.metrics import IntArray
 
 _NORMAL_95 = 1.959963984540054
 """Two-sided 95 % of the normal distribution."""

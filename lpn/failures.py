@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from lpn import explain, metrics
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table, number_column, text_column
 from lpn.datasets import Picture, Truth, geo, metadata
 from lpn.datasets.geo import FloatArray
 from lpn.datasets.metadata import NOTE, TAGS
-from lpn.metrics import IntArray, Retrieval
 from lpn.models.base import FloatArray as Descriptors
+from lpn.retrieval import metrics, scoring
+from lpn.retrieval.metrics import IntArray, Retrieval
 
 _CHUNK_BYTES = 64_000_000
 OUTCOME = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance")
@@ -82,7 +82,7 @@ def build(
         queries, gallery: descriptors with parts of norm 1/sqrt(n), (Q, n, D) and (G, n, D).
         query_labels, labels: the place of each, (Q,) and (G,), -1 for junk; not read where there is `truth`.
         truth: for each query its true matches and its junk, in place of labels.
-        weights: of the parts, (n,), see `explain.part_weights`; equal by default.
+        weights: of the parts, (n,), see `scoring.part_weights`; equal by default.
         progress: told after each block how many queries are done, and of how many; what it raises ends the work.
 
     Raises:
@@ -93,7 +93,7 @@ def build(
             f"The descriptors are {queries.shape} and {gallery.shape}; expected (Q, n, D) and (G, n, D) with the same parts."
         )
     n, size = queries.shape[1:]
-    used = explain.part_weights(n, weights).astype(np.float64)
+    used = scoring.part_weights(n, weights).astype(np.float64)
     used /= used.sum()
     # Equal weights scale no score, so that ranks are those of the published protocol to the last tie.
     factors = None if weights is None else np.repeat(n * used, size)
@@ -105,7 +105,7 @@ def outcomes_of(
     found: Retrieval, queries: Descriptors, gallery: Descriptors, weights: npt.ArrayLike | None = None
 ) -> Outcomes:
     """The outcomes of queries (Q, n, D) that have been ranked already, under the same part weights (n,)."""
-    used = explain.part_weights(queries.shape[1], weights).astype(np.float64)
+    used = scoring.part_weights(queries.shape[1], weights).astype(np.float64)
     used /= used.sum()
     rank, true, false = found.first, found.true, found.false
     parts = _part_margins(queries, gallery, true, false, len(used) * used)

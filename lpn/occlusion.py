@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from lpn import explain
 from lpn.core import images
 from lpn.core.images import Picture
 from lpn.explain import Evidence
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import View
+from lpn.retrieval import scoring
 
 SQUARES = 8
 """Squares across and down that a picture is divided into."""
@@ -125,4 +125,4 @@ def mixed(picture: Picture, blurred: Picture, gone: npt.NDArray[np.bool_]) -> Pi
 def _cosines(model: Model, pictures: Sequence[Picture], view: View, other: FloatArray) -> FloatArray:
     """Each part's cosine of each picture, (B, n)."""
     batch = np.stack([images.normalise(picture) for picture in pictures])
-    return explain.part_cosines(other, model.descriptors(batch, view))
+    return scoring.part_cosines(other, model.descriptors(batch, view))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from lpn.core.errors import InputError, MissingPackageError
 from lpn.datasets.geo import FloatArray
-from lpn.metrics import IntArray, flat_sides
+from lpn.retrieval.metrics import IntArray, flat_sides
 
 SAMPLE = 2000
 """Pictures that the axes are found from, at most."""

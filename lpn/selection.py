@@ -9,12 +9,13 @@ from typing import Protocol, cast
 import numpy as np
 from rich.console import Console
 
-from lpn import descriptors, metrics
+from lpn import descriptors
 from lpn.datasets import Dataset, Picture
 from lpn.descriptors.transforms import Change
-from lpn.evaluate import check_test_split, evaluate
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import View
+from lpn.retrieval import metrics
+from lpn.retrieval.evaluate import check_test_split, evaluate
 
 Row = dict[str, float]
 """One epoch's figures, a line of log.csv."""
@@ -37,7 +38,7 @@ class TestSplit:
     """Retrieval on the test split: the first task decides, which flatters the model chosen.
 
     Raises:
-        LPNError: when a picture of it is broken or it is incomplete, see `lpn.evaluate.check_test_split`.
+        LPNError: when a picture of it is broken or it is incomplete, see `lpn.retrieval.evaluate.check_test_split`.
     """
 
     __test__ = False  # for pytest, which takes it for a test by its name

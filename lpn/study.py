@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy.typing as npt
 
-from lpn import descriptors, explain, failures, metrics, notes, retrieval, versus
+from lpn import descriptors, failures, notes, retrieval, versus
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Table
 from lpn.datasets import Dataset, Picture, Truth
 from lpn.failures import Outcomes
-from lpn.metrics import IntArray
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import ModelSpec, View, views_of
 from lpn.notes import Note
-from lpn.retrieval import Ranking
+from lpn.retrieval import Ranking, metrics, scoring
+from lpn.retrieval.metrics import IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Study:
         query_labels, labels: the place each query and each gallery picture shows, (Q,) and (G,).
         truth: true matches and junk of each query where labels do not say them, else None.
         asked, tiles: descriptors of the queries as they are and of the gallery, (Q, n, D) and (G, n, D).
-        weights: of the parts, see `explain.part_weights`; None for equal ones.
+        weights: of the parts, see `scoring.part_weights`; None for equal ones.
         notes: a person's tags and notes by the query's path, see `lpn.notes`.
     """
 
@@ -71,7 +71,7 @@ class Study:
     @cached_property
     def used(self) -> FloatArray:
         """The part weights, summing to one, (n,)."""
-        return explain.part_weights(self.spec.n_parts, self.weights)
+        return scoring.part_weights(self.spec.n_parts, self.weights)
 
     @cached_property
     def outcomes(self) -> Outcomes:
@@ -92,7 +92,7 @@ class Study:
 
     def rank(self, descriptor: FloatArray, query: int | None) -> Ranking:
         """Rank the gallery for a descriptor (n, D) of a query; None for a picture whose place is not known."""
-        cosines = explain.part_cosines(descriptor, self.tiles)
+        cosines = scoring.part_cosines(descriptor, self.tiles)
         label = None if query is None else int(self.query_labels[query])
         truth = None if query is None or self.truth is None else self.truth[query]
         return retrieval.rank(cosines, self.used, self.labels, label, truth)
@@ -111,7 +111,7 @@ def open_study(
     Args:
         model_name: how it is called.
         task: see `task_of`.
-        weights: of the parts, see `explain.part_weights`.
+        weights: of the parts, see `scoring.part_weights`.
         notes_file: tags and notes, by default those in the data set's folder.
 
     Raises:
@@ -120,7 +120,7 @@ def open_study(
     """
     task = task_of(model, dataset, task)
     read = notes.read_notes(notes_file or dataset.root / notes.NAME)
-    explain.part_weights(model.n_parts, weights)
+    scoring.part_weights(model.n_parts, weights)
     views = views_of(task)
     queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
     return Study(

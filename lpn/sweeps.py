@@ -18,14 +18,15 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from lpn import explain, retrieval
+from lpn import retrieval
 from lpn.core.errors import InputError
 from lpn.core.images import Picture
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
-from lpn.metrics import IntArray
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import View
+from lpn.retrieval import scoring
+from lpn.retrieval.metrics import IntArray
 
 Over = Literal["rotation", "shift", "shift-down", "zoom"]
 """What is changed: degrees counter-clockwise, pixels of the network's input to the right or down, or a factor."""
@@ -89,7 +90,7 @@ def profile(
     model.check_view(view)
     for change in changes:
         described = retrieval.describe_picture(model, picture, view, change)
-        cosines = explain.part_cosines(described.descriptor, gallery)
+        cosines = scoring.part_cosines(described.descriptor, gallery)
         ranking = retrieval.rank(cosines, weights, labels, label, truth)
         if not len(ranking.order):
             raise InputError("There is no tile to rank; a sweep needs a gallery with at least one that is not junk.")

@@ -14,13 +14,12 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn import explain, metrics
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.least_distance import shortest
-from lpn.metrics import IntArray
 from lpn.models.base import FloatArray
-from lpn.retrieval import Ranking
+from lpn.retrieval import Ranking, metrics, scoring
+from lpn.retrieval.metrics import IntArray
 
 Exact = npt.NDArray[np.float64]
 
@@ -129,7 +128,7 @@ def without(ranking: Ranking, tile: int | None = None) -> Without | None:
     def by(values: npt.NDArray[np.floating]) -> Standing | None:
         # Parts that see nothing have the same score for every tile: a rank by them would be the gallery's order.
         known = bool((values[sees] > 0).any())
-        return _standing(ranking, explain.part_weights(n, values), wanted, rivals) if known else None
+        return _standing(ranking, scoring.part_weights(n, values), wanted, rivals) if known else None
 
     left_out = [by(np.where(np.arange(n) == part, 0.0, ranking.weights)) for part in range(n)]
     now = _standing(ranking, ranking.weights, wanted, rivals)
@@ -190,7 +189,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
         if step is None or (best is not None and np.linalg.norm(step) >= reach):
             continue
         found = now + basis @ step
-        weights = explain.part_weights(n, np.where(found < 1e-9, 0.0, found))
+        weights = scoring.part_weights(n, np.where(found < 1e-9, 0.0, found))
         if _standing(ranking, weights, wanted, rivals).rank == 1:
             reach = float(np.linalg.norm(step))
             best = Reweighting(weights, weights - ranking.weights, reach, int(index))
@@ -233,12 +232,12 @@ def effect(
     """Whether other part weights help or harm over all queries of a task.
 
     The weights go into the queries, `w_i n q_i`, so that each side is one inner-product retrieval, in blocks and in double
-    precision; see `lpn.metrics.retrieve`, also for memory and for what is raised.
+    precision; see `lpn.retrieval.metrics.retrieve`, also for memory and for what is raised.
 
     Args:
         query, gallery: descriptors, (Q, n, D) and (G, n, D).
-        before, after: part weights, see `explain.part_weights`; None for equal ones.
-        query_labels, gallery_labels, truth: what is a true match, as for `lpn.metrics.retrieve`.
+        before, after: part weights, see `scoring.part_weights`; None for equal ones.
+        query_labels, gallery_labels, truth: what is a true match, as for `lpn.retrieval.metrics.retrieve`.
         first: the 0-based rank of each query's first true match with the old weights, (Q,), -1 without any, where it is
             known already; it is then not computed again.
     """
@@ -255,7 +254,7 @@ def effect(
 def folded(query: FloatArray, weights: npt.ArrayLike | None) -> FloatArray:
     """Queries (..., n, D) whose inner product with a descriptor is the score under part weights: each part times w_i n."""
     n = query.shape[-2]
-    return cast(FloatArray, query * (n * explain.part_weights(n, weights))[:, None])
+    return cast(FloatArray, query * (n * scoring.part_weights(n, weights))[:, None])
 
 
 def _sides(ranking: Ranking, tile: int | None) -> tuple[IntArray, IntArray]:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 import lpn
-from lpn import descriptors, explain, retrieval
+from lpn import descriptors, retrieval
 from lpn.core import images
 from lpn.core.errors import DataError
 from lpn.core.files import printable
@@ -21,7 +21,7 @@ from lpn.datasets import Picture, Truth, open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.models.base import FloatArray
 from lpn.models.spec import View, views_of
-from lpn.retrieval import Match, Ranking
+from lpn.retrieval import Match, Ranking, scoring
 from soak.asked import Asked, Own
 from soak.reading import Row, Shown
 
@@ -95,7 +95,7 @@ class Reference:
         for index in sorted({round(at) for at in np.linspace(0, len(gallery) - 1, SAMPLE)}):
             picture = images.load_picture(gallery[index].path)
             found = retrieval.describe_picture(self._model, picture, view).descriptor
-            least = float(explain.part_cosines(found, descriptors[index : index + 1]).min())
+            least = float(scoring.part_cosines(found, descriptors[index : index + 1]).min())
             if not least >= NEAR:
                 raise DataError(
                     f"The stored descriptor of {gallery[index].name} is not that of its picture: the cosine of a part is "
@@ -131,8 +131,8 @@ class Reference:
     def ranking(self, asked: Asked) -> Ranking:
         """The whole gallery ranked for what is asked for."""
         side = self.sides[asked.task]
-        weights = explain.part_weights(self.parts, asked.values())
-        cosines = explain.part_cosines(self._descriptor(asked, side), side.descriptors)
+        weights = scoring.part_weights(self.parts, asked.values())
+        cosines = scoring.part_cosines(self._descriptor(asked, side), side.descriptors)
         label = None if asked.own else side.queries[asked.query].label
         truth = None if asked.own or side.truth is None else side.truth[asked.query]
         return retrieval.rank(cosines, weights, side.labels, label, truth)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from lpn.breakdown import Rate
     from lpn.core.tables import Table
-    from lpn.metrics import IntArray
+    from lpn.retrieval.metrics import IntArray
     from lpn.study import Study
 
 

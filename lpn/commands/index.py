@@ -104,11 +104,12 @@ class Search:
     """File to write the tiles to, with scores, parts, and positions."""
 
     def run(self) -> None:
-        from lpn import explain, retrieval
+        from lpn import retrieval
         from lpn.core import images
         from lpn.core.files import check_writable, write_whole
         from lpn.index import check_effort, open_index
         from lpn.index.base import check_count
+        from lpn.retrieval import scoring
 
         check_count(self.top)
         check_effort(self.effort, self.depth)
@@ -116,7 +117,7 @@ class Search:
             check_writable(self.json)
         model = lpn.load(self.model)
         model.check_view(self.view)
-        weights = explain.part_weights(model.n_parts, part_values(self.weights))
+        weights = scoring.part_weights(model.n_parts, part_values(self.weights))
         with open_index(self.index, model.fingerprint, self.effort, self.depth) as index:
             query = retrieval.describe_picture(
                 model, images.load_picture(self.picture), self.view, self.rotate
@@ -143,10 +144,10 @@ def _matches(
     """What is told of each tile."""
     import numpy as np
 
-    from lpn import explain
+    from lpn.retrieval import scoring
 
-    cosines = explain.part_cosines(query, found.vectors)
-    shares = explain.contributions(cosines, weights)
+    cosines = scoring.part_cosines(query, found.vectors)
+    shares = scoring.contributions(cosines, weights)
     names = model.spec.partition(view).names()
     matches = []
     for i, name in enumerate(found.ids[:top]):

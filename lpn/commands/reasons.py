@@ -52,6 +52,7 @@ class Explain:
         from lpn import explain, occlusion, pairfigure, retrieval, words
         from lpn.core import images
         from lpn.core.files import check_writable, write_whole
+        from lpn.retrieval import scoring
 
         for file in (self.json, self.png):
             if file is not None:
@@ -60,7 +61,7 @@ class Explain:
         views = (self.view_query, self.view_match)
         for view in views:
             model.check_view(view)
-        weights = explain.part_weights(model.n_parts, part_values(self.weights))
+        weights = scoring.part_weights(model.n_parts, part_values(self.weights))
         query = retrieval.describe_picture(model, images.load_picture(self.query), self.view_query, self.rotate)
         tile = retrieval.describe_picture(model, images.load_picture(self.match), self.view_match)
         assert query.trace is not None

@@ -79,14 +79,15 @@ class Sweep:
         import numpy as np
         from rich.progress import track
 
-        from lpn import descriptors, explain, sweeps
+        from lpn import descriptors, sweeps
         from lpn.core import images
+        from lpn.retrieval import scoring
 
         query_view, gallery_view = views_of(task)
         for view in (query_view, gallery_view):
             model.check_view(view)
         side = model.input_size[0 if self.over == "shift-down" else 1]
-        weights = explain.part_weights(model.n_parts, part_values(self.weights))
+        weights = scoring.part_weights(model.n_parts, part_values(self.weights))
         queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
         names = [entry.name for entry in queries]
         if self.query not in names:

@@ -11,8 +11,8 @@ import lpn
 from lpn.core.errors import InputError
 
 if TYPE_CHECKING:
-    from lpn.evaluate import Result
-    from lpn.protocol import Protocol
+    from lpn.retrieval.evaluate import Result
+    from lpn.retrieval.protocol import Protocol
 
 DEMO = Path(__file__).parents[2] / "assets" / "demo"
 """The demo's data set and model, in a checkout."""
@@ -115,7 +115,7 @@ class Evaluate:
     def run(self) -> None:
         from lpn.core.files import check_writable, write_whole
         from lpn.descriptors.transforms import Change
-        from lpn.protocol import Protocol
+        from lpn.retrieval.protocol import Protocol
 
         if self.json is not None:
             check_writable(self.json)
@@ -133,8 +133,8 @@ class Evaluate:
             write_whole(self.json, (json.dumps(result.to_dict(), indent=1) + "\n").encode())
 
     def _saved(self, saved: Path, protocol: Protocol) -> tuple[str, Result]:
-        from lpn.evaluate import evaluate_saved
-        from lpn.saved import load_saved
+        from lpn.retrieval.evaluate import evaluate_saved
+        from lpn.retrieval.published_results import load_saved
 
         if self.data is not None or self.model is not None or self.task is not None:
             raise InputError("A saved result is evaluated alone; leave --data, --model, and --task out.")
@@ -149,7 +149,7 @@ class Evaluate:
     def _described(self, protocol: Protocol) -> tuple[str, Result]:
         from lpn.datasets import open_dataset
         from lpn.descriptors import reader
-        from lpn.evaluate import evaluate
+        from lpn.retrieval.evaluate import evaluate
 
         _only_saved(self.n_parts)
         if self.data is None or self.model is None:

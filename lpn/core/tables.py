@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.metrics import IntArray
+from lpn.retrieval.metrics import IntArray
 
 _COMPARED: dict[str, Callable[[Any, Any], Any]] = {
     "=": operator.eq,

@@ -20,10 +20,10 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from lpn import explain
 from lpn.core.errors import InputError, StoreError
 from lpn.core.files import printable
 from lpn.models.base import FloatArray
+from lpn.retrieval import scoring
 
 Exact = npt.NDArray[np.float64]
 Box = tuple[float, float, float, float]
@@ -65,7 +65,7 @@ class Kind:
             raise InputError(
                 f"The query is of shape {values.shape}; expected {self.n_parts} parts of {self.embedding} finite numbers."
             )
-        share = explain.part_weights(self.n_parts, weights).astype(np.float64)
+        share = scoring.part_weights(self.n_parts, weights).astype(np.float64)
         return (share[:, None] * self.n_parts * values).reshape(-1)
 
     def checked(self, descriptors: npt.ArrayLike) -> FloatArray:

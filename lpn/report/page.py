@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 
 import lpn
-from lpn import protocol
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.report.cases import Case, Cases, Options, Own, shown
 from lpn.report.figures import text
 from lpn.report.sections import KINDS, parts_legend, said, section, sign, thumbnail
 from lpn.report.style import STYLE
+from lpn.retrieval import protocol
 from lpn.study import Study
 
 MOST = 200

@@ -14,12 +14,12 @@ from lpn.core.errors import InputError
 from lpn.core.files import write_whole
 from lpn.core.formats import is_newer, newer
 from lpn.descriptors.transforms import Change
-from lpn.evaluate import Result, evaluate
 from lpn.models.base import Model
-from lpn.protocol import Protocol
 from lpn.reproduce.paper import Values
 from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import Measure, Row
+from lpn.retrieval.evaluate import Result, evaluate
+from lpn.retrieval.protocol import Protocol
 
 log = logging.getLogger(__name__)
 

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lpn import descriptors, explain, retrieval
+from lpn import descriptors, retrieval
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture
 from lpn.models.base import Model
 from lpn.models.spec import View
 from lpn.reproduce.plots import png, pyplot
+from lpn.retrieval import scoring
 
 TRUE, FALSE = "#f2c200", "#2f6fdb"
 """Frames of true and false matches, yellow and blue as in the paper; a tick or cross stands beside them."""
@@ -73,7 +74,7 @@ def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 
         gallery = dataset.gallery(other)
         described = descriptors.cached_descriptors(model, gallery, other)
         found = retrieval.describe_picture(model, images.load_picture(query.path), view)
-        cosines = explain.part_cosines(found.descriptor, described)
+        cosines = scoring.part_cosines(found.descriptor, described)
         order = np.argsort(-cosines.mean(axis=1), kind="stable")[:top]
         for cell, entry in zip(row, [query, *(gallery[index] for index in order)], strict=False):
             cell.imshow(images.shrink(images.load_picture(entry.path), 256))

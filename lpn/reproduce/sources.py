@@ -14,11 +14,11 @@ from rich.console import Console
 
 from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture, open_dataset
-from lpn.evaluate import check_test_split, lists_of
 from lpn.models.spec import views_of
 from lpn.places import Places
 from lpn.reproduce import world
 from lpn.reproduce.tables import Measure, Role
+from lpn.retrieval.evaluate import check_test_split, lists_of
 
 TASKS: dict[Measure, tuple[str, ...]] = {
     "both ways": ("drone-to-satellite", "satellite-to-drone"),

@@ -12,11 +12,11 @@ import pytest
 from playwright.sync_api import BrowserContext, expect
 
 import lpn
-from lpn import datasets, explain, retrieval
+from lpn import datasets, retrieval
 from lpn.commands.using import DEMO_QUERY
 from lpn.core import images
 from lpn.datasets import geo
-from lpn.retrieval import Ranking
+from lpn.retrieval import Ranking, scoring
 from tests import worlds
 from tests.e2e.conftest import Explorer, Running
 
@@ -28,9 +28,9 @@ def expected(app: Running, name: str, angle: float = 0.0, weights: tuple[float, 
     gallery = dataset.gallery("satellite")
     tiles = np.stack([images.prepare(images.load_picture(entry.path), model.input_size) for entry in gallery])
     described = retrieval.describe_picture(model, images.load_picture(query.path), "drone", angle)
-    cosines = explain.part_cosines(described.descriptor, model.descriptors(tiles, "satellite"))
+    cosines = scoring.part_cosines(described.descriptor, model.descriptors(tiles, "satellite"))
     labels = np.array([entry.label for entry in gallery])
-    return retrieval.rank(cosines, explain.part_weights(4, weights), labels, query.label)
+    return retrieval.rank(cosines, scoring.part_weights(4, weights), labels, query.label)
 
 
 def assert_shows(explorer: Explorer, app: Running, ranking: Ranking) -> None:
@@ -308,7 +308,7 @@ def test_panoramas_and_unrolled_tiles_are_shown_wide(
         model.descriptors(model.prepare(images.load_picture(entry.path), view)[None], view)[0]
         for entry, view in [(query, "street"), *((entry, "satellite") for entry in gallery)]
     )
-    best = int(np.argmax(explain.part_cosines(found, np.stack(tiles)).mean(axis=1)))
+    best = int(np.argmax(scoring.part_cosines(found, np.stack(tiles)).mean(axis=1)))
     expect(explorer.rows.first).to_have_attribute("data-index", str(best))
     flat = explorer.stage()
     explorer.key("x")

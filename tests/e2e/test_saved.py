@@ -8,8 +8,9 @@ import numpy as np
 from playwright.sync_api import BrowserContext, expect
 
 import lpn
-from lpn import datasets, explain, retrieval
+from lpn import datasets, retrieval
 from lpn.descriptors import cached_descriptors
+from lpn.retrieval import scoring
 from tests.e2e.conftest import Explorer, Running
 
 
@@ -36,13 +37,13 @@ def test_a_saved_result_is_explored_without_its_network(
     model, dataset = lpn.load(app.model), datasets.open_dataset(app.data)
     query = next(entry for entry in dataset.queries("drone") if entry.name == "0011")
     gallery = dataset.gallery("satellite")[::-1]  # the order of the file
-    cosines = explain.part_cosines(
+    cosines = scoring.part_cosines(
         cached_descriptors(model, [query], "drone")[0], cached_descriptors(model, gallery, "satellite")
     )
 
     def shows(weights: tuple[float, ...]) -> None:
         labels = np.array([entry.label for entry in gallery])
-        ranking = retrieval.rank(cosines, explain.part_weights(4, weights), labels, query.label)
+        ranking = retrieval.rank(cosines, scoring.part_weights(4, weights), labels, query.label)
         for row, match in zip(explorer.rows.all(), ranking.top(10), strict=False):
             assert row.get_attribute("data-index") == str(match.index)
             assert gallery[match.index].name in row.inner_text()

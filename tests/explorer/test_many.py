@@ -37,12 +37,13 @@ from explorer.session import State, Upload
 from explorer.stage import Stage
 from explorer.sweep import Sweep
 from explorer.wakeup import Buffer
-from lpn import explain, retrieval
+from lpn import retrieval
 from lpn.core import images
 from lpn.core.errors import ModelFileError
 from lpn.models.base import FloatArray, Model, Pass
 from lpn.models.spec import View
-from lpn.saved import load_saved
+from lpn.retrieval import scoring
+from lpn.retrieval.published_results import load_saved
 from soak.client import CHUNK, Talker
 from tests import worlds
 from tests.saved import save_result
@@ -165,7 +166,7 @@ class Direct:
         query, angle, top = (float(browser.status(name) or "nan") for name in ("query", "angle", "top"))
         picture = images.load_picture(self.task.queries[int(query)].path)
         descriptor = retrieval.describe_picture(self.model, picture, "drone", angle).descriptor
-        ranking = retrieval.rank(explain.part_cosines(descriptor, self.gallery), np.full(4, 0.25, np.float32))
+        ranking = retrieval.rank(scoring.part_cosines(descriptor, self.gallery), np.full(4, 0.25, np.float32))
         assert ranking.scores[int(top)] == pytest.approx(ranking.scores.max(), abs=1e-5)
         found = re.search(r"<td>sum</td><td>100 %</td><td>([+-][\d.]+)</td>", browser.html())
         assert found is not None

@@ -14,7 +14,7 @@ from explorer.opening import open_model, open_saved
 from explorer.session import State
 from explorer.worker import Patience
 from lpn import overlays
-from lpn.saved import load_saved
+from lpn.retrieval.published_results import load_saved
 from tests import worlds
 from tests.saved import save_result
 

@@ -11,7 +11,7 @@ from explorer.exhibit import Analyst, Exhibit
 from explorer.opening import open_model, open_saved
 from explorer.session import State, Upload
 from lpn.core.errors import DataError, InputError
-from lpn.saved import load_saved
+from lpn.retrieval.published_results import load_saved
 from tests import worlds
 from tests.saved import save_result
 

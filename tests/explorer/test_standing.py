@@ -13,8 +13,8 @@ from explorer.exhibit import Exhibit, Task
 from explorer.follower import Follower
 from explorer.laboratory import Laboratory
 from explorer.opening import open_model
-from lpn import rankings
 from lpn.core.errors import LPNError
+from lpn.retrieval import ranking_cache
 from tests import worlds
 
 TASK = "drone-to-satellite"
@@ -25,7 +25,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A data set that takes too long to be ranked before the first page is served."""
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(standing, "QUICK", 0)
-    monkeypatch.setattr(rankings, "STEP", 2)
+    monkeypatch.setattr(ranking_cache, "STEP", 2)
     return worlds.map_dataset(worlds.make_dataset(tmp_path / "places", train=1, test=9))
 
 
@@ -146,7 +146,7 @@ def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(exhibit: Exh
     task = exhibit.tasks[TASK]
     spoilt = np.array(task.descriptors)
     spoilt[0, 0, 0] = np.nan
-    broken = standing.Standing(rankings.Sides(task.asked, spoilt, task.query_labels, task.labels), None)
+    broken = standing.Standing(ranking_cache.Sides(task.asked, spoilt, task.query_labels, task.labels), None)
     with pytest.raises(LPNError, match="not finite"):
         broken.wait("me", lambda *_: None)
     assert "not finite" in broken.flaw
@@ -155,7 +155,7 @@ def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(exhibit: Exh
 def test_a_ranking_that_failed_once_can_be_asked_for_again(exhibit: Exhibit, monkeypatch: pytest.MonkeyPatch) -> None:
     task = exhibit.tasks[TASK]
     with monkeypatch.context() as patched:
-        patched.setattr(rankings, "keep", lambda *_: 1 / 0)
+        patched.setattr(ranking_cache, "keep", lambda *_: 1 / 0)
         with pytest.raises(LPNError, match="ZeroDivisionError"):
             task.standing.wait("me", lambda *_: None)
     assert task.standing.wait("me", lambda *_: None) is task.standing.found

@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn import checkup, cli, rankings
+from lpn import checkup, cli
 from lpn.checkup import Finding, healthy
 from lpn.commands import using
 from lpn.commands.using import DEMO
 from lpn.core import requirements, resources
 from lpn.core.errors import OutputError
 from lpn.descriptors import cache_folder
+from lpn.retrieval import ranking_cache
 
 
 def of(name: str, *checks: Any) -> Finding:
@@ -198,7 +199,7 @@ def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPat
     with pytest.raises(OutputError, match="set LPN_CACHE to a folder that can be written"):
         cache_folder()
     one = np.ones((1, 1, 4), np.float32)
-    assert rankings.kept(rankings.Sides(one, one, np.zeros(1, int), np.zeros(1, int), identity="one")) is None
+    assert ranking_cache.kept(ranking_cache.Sides(one, one, np.zeros(1, int), np.zeros(1, int), identity="one")) is None
 
 
 def test_a_python_may_call_itself_what_it_likes(monkeypatch: pytest.MonkeyPatch) -> None:

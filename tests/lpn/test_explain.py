@@ -21,7 +21,7 @@ from lpn.models.export import export
 from lpn.models.network import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec, View
-from lpn.retrieval import Described
+from lpn.retrieval import Described, scoring
 
 SPECS = {
     "rings": ModelSpec("resnet18", "layer3", n_parts=4, embedding=24, classes=5, input_size=(64, 64)),
@@ -80,9 +80,9 @@ def test_cells_and_constants_add_up_to_each_cosine_on_both_sides(name: str) -> N
     model = TorchModel(network(SPECS[name]))
     query, tile = pair(model)
     n = model.n_parts
-    weights = explain.part_weights(n, 1.0 + np.arange(n))
+    weights = scoring.part_weights(n, 1.0 + np.arange(n))
     found = evidence(query, tile, weights)
-    cosines = explain.part_cosines(query.descriptor, tile.descriptor[None])[0]
+    cosines = scoring.part_cosines(query.descriptor, tile.descriptor[None])[0]
     np.testing.assert_allclose(found.cosines, cosines, atol=1e-5)
     for side in (found.query, found.tile):
         np.testing.assert_allclose(side.cells.sum(axis=(1, 2)) + side.constants, cosines, atol=1e-5)
@@ -118,7 +118,7 @@ def test_a_counterpart_is_the_other_picture_s_cell_of_the_same_part_that_agrees_
     assert query.trace is not None
     assert tile.trace is not None
     labels = model.spec.partition("drone").labels(4, 4).reshape(-1)
-    weights = explain.part_weights(2, [1, 3])
+    weights = scoring.part_weights(2, [1, 3])
     forth, back = explain.counterparts(query.trace, tile.trace, weights)
     for cell in range(16):
         part = labels[cell]
@@ -127,7 +127,7 @@ def test_a_counterpart_is_the_other_picture_s_cell_of_the_same_part_that_agrees_
         assert forth.shares[cell] == pytest.approx(shared[cell, labels == part].max())
         assert back.shares[cell] == pytest.approx(shared[labels == part, cell].max())
         assert forth.shares[cell] == pytest.approx(shared[cell, forth.cells[cell]])
-    forth, _ = explain.counterparts(query.trace, tile.trace, explain.part_weights(2, [0, 1]))
+    forth, _ = explain.counterparts(query.trace, tile.trace, scoring.part_weights(2, [0, 1]))
     np.testing.assert_array_equal(forth.cells == -1, labels == 0)
 
 
@@ -140,18 +140,18 @@ def test_a_region_s_search_orders_by_what_its_cells_add_to_each_score(name: str)
     painted = np.zeros(query.trace.size, bool)
     painted[1:3, 0:3] = True
     n = model.n_parts
-    weights = explain.part_weights(n, 1 + np.arange(n))
+    weights = scoring.part_weights(n, 1 + np.arange(n))
     region = query.trace.region(painted, weights)
     lengths = n * (region**2).sum(axis=1)
     assert lengths @ weights == pytest.approx(1.0, abs=1e-5)
     gallery = rng.normal(size=(6, *region.shape)).astype(np.float32)
     gallery /= np.linalg.norm(gallery, axis=2, keepdims=True) * np.sqrt(n)
     added = [explain.side(query.trace, tile).total(weights)[painted].sum() for tile in gallery]
-    products = explain.part_cosines(region, gallery)
+    products = scoring.part_cosines(region, gallery)
     scores = products @ weights
     np.testing.assert_allclose(scores / scores[0], np.array(added) / added[0], rtol=1e-3)
     # The shares of the distance add up, and none is negative as it would be if these were cosines.
-    shares = explain.contributions(products, weights, lengths)
+    shares = scoring.contributions(products, weights, lengths)
     np.testing.assert_allclose(shares.sum(axis=1), 2 - 2 * scores, atol=1e-5)
     assert shares.min() >= -1e-6
     with pytest.raises(InputError, match="No cell of a part that counts"):

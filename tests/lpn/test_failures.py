@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import breakdown, cli, explain, metrics, notes, retrieval, scores
+from lpn import breakdown, cli, notes, retrieval
 from lpn.core.errors import DataError, InputError
 from lpn.core.tables import number_column, text_column
 from lpn.datasets import Picture, Truth, geo, open_dataset
 from lpn.descriptors import cached_descriptors, describe, known_descriptors
 from lpn.failures import OUTCOME, Outcomes, build, described_by, labels_of, table
 from lpn.models.base import FloatArray, normalise
+from lpn.retrieval import inner_products, metrics, scoring
 from tests import worlds
 
 
@@ -35,7 +36,7 @@ def one_by_one(
     found = []
     for i, query in enumerate(queries):
         of = None if truth is None else truth[i]
-        cosines = explain.part_cosines(query.astype(np.float64), gallery.astype(np.float64))
+        cosines = scoring.part_cosines(query.astype(np.float64), gallery.astype(np.float64))
         ranking = retrieval.rank(cosines, weights, labels, int(query_labels[i]), of)
         assert ranking.relevant is not None
         order = ranking.order.tolist()
@@ -68,7 +69,7 @@ def compare(outcomes: Outcomes, expected: list[tuple[int, int, int, int, float, 
 def test_outcomes_are_those_of_each_query_ranked_alone(
     block: int, weights: list[float] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scores, "_BLOCK_BYTES", block)
+    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", block)
     monkeypatch.setattr("lpn.failures._CHUNK_BYTES", block)
     rng = np.random.default_rng(1)
     queries, gallery = descriptors(50), descriptors(30, seed=1)
@@ -76,7 +77,7 @@ def test_outcomes_are_those_of_each_query_ranked_alone(
     gallery[20] = gallery[4]
     queries[:15] = normalise(queries[:15] + 2 * gallery[rng.integers(0, 30, 15)])
     outcomes = build(queries, gallery, asked, labels, weights=weights)
-    used = explain.part_weights(4, weights).astype(np.float64)
+    used = scoring.part_weights(4, weights).astype(np.float64)
     compare(outcomes, one_by_one(queries, gallery, asked, labels, used))  # type: ignore[arg-type]
     assert {-1, 0, 2} <= set(outcomes.rank.tolist())
     if weights is None:
@@ -120,7 +121,7 @@ def test_equal_scores_are_in_the_gallerys_order() -> None:
 
 
 def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scores, "_BLOCK_BYTES", 4 * 5 * 4)
+    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 5 * 4)
     told: list[tuple[int, int]] = []
     build(descriptors(10), descriptors(5), range(10), range(5), progress=lambda done, of: told.append((done, of)))  # type: ignore[arg-type]
     assert told == [(4, 10), (8, 10), (10, 10)]

@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn import descriptors, explain
+from lpn import descriptors
 from lpn.cli import main
 from lpn.core.errors import InputError, StoreError
 from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, sums
 from lpn.models.base import FloatArray, normalise
+from lpn.retrieval import scoring
 from tests import worlds
 from tests.lpn.milvus_server import COLLECTION, Client, pretend
 
@@ -53,7 +54,7 @@ class Tiles:
             index.add(self.names[some], self.descriptors[some], self.positions[some])
 
     def scores(self, query: FloatArray, weights: list[float] | None) -> np.ndarray[Any, Any]:
-        shares = explain.part_weights(len(query), weights).astype(np.float64)
+        shares = scoring.part_weights(len(query), weights).astype(np.float64)
         cosines = len(query) * (self.descriptors.astype(np.float64) * query).sum(axis=2)
         return np.asarray(cosines @ shares)
 

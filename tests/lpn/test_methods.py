@@ -13,10 +13,10 @@ from rich.console import Console
 
 import lpn
 from lpn.datasets import open_dataset
-from lpn.evaluate import evaluate
 from lpn.models.checkpoints import save
 from lpn.models.export import export
 from lpn.recipes import METHODS, RECIPES, method
+from lpn.retrieval.evaluate import evaluate
 from lpn.train import Trainer
 from tests import worlds
 

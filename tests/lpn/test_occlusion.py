@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from bench.faithful import curves
-from lpn import explain, load, occlusion, retrieval
+from lpn import load, occlusion, retrieval
 from lpn.commands.using import DEMO
 from lpn.core import images
+from lpn.retrieval import scoring
 from tests import worlds
 
 
@@ -30,7 +31,7 @@ def test_a_square_s_loss_is_what_its_blurring_costs(model_file: Path) -> None:
     np.testing.assert_array_equal(spoilt[:5], shaped[:5])
     np.testing.assert_allclose(spoilt[32, 40], occlusion.blur(shaped)[32, 40], atol=2)
     cosines = [
-        explain.part_cosines(retrieval.describe_picture(model, shown, "drone").descriptor, other[None])[0]
+        scoring.part_cosines(retrieval.describe_picture(model, shown, "drone").descriptor, other[None])[0]
         for shown in (shaped, spoilt)
     ]
     np.testing.assert_allclose(losses[:, 1, 2], cosines[0] - cosines[1], atol=1e-5)
@@ -45,7 +46,7 @@ def test_covering_can_be_stopped_and_shows_what_it_has(model_file: Path) -> None
 
 
 def test_curves_begin_and_end_at_the_whole_and_the_blurred_picture(model_file: Path) -> None:
-    model, weights = load(model_file), explain.part_weights(4)
+    model, weights = load(model_file), scoring.part_weights(4)
     picture = worlds.place(2)
     other = retrieval.describe_picture(model, worlds.place(1), "satellite").descriptor
     order = occlusion.centre_first((4, 4))
@@ -54,7 +55,7 @@ def test_curves_begin_and_end_at_the_whole_and_the_blurred_picture(model_file: P
         occlusion.curve(model, picture, "drone", other, weights, order, (4, 4), 4, insert) for insert in (False, True)
     )
     whole = (
-        explain.part_cosines(retrieval.describe_picture(model, picture, "drone").descriptor, other[None])[0] @ weights
+        scoring.part_cosines(retrieval.describe_picture(model, picture, "drone").descriptor, other[None])[0] @ weights
     )
     assert out[0] == pytest.approx(whole, abs=1e-5)
     assert (out[0], out[-1]) == pytest.approx((back[-1], back[0]), abs=1e-6)

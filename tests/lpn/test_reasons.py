@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from lpn import cli, words
-from lpn.explain import Evidence, Side, part_weights
+from lpn.explain import Evidence, Side
+from lpn.retrieval.scoring import part_weights
 from tests.lpn.test_cli import without_torch
 
 

@@ -168,8 +168,8 @@ def test_numbers_that_are_none_are_found_in_a_store(
     assert f"norm {value}; expected 0.5" in said(
         ["index", "--descriptors", str(store), "--out", str(tmp_path / "index")], capsys
     )
-    from lpn import metrics
     from lpn.core.errors import InputError
+    from lpn.retrieval import metrics
 
     held, labels = descriptors.open_store(store).float32, np.arange(14)
     with pytest.raises(InputError, match="not finite; delete their store"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import cli, descriptors, explain, retrieval, sweeps
+from lpn import cli, descriptors, retrieval, sweeps
 from lpn.commands.using import DEMO
 from lpn.core import images
 from lpn.core.errors import InputError
@@ -17,6 +17,7 @@ from lpn.datasets import Truth, open_dataset
 from lpn.datasets.geo import Positions
 from lpn.descriptors.transforms import Change
 from lpn.models.base import FloatArray, Model
+from lpn.retrieval import scoring
 from lpn.sweeps import Point, Profile, changes_over, profile
 from tests import worlds
 
@@ -70,7 +71,7 @@ def test_sweeps_that_mean_nothing_are_refused(given: tuple[object, ...], said: s
 
 
 def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: FloatArray) -> None:
-    picture, weights = worlds.from_drone(worlds.place(2), 3), explain.part_weights(4, [1, 2, 1, 0])
+    picture, weights = worlds.from_drone(worlds.place(2), 3), scoring.part_weights(4, [1, 2, 1, 0])
     labels = np.array([5, 9, 2, 2, -1, 7])
     changes = [Change(rotate=90), Change(shift=9), Change(down=-7), Change(scale=1.5)]
     points = list(profile(model, picture, "drone", tiles, weights, changes, labels, 2))
@@ -78,7 +79,7 @@ def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float
     for change, point, listed in zip(changes, points, by_list, strict=True):
         shaped = change.move(model.shape(change.apply(picture), "drone"))
         direct = model.descriptors(images.normalise(shaped)[None], "drone")[0]
-        ranking = retrieval.rank(explain.part_cosines(direct, tiles), weights, labels, 2)
+        ranking = retrieval.rank(scoring.part_cosines(direct, tiles), weights, labels, 2)
         truth, top = ranking.truth(), ranking.match(0)
         assert truth is not None
         assert point.change == change
@@ -91,7 +92,7 @@ def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float
 
 
 def test_without_a_truth_a_chosen_tile_or_the_top_match_is_followed(model: Model, tiles: FloatArray) -> None:
-    given = (model, worlds.place(1), "satellite", tiles, explain.part_weights(4), [Change(), Change(rotate=180)])
+    given = (model, worlds.place(1), "satellite", tiles, scoring.part_weights(4), [Change(), Change(rotate=180)])
     chosen, top = list(profile(*given, follow=3)), list(profile(*given))  # type: ignore[arg-type]
     assert [(point.tile, point.true) for point in chosen] == [(3, None)] * 2
     assert [point.tile for point in top] == [point.top for point in top]
@@ -117,7 +118,7 @@ def test_a_sweep_computes_no_further_than_it_is_asked(
 
     monkeypatch.setattr(retrieval, "describe_picture", counted)
     changes = changes_over("rotation", 30)
-    points = profile(model, worlds.place(1), "drone", tiles, explain.part_weights(4), changes)
+    points = profile(model, worlds.place(1), "drone", tiles, scoring.part_weights(4), changes)
     assert [point.change for point in islice(points, 3)] == changes[:3] == asked
 
 
@@ -160,7 +161,7 @@ def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model
     seen = images.rotate(worlds.place(3), 90)
     labels = np.arange(6)
     turned = changes_over("rotation", 90)
-    points = tuple(profile(model, seen, "satellite", tiles, explain.part_weights(4), turned, labels, 3))
+    points = tuple(profile(model, seen, "satellite", tiles, scoring.part_weights(4), turned, labels, 3))
     found = Profile("rotation", points)
     assert found.heading() == 90
     assert found.best.score == pytest.approx(1, abs=1e-4)
@@ -178,7 +179,7 @@ def test_the_demo_s_headings_are_found_more_often_than_by_chance() -> None:
     errors = []
     for i in downward:
         picture, angles = images.load_picture(queries[i].path), changes_over("rotation", 45)
-        points = tuple(profile(model, picture, "drone", tiles, explain.part_weights(4), angles))
+        points = tuple(profile(model, picture, "drone", tiles, scoring.part_weights(4), angles))
         heading = Profile("rotation", points).heading()
         assert heading is not None
         errors.append(abs((heading - (known[i].heading or 0.0) + 180) % 360 - 180))

@@ -16,9 +16,9 @@ import lpn
 from lpn import optimization
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, PictureError
 from lpn.datasets import open_dataset
-from lpn.evaluate import evaluate
 from lpn.models.checkpoints import load_torch, save
 from lpn.recipes import RECIPES, Recipe
+from lpn.retrieval.evaluate import evaluate
 from lpn.selection import HeldOut, TestSplit
 from lpn.train import Trainer
 from tests import worlds

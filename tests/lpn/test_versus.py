@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize
 
-from lpn import explain, metrics, retrieval, scores, versus
+from lpn import retrieval, versus
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.least_distance import shortest
 from lpn.models.base import FloatArray, normalise
-from lpn.retrieval import Ranking
+from lpn.retrieval import Ranking, inner_products, metrics, scoring
 
 
 def ranked(cosines: object, weights: object = None, true: tuple[int, ...] = (0,)) -> Ranking:
@@ -19,7 +19,7 @@ def ranked(cosines: object, weights: object = None, true: tuple[int, ...] = (0,)
     array = np.array(cosines, np.float32)
     labels = np.ones(len(array), np.int64)
     labels[list(true)] = 7
-    return retrieval.rank(array, explain.part_weights(array.shape[1], weights), labels, 7)  # type: ignore[arg-type]
+    return retrieval.rank(array, scoring.part_weights(array.shape[1], weights), labels, 7)  # type: ignore[arg-type]
 
 
 def random_case(seed: int) -> tuple[Ranking, np.ndarray]:
@@ -37,7 +37,7 @@ def random_case(seed: int) -> tuple[Ranking, np.ndarray]:
     labels[rng.choice(tiles, min(int(rng.integers(1, 4)), tiles - 1), replace=False)] = 7
     if seed % 5 == 0:
         labels[np.flatnonzero(labels == 5)[0]] = metrics.JUNK
-    weights = explain.part_weights(n, rng.uniform(0, 1, n) * (rng.random(n) < 0.8) + 0.01)
+    weights = scoring.part_weights(n, rng.uniform(0, 1, n) * (rng.random(n) < 0.8) + 0.01)
     return retrieval.rank(cosines.astype(np.float32), weights, labels, 7), labels
 
 
@@ -47,7 +47,7 @@ def described(seed: int, count: int, n: int) -> FloatArray:
 
 def test_the_parts_of_a_margin_sum_to_the_difference_of_scores_and_distances() -> None:
     query, gallery = described(1, 1, 4)[0], described(2, 30, 4)
-    ranking = retrieval.rank(explain.part_cosines(query, gallery), explain.part_weights(4, [2, 1, 0, 0.5]))
+    ranking = retrieval.rank(scoring.part_cosines(query, gallery), scoring.part_weights(4, [2, 1, 0, 0.5]))
     for a, b in ((3, 8), (8, 3)):
         found = versus.margin(ranking, a, b)
         one, other = ranking.find(a), ranking.find(b)
@@ -71,7 +71,7 @@ def test_without_and_alone_are_the_ranks_of_those_weights(seed: int) -> None:
         if standing is None:
             assert not left.any()
             continue
-        direct = retrieval.rank(ranking.cosines, explain.part_weights(n, left), labels, 7)
+        direct = retrieval.rank(ranking.cosines, scoring.part_weights(n, left), labels, 7)
         truth = direct.truth()
         assert truth is not None
         assert standing.rank == truth.rank
@@ -181,7 +181,7 @@ def test_no_weighting_helps_where_a_wrong_tile_is_better_or_equal_in_every_part(
 
 def test_a_chosen_tile_can_be_put_first_and_an_unknown_truth_cannot() -> None:
     cosines = [[0.9, 0.1], [0.8, 0.7], [0.1, 0.8]]
-    ranking = retrieval.rank(np.array(cosines, np.float32), explain.part_weights(2))
+    ranking = retrieval.rank(np.array(cosines, np.float32), scoring.part_weights(2))
     assert versus.smallest_change(ranking) is None
     assert versus.without(ranking) is None
     found = versus.smallest_change(ranking, tile=2)
@@ -204,7 +204,7 @@ def test_the_least_distance_to_half_spaces() -> None:
 
 @pytest.mark.parametrize("listed", [False, True])
 def test_the_effect_on_a_data_set_is_that_of_each_query_ranked(listed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scores, "_BLOCK_BYTES", 4 * 30 * 4)  # several blocks
+    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 30 * 4)  # several blocks
     rng = np.random.default_rng(3)
     gallery = described(4, 30, 3)
     labels, of_query = rng.integers(-1, 12, 30), rng.integers(0, 12, 25)
@@ -218,7 +218,7 @@ def test_the_effect_on_a_data_set_is_that_of_each_query_ranked(listed: bool, mon
     for weights in (before, after):
         tops = [
             retrieval.rank(
-                explain.part_cosines(q, gallery), explain.part_weights(3, weights), labels, int(label)
+                scoring.part_cosines(q, gallery), scoring.part_weights(3, weights), labels, int(label)
             ).match(0)
             for q, label in zip(query, of_query, strict=True)
         ]
@@ -240,7 +240,7 @@ def test_a_part_that_sees_nothing_of_the_query_ranks_nothing() -> None:
     cosines = np.array([[0.0, 0.2, 0.0], [0.0, 0.9, 0.0], [0.0, 0.5, 0.0]], np.float32)
     lengths = np.array([0.0, 3.0, 0.0], np.float32)
     labels = np.array([0, 1, 2])
-    ranking = retrieval.rank(cosines, explain.part_weights(3), labels, 0, lengths=lengths)
+    ranking = retrieval.rank(cosines, scoring.part_weights(3), labels, 0, lengths=lengths)
     found = versus.without(ranking)
     assert found is not None
     assert found.without[1] is None

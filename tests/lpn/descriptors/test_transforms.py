@@ -11,11 +11,11 @@ from lpn.core import images
 from lpn.core.errors import InputError, PictureError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.evaluate import evaluate
 from lpn.models.checkpoints import TorchModel
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
-from lpn.protocol import Protocol
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
 from tests import worlds
 
 

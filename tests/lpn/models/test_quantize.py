@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import lpn
-from lpn import cli, evaluate, explain
+from lpn import cli, explain
 from lpn.core.errors import InputError, PictureError
 from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
@@ -17,7 +17,7 @@ from lpn.models.export import export
 from lpn.models.network import LPN
 from lpn.models.quantize import calibration_pictures, quantize
 from lpn.models.spec import ModelSpec
-from lpn.retrieval import describe_picture
+from lpn.retrieval import describe_picture, evaluate, scoring
 from tests import worlds
 from tests.conftest import RealRun
 
@@ -59,7 +59,7 @@ def test_a_quantised_model_s_evidence_still_adds_up(data: Path, model_file: Path
     )
     assert query.trace is not None
     assert tile.trace is not None
-    weights = explain.part_weights(4)
+    weights = scoring.part_weights(4)
     evidence = explain.evidence(query.trace, tile.trace, weights)
     score = float((query.descriptor * tile.descriptor).sum())
     assert sum(float(values.sum()) for values in evidence.sums) == pytest.approx(score, abs=1e-5)

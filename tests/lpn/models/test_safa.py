@@ -15,15 +15,15 @@ from lpn.core.errors import InputError
 from lpn.core.images import Picture, load_picture, polar
 from lpn.datasets import open_dataset
 from lpn.descriptors import describe
-from lpn.evaluate import evaluate
 from lpn.models.base import normalise
 from lpn.models.checkpoints import TorchModel, save
 from lpn.models.export import export
 from lpn.models.network import LPN, SpatialAware
 from lpn.models.partition import Partition
 from lpn.models.spec import ModelSpec
-from lpn.protocol import Protocol
 from lpn.retrieval import describe_picture
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
 from tests import seeded, worlds
 
 SPEC = ModelSpec(

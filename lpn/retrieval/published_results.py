@@ -18,9 +18,9 @@ import numpy.typing as npt
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.datasets import Dataset, Picture, matlab
-from lpn.metrics import IntArray
 from lpn.models.base import FloatArray
 from lpn.models.spec import VIEWS, View, views_of
+from lpn.retrieval.metrics import IntArray
 
 _NORM_TOLERANCE = 0.01
 

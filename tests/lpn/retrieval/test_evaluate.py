@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import descriptors, metrics
+from lpn import descriptors
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import Picture, Truth, University, open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.evaluate import evaluate
 from lpn.models.base import FloatArray, Model
 from lpn.models.checkpoints import save
 from lpn.models.network import LPN
-from lpn.protocol import Protocol
+from lpn.retrieval import metrics
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
 from tests import worlds
 
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")

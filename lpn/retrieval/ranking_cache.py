@@ -20,14 +20,14 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from lpn import metrics
 from lpn.core.errors import OutputError
 from lpn.core.files import write_whole
 from lpn.datasets import Truth
 from lpn.descriptors import cache_folder
-from lpn.metrics import IntArray, Retrieval
 from lpn.models.base import FloatArray
-from lpn.ranks import Ranked
+from lpn.retrieval import metrics
+from lpn.retrieval.metrics import IntArray, Retrieval
+from lpn.retrieval.ranks import Ranked
 
 log = logging.getLogger(__name__)
 

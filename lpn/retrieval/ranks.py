@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.datasets import Truth
-from lpn.scores import FloatArray, IntArray, Scores, Single
+from lpn.retrieval.inner_products import FloatArray, IntArray, Scores, Single
 
 JUNK = -1
 """Label of gallery pictures that are ignored."""

@@ -10,18 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from lpn import descriptors, metrics
+from lpn import descriptors
 from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.datasets.geo import FloatArray
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.metrics import IntArray
 from lpn.models.base import FloatArray as Descriptors
 from lpn.models.base import Model
 from lpn.models.spec import View, views_of
-from lpn.protocol import Protocol, averaged, sentence
-from lpn.saved import Saved
+from lpn.retrieval import metrics
+from lpn.retrieval.metrics import IntArray
+from lpn.retrieval.protocol import Protocol, averaged, sentence
+from lpn.retrieval.published_results import Saved
 
 log = logging.getLogger(__name__)
 
@@ -184,7 +185,7 @@ def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]
 
 
 def evaluate_saved(saved: Saved, protocol: Protocol | None = None) -> Result:
-    """Evaluate descriptors that another program saved, see `lpn.saved`.
+    """Evaluate descriptors that another program saved, see `lpn.retrieval.published_results`.
 
     Raises:
         InputError: when a part does not exist, or the protocol changes pictures: there are none to describe again.

@@ -13,9 +13,9 @@ from lpn import cli
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.evaluate import evaluate, evaluate_saved
-from lpn.protocol import Protocol
-from lpn.saved import load_saved
+from lpn.retrieval.evaluate import evaluate, evaluate_saved
+from lpn.retrieval.protocol import Protocol
+from lpn.retrieval.published_results import load_saved
 from tests import seeded, worlds
 from tests.saved import contents
 

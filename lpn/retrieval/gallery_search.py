@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lpn import explain
 from lpn.core import images
 from lpn.core.images import Picture
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.metrics import JUNK
 from lpn.models.base import FloatArray, Model, normalise
 from lpn.models.spec import View
 from lpn.models.trace import Trace
+from lpn.retrieval import scoring
+from lpn.retrieval.metrics import JUNK
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Ranking:
         scores: weighted mean cosines, (G,).
         order: gallery positions from nearest to farthest, without junk, at most (G,).
         relevant: which gallery pictures show the query's place, (G,) bool; None when that is not known.
-        lengths: of the query's parts where it is not whole, see `lpn.explain.contributions`; the cosines are then inner
+        lengths: of the query's parts where it is not whole, see `lpn.retrieval.scoring.contributions`; the cosines are then inner
             products, n times.
     """
 
@@ -93,7 +93,7 @@ class Ranking:
             distance2=2.0 - 2.0 * float(self.scores[index]),
             gap=None if last else 2.0 * float(self.scores[index] - self.scores[self.order[position + 1]]),
             cosines=self.cosines[index],
-            shares=explain.contributions(self.cosines[index], self.weights, self.lengths),
+            shares=scoring.contributions(self.cosines[index], self.weights, self.lengths),
             true=None if self.relevant is None else bool(self.relevant[index]),
         )
 
@@ -131,7 +131,7 @@ def describe_picture(model: Model, picture: Picture, view: View, change: Change 
     batch = [prepared, prepared[..., ::-1]] if model.spec.mirrored else [prepared]
     trace = Trace.of(model, model.run(np.stack(batch), view), view)
     shown = turned if model.spec.unrolled(view) else change.show(turned, model.input_size)
-    return Described(shown, normalise(trace.embedding), explain.activation(trace.features[0]), trace)
+    return Described(shown, normalise(trace.embedding), scoring.activation(trace.features[0]), trace)
 
 
 def rank(
@@ -145,7 +145,7 @@ def rank(
     """Rank a gallery by weighted part cosines; ties keep gallery order, and junk is left out.
 
     Args:
-        cosines: of every gallery picture's parts with the query's, (G, n), see `explain.part_cosines`.
+        cosines: of every gallery picture's parts with the query's, (G, n), see `scoring.part_cosines`.
         weights: part weights that sum to one, (n,).
         labels: the place each gallery picture shows, (G,), -1 for junk; needed with `label`.
         label: the place the query shows, or None when unknown.

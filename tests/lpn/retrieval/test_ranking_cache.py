@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpn import metrics, rankings
 from lpn.datasets import Truth
 from lpn.models.base import normalise
-from lpn.rankings import Progressing, Sides
+from lpn.retrieval import metrics, ranking_cache
+from lpn.retrieval.ranking_cache import Progressing, Sides
 
 
 @pytest.fixture
 def sides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sides:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(rankings, "STEP", 4)
+    monkeypatch.setattr(ranking_cache, "STEP", 4)
     rng = np.random.default_rng(0)
     asked, tiles = (normalise(rng.standard_normal((count, 2, 8)).astype(np.float32)) for count in (10, 7))
     return Sides(asked, tiles, rng.integers(0, 4, 10), rng.integers(-1, 3, 7), identity="these")
@@ -51,15 +51,15 @@ def test_a_ranking_that_was_stopped_goes_on_where_it_stood(sides: Sides, listed:
 
 
 def test_what_is_kept_is_found_again(sides: Sides) -> None:
-    assert rankings.kept(sides) is None
-    rankings.keep(sides, ranked(sides))
-    found = rankings.kept(sides)
+    assert ranking_cache.kept(sides) is None
+    ranking_cache.keep(sides, ranked(sides))
+    found = ranking_cache.kept(sides)
     assert found is not None
     same(found, ranked(sides))
 
 
 def test_nothing_is_found_of_other_descriptors_labels_or_lists(sides: Sides) -> None:
-    rankings.keep(sides, ranked(sides))
+    ranking_cache.keep(sides, ranked(sides))
     labels = sides.labels.copy()
     labels[0] += 1
     truth = [Truth(np.array([1]), np.array([2]))] * 10
@@ -69,7 +69,7 @@ def test_nothing_is_found_of_other_descriptors_labels_or_lists(sides: Sides) -> 
         replace(sides, query_labels=sides.query_labels[::-1]),
         replace(sides, truth=truth),
     ]
-    assert [rankings.kept(other) for other in others] == [None] * 4
+    assert [ranking_cache.kept(other) for other in others] == [None] * 4
     assert len({other.file for other in (sides, *others)}) == 5
 
 
@@ -84,13 +84,13 @@ def _pairs() -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarra
 
 def test_descriptors_that_nobody_can_name_leave_nothing_behind(sides: Sides, tmp_path: Path) -> None:
     nameless = replace(sides, identity="")
-    rankings.keep(nameless, ranked(nameless))
-    assert rankings.kept(nameless) is None
+    ranking_cache.keep(nameless, ranked(nameless))
+    assert ranking_cache.kept(nameless) is None
     assert not (tmp_path / "cache").exists()
 
 
 def test_a_damaged_file_is_as_good_as_none(sides: Sides) -> None:
-    rankings.keep(sides, ranked(sides))
+    ranking_cache.keep(sides, ranked(sides))
     file = sides.file
     assert file is not None
     whole = file.read_bytes()
@@ -102,7 +102,7 @@ def test_a_damaged_file_is_as_good_as_none(sides: Sides) -> None:
         whole[:300] + b"?" + whole[301:],
     ):
         file.write_bytes(spoilt)
-        assert rankings.kept(sides) is None
+        assert ranking_cache.kept(sides) is None
     good = dict(np.load(_written(file, whole)))
     for change in (
         {"first": good["first"][:5]},
@@ -112,7 +112,7 @@ def test_a_damaged_file_is_as_good_as_none(sides: Sides) -> None:
         {"gallery": 8},
     ):
         np.savez(file, **(good | change))
-        assert rankings.kept(sides) is None
+        assert ranking_cache.kept(sides) is None
 
 
 def _written(file: Path, data: bytes) -> Path:
@@ -124,5 +124,5 @@ def test_a_cache_that_cannot_be_written_to_is_a_warning(
     sides: Sides, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "cache").write_text("a file")
-    rankings.keep(sides, ranked(sides))
+    ranking_cache.keep(sides, ranked(sides))
     assert "is not kept for the next time" in caplog.text

@@ -5,10 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lpn import explain, retrieval
+from lpn import retrieval
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.models.base import FloatArray, normalise
+from lpn.retrieval import scoring
 
 
 def descriptors(seed: int, count: int, n: int) -> FloatArray:
@@ -18,8 +19,8 @@ def descriptors(seed: int, count: int, n: int) -> FloatArray:
 @pytest.mark.parametrize("n", [1, 2, 4, 8])
 def test_contributions_sum_to_the_squared_distance(n: int) -> None:
     query, gallery = descriptors(1, 1, n)[0], descriptors(2, 50, n)
-    cosines = explain.part_cosines(query, gallery)
-    shares = explain.contributions(cosines, explain.part_weights(n))
+    cosines = scoring.part_cosines(query, gallery)
+    shares = scoring.contributions(cosines, scoring.part_weights(n))
     distance2 = ((gallery - query).reshape(50, -1).astype(float) ** 2).sum(1)
     np.testing.assert_allclose(shares.sum(1), distance2, atol=1e-6)
     for part in range(n):
@@ -28,8 +29,8 @@ def test_contributions_sum_to_the_squared_distance(n: int) -> None:
 
 def test_any_weights_are_one_inner_product_with_the_rescaled_query() -> None:
     query, gallery = descriptors(1, 1, 4)[0], descriptors(2, 50, 4)
-    weights = explain.part_weights(4, [2, 1, 0, 0.5])
-    ranking = retrieval.rank(explain.part_cosines(query, gallery), weights)
+    weights = scoring.part_weights(4, [2, 1, 0, 0.5])
+    ranking = retrieval.rank(scoring.part_cosines(query, gallery), weights)
     scores = np.einsum("gnd,nd->g", gallery, weights[:, None] * 4 * query)
     np.testing.assert_allclose(ranking.scores, scores, atol=1e-6)
     match = ranking.match(0)
@@ -41,7 +42,7 @@ def test_any_weights_are_one_inner_product_with_the_rescaled_query() -> None:
 def test_ranking_finds_truth_gaps_and_positions() -> None:
     query, gallery = descriptors(1, 1, 4)[0], descriptors(2, 30, 4)
     labels = np.arange(30) // 3
-    ranking = retrieval.rank(explain.part_cosines(query, gallery), explain.part_weights(4), labels, 7)
+    ranking = retrieval.rank(scoring.part_cosines(query, gallery), scoring.part_weights(4), labels, 7)
     top = ranking.top(30)
     assert [m.rank for m in top] == list(range(1, 31))
     distances = [m.distance2 for m in top]
@@ -61,20 +62,20 @@ def test_ranking_finds_truth_gaps_and_positions() -> None:
 def test_weights_that_say_nothing_are_refused() -> None:
     for values in ([0, 0, 0, 0], [1, 1], [1, -1, 1, 1], [1, float("nan"), 1, 1]):
         with pytest.raises(InputError, match="expected 4 numbers"):
-            explain.part_weights(4, values)
+            scoring.part_weights(4, values)
 
 
 def test_activation_is_scaled_and_follows_the_channel_sum() -> None:
     features = np.random.default_rng(0).random((8, 5, 6)).astype(np.float32)
-    heat = explain.activation(features)
+    heat = scoring.activation(features)
     assert (heat.min(), heat.max()) == (0, 1)
     assert heat.argmax() == features.sum(0).argmax()
-    assert (explain.activation(np.ones((8, 5, 6), np.float32)) == 0).all()
+    assert (scoring.activation(np.ones((8, 5, 6), np.float32)) == 0).all()
 
 
 def test_junk_is_not_ranked() -> None:
     query, gallery = descriptors(1, 1, 4)[0], descriptors(2, 30, 4)
-    cosines, weights = explain.part_cosines(query, gallery), explain.part_weights(4)
+    cosines, weights = scoring.part_cosines(query, gallery), scoring.part_weights(4)
     labels = np.arange(30) // 3
     labels[:4] = -1
     by_label = retrieval.rank(cosines, weights, labels, 7)

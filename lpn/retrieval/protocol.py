@@ -9,9 +9,9 @@ import numpy as np
 
 from lpn.core.errors import InputError
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.metrics import IntArray
 from lpn.models.base import FloatArray, normalise
 from lpn.models.spec import View
+from lpn.retrieval.metrics import IntArray
 
 
 @dataclass(frozen=True)

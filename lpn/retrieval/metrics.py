@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lpn import ranks
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.models.base import as_array
-from lpn.ranks import JUNK, Marks, Ranked
-from lpn.scores import FloatArray, IntArray, Scores, norms
+from lpn.retrieval import ranks
+from lpn.retrieval.inner_products import FloatArray, IntArray, Scores, norms
+from lpn.retrieval.ranks import JUNK, Marks, Ranked
 
 __all__ = ["JUNK", "IntArray", "Retrieval", "check_truth", "checked_labels", "evaluate", "flat_sides", "retrieve"]
 
@@ -27,7 +27,7 @@ __all__ = ["JUNK", "IntArray", "Retrieval", "check_truth", "checked_labels", "ev
 class Retrieval(Ranked):
     """What one pass of the queries over the gallery found, (Q,) each.
 
-    `gallery` is the number of gallery pictures, junk included; for the rest see `lpn.ranks.Ranked`.
+    `gallery` is the number of gallery pictures, junk included; for the rest see `lpn.retrieval.ranks.Ranked`.
     """
 
     gallery: int

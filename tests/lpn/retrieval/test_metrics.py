@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn import metrics, scores
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
+from lpn.retrieval import inner_products, metrics
 from tests import seeded
 
 Case = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -172,8 +172,8 @@ def test_lists_of_true_matches_and_junk_are_treated_as_oxford_does(seed: int) ->
         assert found[f"recall@{k}"] == pytest.approx(100 * sum(0 <= rank < k for rank in first) / 15)
     retrieval = metrics.retrieve(query, None, gallery, None, truth)
     assert retrieval.first.tolist() == first
-    scores = query.astype(float) @ gallery.T.astype(float)
-    for row, of, best in zip(scores, truth, retrieval.best, strict=True):
+    inner_products = query.astype(float) @ gallery.T.astype(float)
+    for row, of, best in zip(inner_products, truth, retrieval.best, strict=True):
         row[of.junk] = -np.inf
         assert best == np.argmax(row)
 
@@ -193,7 +193,7 @@ def test_lists_that_say_what_labels_say_give_the_same_figures() -> None:
 def test_blocks_of_queries_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     made = case(12, 50, 20, 4, 8, 1.2, absent=3, junk=9)
     whole = metrics.retrieve(*made)
-    monkeypatch.setattr(scores, "_BLOCK_BYTES", 4 * 80 * 7)
+    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 80 * 7)
     blocks = metrics.retrieve(*made)
     assert whole.figures() == blocks.figures()
     np.testing.assert_array_equal(whole.best, blocks.best)

@@ -1,0 +1,8 @@
+"""Ranking and its measures: scores of parts, exact ranks, metrics, and the published test protocol.
+
+It imports `core`, `datasets`, `models`, and `descriptors`.
+"""
+
+from lpn.retrieval.gallery_search import Described, Match, Ranking, describe_picture, rank
+
+__all__ = ["Described", "Match", "Ranking", "describe_picture", "rank"]
