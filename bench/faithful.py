@@ -16,10 +16,11 @@ from rich.progress import track
 from rich.table import Table
 
 import lpn
-from lpn import explain, occlusion, retrieval
+from lpn import explain, retrieval
 from lpn.commands.using import DEMO
 from lpn.core import images
 from lpn.datasets import open_dataset
+from lpn.explain import occlusion
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 

@@ -11,9 +11,10 @@ import numpy as np
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.pages import SIGNS
-from lpn import overlays, versus, words
+from lpn import overlays, words
+from lpn.explain import counterfactual
+from lpn.explain.counterfactual import Effect, Reweighting, Without
 from lpn.retrieval import Match
-from lpn.versus import Effect, Reweighting, Without
 from lpn.words import ordinal
 
 
@@ -46,7 +47,9 @@ class Contest:
                 return None
             rival = found
         follow = None if answer.truth else ahead.index
-        return cls(ahead, rival, versus.without(ranking, follow), versus.smallest_change(ranking, follow))
+        return cls(
+            ahead, rival, counterfactual.without(ranking, follow), counterfactual.smallest_change(ranking, follow)
+        )
 
 
 def page(answer: Answer, exhibit: Exhibit, contest: Contest | None, effect: Effect | None, busy: bool) -> str:
@@ -59,7 +62,7 @@ def page(answer: Answer, exhibit: Exhibit, contest: Contest | None, effect: Effe
     if contest is None:
         return "<div class='lpn' id='lpn-versus'>There is no other tile to compare with; choose one among the matches.</div>"
     ahead, rival = contest.ahead, contest.rival
-    margin = versus.margin(answer.ranking, ahead.index, rival.index)
+    margin = counterfactual.margin(answer.ranking, ahead.index, rival.index)
     names = exhibit.part_names
     region = " ⚠ This is of the painted cells alone." if answer.state.region else ""
     return (
@@ -134,7 +137,7 @@ def _left_out(contest: Contest, names: Sequence[str], ahead: Match) -> str:
     )
 
 
-def _rank(standing: versus.Standing | None) -> str:
+def _rank(standing: counterfactual.Standing | None) -> str:
     return "–" if standing is None else ordinal(standing.rank)
 
 

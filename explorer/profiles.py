@@ -9,8 +9,9 @@ from html import escape
 from explorer.bridge import send
 from explorer.exhibit import Answer
 from explorer.session import State
-from lpn import overlays, sweeps, words
-from lpn.sweeps import UNITS, Over, Point, Profile
+from lpn import overlays, words
+from lpn.explain import sweeps
+from lpn.explain.sweeps import UNITS, Over, Point, Profile
 from lpn.words import ordinal
 
 CHOICES: dict[Over, str] = {"rotation": "Turn", "shift": "Shift right", "shift-down": "Shift down", "zoom": "Zoom"}

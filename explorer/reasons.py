@@ -22,9 +22,9 @@ from explorer.room import EDGE, Room
 from explorer.session import State
 from explorer.sweep import Sweep
 from explorer.worker import Worker
-from lpn import versus
+from lpn.explain import counterfactual
+from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Ranking
-from lpn.versus import Effect
 
 _WIDTH, _HEIGHT = 1000, 900
 CLOSE = f"<div class='lpn'><a class='close' {send('close')} title='Close (Y)'>✕</a></div>"
@@ -203,7 +203,7 @@ class Reasons:
         if contest is None or answer is None or contest.change is None:
             return
         task = answer.task
-        found = versus.effect(
+        found = counterfactual.effect(
             task.asked, task.descriptors, answer.ranking.weights, contest.change.weights, task.query_labels, task.labels,
             task.truth,
         )  # fmt: skip

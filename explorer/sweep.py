@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from explorer.exhibit import Answer, Exhibit
-from lpn import sweeps
 from lpn.descriptors.transforms import UNCHANGED
+from lpn.explain import sweeps
+from lpn.explain.sweeps import FIELD, Over, Point, Profile
 from lpn.models.base import Model
-from lpn.sweeps import FIELD, Over, Point, Profile
 
 
 class Sweep:

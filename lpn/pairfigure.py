@@ -33,7 +33,7 @@ def draw(
         pictures: query and tile as their parts are cut from them.
         titles: what stands above each.
         views: the branch that described each.
-        losses: shown on the query in place of the evidence, see `lpn.occlusion.covered`; then the tile has none.
+        losses: shown on the query in place of the evidence, see `lpn.explain.occlusion.covered`; then the tile has none.
     """
     room = (_WIDTH - 3 * _MARGIN) // 2
     height = round(room * spec.input_size[0] / spec.input_size[1])

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy.typing as npt
 
-from lpn import descriptors, failures, notes, retrieval, versus
+from lpn import descriptors, failures, notes, retrieval
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Table
 from lpn.datasets import Dataset, Picture, Truth
+from lpn.explain import counterfactual
 from lpn.failures import Outcomes
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import ModelSpec, View, views_of
@@ -87,7 +88,7 @@ class Study:
     @cached_property
     def figures(self) -> dict[str, float]:
         """Recall and AP in percent under the part weights, see `metrics.evaluate`."""
-        asked = self.asked if self.weights is None else versus.folded(self.asked, self.weights)
+        asked = self.asked if self.weights is None else counterfactual.folded(self.asked, self.weights)
         return metrics.evaluate(asked, self.query_labels, self.tiles, self.labels, self.truth)
 
     def rank(self, descriptor: FloatArray, query: int | None) -> Ranking:

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpn.explain import Evidence
+from lpn.explain.counterfactual import Effect, Reweighting, Without
+from lpn.explain.sweeps import Profile
 from lpn.models.spec import View
 from lpn.models.trace import Exact
 from lpn.retrieval import Match
-from lpn.sweeps import Profile
-from lpn.versus import Effect, Reweighting, Without
 
 _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")
 _COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")

@@ -49,9 +49,10 @@ class Explain:
     def run(self) -> None:
         from rich.console import Console
 
-        from lpn import explain, occlusion, pairfigure, retrieval, words
+        from lpn import explain, pairfigure, retrieval, words
         from lpn.core import images
         from lpn.core.files import check_writable, write_whole
+        from lpn.explain import occlusion
         from lpn.retrieval import scoring
 
         for file in (self.json, self.png):
@@ -98,7 +99,7 @@ def _losses(model: Model, query: Described, view: ViewName, tile: Described, con
     """What each part's cosine loses where a square is covered, measured to the end."""
     from rich.progress import Progress
 
-    from lpn import occlusion
+    from lpn.explain import occlusion
 
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("Covering", total=occlusion.SQUARES**2)

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.datasets import Dataset
+    from lpn.explain.sweeps import Point, Profile
     from lpn.models.base import Model
     from lpn.models.spec import View
-    from lpn.sweeps import Point, Profile
 
 _BAR = 24
 
@@ -79,8 +79,9 @@ class Sweep:
         import numpy as np
         from rich.progress import track
 
-        from lpn import descriptors, sweeps
+        from lpn import descriptors
         from lpn.core import images
+        from lpn.explain import sweeps
         from lpn.retrieval import scoring
 
         query_view, gallery_view = views_of(task)
@@ -115,7 +116,7 @@ def _print(profile: Profile, title: str, views: tuple[View, View], console: Cons
     """A table with a row for each change and its score as a bar, and what the best change gains."""
     from rich.table import Table
 
-    from lpn.sweeps import UNITS, value
+    from lpn.explain.sweeps import UNITS, value
 
     blocks = str(console.encoding).lower().startswith("utf")
     scores = [point.score for point in profile.points]
@@ -167,8 +168,8 @@ def _sentence(begin: str, profile: Profile, point: Point) -> str:
 
 def _drawn(profile: Profile, title: str) -> bytes:
     """Scores, part cosines, and rank over the change as a PNG file."""
+    from lpn.explain.sweeps import UNITS, value
     from lpn.reproduce.plots import png, pyplot
-    from lpn.sweeps import UNITS, value
 
     figure, (above, below) = pyplot().subplots(2, 1, figsize=(8, 6), sharex=True, height_ratios=(2, 1))
     along = [value(profile.over, point.change) for point in profile.points]

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from lpn import explain, retrieval, sweeps, versus
+from lpn import explain, retrieval
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.images import Picture
@@ -16,12 +16,12 @@ from lpn.datasets import Picture as Entry
 from lpn.datasets import geo
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.explain import Evidence
+from lpn.explain import Evidence, counterfactual, sweeps
+from lpn.explain.counterfactual import Effect, Margin, Reweighting, Without
+from lpn.explain.sweeps import Profile
 from lpn.failures import described_by
 from lpn.retrieval import Described, Match, Ranking
 from lpn.study import Study
-from lpn.sweeps import Profile
-from lpn.versus import Effect, Margin, Reweighting, Without
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,8 @@ class Cases:
         margin = None
         if other is not None:
             true, wrong = (first, other) if first.true else (other, first)
-            margin = versus.margin(ranking, true.index, wrong.index)
-        change = None if truth is None or truth.rank == 1 else versus.smallest_change(ranking)
+            margin = counterfactual.margin(ranking, true.index, wrong.index)
+        change = None if truth is None or truth.rank == 1 else counterfactual.smallest_change(ranking)
         case = Case(
             name=name,
             known=index is not None,
@@ -176,7 +176,7 @@ class Cases:
             rival=rival,
             pairs=tuple(self._pair(seen, match) for match in (first, other) if match is not None),
             margin=margin,
-            without=versus.without(ranking),
+            without=counterfactual.without(ranking),
             change=change,
             effect=None if change is None else self._effect(change),
             profile=self._profile(picture, index, first, tick),
@@ -242,7 +242,7 @@ class Cases:
 
     def _effect(self, change: Reweighting) -> Effect:
         study = self._study
-        return versus.effect(
+        return counterfactual.effect(
             study.asked,
             study.tiles,
             study.weights,

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from lpn import overlays
 from lpn.core.files import printable
 from lpn.explain import Evidence
-from lpn.sweeps import Profile
-from lpn.versus import Margin
+from lpn.explain.counterfactual import Margin
+from lpn.explain.sweeps import Profile
 
 Numbers = npt.NDArray[np.floating]
 

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from playwright.sync_api import BrowserContext, Locator, expect
 
-from lpn import datasets, explain, load, retrieval, sweeps
+from lpn import datasets, explain, load, retrieval
 from lpn.core import images
+from lpn.explain import sweeps
 from tests.e2e.conftest import Explorer, Running
 from tests.e2e.test_explorer import assert_shows, expected
 

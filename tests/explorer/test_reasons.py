@@ -20,9 +20,10 @@ from explorer.opening import open_model
 from explorer.room import Room
 from explorer.session import State, Upload
 from explorer.sweep import Sweep
-from lpn import explain, sweeps, words
+from lpn import explain, words
 from lpn.descriptors.transforms import Change
-from lpn.versus import Effect
+from lpn.explain import sweeps
+from lpn.explain.counterfactual import Effect
 from tests import worlds
 
 

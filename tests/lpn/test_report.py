@@ -13,16 +13,17 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import cli, report, retrieval, versus, words
+from lpn import cli, report, retrieval, words
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
+from lpn.explain import counterfactual
+from lpn.explain.counterfactual import Effect, Margin, Reweighting, Standing, Without
+from lpn.explain.sweeps import Point, Profile
 from lpn.notes import NAME as NOTES
 from lpn.report import Options, Own, figures
 from lpn.study import Study, open_study
-from lpn.sweeps import Point, Profile
-from lpn.versus import Effect, Margin, Reweighting, Standing, Without
 from tests import worlds
 
 VOID = {"meta", "img", "br", "path", "rect", "circle", "polyline"}
@@ -117,7 +118,7 @@ def test_the_numbers_are_those_of_the_outcomes_and_add_up(study: Study) -> None:
     for step in (*steps, steps.sum()):
         assert f"{step:+.3f}" in text
     assert f"{study.figures['recall@1']:.1f} %" in text
-    without = versus.without(ranking)
+    without = counterfactual.without(ranking)
     assert without is not None
     assert words.left_out(without, study.part_names) in text
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize
 
-from lpn import retrieval, versus
+from lpn import retrieval
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.least_distance import shortest
+from lpn.explain import counterfactual
+from lpn.explain.least_distance import shortest
 from lpn.models.base import FloatArray, normalise
 from lpn.retrieval import Ranking, inner_products, metrics, scoring
 
@@ -49,7 +50,7 @@ def test_the_parts_of_a_margin_sum_to_the_difference_of_scores_and_distances() -
     query, gallery = described(1, 1, 4)[0], described(2, 30, 4)
     ranking = retrieval.rank(scoring.part_cosines(query, gallery), scoring.part_weights(4, [2, 1, 0, 0.5]))
     for a, b in ((3, 8), (8, 3)):
-        found = versus.margin(ranking, a, b)
+        found = counterfactual.margin(ranking, a, b)
         one, other = ranking.find(a), ranking.find(b)
         assert found.parts.shape == (4,)
         assert found.score == pytest.approx(one.score - other.score, abs=1e-6)
@@ -57,13 +58,13 @@ def test_the_parts_of_a_margin_sum_to_the_difference_of_scores_and_distances() -
         np.testing.assert_allclose(found.distance2, other.shares - one.shares, atol=1e-6)
         assert found.parts[2] == 0
     with pytest.raises(InputError, match="no gallery picture 30"):
-        versus.margin(ranking, 3, 30)
+        counterfactual.margin(ranking, 3, 30)
 
 
 @pytest.mark.parametrize("seed", range(0, 40, 3))
 def test_without_and_alone_are_the_ranks_of_those_weights(seed: int) -> None:
     ranking, labels = random_case(seed)
-    found = versus.without(ranking)
+    found = counterfactual.without(ranking)
     assert found is not None
     n = len(ranking.weights)
     for part, standing in enumerate((*found.without, *found.alone)):
@@ -85,13 +86,13 @@ def test_without_and_alone_are_the_ranks_of_those_weights(seed: int) -> None:
 
 def test_the_part_without_which_the_truth_would_be_first() -> None:
     cosines = [[0.2, 0.9, 0.75], [0.9, 0.7, 0.7], [0.8, 0.8, 0.6]]
-    found = versus.without(ranked(cosines))
+    found = counterfactual.without(ranked(cosines))
     assert found is not None
     assert (found.now.rank, found.cure, found.best_alone) == (3, 0, 1)
-    first = versus.without(ranked(cosines, [0, 1, 1]))
+    first = counterfactual.without(ranked(cosines, [0, 1, 1]))
     assert first is not None
     assert first.cure is None
-    never = versus.without(ranked([[0.1, 0.1], [0.2, 0.2]]))
+    never = counterfactual.without(ranked([[0.1, 0.1], [0.2, 0.2]]))
     assert never is not None
     assert (never.cure, never.best_alone) == (None, None)
 
@@ -104,8 +105,8 @@ def test_the_smallest_change_is_what_a_fine_grid_finds(n: int) -> None:
     for seed in range(25):
         rng = np.random.default_rng(seed)
         ranking = ranked(rng.uniform(0, 1, (6, n)), rng.uniform(0.1, 1, n))
-        first = ((ranking.cosines[:1] - ranking.cosines[1:]).astype(float) @ grid.T >= versus.LEAD).all(axis=0)
-        found = versus.smallest_change(ranking)
+        first = ((ranking.cosines[:1] - ranking.cosines[1:]).astype(float) @ grid.T >= counterfactual.LEAD).all(axis=0)
+        found = counterfactual.smallest_change(ranking)
         if found is None:
             assert not first.any()
         elif found.distance > 0 and first.any():
@@ -120,7 +121,7 @@ def test_the_smallest_change_is_what_a_general_solver_finds() -> None:
     told = {"none": 0, "found": 0}
     for seed in range(150):
         ranking, labels = random_case(seed)
-        found = versus.smallest_change(ranking)
+        found = counterfactual.smallest_change(ranking)
         best = _by_scipy(ranking, labels)
         now = ranking.truth()
         if now is not None and now.rank == 1:
@@ -146,13 +147,13 @@ def _by_scipy(ranking: Ranking, labels: np.ndarray) -> float | None:
     cosines, found = ranking.cosines.astype(float), []
     for index in np.flatnonzero(labels == 7):
         ahead = cosines[index] - cosines[labels == 5]
-        lead, one = np.full(len(ahead), versus.LEAD), np.ones(n)
+        lead, one = np.full(len(ahead), counterfactual.LEAD), np.ones(n)
         inside = linprog(np.zeros(n), A_ub=-ahead, b_ub=-lead, A_eq=one[None], b_eq=[1], bounds=[(0, 1)] * n)
         if inside.status != 0:
             continue
         rules = [
             {"type": "eq", "fun": lambda w: w.sum() - 1, "jac": lambda w: np.ones(len(w))},
-            {"type": "ineq", "fun": lambda w, a=ahead: a @ w - versus.LEAD, "jac": lambda _, a=ahead: a},
+            {"type": "ineq", "fun": lambda w, a=ahead: a @ w - counterfactual.LEAD, "jac": lambda _, a=ahead: a},
         ]
         solved = minimize(
             lambda w: ((w - now) ** 2).sum() / 2,
@@ -169,12 +170,12 @@ def _by_scipy(ranking: Ranking, labels: np.ndarray) -> float | None:
 
 
 def test_no_weighting_helps_where_a_wrong_tile_is_better_or_equal_in_every_part() -> None:
-    assert versus.smallest_change(ranked([[0.5, 0.5], [0.6, 0.5]])) is None
-    assert versus.smallest_change(ranked([[0.5], [0.6]])) is None
-    assert versus.smallest_change(ranked([[0.9, 0.1], [0.9, 0.1]], true=(1,))) is None
+    assert counterfactual.smallest_change(ranked([[0.5, 0.5], [0.6, 0.5]])) is None
+    assert counterfactual.smallest_change(ranked([[0.5], [0.6]])) is None
+    assert counterfactual.smallest_change(ranked([[0.9, 0.1], [0.9, 0.1]], true=(1,))) is None
     # No tile is better everywhere, but of any weighting one of the two is.
-    assert versus.smallest_change(ranked([[0.5, 0.5], [0.9, 0.2], [0.2, 0.9]])) is None
-    found = versus.smallest_change(ranked([[0.5, 0.5], [0.9, 0.2], [0.2, 0.7]]))
+    assert counterfactual.smallest_change(ranked([[0.5, 0.5], [0.9, 0.2], [0.2, 0.9]])) is None
+    found = counterfactual.smallest_change(ranked([[0.5, 0.5], [0.9, 0.2], [0.2, 0.7]]))
     assert found is not None
     assert found.weights[1] == pytest.approx(4 / 7, abs=1e-3)
 
@@ -182,16 +183,16 @@ def test_no_weighting_helps_where_a_wrong_tile_is_better_or_equal_in_every_part(
 def test_a_chosen_tile_can_be_put_first_and_an_unknown_truth_cannot() -> None:
     cosines = [[0.9, 0.1], [0.8, 0.7], [0.1, 0.8]]
     ranking = retrieval.rank(np.array(cosines, np.float32), scoring.part_weights(2))
-    assert versus.smallest_change(ranking) is None
-    assert versus.without(ranking) is None
-    found = versus.smallest_change(ranking, tile=2)
+    assert counterfactual.smallest_change(ranking) is None
+    assert counterfactual.without(ranking) is None
+    found = counterfactual.smallest_change(ranking, tile=2)
     assert found is not None
     assert retrieval.rank(ranking.cosines, found.weights).order[0] == 2
-    standings = versus.without(ranking, tile=0)
+    standings = counterfactual.without(ranking, tile=0)
     assert standings is not None
     assert standings.cure == 1
     with pytest.raises(InputError, match="Gallery picture 9 is not in the ranking"):
-        versus.smallest_change(ranking, tile=9)
+        counterfactual.smallest_change(ranking, tile=9)
 
 
 def test_the_least_distance_to_half_spaces() -> None:
@@ -213,7 +214,7 @@ def test_the_effect_on_a_data_set_is_that_of_each_query_ranked(listed: bool, mon
     truth = [Truth(m, np.flatnonzero(labels == metrics.JUNK)) for m in mates] if listed else None
     before, after = [2, 0.1, 0.4], [0.1, 2, 0.5]
     args = (None, None, truth) if listed else (of_query, labels, None)
-    found = versus.effect(query, gallery, before, after, *args)
+    found = counterfactual.effect(query, gallery, before, after, *args)
     hits = []
     for weights in (before, after):
         tops = [
@@ -229,11 +230,11 @@ def test_the_effect_on_a_data_set_is_that_of_each_query_ranked(listed: bool, mon
     assert len(found.gained) > 0
     assert len(found.lost) > 0
     assert found.helps == (found.after > found.before)
-    known = metrics.retrieve(versus.folded(query, before), of_query, gallery, labels).first
-    again = versus.effect(query, gallery, None, after, *args, first=known)
+    known = metrics.retrieve(counterfactual.folded(query, before), of_query, gallery, labels).first
+    again = counterfactual.effect(query, gallery, None, after, *args, first=known)
     np.testing.assert_array_equal(again.lost, found.lost)
     with pytest.raises(InputError, match="3 known ranks for 25 queries"):
-        versus.effect(query, gallery, None, after, *args, first=known[:3])
+        counterfactual.effect(query, gallery, None, after, *args, first=known[:3])
 
 
 def test_a_part_that_sees_nothing_of_the_query_ranks_nothing() -> None:
@@ -241,7 +242,7 @@ def test_a_part_that_sees_nothing_of_the_query_ranks_nothing() -> None:
     lengths = np.array([0.0, 3.0, 0.0], np.float32)
     labels = np.array([0, 1, 2])
     ranking = retrieval.rank(cosines, scoring.part_weights(3), labels, 0, lengths=lengths)
-    found = versus.without(ranking)
+    found = counterfactual.without(ranking)
     assert found is not None
     assert found.without[1] is None
     assert (found.alone[0], found.alone[2]) == (None, None)

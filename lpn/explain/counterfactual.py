@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.least_distance import shortest
+from lpn.explain.least_distance import shortest
 from lpn.models.base import FloatArray
 from lpn.retrieval import Ranking, metrics, scoring
 from lpn.retrieval.metrics import IntArray
@@ -157,7 +157,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
 
     For each true tile t the convex program: minimise |w - w_now|^2 subject to w_i >= 0, sum_i w_i = 1, and
     sum_i w_i (cos_i(t) - cos_i(g)) >= LEAD for every tile g that is ranked and not true. It is solved exactly (see
-    `lpn.least_distance`), and the nearest of the true tiles' solutions is taken. A tile that is first already needs no change,
+    `lpn.explain.least_distance`), and the nearest of the true tiles' solutions is taken. A tile that is first already needs no change,
     whatever its lead.
 
     Args:

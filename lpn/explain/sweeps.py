@@ -117,7 +117,7 @@ class Profile:
 
     def __post_init__(self) -> None:
         if not self.points:
-            raise InputError("A profile needs at least one point; take one from lpn.sweeps.profile first.")
+            raise InputError("A profile needs at least one point; take one from lpn.explain.sweeps.profile first.")
         ordered = sorted(self.points, key=lambda point: value(self.over, point.change))
         object.__setattr__(self, "points", tuple(ordered))
 

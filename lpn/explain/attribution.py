@@ -12,7 +12,7 @@ norm one,
 
 a signed map and one constant; and the same on the tile's side. Where a head ends in a LeakyReLU its slopes, and with SAFA the
 weights of the cells, are held as they are for this picture. It accounts for the score; it does not say what the score would be
-were a cell not there, which `lpn.occlusion` measures.
+were a cell not there, which `lpn.explain.occlusion` measures.
 """
 
 from __future__ import annotations

@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import cli, descriptors, retrieval, sweeps
+from lpn import cli, descriptors, retrieval
 from lpn.commands.using import DEMO
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import Truth, open_dataset
 from lpn.datasets.geo import Positions
 from lpn.descriptors.transforms import Change
+from lpn.explain import sweeps
+from lpn.explain.sweeps import Point, Profile, changes_over, profile
 from lpn.models.base import FloatArray, Model
 from lpn.retrieval import scoring
-from lpn.sweeps import Point, Profile, changes_over, profile
 from tests import worlds
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from bench.faithful import curves
-from lpn import load, occlusion, retrieval
+from lpn import load, retrieval
 from lpn.commands.using import DEMO
 from lpn.core import images
+from lpn.explain import occlusion
 from lpn.retrieval import scoring
 from tests import worlds
 
