@@ -11,8 +11,9 @@ from explorer.labmap import Drawn
 from explorer.laboratory import Findings
 from explorer.labstate import LabState
 from explorer.style import verdict_ink
-from lpn import breakdown, overlays
-from lpn.breakdown import Rate
+from lpn import overlays
+from lpn.analysis import breakdown
+from lpn.analysis.breakdown import Rate
 from lpn.core.tables import Column
 
 _PAIRS, _VALUES = 10, 10

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from explorer.laboratory import Points
-from lpn import overlays, projection
+from lpn import overlays
+from lpn.analysis import embedding_map
 from lpn.core.images import Picture
 from lpn.datasets.geo import FloatArray
 from lpn.retrieval.metrics import IntArray
@@ -53,7 +54,7 @@ class Drawn:
 
     def inside(self, one: tuple[float, float], other: tuple[float, float]) -> IntArray:
         """The queries in a rectangle between two points of the picture, ascending."""
-        return projection.inside(self.points, self.place(*one), self.place(*other))
+        return embedding_map.inside(self.points, self.place(*one), self.place(*other))
 
     def near(self, x: float, y: float) -> IntArray:
         """The queries at the place nearest to a point of the picture, chosen ones alone where there are; none far away."""

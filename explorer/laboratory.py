@@ -11,15 +11,15 @@ import numpy as np
 
 from explorer.exhibit import Exhibit, Task
 from explorer.jobs import Job, Jobs, Progress, in_process
-from lpn import failures, notes, projection
+from lpn.analysis import embedding_map, notes, query_outcomes
+from lpn.analysis.notes import Note
+from lpn.analysis.query_outcomes import Outcomes
 from lpn.core.errors import LPNError
 from lpn.core.images import Picture
 from lpn.core.tables import Table
 from lpn.datasets import geo
 from lpn.datasets.geo import FloatArray
 from lpn.datasets.metadata import NOTE, TAGS
-from lpn.failures import Outcomes
-from lpn.notes import Note
 
 MapKind = Literal["pca", "umap", "ground"]
 
@@ -110,9 +110,9 @@ class Laboratory:
     def _build(self, task: Task, progress: Progress) -> None:
         progress(0, len(task.queries))
         ranking = task.standing.wait(self, progress).ranking
-        outcomes = failures.outcomes_of(ranking, task.asked, task.descriptors)
+        outcomes = query_outcomes.outcomes_of(ranking, task.asked, task.descriptors)
         progress(len(task.queries), len(task.queries))
-        made = failures.table(self._exhibit.root, task.queries, task.gallery, outcomes, self._exhibit.part_names)
+        made = query_outcomes.table(self._exhibit.root, task.queries, task.gallery, outcomes, self._exhibit.part_names)
         with self._lock:
             said, flaw = self._said()
             table = made.plus(notes.columns(said, made.paths))
@@ -131,9 +131,9 @@ class Laboratory:
             ground = self._exhibit.mosaic(task), task.places.bounds()
             return Points(queries, task.places.ground, ground=ground)
         if kind == "umap":
-            found = in_process(progress, projection.umap, np.asarray(task.asked), np.asarray(task.descriptors))
+            found = in_process(progress, embedding_map.umap, np.asarray(task.asked), np.asarray(task.descriptors))
             return Points(found.queries, found.tiles, "neighbours are alike; distances between groups mean little")
-        found = projection.pca(task.asked, task.descriptors)
+        found = embedding_map.pca(task.asked, task.descriptors)
         assert found.variance is not None
         first, second = 100 * found.variance
         axes = f"{first:.0f} % of the variance across, {second:.0f} % upwards"

@@ -15,8 +15,8 @@ from explorer.labstate import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
 from explorer.pages import SIGNS
 from explorer.style import verdict_ink
 from lpn import overlays
+from lpn.analysis.notes import Note
 from lpn.core.tables import Column
-from lpn.notes import Note
 from lpn.retrieval.metrics import IntArray
 
 _HINTS = {

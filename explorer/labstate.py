@@ -8,8 +8,8 @@ from typing import Final, Literal
 import numpy as np
 
 from explorer.laboratory import Findings, MapKind
-from lpn import breakdown, failures
-from lpn.breakdown import Rate
+from lpn.analysis import breakdown, query_outcomes
+from lpn.analysis.breakdown import Rate
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table
 from lpn.retrieval.metrics import IntArray
@@ -231,5 +231,5 @@ def names_of(found: Findings, one: breakdown.Confusion) -> tuple[str, str]:
 
 def described(found: Findings) -> list[Column]:
     """The columns that failure rates are shown against."""
-    columns = failures.described_by(found.table)
+    columns = query_outcomes.described_by(found.table)
     return [column for column in columns if column.name not in ("latitude", "longitude")]

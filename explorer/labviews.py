@@ -12,8 +12,8 @@ from explorer.html import Html
 from explorer.labmap import Drawn
 from explorer.laboratory import Findings, Laboratory
 from explorer.labstate import LabState
+from lpn.analysis.notes import Note
 from lpn.core.errors import LPNError
-from lpn.notes import Note
 from lpn.retrieval.metrics import IntArray
 
 

@@ -8,10 +8,11 @@ import viser
 
 from explorer.exhibit import Answer, Exhibit, Task
 from explorer.jobs import GivenUpError, Job, Progress
-from lpn import notes, report
+from lpn import report
+from lpn.analysis import notes
+from lpn.analysis.task import Study
 from lpn.core.errors import LPNError
 from lpn.models.base import FloatArray, Model
-from lpn.study import Study
 
 Work = Callable[[Progress, Model | None], tuple[str, bytes]]
 """Makes a report with a model: its file's name and contents."""

@@ -288,7 +288,7 @@ def pth(folder: Path) -> list[Case]:
 
 def notes(folder: Path) -> list[Case]:
     """A person's notes."""
-    from lpn.notes import read_notes, set_note
+    from lpn.analysis.notes import read_notes, set_note
 
     file = folder / "notes.csv"
     for path, tags, text in (

@@ -16,10 +16,10 @@ from lpn.core.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lpn.breakdown import Rate
+    from lpn.analysis.breakdown import Rate
+    from lpn.analysis.task import Study
     from lpn.core.tables import Table
     from lpn.retrieval.metrics import IntArray
-    from lpn.study import Study
 
 
 @dataclass
@@ -48,10 +48,10 @@ class Failures:
     def run(self) -> None:
         from rich.console import Console
 
+        from lpn.analysis.query_outcomes import OUTCOME
+        from lpn.analysis.task import open_study
         from lpn.core.files import check_writable, write_whole
         from lpn.datasets import metadata, open_dataset
-        from lpn.failures import OUTCOME
-        from lpn.study import open_study
 
         if self.top < 1:
             raise InputError(f"The number of queries listed is {self.top}; expected 1 or more.")
@@ -85,8 +85,8 @@ def _print(console: Console, table: Table, rows: IntArray, names: list[str], top
 
 def _print_breakdown(console: Console, study: Study, rows: IntArray, top: int) -> None:
     """What the failures among some rows have in common."""
-    from lpn import breakdown
-    from lpn.failures import described_by
+    from lpn.analysis import breakdown
+    from lpn.analysis.query_outcomes import described_by
 
     table, outcomes, part_names = study.table, study.outcomes, study.part_names
     failures = int(outcomes.failed[rows].sum())

@@ -14,8 +14,8 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 
 if TYPE_CHECKING:
+    from lpn.analysis.task import Study
     from lpn.datasets import Picture
-    from lpn.study import Study
 
 
 @dataclass
@@ -54,12 +54,12 @@ class Report:
         from rich.progress import Progress
 
         from lpn import report
+        from lpn.analysis.task import open_study, task_of
         from lpn.commands.reasons import part_values
         from lpn.core.files import check_writable, write_whole
         from lpn.datasets import open_dataset
         from lpn.descriptors.transforms import Change
         from lpn.models.spec import views_of
-        from lpn.study import open_study, task_of
 
         if self.query and (self.failures is not None or self.where):
             raise InputError("Queries are named, and --failures or --where chooses others; leave one of them out.")

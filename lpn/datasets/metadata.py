@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 NAME = "metadata.csv"
 WORLD = "world.json"
 TAGS, NOTE = "tags", "note"
-"""Columns that a person's own notes make, see `lpn.notes`."""
+"""Columns that a person's own notes make, see `lpn.analysis.notes`."""
 _UNITS = {"latitude": "°", "longitude": "°", "altitude": "m", "heading": "°", "tilt": "°", "fov": "°", "width": "m"}
 _SIGNS = set('<>=!~"')
 

@@ -1,6 +1,6 @@
 """A self-contained HTML file about some queries: pictures inside, no network, no script; it prints on A4.
 
-study = lpn.study.open_study(model, "lpn.onnx", dataset)
+study = lpn.analysis.task.open_study(model, "lpn.onnx", dataset)
 write_whole(Path("report.html"), lpn.report.build(study, [17, 4]))
 """
 

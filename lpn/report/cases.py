@@ -9,6 +9,8 @@ from functools import lru_cache
 import numpy as np
 
 from lpn import explain, retrieval
+from lpn.analysis.query_outcomes import described_by
+from lpn.analysis.task import Study
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.images import Picture
@@ -19,9 +21,7 @@ from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Evidence, counterfactual, sweeps
 from lpn.explain.counterfactual import Effect, Margin, Reweighting, Without
 from lpn.explain.sweeps import Profile
-from lpn.failures import described_by
 from lpn.retrieval import Described, Match, Ranking
-from lpn.study import Study
 
 
 @dataclass(frozen=True)

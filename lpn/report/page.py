@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 
 import lpn
+from lpn.analysis.task import Study
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.report.cases import Case, Cases, Options, Own, shown
@@ -14,7 +15,6 @@ from lpn.report.figures import text
 from lpn.report.sections import KINDS, parts_legend, said, section, sign, thumbnail
 from lpn.report.style import STYLE
 from lpn.retrieval import protocol
-from lpn.study import Study
 
 MOST = 200
 """Queries in one report; more make a file that browsers open slowly."""

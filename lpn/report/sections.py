@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpn import overlays, words
+from lpn.analysis.task import Study
 from lpn.core import images
 from lpn.core.images import Picture
 from lpn.report import figures
 from lpn.report.cases import Case, Pair
 from lpn.report.figures import colour, text
-from lpn.study import Study
 
 SIGNS: dict[bool | None, str] = {True: "✓", False: "✗", None: "?"}
 KINDS: dict[bool | None, str] = {True: "true", False: "false", None: "unknown"}

@@ -13,9 +13,10 @@ import pytest
 from playwright.sync_api import BrowserContext, Locator, expect
 
 import lpn
-from lpn import breakdown, datasets, descriptors, failures
+from lpn import datasets, descriptors
+from lpn.analysis import breakdown, query_outcomes
+from lpn.analysis.query_outcomes import Outcomes
 from lpn.core.tables import Table
-from lpn.failures import Outcomes
 from tests import worlds
 from tests.e2e.conftest import Explorer, Running, started
 
@@ -49,9 +50,9 @@ def truth(lab_app: Running) -> tuple[Outcomes, Table]:
         descriptors.passing_descriptors(model, entries, view)
         for entries, view in ((queries, "drone"), (gallery, "satellite"))
     ]
-    outcomes = failures.build(*described, failures.labels_of(queries), failures.labels_of(gallery))
+    outcomes = query_outcomes.build(*described, query_outcomes.labels_of(queries), query_outcomes.labels_of(gallery))
     names = model.spec.partition("drone").names()
-    return outcomes, failures.table(dataset.root, queries, gallery, outcomes, names)
+    return outcomes, query_outcomes.table(dataset.root, queries, gallery, outcomes, names)
 
 
 class LabPage(Explorer):
@@ -197,7 +198,7 @@ def test_clicks_in_the_breakdown_choose_what_they_count(
 ) -> None:
     outcomes, table = truth
     dataset = datasets.open_dataset(lab_app.data)
-    labels = [failures.labels_of(entries) for entries in (dataset.queries("drone"), dataset.gallery("satellite"))]
+    labels = [query_outcomes.labels_of(entries) for entries in (dataset.queries("drone"), dataset.gallery("satellite"))]
     pair = breakdown.confusions(outcomes, *labels)[0]
     lab.choose("Breakdown")
     line = lab.page.locator(".card .line", has_text=f"{pair.place:04d} taken for")

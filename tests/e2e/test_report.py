@@ -10,9 +10,9 @@ from playwright.sync_api import Browser
 
 import lpn
 from lpn import report
+from lpn.analysis.task import open_study
 from lpn.datasets import open_dataset
 from lpn.report import Options
-from lpn.study import open_study
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 
 from explorer import labpages
 from explorer.jobs import GivenUpError, Job, Jobs, Progress, in_process
-from lpn import notes
+from lpn.analysis import notes
 from lpn.core.errors import InputError, LPNError
 
 

@@ -19,7 +19,8 @@ from explorer.labstate import LabState, Pick
 from explorer.labviews import MapView, NoteView
 from explorer.opening import open_model
 from explorer.session import State
-from lpn import breakdown, notes, overlays
+from lpn import overlays
+from lpn.analysis import breakdown, notes
 from lpn.core.errors import InputError, OutputError
 from lpn.core.tables import Column, Table, number_column, text_column
 from tests import worlds

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from lpn.analysis.notes import read_notes
 from lpn.core.shutdown import GRACE
-from lpn.notes import read_notes
 from soak.client import Talker
 from tests import worlds
 from tests.processes import SOON, Process
@@ -51,13 +51,13 @@ def slow(*given):
 report.build = slow
 """
 SLOW_NOTES = """
-import time, lpn.notes
-write = lpn.notes.write_whole
+import time, lpn.analysis.notes
+write = lpn.analysis.notes.write_whole
 def slow(*given):
     print("writing", flush=True)
     time.sleep(SECONDS)
     write(*given)
-lpn.notes.write_whole = slow
+lpn.analysis.notes.write_whole = slow
 """
 SLOW_END = """
 import time, explorer.app

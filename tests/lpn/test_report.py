@@ -14,6 +14,8 @@ import pytest
 
 import lpn
 from lpn import cli, report, retrieval, words
+from lpn.analysis.notes import NAME as NOTES
+from lpn.analysis.task import Study, open_study
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
@@ -21,9 +23,7 @@ from lpn.descriptors.transforms import Change
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect, Margin, Reweighting, Standing, Without
 from lpn.explain.sweeps import Point, Profile
-from lpn.notes import NAME as NOTES
 from lpn.report import Options, Own, figures
-from lpn.study import Study, open_study
 from tests import worlds
 
 VOID = {"meta", "img", "br", "path", "rect", "circle", "polyline"}

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lpn.analysis.query_outcomes import Outcomes
 from lpn.core.errors import InputError
 from lpn.core.tables import Column
 from lpn.datasets.geo import FloatArray
-from lpn.failures import Outcomes
 from lpn.retrieval.metrics import IntArray
 
 _NORMAL_95 = 1.959963984540054

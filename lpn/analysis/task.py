@@ -9,16 +9,17 @@ from pathlib import Path
 
 import numpy.typing as npt
 
-from lpn import descriptors, failures, notes, retrieval
+from lpn import descriptors, retrieval
+from lpn.analysis import notes, query_outcomes
+from lpn.analysis.notes import Note
+from lpn.analysis.query_outcomes import Outcomes
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Table
 from lpn.datasets import Dataset, Picture, Truth
 from lpn.explain import counterfactual
-from lpn.failures import Outcomes
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import ModelSpec, View, views_of
-from lpn.notes import Note
 from lpn.retrieval import Ranking, metrics, scoring
 from lpn.retrieval.metrics import IntArray
 
@@ -39,7 +40,7 @@ class Study:
         truth: true matches and junk of each query where labels do not say them, else None.
         asked, tiles: descriptors of the queries as they are and of the gallery, (Q, n, D) and (G, n, D).
         weights: of the parts, see `scoring.part_weights`; None for equal ones.
-        notes: a person's tags and notes by the query's path, see `lpn.notes`.
+        notes: a person's tags and notes by the query's path, see `lpn.analysis.notes`.
     """
 
     model: Model | None
@@ -77,12 +78,14 @@ class Study:
     @cached_property
     def outcomes(self) -> Outcomes:
         """What became of each query."""
-        return failures.build(self.asked, self.tiles, self.query_labels, self.labels, self.truth, weights=self.weights)
+        return query_outcomes.build(
+            self.asked, self.tiles, self.query_labels, self.labels, self.truth, weights=self.weights
+        )
 
     @cached_property
     def table(self) -> Table:
         """One row for each query: outcome, metadata, tags, and notes; see `failures.table` for what is raised."""
-        made = failures.table(self.root, self.queries, self.gallery, self.outcomes, self.part_names)
+        made = query_outcomes.table(self.root, self.queries, self.gallery, self.outcomes, self.part_names)
         return made.plus(notes.columns(dict(self.notes), made.paths))
 
     @cached_property
@@ -134,8 +137,8 @@ def open_study(
         {view: model.map_size(view) for view in views},
         queries,
         gallery,
-        failures.labels_of(queries),
-        failures.labels_of(gallery),
+        query_outcomes.labels_of(queries),
+        query_outcomes.labels_of(gallery),
         dataset.truth(task),
         descriptors.known_descriptors(model, queries, views[0], dataset.root, "query"),
         descriptors.known_descriptors(model, gallery, views[1], dataset.root, "gallery"),

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
+from lpn.analysis.embedding_map import inside, pca, umap
 from lpn.core.errors import InputError, MissingPackageError
-from lpn.projection import inside, pca, umap
 
 
 def drawn(count: int, n: int = 3, size: int = 5, seed: int = 0) -> np.ndarray:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from lpn.analysis.notes import LONGEST_NOTE, Note, columns, read_notes, set_note
 from lpn.core.errors import DataError, InputError, OutputError
-from lpn.notes import LONGEST_NOTE, Note, columns, read_notes, set_note
 
 
 def test_notes_are_kept_and_read_back(tmp_path: Path) -> None:

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import breakdown, cli, notes, retrieval
+from lpn import cli, retrieval
+from lpn.analysis import breakdown, notes
+from lpn.analysis.query_outcomes import OUTCOME, Outcomes, build, described_by, labels_of, table
 from lpn.core.errors import DataError, InputError
 from lpn.core.tables import number_column, text_column
 from lpn.datasets import Picture, Truth, geo, open_dataset
 from lpn.descriptors import cached_descriptors, describe, known_descriptors
-from lpn.failures import OUTCOME, Outcomes, build, described_by, labels_of, table
 from lpn.models.base import FloatArray, normalise
 from lpn.retrieval import inner_products, metrics, scoring
 from tests import worlds
@@ -70,7 +71,7 @@ def test_outcomes_are_those_of_each_query_ranked_alone(
     block: int, weights: list[float] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(inner_products, "_BLOCK_BYTES", block)
-    monkeypatch.setattr("lpn.failures._CHUNK_BYTES", block)
+    monkeypatch.setattr("lpn.analysis.query_outcomes._CHUNK_BYTES", block)
     rng = np.random.default_rng(1)
     queries, gallery = descriptors(50), descriptors(30, seed=1)
     labels, asked = rng.integers(-1, 9, 30), rng.integers(0, 11, 50)
