@@ -11,11 +11,11 @@ import numpy as np
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.pages import SIGNS
-from lpn import overlays, words
+from lpn.drawing import overlays, verdicts
+from lpn.drawing.verdicts import ordinal
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect, Reweighting, Without
 from lpn.retrieval import Match
-from lpn.words import ordinal
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ def _left_out(contest: Contest, names: Sequence[str], ahead: Match) -> str:
     found = contest.without
     if found is None:
         return ""
-    said = words.left_out(found, names, "the true tile" if ahead.true else "this tile")
+    said = verdicts.left_out(found, names, "the true tile" if ahead.true else "this tile")
     cells = "".join(
         f"<tr><td style='color:{overlays.css(overlays.part_colour(i))}'>{escape(name)}</td>"
         f"<td>{_rank(found.without[i])}</td><td>{_rank(found.alone[i])}</td></tr>"
@@ -159,7 +159,7 @@ def _changed(answer: Answer, contest: Contest, names: Sequence[str], effect: Eff
         asked = "computing over all queries …" if busy else f"<a {send('effect')}>Does it help over all queries?</a>"
         asked = "" if answer.state.region else asked
     else:
-        said = words.helps(effect)
+        said = verdicts.helps(effect)
         asked = f"{said[0].upper()}{said[1:]}."
     return (
         f"<div id='lpn-change'><div class='said'>The smallest change of weights that puts {who} first: {escape(pairs)}.</div>"

@@ -13,10 +13,10 @@ from explorer.bridge import send
 from explorer.exhibit import Analyst, Answer, Exhibit, Task
 from explorer.pages import SIGNS
 from explorer.session import State
-from lpn import overlays
 from lpn.core import images
+from lpn.drawing import overlays
+from lpn.drawing.verdicts import ordinal
 from lpn.retrieval.metrics import IntArray
-from lpn.words import ordinal
 
 _SHOWN, _LISTED, _HEIGHT = 5, 8, 240
 

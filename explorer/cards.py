@@ -13,9 +13,9 @@ from explorer.exhibit import Answer, Exhibit
 from explorer.layout import Layout
 from explorer.planes import UPRIGHT, Plane
 from explorer.session import State
-from lpn import overlays
 from lpn.core.images import Picture
-from lpn.overlays import Colour, Palette
+from lpn.drawing import overlays
+from lpn.drawing.overlays import Colour, Palette
 from lpn.retrieval import Match
 
 SHOWN = 10

@@ -11,11 +11,11 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn import overlays
 from lpn.core import images
 from lpn.core.images import Picture
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
+from lpn.drawing import overlays
 from lpn.retrieval.metrics import IntArray
 
 LARGEST = 1536

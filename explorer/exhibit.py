@@ -19,13 +19,14 @@ from explorer.kept import Kept
 from explorer.layout import layout_for
 from explorer.session import TRUTH, State
 from explorer.standing import Found, Standing
-from lpn import explain, overlays, retrieval
+from lpn import explain, retrieval
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.images import Picture
 from lpn.datasets import Picture as Entry
 from lpn.datasets import Truth, geo
 from lpn.datasets.city_model import CityModel
+from lpn.drawing import overlays
 from lpn.explain import Evidence, Mates
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import ModelSpec, View

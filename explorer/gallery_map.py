@@ -15,8 +15,8 @@ from explorer.exhibit import Answer, Exhibit
 from explorer.planes import Plane, Rotation
 from explorer.session import State
 from explorer.viewpoint import AT, PICTURE, SIDE, Viewpoint, over
-from lpn import overlays
 from lpn.datasets import geo
+from lpn.drawing import overlays
 
 _LINES = 0.2
 _WORDS = SIDE - 2 * PICTURE

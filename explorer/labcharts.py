@@ -11,10 +11,10 @@ from explorer.labmap import Drawn
 from explorer.laboratory import Findings
 from explorer.labstate import LabState
 from explorer.style import verdict_ink
-from lpn import overlays
 from lpn.analysis import breakdown
 from lpn.analysis.breakdown import Rate
 from lpn.core.tables import Column
+from lpn.drawing import overlays
 
 _PAIRS, _VALUES = 10, 10
 _ENOUGH = 10

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from explorer.laboratory import Points
-from lpn import overlays
 from lpn.analysis import embedding_map
 from lpn.core.images import Picture
 from lpn.datasets.geo import FloatArray
+from lpn.drawing import overlays
 from lpn.retrieval.metrics import IntArray
 
 Bounds = tuple[float, float, float, float]

@@ -14,9 +14,9 @@ from explorer.laboratory import Findings
 from explorer.labstate import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
 from explorer.pages import SIGNS
 from explorer.style import verdict_ink
-from lpn import overlays
 from lpn.analysis.notes import Note
 from lpn.core.tables import Column
+from lpn.drawing import overlays
 from lpn.retrieval.metrics import IntArray
 
 _HINTS = {

@@ -9,7 +9,7 @@ from explorer import words
 from explorer.bridge import PRESSED, send
 from explorer.exhibit import Answer, Exhibit, Task
 from explorer.style import part_ink, verdict_ink
-from lpn import overlays
+from lpn.drawing import overlays
 from lpn.retrieval import Match
 
 STYLE = """<style>

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from lpn import overlays
 from lpn.core.images import Picture
-from lpn.overlays import Palette
+from lpn.drawing import overlays
+from lpn.drawing.overlays import Palette
 
 Rotation = tuple[float, float, float, float]
 UPRIGHT: Rotation = (0.0, 1.0, 0.0, 0.0)

@@ -9,10 +9,10 @@ from html import escape
 from explorer.bridge import send
 from explorer.exhibit import Answer
 from explorer.session import State
-from lpn import overlays, words
+from lpn.drawing import overlays, verdicts
+from lpn.drawing.verdicts import ordinal
 from lpn.explain import sweeps
 from lpn.explain.sweeps import UNITS, Over, Point, Profile
-from lpn.words import ordinal
 
 CHOICES: dict[Over, str] = {"rotation": "Turn", "shift": "Shift right", "shift-down": "Shift down", "zoom": "Zoom"}
 _WIDTH, _LEFT, _RIGHT = 720, 52, 14
@@ -64,7 +64,7 @@ def _said(profile: Profile, answer: Answer) -> str:
         lines.append(
             f"Without knowing it, the highest score of any tile is at {_at(over, blind)} ({blind.top_score:.3f})."
         )
-    if guess := words.heading(profile, (answer.task.query_view, answer.task.gallery_view)):
+    if guess := verdicts.heading(profile, (answer.task.query_view, answer.task.gallery_view)):
         lines.append(f"{guess}{_known_heading(answer)}")
     if over in ("shift", "shift-down"):
         lines.append(

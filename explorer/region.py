@@ -6,8 +6,8 @@ import json
 
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
-from lpn import overlays
 from lpn.core import images
+from lpn.drawing import overlays
 
 _HEIGHT = 460
 

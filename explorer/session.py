@@ -12,7 +12,7 @@ import numpy as np
 
 from lpn.core.images import Picture
 from lpn.descriptors.transforms import Change
-from lpn.overlays import DARK, LIGHT, Palette
+from lpn.drawing.overlays import DARK, LIGHT, Palette
 from lpn.retrieval.metrics import IntArray
 
 MAX_WEIGHT = 2.0

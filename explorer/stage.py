@@ -20,12 +20,12 @@ from explorer.layout import CAPTION, Layout, Point
 from explorer.planes import UPRIGHT, Plane, Rotation, title
 from explorer.session import State
 from explorer.viewpoint import Viewpoint
-from lpn import overlays
 from lpn.core import images
 from lpn.core.images import Picture
+from lpn.drawing import overlays
+from lpn.drawing.overlays import Palette
 from lpn.explain import Evidence
 from lpn.models.spec import View
-from lpn.overlays import Palette
 from lpn.retrieval import Described, Match
 
 _LIFT = 0.5

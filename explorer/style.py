@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lpn import overlays
+from lpn.drawing import overlays
 
 _INKS = {f"part-{i}": colour for i, colour in enumerate(overlays.PART_COLOURS)} | {
     "true": overlays.TRUE_COLOUR,

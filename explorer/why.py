@@ -11,8 +11,8 @@ import numpy as np
 from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
 from explorer.style import part_ink
-from lpn import overlays, words
 from lpn.core import images
+from lpn.drawing import overlays, verdicts
 from lpn.explain import Evidence, Mates
 from lpn.models.base import FloatArray
 from lpn.models.spec import View
@@ -46,7 +46,7 @@ def page(answer: Answer, exhibit: Exhibit) -> str:
     part = answer.state.heat_part
     shown, limit = maps(found, part)
     views = (task.query_view, task.gallery_view)
-    said = words.why(found, exhibit.part_names, *views)
+    said = verdicts.why(found, exhibit.part_names, *views)
     blocks = "".join(
         _map(exhibit, described, cells, limit, view, mates, name)
         for described, cells, view, mates, name in zip(

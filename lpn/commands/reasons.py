@@ -49,9 +49,10 @@ class Explain:
     def run(self) -> None:
         from rich.console import Console
 
-        from lpn import explain, pairfigure, retrieval, words
+        from lpn import explain, retrieval
         from lpn.core import images
         from lpn.core.files import check_writable, write_whole
+        from lpn.drawing import pair_figure, verdicts
         from lpn.explain import occlusion
         from lpn.retrieval import scoring
 
@@ -75,14 +76,14 @@ class Explain:
         of |= {"view_query": self.view_query, "view_match": self.view_match, "rotate": self.rotate}
         values = of | (found.to_dict(names) if losses is None else occlusion.to_dict(found, losses, names))
         _show(console, found, names)
-        console.print(words.why(found, names, *views), markup=False)
+        console.print(verdicts.why(found, names, *views), markup=False)
         if self.json is not None:
             write_whole(self.json, (json.dumps(values, indent=1) + "\n").encode())
         if self.png is not None:
             cut = [model.cut(one.picture, view) for one, view in zip((query, tile), views, strict=True)]
             titles = (f"{self.view_query} {_short(self.query)}", f"{self.view_match} {_short(self.match)}")
-            shown = pairfigure.draw(found, (cut[0], cut[1]), titles, views, model.spec, losses)
-            write_whole(self.png, pairfigure.encode(shown))
+            shown = pair_figure.draw(found, (cut[0], cut[1]), titles, views, model.spec, losses)
+            write_whole(self.png, pair_figure.encode(shown))
 
 
 def part_values(text: str | None) -> list[float] | None:

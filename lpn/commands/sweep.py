@@ -141,7 +141,7 @@ def _print(profile: Profile, title: str, views: tuple[View, View], console: Cons
 
 def _said(profile: Profile, views: tuple[View, View]) -> list[str]:
     """The best change in words, with and without knowledge of the truth."""
-    from lpn import words
+    from lpn.drawing import verdicts
 
     lines = []
     if profile.points[0].true:
@@ -150,7 +150,7 @@ def _said(profile: Profile, views: tuple[View, View]) -> list[str]:
     lines.append(
         _sentence("The top score, which is seen without knowing the truth, is highest", profile, profile.best_blind)
     )
-    if guess := words.heading(profile, views):
+    if guess := verdicts.heading(profile, views):
         lines.append(guess)
     return lines
 

@@ -8,8 +8,8 @@ from html import escape
 import numpy as np
 import numpy.typing as npt
 
-from lpn import overlays
 from lpn.core.files import printable
+from lpn.drawing import overlays
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Margin
 from lpn.explain.sweeps import Profile

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lpn import overlays, words
 from lpn.analysis.task import Study
 from lpn.core import images
 from lpn.core.images import Picture
+from lpn.drawing import overlays, verdicts
 from lpn.report import figures
 from lpn.report.cases import Case, Pair
 from lpn.report.figures import colour, text
@@ -43,7 +43,7 @@ def said(case: Case, study: Study) -> tuple[str, str]:
         apart = "there is no other tile" if gap is None else f"the next tile is {gap:.3f} further away (d²)"
         return "Nearest tile", f"Its true place is not known here; {apart}."
     metres = None if case.metres is None else case.metres[0]
-    return words.verdict(case.matches[0], case.truth, case.rival, study.part_names, metres)[1:]
+    return verdicts.verdict(case.matches[0], case.truth, case.rival, study.part_names, metres)[1:]
 
 
 def sign(true: bool | None) -> str:
@@ -70,11 +70,11 @@ def _head(case: Case, study: Study, number: int) -> str:
     headline, reason = said(case, study)
     true = case.verdict
     chips = "".join(f"<span><i>{text(name)}</i> {text(value)}</span>" for name, value in case.facts)
-    spoken = [words.left_out(case.without, study.part_names)] if case.without is not None else []
+    spoken = [verdicts.left_out(case.without, study.part_names)] if case.without is not None else []
     if case.truth is not None and case.truth.rank > 1:
-        spoken.append(words.reweighted(case.change, case.effect))
+        spoken.append(verdicts.reweighted(case.change, case.effect))
     if case.profile is not None:
-        spoken.append(words.turned(case.profile, study.views))
+        spoken.append(verdicts.turned(case.profile, study.views))
     more = "".join(f"<p>{text(sentence)}</p>" for sentence in spoken)
     return (
         f'<div class="head"><h2>{sign(true)} Query {text(case.name)}</h2>'
@@ -168,7 +168,7 @@ def _evidence(case: Case, study: Study) -> str:
             f"<figcaption>{label}</figcaption></figure>"
             for picture, cells, side, label in sides
         )
-        why = words.why(one, study.part_names, *study.views)
+        why = verdicts.why(one, study.part_names, *study.views)
         columns.append(
             f'<div class="keep"><p>{sign(pair.match.true)} <b>{text(_role(case, pair))}</b>, {name}: score {one.score:.3f}</p>'
             f'<div class="pair">{drawn}</div><p>{text(why)}</p>{figures.evidence_bars(one, study.part_names, span)}</div>'

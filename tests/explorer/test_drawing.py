@@ -10,8 +10,8 @@ from explorer import pages, words
 from explorer.exhibit import Analyst, Exhibit
 from explorer.opening import open_model
 from explorer.session import State, Upload
-from lpn import overlays
 from lpn.core.errors import DataError, InputError
+from lpn.drawing import overlays
 from lpn.models.partition import Partition
 from tests import worlds
 

@@ -19,10 +19,10 @@ from explorer.labstate import LabState, Pick
 from explorer.labviews import MapView, NoteView
 from explorer.opening import open_model
 from explorer.session import State
-from lpn import overlays
 from lpn.analysis import breakdown, notes
 from lpn.core.errors import InputError, OutputError
 from lpn.core.tables import Column, Table, number_column, text_column
+from lpn.drawing import overlays
 from tests import worlds
 
 TASK = "drone-to-satellite"

@@ -13,7 +13,7 @@ from explorer.exhibit import Exhibit
 from explorer.opening import open_model, open_saved
 from explorer.session import State
 from explorer.worker import Patience
-from lpn import overlays
+from lpn.drawing import overlays
 from lpn.retrieval.published_results import load_saved
 from tests import worlds
 from tests.saved import save_result

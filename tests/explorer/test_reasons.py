@@ -20,8 +20,9 @@ from explorer.opening import open_model
 from explorer.room import Room
 from explorer.session import State, Upload
 from explorer.sweep import Sweep
-from lpn import explain, words
+from lpn import explain
 from lpn.descriptors.transforms import Change
+from lpn.drawing import verdicts
 from lpn.explain import sweeps
 from lpn.explain.counterfactual import Effect
 from tests import worlds
@@ -241,7 +242,7 @@ def test_a_profile_ends_where_it_is_cancelled_and_is_of_one_query(exhibit: Exhib
 
 def test_weights_that_change_nothing_neither_help_nor_harm() -> None:
     same = Effect(70.0, 70.0, np.array([1]), np.array([2]), 13)
-    assert "it neither helps nor harms: 1 gained, 1 lost" in words.helps(same)
+    assert "it neither helps nor harms: 1 gained, 1 lost" in verdicts.helps(same)
 
 
 def test_a_window_fits_the_room_that_the_page_tells() -> None:

@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import cli, report, retrieval, words
+from lpn import cli, report, retrieval
 from lpn.analysis.notes import NAME as NOTES
 from lpn.analysis.task import Study, open_study
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
+from lpn.drawing import verdicts
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect, Margin, Reweighting, Standing, Without
 from lpn.explain.sweeps import Point, Profile
@@ -107,7 +108,7 @@ def test_the_numbers_are_those_of_the_outcomes_and_add_up(study: Study) -> None:
     outcomes = study.outcomes
     text = Page(report.build(study, [query])).text
     assert outcomes.rank[query] > 0
-    assert f"Wrong: the true tile is {words.ordinal(int(outcomes.rank[query]) + 1)}" in text
+    assert f"Wrong: the true tile is {verdicts.ordinal(int(outcomes.rank[query]) + 1)}" in text
     shares = [float(value) for value in re.findall(r"part [^:\n]*: ([\d.]+)", text)]
     listed = min(5, len(study.gallery)) + (outcomes.rank[query] >= 5)
     sums = np.array(shares).reshape(listed, 4).sum(axis=1)
@@ -120,7 +121,7 @@ def test_the_numbers_are_those_of_the_outcomes_and_add_up(study: Study) -> None:
     assert f"{study.figures['recall@1']:.1f} %" in text
     without = counterfactual.without(ranking)
     assert without is not None
-    assert words.left_out(without, study.part_names) in text
+    assert verdicts.left_out(without, study.part_names) in text
 
 
 def test_evidence_bars_add_up_to_each_parts_share(study: Study) -> None:
@@ -246,27 +247,29 @@ def standings(now: int, without: list[int | None], alone: list[int]) -> Without:
     ],
 )
 def test_words_on_parts_left_out(found: Without, expected: str) -> None:
-    assert expected in words.left_out(found, ["a", "b"])
+    assert expected in verdicts.left_out(found, ["a", "b"])
 
 
 def test_words_on_other_weights() -> None:
     change = Reweighting(np.array([0.7, 0.3], np.float32), np.array([0.2, -0.2], np.float32), 0.28, 3)
     none = np.zeros(0, np.int64)
-    assert words.reweighted(None, None) == "No choice of part weights would put the true tile first."
-    helped = words.reweighted(change, Effect(50.0, 52.0, np.arange(3), np.arange(1), 100))
+    assert verdicts.reweighted(None, None) == "No choice of part weights would put the true tile first."
+    helped = verdicts.reweighted(change, Effect(50.0, 52.0, np.arange(3), np.arange(1), 100))
     assert "70 : 30 %; over all 100 queries it helps: 3 gained, 1 lost, R@1 50.0 to 52.0 %." in helped
-    assert "it harms" in words.reweighted(change, Effect(50.0, 49.0, none, np.arange(1), 100))
-    assert "neither helps nor harms" in words.reweighted(change, Effect(50.0, 50.0, none, none, 100))
+    assert "it harms" in verdicts.reweighted(change, Effect(50.0, 49.0, none, np.arange(1), 100))
+    assert "neither helps nor harms" in verdicts.reweighted(change, Effect(50.0, 50.0, none, none, 100))
 
 
 def test_words_on_turning() -> None:
     def point(angle: float, rank: int, score: float, top_score: float) -> Point:
         return Point(Change(rotate=angle), 0, True, score, rank, np.zeros(4, np.float32), 1, top_score)
 
-    turned = words.turned(Profile("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite"))
+    turned = verdicts.turned(
+        Profile("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite")
+    )
     assert "turned 90°: 2nd instead of 5th" in turned
     assert "highest at 0°: by that, the picture's top points 0° clockwise" in turned
-    same = words.turned(Profile("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone"))
+    same = verdicts.turned(Profile("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone"))
     assert "ranks best with the query as it is (1st)" in same
     assert "north" not in same
 

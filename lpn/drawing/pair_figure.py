@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw
 
-from lpn import overlays, words
 from lpn.core import images
 from lpn.core.images import Picture
+from lpn.drawing import overlays, verdicts
+from lpn.drawing.overlays import AGAINST, BACKGROUND, DIM, FOR, TEXT, font
 from lpn.explain import Evidence
 from lpn.models.base import FloatArray
 from lpn.models.spec import ModelSpec, View
-from lpn.overlays import AGAINST, BACKGROUND, DIM, FOR, TEXT, font
 
 _WIDTH, _MARGIN, _ROW = 1200, 24, 46
 NOTE = "Exact: it accounts for the score; it does not say what the score would be were a cell not there."
@@ -41,7 +41,7 @@ def draw(
     bars_top = 96 + height + 40
     image = Image.new("RGB", (_WIDTH, bars_top + _ROW * len(names) + 96), BACKGROUND)
     pen = ImageDraw.Draw(image)
-    said = words.why(found, names, *views)
+    said = verdicts.why(found, names, *views)
     pen.text((_MARGIN, 32), overlays.fitted(pen, said, 22, _WIDTH - 2 * _MARGIN), TEXT, font(22), anchor="lm")
     maps = [found.query.total(found.weights), found.tile.total(found.weights)]
     if losses is not None:
