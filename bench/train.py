@@ -2,7 +2,7 @@
 
 The peer is the plain loop of the published recipe: each step takes one batch per view, its pictures decoded by Pillow one
 after the other, resized, padded, cropped, mirrored, and satellites turned; a float32 pass for each view, the cross-entropy
-of all parts and views summed, SGD with momentum. Ours is `lpn.train` with the same network, batch, and recipe, whose
+of all parts and views summed, SGD with momentum. Ours is `lpn.training.trainer` with the same network, batch, and recipe, whose
 pictures are prepared by threads: `ours, first pass` decodes every picture, as the plain loop does, `ours` finds it kept,
 and `ours, float32` is that without mixed precision. All take turns in one process; the table gives medians: of the speed,
 and of its ratio to the plain loop in the same round, so that a busy moment distorts one round only. DATA is a data set in
@@ -33,9 +33,9 @@ from bench.pictures import make_train_split
 from lpn.core import images
 from lpn.datasets import open_dataset
 from lpn.models.network import LPN
-from lpn.places import Places
-from lpn.recipes import RECIPES, Recipe
-from lpn.train import Trainer
+from lpn.training.recipes import RECIPES, Recipe
+from lpn.training.trainer import Trainer
+from lpn.training.training_set import Places
 
 PLACES = 40
 """More than a batch has, which takes each place once."""

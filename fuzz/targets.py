@@ -254,8 +254,8 @@ def pth(folder: Path) -> list[Case]:
 
     from fuzz.small_models import pth_file, state_dict
     from lpn.models.checkpoints import load_torch
-    from lpn.recipes import RECIPES
-    from lpn.state import State, read_state
+    from lpn.training.recipes import RECIPES
+    from lpn.training.resume_state import State, read_state
 
     file, options = folder / "net.pth", folder / "opts.yaml"
     whole = pth_file(state_dict())

@@ -17,7 +17,7 @@ from lpn.core.files import printable
 from lpn.datasets import Dataset, LeftOut, Picture, geo
 from lpn.datasets.integrity import flaws
 from lpn.models.spec import views_of
-from lpn.recipes import RECIPES
+from lpn.training.recipes import RECIPES
 
 _RECIPES = {
     "University-1652": ("university1652", "small", "world"),

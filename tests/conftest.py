@@ -13,8 +13,8 @@ from rich.console import Console
 
 from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save
-from lpn.recipes import RECIPES
-from lpn.train import Trainer
+from lpn.training.recipes import RECIPES
+from lpn.training.trainer import Trainer
 from tests import worlds
 
 

@@ -52,7 +52,7 @@ class Killer:
         self._context.set_forkserver_preload(
             [
                 "tests.killing",
-                "lpn.train",
+                "lpn.training.trainer",
                 "lpn.models.export",
                 "lpn.models.quantize",
                 "lpn.descriptors",

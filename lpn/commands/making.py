@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, cast
 import tyro
 
 from lpn.core.errors import InputError
-from lpn.recipes import RECIPES, Recipe, method
+from lpn.training.recipes import RECIPES, Recipe, method
 
 MethodName = Literal[
     "lpn",
@@ -53,9 +53,9 @@ class Train:
     settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
 
     def run(self) -> None:
-        trainer = import_module("lpn.train").Trainer
+        trainer = import_module("lpn.training.trainer").Trainer
         dataset = import_module("lpn.datasets").open_dataset(self.data)
-        group = import_module("lpn.distributed").join()
+        group = import_module("lpn.training.multi_process").join()
         run = group.together(
             lambda: trainer(
                 dataset,

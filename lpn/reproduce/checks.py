@@ -9,10 +9,10 @@ from pathlib import Path
 from lpn.core.errors import InputError
 from lpn.models.base import Model
 from lpn.models.spec import View, views_of
-from lpn.recipes import Recipe
 from lpn.reproduce.runs import Job
 from lpn.reproduce.sources import TASKS
 from lpn.reproduce.tables import Row, Table, Training
+from lpn.training.recipes import Recipe
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ import lpn
 from lpn.core.errors import InputError
 from lpn.core.files import alone, check_writable, write_whole
 from lpn.models.base import Model
-from lpn.recipes import Recipe
 from lpn.reproduce import checks, foot, pictures, report, runs, starts
 from lpn.reproduce.checks import Use
 from lpn.reproduce.measure import Notebook
@@ -22,6 +21,7 @@ from lpn.reproduce.paper import LANDMARKS, Values
 from lpn.reproduce.report import Column
 from lpn.reproduce.sources import Sources, open_sources
 from lpn.reproduce.tables import SCALES, Row, Scale, Table, Training, find, tables
+from lpn.training.recipes import Recipe
 
 _SHOWN = {"figure7": ("instance", "lpn"), "figure8": ("lpn",)}
 """The trainings of Table I that each drawn figure shows."""

@@ -16,10 +16,10 @@ from rich.console import Console
 from lpn.core.errors import DivergedError, InputError
 from lpn.core.files import fingerprint, write_whole
 from lpn.core.formats import is_newer, newer
-from lpn.recipes import Recipe
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
-from lpn.train import Trainer
+from lpn.training.recipes import Recipe
+from lpn.training.trainer import Trainer
 
 FORMAT = "lpn-job/1"
 _COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16_bn": 8.5}
@@ -119,7 +119,7 @@ def train(work: Sequence[Job], console: Console) -> None:
     """Train what is not trained yet, one after the other; a training that diverges is given up, and the next one begins.
 
     Raises:
-        LPNError: as `lpn.train.Trainer`, but for a divergence.
+        LPNError: as `lpn.training.trainer.Trainer`, but for a divergence.
     """
     left = [job for job in work if not job.done and not job.diverged]
     for position, job in enumerate(left):

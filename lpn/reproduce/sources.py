@@ -15,10 +15,10 @@ from rich.console import Console
 from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.models.spec import views_of
-from lpn.places import Places
 from lpn.reproduce import world
 from lpn.reproduce.tables import Measure, Role
 from lpn.retrieval.evaluate import check_test_split, lists_of
+from lpn.training.training_set import Places
 
 TASKS: dict[Measure, tuple[str, ...]] = {
     "both ways": ("drone-to-satellite", "satellite-to-drone"),

@@ -15,7 +15,7 @@ from lpn.models import checkpoints
 from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
-from lpn.recipes import Recipe
+from lpn.training.recipes import Recipe
 
 
 def by_backbone(files: Sequence[Path]) -> dict[str, Path]:

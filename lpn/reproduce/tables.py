@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 from lpn.core.errors import InputError
 from lpn.models.spec import View
-from lpn.recipes import RECIPES, Recipe, method
 from lpn.reproduce import paper
+from lpn.training.recipes import RECIPES, Recipe, method
 
 Role = Literal["places", "panoramas"]
 Measure = Literal["both ways", "ground", "landmarks"]
@@ -21,7 +21,7 @@ class Training:
 
     Attributes:
         name: of its run, such as "lpn" or "instance".
-        method: one of `lpn.recipes.METHODS`.
+        method: one of `lpn.training.recipes.METHODS`.
         role: what it is trained on: places seen by satellite, drone, and from the street, or pairs of panorama and tile.
         changes: what the row changes in the recipe further.
     """

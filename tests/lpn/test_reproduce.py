@@ -18,13 +18,13 @@ from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
-from lpn.recipes import METHODS
 from lpn.reproduce import foot, paper, report, sources
 from lpn.reproduce.command import KEYS, Reproduction
 from lpn.reproduce.sources import Source
 from lpn.reproduce.starts import features_alone
 from lpn.reproduce.tables import SCALES, find, tables
-from lpn.train import Trainer
+from lpn.training.recipes import METHODS
+from lpn.training.trainer import Trainer
 from tests import layouts, worlds
 
 QUICK = {"size": 64, "epochs": 1, "batch": 4, "precision": "float32"}

@@ -26,11 +26,11 @@ from lpn.index import ExactIndex, Kind, open_index, sums
 from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
-from lpn.recipes import RECIPES
 from lpn.reproduce.measure import FORMAT, Figures, Notebook
 from lpn.shards import Plan
-from lpn.state import State, read_state
 from lpn.storage import Storage
+from lpn.training.recipes import RECIPES
+from lpn.training.resume_state import State, read_state
 from lpn.verify import verify
 from lpn.world.atlas import Settings
 from lpn.world.build import check_folder

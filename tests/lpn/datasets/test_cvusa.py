@@ -8,7 +8,7 @@ from rich.console import Console
 
 from lpn.core.errors import DataError
 from lpn.datasets import CVUSA, open_dataset
-from lpn.places import Places
+from lpn.training.training_set import Places
 from tests import layouts, worlds
 
 

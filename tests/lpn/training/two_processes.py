@@ -12,9 +12,9 @@ from rich.console import Console
 from torch import nn
 
 from lpn.datasets import open_dataset
-from lpn.distributed import Group, join
-from lpn.recipes import RECIPES
-from lpn.train import Trainer
+from lpn.training.multi_process import Group, join
+from lpn.training.recipes import RECIPES
+from lpn.training.trainer import Trainer
 
 RECIPE = replace(
     RECIPES["small"],

@@ -10,8 +10,8 @@ from rich.console import Console
 from tensorboardX.proto.event_pb2 import Event
 
 from lpn.core.errors import OutputError
-from lpn.logbook import Logbook, chart
-from lpn.selection import Row, best
+from lpn.training.model_selection import Row, best
+from lpn.training.run_log import Logbook, chart
 
 
 def row(epoch: int, loss: float, **more: float) -> Row:

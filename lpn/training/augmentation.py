@@ -11,7 +11,7 @@ import numpy as np
 from lpn.core import images
 from lpn.core.images import Picture
 from lpn.models.spec import View
-from lpn.recipes import Recipe
+from lpn.training.recipes import Recipe
 
 
 def place_draw(recipe: Recipe, rng: np.random.Generator) -> tuple[float, bool]:

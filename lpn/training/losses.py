@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from lpn.recipes import Recipe
+from lpn.training.recipes import Recipe
 
 
 def instance_loss(scores: Tensor, places: Tensor, smoothing: float = 0.0) -> Tensor:

@@ -13,7 +13,7 @@ from tensorboardX import SummaryWriter
 
 from lpn.core.errors import OutputError
 from lpn.core.files import write_whole
-from lpn.selection import Row
+from lpn.training.model_selection import Row
 
 _EIGHTHS = " ▁▂▃▄▅▆▇█"
 _PLAIN = str.maketrans("▁▂▃▄▅▆▇█┤", "   #####|")

@@ -16,9 +16,9 @@ from rich.console import Console
 from lpn.core import images
 from lpn.core.errors import InputError, PictureError
 from lpn.datasets import open_dataset
-from lpn.loader import Batch, Loader, choose_workers
-from lpn.places import Places
-from lpn.recipes import RECIPES
+from lpn.training.loader import Batch, Loader, choose_workers
+from lpn.training.recipes import RECIPES
+from lpn.training.training_set import Places
 from tests import worlds
 
 CPU = torch.device("cpu")

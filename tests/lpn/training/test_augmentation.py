@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from lpn.augment import augment
 from lpn.core import images
 from lpn.core.images import Picture
-from lpn.recipes import Recipe
+from lpn.training.augmentation import augment
+from lpn.training.recipes import Recipe
 from tests import worlds
 
 STILL = Recipe(backbone="resnet18", size=worlds.SIZE, shift=0.0, satellite_rotation=0.0, flip="none")

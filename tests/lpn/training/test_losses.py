@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from lpn.core.errors import InputError
-from lpn.losses import (
+from lpn.training.losses import (
     contrastive_loss,
     descriptors,
     infonce_loss,
@@ -17,7 +17,7 @@ from lpn.losses import (
     total_loss,
     triplet_loss,
 )
-from lpn.recipes import METHODS, RECIPES, method
+from lpn.training.recipes import METHODS, RECIPES, method
 
 B = 6
 

@@ -13,14 +13,14 @@ from safetensors import safe_open
 from torch import Tensor
 
 import lpn
-from lpn import optimization
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, PictureError
 from lpn.datasets import open_dataset
 from lpn.models.checkpoints import load_torch, save
-from lpn.recipes import RECIPES, Recipe
 from lpn.retrieval.evaluate import evaluate
-from lpn.selection import HeldOut, TestSplit
-from lpn.train import Trainer
+from lpn.training import optimizer
+from lpn.training.model_selection import HeldOut, TestSplit
+from lpn.training.recipes import RECIPES, Recipe
+from lpn.training.trainer import Trainer
 from tests import worlds
 from tests.conftest import RealRun
 
@@ -224,7 +224,7 @@ def test_held_out_places_choose_and_are_not_trained_on(places: Path, tmp_path: P
 
 
 def test_float16_and_its_scaler_are_resumed(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(optimization, "choose_dtype", lambda *_: torch.float16)
+    monkeypatch.setattr(optimizer, "choose_dtype", lambda *_: torch.float16)
     quick = replace(QUICK, epochs=1)
     run, said = trainer(places, tmp_path / "run", quick)
     run.learner.arithmetic.scaler = torch.amp.GradScaler("cpu", init_scale=1024.0)

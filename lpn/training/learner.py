@@ -10,14 +10,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from lpn.distributed import Group
-from lpn.loader import Batch
-from lpn.losses import total_loss
 from lpn.models import checkpoints
 from lpn.models.network import LPN
 from lpn.models.spec import branch_of
-from lpn.optimization import Arithmetic, build_optimizer, follow, rate_factor
-from lpn.recipes import Recipe
+from lpn.training.loader import Batch
+from lpn.training.losses import total_loss
+from lpn.training.multi_process import Group
+from lpn.training.optimizer import Arithmetic, build_optimizer, follow, rate_factor
+from lpn.training.recipes import Recipe
 
 
 class Learner:

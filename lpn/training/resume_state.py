@@ -14,8 +14,8 @@ from lpn.core.checksums import check_entries
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import write_whole
 from lpn.core.formats import newer
-from lpn.recipes import Recipe
-from lpn.selection import Row
+from lpn.training.model_selection import Row
+from lpn.training.recipes import Recipe
 
 FORMAT = 2
 

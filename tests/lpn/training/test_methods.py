@@ -15,9 +15,9 @@ import lpn
 from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save
 from lpn.models.export import export
-from lpn.recipes import METHODS, RECIPES, method
 from lpn.retrieval.evaluate import evaluate
-from lpn.train import Trainer
+from lpn.training.recipes import METHODS, RECIPES, method
+from lpn.training.trainer import Trainer
 from tests import worlds
 
 PLACES = 12

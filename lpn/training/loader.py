@@ -16,14 +16,14 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from lpn.augment import augment, place_draw
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.images import Picture
 from lpn.core.resources import usable_cores
 from lpn.models.spec import branch_of
-from lpn.places import Places
-from lpn.recipes import Recipe
+from lpn.training.augmentation import augment, place_draw
+from lpn.training.recipes import Recipe
+from lpn.training.training_set import Places
 
 Chunk = npt.NDArray[np.int64]
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from lpn.models.network import LPN
-from lpn.recipes import Recipe
+from lpn.training.recipes import Recipe
 
 
 class Arithmetic:

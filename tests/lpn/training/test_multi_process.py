@@ -11,9 +11,9 @@ import torch
 from safetensors.torch import load_file
 
 from lpn.core.errors import InputError
-from lpn.distributed import Group
+from lpn.training.multi_process import Group
 from tests import worlds
-from tests.lpn.two_processes import trainer
+from tests.lpn.training.two_processes import trainer
 
 ROOT = Path(__file__).parents[2]
 
@@ -38,7 +38,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def shared(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two processes' runs: `whole`, and `cut`, which was resumed."""
     out = tmp_path_factory.mktemp("runs")
-    done = torchrun("-m", "tests.lpn.two_processes", places, out)
+    done = torchrun("-m", "tests.lpn.training.two_processes", places, out)
     assert done.returncode == 0, done.stderr
     return out
 

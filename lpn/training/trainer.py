@@ -20,18 +20,18 @@ from lpn.core.errors import DivergedError, InputError, ModelFileError
 from lpn.core.files import check_writable
 from lpn.core.shutdown import finishing
 from lpn.datasets import Dataset
-from lpn.distributed import Group, alone
-from lpn.learner import Learner
-from lpn.loader import Batch, Loader
-from lpn.logbook import Logbook
 from lpn.models import checkpoints
 from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec, views_of
-from lpn.places import Places
-from lpn.recipes import Recipe
-from lpn.selection import HeldOut, Judge, Row, TestSplit, best
-from lpn.state import State, read_state
+from lpn.training.learner import Learner
+from lpn.training.loader import Batch, Loader
+from lpn.training.model_selection import HeldOut, Judge, Row, TestSplit, best
+from lpn.training.multi_process import Group, alone
+from lpn.training.recipes import Recipe
+from lpn.training.resume_state import State, read_state
+from lpn.training.run_log import Logbook
+from lpn.training.training_set import Places
 
 _EXPLODED = 10.0
 """A mean loss this many times the first step's, which is about chance, is that of a training that has diverged."""
