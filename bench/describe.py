@@ -98,8 +98,8 @@ def with_ray(model: Path, files: Sequence[Path], root: Path, folder: Path) -> li
     few = min(len(files) // 2, 2 * SHARD * usable_cores())
     if find_spec("ray") is None or not few:
         return []
-    from lpn.cluster import describe_shards
-    from lpn.raystart import started
+    from lpn.cluster.driver import describe_shards
+    from lpn.cluster.session import started
 
     def run(pictures: Path) -> None:
         with tempfile.TemporaryDirectory() as out:

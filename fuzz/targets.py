@@ -339,11 +339,11 @@ def rankings(folder: Path) -> list[Case]:
 
 def shards(folder: Path) -> list[Case]:
     """Parquet files of descriptors, and their plan."""
+    from lpn.cluster.gather import open_shards
+    from lpn.cluster.shards import Item, Plan, contents, read_notes, shard_name, write_shard
+    from lpn.cluster.storage import Storage
     from lpn.descriptors import Row
-    from lpn.gather import open_shards
     from lpn.models.base import normalise
-    from lpn.shards import Item, Plan, contents, read_notes, shard_name, write_shard
-    from lpn.storage import Storage
 
     storage = Storage(folder)
     plan = Plan("0" * 16, "drone", 2, 8, "float32", 1)

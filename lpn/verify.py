@@ -105,7 +105,7 @@ def _store(store: Store, folder: Path) -> str:
 
 
 def _shards(folder: Path) -> str:
-    from lpn.gather import open_shards
+    from lpn.cluster.gather import open_shards
 
     shards = open_shards(folder)
     for partition in range(shards.plan.partitions):

@@ -66,8 +66,8 @@ class Describe:
         return 0
 
     def _shards(self) -> int:
-        from lpn.cluster import describe_shards
-        from lpn.shards import BROKEN
+        from lpn.cluster.driver import describe_shards
+        from lpn.cluster.shards import BROKEN
 
         if self.precision == "int8":
             raise InputError("Shards hold float32 or float16; give one of these as --precision.")
@@ -101,8 +101,8 @@ class Gather:
     """Folder of the store; its rows are in order of the pictures' names."""
 
     def run(self) -> None:
-        from lpn.gather import open_shards, to_store
-        from lpn.shards import BROKEN
+        from lpn.cluster.gather import open_shards, to_store
+        from lpn.cluster.shards import BROKEN
 
         shards = open_shards(self.shards)
         store = to_store(shards, self.out)

@@ -21,7 +21,7 @@ Numbers = npt.NDArray[np.int64]
 _LOT_BYTES = 64 << 20
 """Of descriptors added at once: what a killed run does over again."""
 _PLAN = "plan.json"
-"""As `lpn.shards` calls it, which is imported only for shards: it needs an extra."""
+"""As `lpn.cluster.shards` calls it, which is imported only for shards: it needs an extra."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,8 @@ def _of_store(folder: Path, data: Path | None) -> Tiles:
 
 
 def _of_shards(where: str, data: Path | None) -> Tiles:
-    from lpn.gather import open_shards
-    from lpn.shards import each
+    from lpn.cluster.gather import open_shards
+    from lpn.cluster.shards import each
 
     shards = open_shards(where)
     kind = Kind(shards.plan.fingerprint, shards.plan.n_parts, shards.plan.embedding)

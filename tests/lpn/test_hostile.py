@@ -256,10 +256,10 @@ def test_parts_of_two_quantisations_are_not_one_model(tmp_path: Path) -> None:
 
 def test_a_shard_whose_positions_are_damaged_is_told(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
+    from lpn.cluster.gather import open_shards
+    from lpn.cluster.shards import Item, Plan, shard_name, write_shard
+    from lpn.cluster.storage import Storage
     from lpn.core.errors import StoreError
-    from lpn.gather import open_shards
-    from lpn.shards import Item, Plan, shard_name, write_shard
-    from lpn.storage import Storage
 
     storage = Storage(tmp_path)
     storage.write("plan.json", (plan := Plan("0" * 16, "drone", 1, 4, "float32", 1, finished=True)).to_json())

@@ -17,6 +17,8 @@ from safetensors.torch import save_file
 
 import lpn
 from lpn import descriptors
+from lpn.cluster.shards import Plan
+from lpn.cluster.storage import Storage
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, OutputError, StoreError
 from lpn.core.formats import is_newer
@@ -27,8 +29,6 @@ from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
 from lpn.reproduce.measure import FORMAT, Figures, Notebook
-from lpn.shards import Plan
-from lpn.storage import Storage
 from lpn.training.recipes import RECIPES
 from lpn.training.resume_state import State, read_state
 from lpn.verify import verify

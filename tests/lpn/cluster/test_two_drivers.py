@@ -14,16 +14,17 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 
-from lpn import cli, cluster
-from lpn.cluster import Summary
+from lpn import cli
+from lpn.cluster import driver
+from lpn.cluster.driver import Summary
+from lpn.cluster.gather import open_shards, to_store
+from lpn.cluster.shards import PLAN, Item, Plan, read_notes, shard_name, write_shard
+from lpn.cluster.storage import Storage
+from lpn.cluster.worker import Task, Worker, _UnreadError
 from lpn.core.errors import PictureError, StoreError
 from lpn.descriptors import Row
 from lpn.descriptors.parallel_inference import Described
-from lpn.gather import open_shards, to_store
 from lpn.models.base import FloatArray, normalise
-from lpn.shards import PLAN, Item, Plan, read_notes, shard_name, write_shard
-from lpn.storage import Storage
-from lpn.worker import Task, Worker, _UnreadError
 
 KIND = Plan("f" * 16, "drone", 2, 4, "float32", 1)
 ANOTHER = "Another run of lpn describe wrote to .* meanwhile; run this again when it has ended"
@@ -86,7 +87,7 @@ class Place:
         self.folder, self.storage, self.monkeypatch = folder, Storage(folder), monkeypatch
         self.computed: list[str] = []
         self.unread: set[str] = set()
-        monkeypatch.setattr("lpn.worker.describe_each", self._describe_each)
+        monkeypatch.setattr("lpn.cluster.worker.describe_each", self._describe_each)
 
     def run(
         self,
@@ -107,8 +108,8 @@ class Place:
             return made
 
         with self.monkeypatch.context() as patched:
-            patched.setattr(cluster, "started", started)
-            return cluster._run(
+            patched.setattr(driver, "started", started)
+            return driver._run(
                 self.storage,
                 self.storage,
                 list(items),
@@ -212,7 +213,7 @@ def test_of_two_drivers_the_earlier_one_stops(
     real = read_notes
 
     def later() -> None:
-        monkeypatch.setattr(cluster, "read_notes", real)
+        monkeypatch.setattr(driver, "read_notes", real)
         assert place.killed(pictures(20), 6, shards)
         left.append(place.states())
 
@@ -225,7 +226,7 @@ def test_of_two_drivers_the_earlier_one_stops(
             later()
         return real(storage, plan, partitions)
 
-    monkeypatch.setattr(cluster, "read_notes", after)
+    monkeypatch.setattr(driver, "read_notes", after)
     with pytest.raises(StoreError, match=ANOTHER):
         place.run(changed, 6, between)
     assert left == [place.states()]
@@ -328,6 +329,6 @@ def test_a_picture_that_could_not_be_read_is_tried_again_and_forgotten_when_it_i
 
 def test_boxes_are_kept_as_a_worker_gives_them_back(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_bytes(b"picture")
-    (item,) = cluster._items(Storage(tmp_path), None, {"a.jpg": (0, 0, 10, 10)})
+    (item,) = driver._items(Storage(tmp_path), None, {"a.jpg": (0, 0, 10, 10)})
     assert item.row.box is not None
     assert [type(side) for side in item.row.box] == [float] * 4

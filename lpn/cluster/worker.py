@@ -1,4 +1,4 @@
-"""One of many workers that describe a partition of the pictures at a time, see `lpn.cluster`. Needs the extra `ray`."""
+"""One of many workers that describe a partition of the pictures at a time, see `lpn.cluster.driver`. Needs the extra `ray`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from lpn.cluster.shards import Broken, Item, Plan, read_shard, unpacked, write_shard
+from lpn.cluster.storage import Storage
 from lpn.core import images
 from lpn.core.errors import LPNError, PictureError
 from lpn.datasets.integrity import DAMAGED, flaw_within
@@ -20,8 +22,6 @@ from lpn.descriptors.writer import prepared
 from lpn.models.base import FloatArray
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import View
-from lpn.shards import Broken, Item, Plan, read_shard, unpacked, write_shard
-from lpn.storage import Storage
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Task:
     """What all workers are told.
 
     Attributes:
-        images, out: where the pictures are and where the shards go, as `lpn.storage.Storage` takes it.
+        images, out: where the pictures are and where the shards go, as `lpn.cluster.storage.Storage` takes it.
         plan: what the shards hold.
         model: name of the model's first file.
         threads: of one worker.

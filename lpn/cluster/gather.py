@@ -1,4 +1,4 @@
-"""Complete folders of shards, as `lpn.shards` writes them: read tile by tile, or gathered into a store. Needs the extra `ray`."""
+"""Complete folders of shards, as `lpn.cluster.shards` writes them: read tile by tile, or gathered into a store. Needs the extra `ray`."""
 
 from __future__ import annotations
 
@@ -12,12 +12,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lpn.core.errors import StoreError
-from lpn.descriptors import Manifest, Store
-from lpn.descriptors.partial_store import Unfinished
-from lpn.descriptors.writer import write_store
-from lpn.models.base import FloatArray
-from lpn.shards import (
+from lpn.cluster.shards import (
     BROKEN,
     DAMAGED,
     ITEM,
@@ -35,7 +30,12 @@ from lpn.shards import (
     read_shard,
     shard_name,
 )
-from lpn.storage import Storage
+from lpn.cluster.storage import Storage
+from lpn.core.errors import StoreError
+from lpn.descriptors import Manifest, Store
+from lpn.descriptors.partial_store import Unfinished
+from lpn.descriptors.writer import write_store
+from lpn.models.base import FloatArray
 
 
 class Tiles(NamedTuple):

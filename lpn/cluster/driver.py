@@ -1,4 +1,4 @@
-"""Describing pictures past one machine: a map over partitions of them by Ray Data, into shards (`lpn.shards`).
+"""Describing pictures past one machine: a map over partitions of them by Ray Data, into shards (`lpn.cluster.shards`).
 
 A worker takes a partition, reads its pictures from where they lie, describes them as one machine does, and writes the shard;
 only lists of names and counts travel. What is killed is done again: a worker's partition by another worker, a driver's
@@ -25,16 +25,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lpn.core import images
-from lpn.core.errors import DataError, InputError, StoreError
-from lpn.core.files import alone
-from lpn.datasets import geo
-from lpn.descriptors import Box
-from lpn.descriptors.store import box_of
-from lpn.models.onnx_engine import Engine, graph_files
-from lpn.models.spec import View
-from lpn.raystart import started
-from lpn.shards import (
+from lpn.cluster.session import started
+from lpn.cluster.shards import (
     BROKEN,
     PLAN,
     Broken,
@@ -48,8 +40,16 @@ from lpn.shards import (
     packed,
     read_notes,
 )
-from lpn.storage import Storage
-from lpn.worker import Task, Worker
+from lpn.cluster.storage import Storage
+from lpn.cluster.worker import Task, Worker
+from lpn.core import images
+from lpn.core.errors import DataError, InputError, StoreError
+from lpn.core.files import alone
+from lpn.datasets import geo
+from lpn.descriptors import Box
+from lpn.descriptors.store import box_of
+from lpn.models.onnx_engine import Engine, graph_files
+from lpn.models.spec import View
 
 _SAY_EVERY = 5.0
 """Seconds between two lines of progress."""

@@ -9,7 +9,7 @@
 
 A shard is written whole or not at all, and a partition has one name whoever writes it and however often: no picture is there
 twice. Its metadata, under the key `lpn`, hold what plan.json holds, which pictures could not be described, and a digest of the
-pictures that it settles, by which a later run tells a finished partition without reading its rows. `lpn.gather` reads what is
+pictures that it settles, by which a later run tells a finished partition without reading its rows. `lpn.cluster.gather` reads what is
 complete.
 
 As pictures become more, partitions are doubled: of those of a partition, about half fall to a new one then, whose number is
@@ -30,11 +30,11 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from lpn.cluster.storage import Storage
 from lpn.core.errors import StoreError
 from lpn.core.formats import is_newer, newer
 from lpn.descriptors import Row
 from lpn.models.base import FloatArray
-from lpn.storage import Storage
 
 FORMAT = "lpn-shards/2"
 BEFORE = "lpn-shards/1"

@@ -12,16 +12,17 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 
-from lpn import cli, descriptors, gather
+from lpn import cli, descriptors
+from lpn.cluster import gather
+from lpn.cluster.gather import open_shards, to_store
+from lpn.cluster.shards import BEFORE, PLAN, Broken, Item, Plan, contents, read_notes, shard_name, write_shard
+from lpn.cluster.storage import Storage
 from lpn.core.errors import StoreError
 from lpn.descriptors import Manifest, Row
 from lpn.descriptors.partial_store import Unfinished
 from lpn.descriptors.writer import write_store
-from lpn.gather import open_shards, to_store
 from lpn.index import open_index
 from lpn.models.base import FloatArray, normalise
-from lpn.shards import BEFORE, PLAN, Broken, Item, Plan, contents, read_notes, shard_name, write_shard
-from lpn.storage import Storage
 
 PARTITIONS = 3
 PLANNED = Plan("f" * 16, "drone", 2, 4, "float32", PARTITIONS)

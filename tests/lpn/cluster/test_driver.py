@@ -26,17 +26,18 @@ import pytest
 pytest.importorskip("ray", reason="the extra ray is not installed")
 pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 
-from lpn import cli, descriptors, raystart
-from lpn.cluster import Summary, describe_shards
+from lpn import cli, descriptors
+from lpn.cluster import session
+from lpn.cluster.driver import Summary, describe_shards
+from lpn.cluster.gather import open_shards, to_store
+from lpn.cluster.session import started
+from lpn.cluster.shards import BEFORE, PLAN, Item, Plan, read_shard, write_shard
+from lpn.cluster.storage import Storage
+from lpn.cluster.worker import Worker
 from lpn.core.errors import DataError, InputError, LPNError, StoreError
 from lpn.core.files import alone
-from lpn.gather import open_shards, to_store
 from lpn.index import open_index
 from lpn.models.onnx_engine import Engine
-from lpn.raystart import started
-from lpn.shards import BEFORE, PLAN, Item, Plan, read_shard, write_shard
-from lpn.storage import Storage
-from lpn.worker import Worker
 from tests import worlds
 from tests.processes import free_port
 
@@ -200,8 +201,8 @@ def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
 DRIVER = """
 import sys, time
 from pathlib import Path
-from lpn.cluster import describe_shards
-from lpn.worker import Worker
+from lpn.cluster.driver import describe_shards
+from lpn.cluster.worker import Worker
 
 class Slow(Worker):
     def describe(self, partition, items, source):
@@ -365,8 +366,8 @@ def test_a_live_runs_folder_is_kept_and_a_killed_ones_deleted(tmp_path: Path) ->
     """Whatever their process numbers say: a live one may be in another container."""
     for name in ("lpn-ray-lives_01", "lpn-ray-killed01", "lpn-ray-of-another"):
         (tmp_path / name).mkdir()
-    with alone(tmp_path / "lpn-ray-lives_01", wait=False), raystart._folder(tmp_path) as one:
-        with raystart._folder(tmp_path) as other:
+    with alone(tmp_path / "lpn-ray-lives_01", wait=False), session._folder(tmp_path) as one:
+        with session._folder(tmp_path) as other:
             held = {path.name for path in tmp_path.iterdir()}
             assert held == {"lpn-ray-lives_01", "lpn-ray-of-another", one.name, other.name}
         assert one.is_dir()
@@ -455,7 +456,7 @@ def test_that_ray_does_not_start_is_told_in_a_sentence(monkeypatch: pytest.Monke
 
     ended: list[bool] = []
     ray = SimpleNamespace(is_initialized=lambda: False, init=init, shutdown=lambda: ended.append(True))
-    monkeypatch.setattr(raystart, "importlib", SimpleNamespace(import_module=lambda _: ray))
+    monkeypatch.setattr(session, "importlib", SimpleNamespace(import_module=lambda _: ray))
     with (
         pytest.raises(
             StoreError, match=r"^Ray does not start on this machine \(The current node timed out during startup\.\); "
