@@ -34,7 +34,7 @@ from bench.search import KIND, drawn, medians, nearest, queries, resident
 from lpn.index import Box
 from lpn.index.milvus import MilvusIndex, Structure
 from lpn.models.base import FloatArray
-from tests.lpn.milvus_server import Server, indexed, milvus_python
+from tests.lpn.index.milvus_server import Server, indexed, milvus_python
 
 K = 10
 SETTLED = 12

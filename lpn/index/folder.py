@@ -36,8 +36,8 @@ from lpn.core.files import allow_many_files, alone, printable, unreadable, write
 from lpn.core.formats import is_newer, newer
 from lpn.index.base import Exact, Found, Index, Kind, best, check_names, check_positions, scores_of
 from lpn.index.scan import PRECISIONS, Precision
+from lpn.index.segment_checksums import NAME, changed, write_sums
 from lpn.index.segments import DEAD, FILES, Batch, Mask, Segment, identity_of, keys_of, write_segment
-from lpn.index.sums import NAME, changed, write_sums
 
 FORMAT = "lpn-index/1"
 MANIFEST = "index.json"

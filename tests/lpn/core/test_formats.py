@@ -24,7 +24,7 @@ from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, Out
 from lpn.core.formats import is_newer
 from lpn.datasets import metadata
 from lpn.descriptors import open_store
-from lpn.index import ExactIndex, Kind, open_index, sums
+from lpn.index import ExactIndex, Kind, open_index, segment_checksums
 from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
@@ -174,7 +174,7 @@ def test_an_index_of_an_earlier_version_is_read_and_said_to_have_no_checksums(in
             del entry["dead_crc"]
 
     change(index / "index.json", earlier)
-    for file in index.rglob(sums.NAME):
+    for file in index.rglob(segment_checksums.NAME):
         file.unlink()
     with open_index(index) as opened:
         assert opened.count() == 20

@@ -18,11 +18,11 @@ import pytest
 from lpn import descriptors
 from lpn.cli import main
 from lpn.core.errors import InputError, StoreError
-from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, sums
+from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, segment_checksums
 from lpn.models.base import FloatArray, normalise
 from lpn.retrieval import scoring
 from tests import worlds
-from tests.lpn.milvus_server import COLLECTION, Client, pretend
+from tests.lpn.index.milvus_server import COLLECTION, Client, pretend
 
 KIND = Kind("0123456789abcdef", 4, 16)
 WEIGHTS: list[list[float] | None] = [None, [1, 0, 0, 0], [0.5, 0.1, 0, 0.4]]
@@ -432,7 +432,7 @@ def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
     index = ExactIndex.create(tmp_path / "index", KIND, "int8")
     Tiles.draw(50).add_to(index)
     segment = next(path for path in (tmp_path / "index").iterdir() if path.is_dir())
-    for file in sorted(path for path in segment.iterdir() if path.name != sums.NAME):
+    for file in sorted(path for path in segment.iterdir() if path.name != segment_checksums.NAME):
         whole = file.read_bytes()
         for spoilt in (whole[:-8], b""):
             file.write_bytes(spoilt)

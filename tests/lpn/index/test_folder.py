@@ -17,7 +17,7 @@ from lpn.core.errors import StoreError
 from lpn.index import Box, ExactIndex, create_index, folder, open_index, segments
 from lpn.index.base import covers, overlaps, within
 from lpn.verify import verify
-from tests.lpn.test_index import KIND, Tiles
+from tests.lpn.index.test_index import KIND, Tiles
 
 EACH = 16
 """Tiles of a segment below."""

@@ -12,8 +12,8 @@ import pytest
 from lpn.core.errors import InputError, LPNError, StoreError
 from lpn.index import Box, Index, Kind, MilvusIndex, Structure, create_index, milvus, open_index
 from lpn.models.base import normalise
-from tests.lpn.milvus_server import COLLECTION, Client, Server, indexed, milvus_python, pretend
-from tests.lpn.test_index import (  # noqa: F401 - the contract, with `make` of this module
+from tests.lpn.index.milvus_server import COLLECTION, Client, Server, indexed, milvus_python, pretend
+from tests.lpn.index.test_index import (  # noqa: F401 - the contract, with `make` of this module
     BOXES,
     KIND,
     WEIGHTS,

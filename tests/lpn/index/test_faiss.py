@@ -15,7 +15,7 @@ import pytest
 from lpn.core.errors import InputError, StoreError
 from lpn.index import Box, open_index
 from lpn.models.base import normalise
-from tests.lpn.test_index import KIND, Tiles
+from tests.lpn.index.test_index import KIND, Tiles
 
 pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
 from lpn.index.faiss import FaissIndex
