@@ -205,7 +205,7 @@ class Doctor:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         from lpn.datasets import open_dataset
-        from lpn.doctor import examine, show
+        from lpn.doctor.dataset_check import examine, show
 
         console = Console(width=max(120, Console().width))
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -219,19 +219,19 @@ class Doctor:
         return 0 if report.healthy else 1
 
     def _machine(self) -> int:
-        from lpn import checkup
         from lpn.core.files import write_whole
+        from lpn.doctor import environment_check
 
         if self.quick:
             raise InputError("--quick is about the pictures of a data set; give one with --data.")
         findings = []
-        for finding in checkup.look(DEMO):
+        for finding in environment_check.look(DEMO):
             findings.append(finding)
             print(finding.line, flush=True)
-        healthy = checkup.healthy(findings)
+        healthy = environment_check.healthy(findings)
         print("Nothing that is needed is broken." if healthy else "Something is broken: see the problems above.")
         if self.json is not None:
-            write_whole(self.json, (json.dumps(checkup.to_dict(findings), indent=1) + "\n").encode())
+            write_whole(self.json, (json.dumps(environment_check.to_dict(findings), indent=1) + "\n").encode())
         return 0 if healthy else 1
 
 

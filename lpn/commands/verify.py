@@ -19,7 +19,7 @@ class Verify:
     def run(self) -> int:
         from lpn.core.files import printable
         from lpn.descriptors import cache_folder
-        from lpn.verify import verify
+        from lpn.doctor.verify import verify
 
         damaged = 0
         for path in self.paths or (cache_folder(),):

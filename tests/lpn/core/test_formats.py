@@ -24,6 +24,7 @@ from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, Out
 from lpn.core.formats import is_newer
 from lpn.datasets import metadata
 from lpn.descriptors import open_store
+from lpn.doctor.verify import verify
 from lpn.index import ExactIndex, Kind, open_index, segment_checksums
 from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
@@ -31,7 +32,6 @@ from lpn.models.spec import ModelSpec
 from lpn.reproduce.measure import FORMAT, Figures, Notebook
 from lpn.training.recipes import RECIPES
 from lpn.training.resume_state import State, read_state
-from lpn.verify import verify
 from lpn.world.atlas import Settings
 from lpn.world.build import check_folder
 

@@ -16,7 +16,7 @@ from lpn.core import shutdown
 from lpn.core.files import write_whole
 from lpn.core.shutdown import Stop, finished, finishing
 from lpn.descriptors import open_store
-from lpn.verify import verify
+from lpn.doctor.verify import verify
 from tests import worlds
 from tests.processes import Process
 

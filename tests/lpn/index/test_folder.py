@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from lpn.core.errors import StoreError
+from lpn.doctor.verify import verify
 from lpn.index import Box, ExactIndex, create_index, folder, open_index, segments
 from lpn.index.base import covers, overlaps, within
-from lpn.verify import verify
 from tests.lpn.index.test_index import KIND, Tiles
 
 EACH = 16

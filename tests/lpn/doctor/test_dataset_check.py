@@ -9,7 +9,7 @@ import pytest
 
 from lpn import cli
 from lpn.datasets import open_dataset
-from lpn.doctor import examine
+from lpn.doctor.dataset_check import examine
 from tests import layouts, worlds
 
 

@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn import checkup, cli
-from lpn.checkup import Finding, healthy
+from lpn import cli
 from lpn.commands import using
 from lpn.commands.using import DEMO
 from lpn.core import requirements, resources
 from lpn.core.errors import OutputError
 from lpn.descriptors import cache_folder
+from lpn.doctor import environment_check
+from lpn.doctor.environment_check import Finding, healthy
 from lpn.retrieval import ranking_cache
 
 
@@ -36,7 +37,7 @@ def of(name: str, *checks: Any) -> Finding:
 def test_a_sound_machine_is_said_to_be_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(checkup, "PORT", 0)
+    monkeypatch.setattr(environment_check, "PORT", 0)
     out = tmp_path / "found.json"
     assert cli.main(["doctor", "--json", str(out)]) == 0
     said, found = capsys.readouterr().out.splitlines(), json.loads(out.read_text())
@@ -73,9 +74,9 @@ def test_a_taken_port_is_no_more_than_a_note(monkeypatch: pytest.MonkeyPatch) ->
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        monkeypatch.setattr(checkup, "PORT", taken.getsockname()[1])
-        found = of("port", checkup._port)
-    assert (found.level, found.said) == ("note", f"{checkup.PORT} on 127.0.0.1 is in use")
+        monkeypatch.setattr(environment_check, "PORT", taken.getsockname()[1])
+        found = of("port", environment_check._port)
+    assert (found.level, found.said) == ("note", f"{environment_check.PORT} on 127.0.0.1 is in use")
     assert "--port" in found.remedy
     assert healthy([found])
 
@@ -83,13 +84,13 @@ def test_a_taken_port_is_no_more_than_a_note(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_stray_file_in_the_demo_is_no_problem(tmp_path: Path) -> None:
     demo = shutil.copytree(DEMO, tmp_path / "demo")
     (demo / "descriptors" / ".DS_Store").write_bytes(b"of a file manager")
-    assert of("demo", lambda: checkup._demo(demo)).level == "OK"
+    assert of("demo", lambda: environment_check._demo(demo)).level == "OK"
 
 
 def test_a_demo_without_its_descriptors_is_a_problem(tmp_path: Path) -> None:
     demo = shutil.copytree(DEMO, tmp_path / "demo")
     shutil.rmtree(demo / "descriptors")
-    found = of("demo", lambda: checkup._demo(demo))
+    found = of("demo", lambda: environment_check._demo(demo))
     assert found.level == "problem"
     assert found.said.endswith("descriptors is missing")
     assert "git checkout" in found.remedy
@@ -106,7 +107,7 @@ def test_a_damaged_demo_is_a_problem(what: str, tmp_path: Path) -> None:
     file.write_bytes(whole[:-5] if what == "picture" else whole)
     if what == "missing":
         file.unlink()
-    found = of("demo", lambda: checkup._demo(demo))
+    found = of("demo", lambda: environment_check._demo(demo))
     assert (found.level, "git checkout" in found.remedy) == ("problem", True), found
     assert not healthy([found])
 
@@ -121,7 +122,7 @@ def test_a_package_out_of_range_or_missing_is_a_problem(monkeypatch: pytest.Monk
         return old.get(name) or version(name)
 
     monkeypatch.setattr(metadata, "version", told)
-    found = {finding.name: finding for finding in checkup._python_and_packages()}
+    found = {finding.name: finding for finding in environment_check._python_and_packages()}
     assert found["numpy"] == Finding(
         "numpy", "problem", "1.25.2 is installed, and >=1.26 is needed", "pip install 'numpy>=1.26'"
     )
@@ -139,12 +140,16 @@ def test_a_package_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.Monk
     def broken(_: str) -> Any:
         raise ImportError("libGL.so.1: cannot open shared object file")
 
-    monkeypatch.setattr(checkup.importlib, "import_module", broken)
-    found = [finding for finding in checkup._python_and_packages() if finding.name == "opencv-python-headless"]
+    monkeypatch.setattr(environment_check.importlib, "import_module", broken)
+    found = [
+        finding for finding in environment_check._python_and_packages() if finding.name == "opencv-python-headless"
+    ]
     assert found[0].level == "problem"
     assert "cannot be imported (ImportError: libGL.so.1" in found[0].said
     assert "--force-reinstall" in found[0].remedy
-    assert "problem PyTorch: could not be looked at" in "\n".join(f.line for f in checkup.look(Path("absent")))
+    assert "problem PyTorch: could not be looked at" in "\n".join(
+        f.line for f in environment_check.look(Path("absent"))
+    )
 
 
 @pytest.mark.parametrize("module", ["numpy", "cv2", "tyro"])
@@ -176,8 +181,8 @@ def test_what_cannot_be_looked_at_without_a_package_names_it(monkeypatch: pytest
     def without(_: Path) -> Any:
         raise ModuleNotFoundError("No module named 'cv2.dnn'", name="cv2.dnn")
 
-    monkeypatch.setattr(checkup, "_demo", without)
-    found = next(finding for finding in checkup.look(DEMO) if finding.name == "demo")
+    monkeypatch.setattr(environment_check, "_demo", without)
+    found = next(finding for finding in environment_check.look(DEMO) if finding.name == "demo")
     assert found.line == (
         "problem demo: could not be looked at without the package opencv-python-headless; "
         "pip install opencv-python-headless."
@@ -191,11 +196,11 @@ def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPat
     for name in ("LPN_CACHE", "XDG_CACHE_HOME", "PLAYWRIGHT_BROWSERS_PATH"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(Path, "home", homeless)
-    monkeypatch.setattr(checkup, "_BROWSERS", ())
-    assert of("cache", checkup._cache).line == (
+    monkeypatch.setattr(environment_check, "_BROWSERS", ())
+    assert of("cache", environment_check._cache).line == (
         "problem cache: This user has no home folder to keep a cache in; set LPN_CACHE to a folder that can be written."
     )
-    assert of("browser", checkup._browser).level == "note"
+    assert of("browser", environment_check._browser).level == "note"
     with pytest.raises(OutputError, match="set LPN_CACHE to a folder that can be written"):
         cache_folder()
     one = np.ones((1, 1, 4), np.float32)
@@ -204,7 +209,7 @@ def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPat
 
 def test_a_python_may_call_itself_what_it_likes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(platform, "python_version", lambda: "3.13.0+")
-    assert of("Python", checkup._python_and_packages).level == "OK"
+    assert of("Python", environment_check._python_and_packages).level == "OK"
 
 
 def test_an_installed_package_knows_its_ranges_without_a_checkout(
@@ -234,12 +239,12 @@ def test_an_installed_package_knows_its_ranges_without_a_checkout(
 
 def test_little_room_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resources, "memory", lambda: (8 * 10**9, 3 * 10**8))
-    assert of("memory", checkup._machine).line == (
+    assert of("memory", environment_check._machine).line == (
         "note    memory: 0.3 of 8.0 GB are free; close other programs; the explorer takes about half a GB, trainings more."
     )
     for free, level in ((10**7, "problem"), (5 * 10**8, "note"), (10**12, "OK")):
         monkeypatch.setattr(shutil, "disk_usage", lambda _, free=free: shutil._ntuple_diskusage(10**13, 0, free))  # type: ignore[attr-defined]
-        assert of("cache", checkup._cache).level == level
+        assert of("cache", environment_check._cache).level == level
 
 
 def test_memory_is_what_the_system_says() -> None:

@@ -268,7 +268,7 @@ def _demo_flaw(demo: Path) -> str | None:
     import lpn
     from lpn.descriptors import open_store
     from lpn.descriptors.cache import STORES
-    from lpn.verify import verify
+    from lpn.doctor.verify import verify
 
     for verdict in verify(demo):
         if not verdict.whole:
