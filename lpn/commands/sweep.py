@@ -168,8 +168,8 @@ def _sentence(begin: str, profile: Profile, point: Point) -> str:
 
 def _drawn(profile: Profile, title: str) -> bytes:
     """Scores, part cosines, and rank over the change as a PNG file."""
+    from lpn.drawing.plots import png, pyplot
     from lpn.explain.sweeps import UNITS, value
-    from lpn.reproduce.plots import png, pyplot
 
     figure, (above, below) = pyplot().subplots(2, 1, figsize=(8, 6), sharex=True, height_ratios=(2, 1))
     along = [value(profile.over, point.change) for point in profile.points]

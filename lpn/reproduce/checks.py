@@ -9,9 +9,9 @@ from pathlib import Path
 from lpn.core.errors import InputError
 from lpn.models.base import Model
 from lpn.models.spec import View, views_of
-from lpn.reproduce.runs import Job
 from lpn.reproduce.sources import TASKS
 from lpn.reproduce.tables import Row, Table, Training
+from lpn.reproduce.trainings import Job
 from lpn.training.recipes import Recipe
 
 

@@ -14,10 +14,10 @@ import lpn
 from lpn.core.errors import InputError
 from lpn.core.files import alone, check_writable, write_whole
 from lpn.models.base import Model
-from lpn.reproduce import checks, foot, pictures, report, runs, starts
+from lpn.reproduce import checks, footnotes, paper_figures, pretrained, report, trainings
 from lpn.reproduce.checks import Use
 from lpn.reproduce.measure import Notebook
-from lpn.reproduce.paper import LANDMARKS, Values
+from lpn.reproduce.paper_values import LANDMARKS, Values
 from lpn.reproduce.report import Column
 from lpn.reproduce.sources import Sources, open_sources
 from lpn.reproduce.tables import SCALES, Row, Scale, Table, Training, find, tables
@@ -75,7 +75,7 @@ class Reproduction:
     def _run(self, wanted: Sequence[Table], drawn: Sequence[str]) -> list[Path]:
         self._notebook = Notebook(self.out / "measured.json")
         self._sources: Sources = open_sources(self.data, self.out)
-        self._starts = starts.by_backbone(self.init)
+        self._starts = pretrained.by_backbone(self.init)
         uses = self._uses(wanted, drawn)
         self._given = self._load(uses)
         self._check(wanted, drawn)
@@ -89,7 +89,7 @@ class Reproduction:
         checks.check_trainings([job for job in self._jobs if job.done or job in to_come], uses)
         self._say_ahead([job for job in to_come if not job.done], drawn)
         if self.train:
-            runs.train(self._jobs, self.console)
+            trainings.train(self._jobs, self.console)
         written = [self._table(table) for table in wanted]
         figures = [file for key in drawn if (file := self._figure(key)) is not None]
         # Last, so that nothing a terminal does can keep a file from being written.
@@ -130,9 +130,9 @@ class Reproduction:
         if drawn:
             places = self._sources.role("places")
             places.check("both ways")
-            pictures.named(places.dataset, self.queries)
+            paper_figures.named(places.dataset, self.queries)
 
-    def _planned(self, uses: Sequence[Use]) -> list[runs.Job]:
+    def _planned(self, uses: Sequence[Use]) -> list[trainings.Job]:
         """The trainings that no given network stands for."""
         jobs = []
         for seed in self.seeds:
@@ -141,10 +141,10 @@ class Reproduction:
                     recipe = self.scale.recipe(training, seed, self.changes)
                     folder = self.out / "runs" / f"{training.name}-seed{seed}"
                     source, start = self._sources.role(training.role), self._starts.get(recipe.backbone)
-                    jobs.append(runs.Job(training, seed, recipe, folder, source, start))
+                    jobs.append(trainings.Job(training, seed, recipe, folder, source, start))
         return jobs
 
-    def _say_ahead(self, to_come: Sequence[runs.Job], drawn: Sequence[str]) -> None:
+    def _say_ahead(self, to_come: Sequence[trainings.Job], drawn: Sequence[str]) -> None:
         """What is to be trained starts from, and what cannot be drawn."""
         for backbone, start in {job.recipe.backbone: job.start for job in to_come}.items():
             self.console.print(
@@ -178,7 +178,7 @@ class Reproduction:
         training = row.training
         if training is None:
             start = self._starts.get(self._alone.backbone)
-            return {} if start is None else {"given": starts.features_alone(self._alone, start)}
+            return {} if start is None else {"given": pretrained.features_alone(self._alone, start)}
         return {} if self._is_copy(table, training) else self._networks(training.name)
 
     def _networks(self, name: str) -> dict[str, Model]:
@@ -202,7 +202,7 @@ class Reproduction:
                 protocols[row.label] = next(iter(found.values())).protocol
         if table.measure != "landmarks":
             table = replace(table, title=f"{table.title}, on {data[0].kind}")
-        said = [foot.protocol(protocols), *foot.about(table, data), *self._of_networks(table)]
+        said = [footnotes.protocol(protocols), *footnotes.about(table, data), *self._of_networks(table)]
         return report.write(table, measured, self._columns(table), said, self.out)
 
     def _columns(self, table: Table) -> list[Column]:
@@ -221,7 +221,7 @@ class Reproduction:
         given = [f"{n} = {self.models[n]} ({self._given[n].describe()})" for n in sorted(names & set(self._given))]
         said = [f"Networks given: {', '.join(given)}."] if given else []
         own = [job for job in self._jobs if job.training.name in names]
-        said += foot.networks(own, self.scale, self.changes, self.seeds)
+        said += footnotes.networks(own, self.scale, self.changes, self.seeds)
         own_lpn = table.measure == "both ways" and "lpn" in names and "lpn" not in self._given
         if own_lpn and not self._sources.role("places").has_google:
             said.append("There is no train/google, so LPN is trained without it.")
@@ -237,8 +237,8 @@ class Reproduction:
         places = self._sources.role("places").dataset
         shown = [(name, next(iter(networks.values()))) for name, networks in of.items()]
         if key == "figure7":
-            data = pictures.heatmaps(shown, places, self.queries)
+            data = paper_figures.heatmaps(shown, places, self.queries)
         else:
-            data = pictures.retrievals(shown[0][1], places, self.queries)
+            data = paper_figures.retrievals(shown[0][1], places, self.queries)
         write_whole(self.out / f"{key}.png", data)
         return self.out / f"{key}.png"

@@ -15,7 +15,7 @@ from lpn.core.files import write_whole
 from lpn.core.formats import is_newer, newer
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
-from lpn.reproduce.paper import Values
+from lpn.reproduce.paper_values import Values
 from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import Measure, Row
 from lpn.retrieval.evaluate import Result, evaluate

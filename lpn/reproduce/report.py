@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from lpn.core.files import write_whole
+from lpn.drawing.plots import png, pyplot
 from lpn.reproduce.measure import Measured, by_column
-from lpn.reproduce.paper import CLAIMS, Claim
-from lpn.reproduce.plots import png, pyplot
+from lpn.reproduce.paper_values import CLAIMS, Claim
 from lpn.reproduce.tables import Table
 
 _COLOURS = ("#1f5fbf", "#7fb2e5", "#c2571a", "#eba968")

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from lpn.core.errors import InputError
 from lpn.models.spec import View
-from lpn.reproduce import paper
+from lpn.reproduce import paper_values
 from lpn.training.recipes import RECIPES, Recipe, method
 
 Role = Literal["places", "panoramas"]
@@ -47,7 +47,7 @@ class Row:
 
     label: str
     training: Training | None
-    paper: paper.Values = ()
+    paper: paper_values.Values = ()
     rotate: float = 0.0
     parts: tuple[int, ...] | None = None
     branch: View | None = None
@@ -111,7 +111,7 @@ SCALES: dict[str, Scale] = {
         RECIPES["university1652"],
         RECIPES["cvusa"],
         RECIPES["safa"],
-        {size: size for size in paper.TABLE3},
+        {size: size for size in paper_values.TABLE3},
         "The paper's scale: ResNet-50 on places and VGG-16 on panoramas, 120 epochs; SAFA by its own recipe, 100 epochs of Adam.",
     ),
     "reduced": Scale(
@@ -119,7 +119,7 @@ SCALES: dict[str, Scale] = {
         _REDUCED,
         replace(_REDUCED, satellite_rotation=0.0, place_rotation=180.0, rotation=0.0),
         None,
-        {size: size // 2 for size in paper.TABLE3},
+        {size: size // 2 for size in paper_values.TABLE3},
         "Reduced scale, the same budget for every row: ResNet-18 cut after layer3, 30 epochs, 32 places a step, AdamW at 0.0005 "
         "with a cosine; pictures of 256 x 256 pixels, and of 112 x 616 where tiles are unrolled. Satellites "
         "are turned at random over the full circle in training, panoramas and their tiles together.",
@@ -160,53 +160,59 @@ def tables(scale: Scale) -> dict[str, Table]:
                 "table1",
                 "Table I: losses and LPN",
                 "both ways",
-                paper.BOTH_WAYS,
-                tuple(Row(label, training, paper.TABLE1[label]) for label, training in of_table1),
+                paper_values.BOTH_WAYS,
+                tuple(Row(label, training, paper_values.TABLE1[label]) for label, training in of_table1),
             ),
             Table(
                 "table2",
                 "Table II: ground to satellite",
                 "ground",
-                paper.GROUND,
-                tuple(Row(label, training, paper.TABLE2.get(label, ())) for label, training in of_table2),
+                paper_values.GROUND,
+                tuple(Row(label, training, paper_values.TABLE2.get(label, ())) for label, training in of_table2),
             ),
             Table(
                 "table3",
                 "Table III: input size",
                 "both ways",
-                paper.BOTH_WAYS,
-                tuple(_of_size(size, scale, values) for size, values in paper.TABLE3.items()),
+                paper_values.BOTH_WAYS,
+                tuple(_of_size(size, scale, values) for size, values in paper_values.TABLE3.items()),
             ),
             Table(
                 "table4",
                 "Table IV: turned queries",
                 "both ways",
-                paper.BOTH_WAYS,
-                tuple(Row(str(angle), _LPN, values, rotate=angle) for angle, values in paper.TABLE4.items()),
+                paper_values.BOTH_WAYS,
+                tuple(Row(str(angle), _LPN, values, rotate=angle) for angle, values in paper_values.TABLE4.items()),
             ),
             Table(
                 "table5",
                 "Table V: parts used",
                 "both ways",
-                paper.BOTH_WAYS,
+                paper_values.BOTH_WAYS,
                 tuple(
                     Row(label, _LPN, values, parts=tuple(int(part) for part in label.split("+")))
-                    for label, values in paper.TABLE5.items()
+                    for label, values in paper_values.TABLE5.items()
                 ),
             ),
-            Table("table6", "Table VI: features carried over to landmarks", "landmarks", paper.LANDMARKS, _carried()),
+            Table(
+                "table6",
+                "Table VI: features carried over to landmarks",
+                "landmarks",
+                paper_values.LANDMARKS,
+                _carried(),
+            ),
             Table(
                 "figure5",
                 "Figure 5: number of parts",
                 "both ways",
-                paper.BOTH_WAYS,
+                paper_values.BOTH_WAYS,
                 tuple(Row(f"n = {n}", _of_parts(n)) for n in (1, 2, 4, 6, 8)),
             ),
         )
     }
 
 
-def _of_size(size: int, scale: Scale, values: paper.Values) -> Row:
+def _of_size(size: int, scale: Scale, values: paper_values.Values) -> Row:
     ours = scale.sizes[size]
     same = ours == scale.places.size
     label = str(size) if ours == size else f"{size} (here {ours})"
@@ -216,12 +222,12 @@ def _of_size(size: int, scale: Scale, values: paper.Values) -> Row:
 
 
 def _carried() -> tuple[Row, ...]:
-    labels = list(paper.TABLE6)
+    labels = list(paper_values.TABLE6)
     branches: tuple[View, View] = ("satellite", "street")
-    rows = [Row(labels[0], None, paper.TABLE6[labels[0]], branch="street")]
+    rows = [Row(labels[0], None, paper_values.TABLE6[labels[0]], branch="street")]
     of_branch = [(training, branch) for training in (_BASELINE, _LPN_ONLY) for branch in branches]
     for label, (training, branch) in zip(labels[1:], of_branch, strict=True):
-        rows.append(Row(label, training, paper.TABLE6[label], branch=branch))
+        rows.append(Row(label, training, paper_values.TABLE6[label], branch=branch))
     return tuple(rows)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lpn.reproduce.runs import Job
 from lpn.reproduce.sources import Source, counted
 from lpn.reproduce.tables import Scale, Table
+from lpn.reproduce.trainings import Job
 
 _APART = {
     "table1": (

@@ -18,10 +18,10 @@ from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
-from lpn.reproduce import foot, paper, report, sources
+from lpn.reproduce import footnotes, paper_values, report, sources
 from lpn.reproduce.command import KEYS, Reproduction
+from lpn.reproduce.pretrained import features_alone
 from lpn.reproduce.sources import Source
-from lpn.reproduce.starts import features_alone
 from lpn.reproduce.tables import SCALES, find, tables
 from lpn.training.recipes import METHODS
 from lpn.training.trainer import Trainer
@@ -63,7 +63,7 @@ def test_every_row_names_a_method_and_carries_the_paper_s_values() -> None:
                 if row.training:
                     scale.recipe(row.training, 0, {})
             labels = {row.label for row in table.rows}
-            for claim in paper.CLAIMS.get(table.key, ()):
+            for claim in paper_values.CLAIMS.get(table.key, ()):
                 assert {claim.better, *claim.worse} <= labels
     assert {f"table{i}" for i in range(1, 7)} | {"figure5", "figure7", "figure8"} == set(KEYS)
 
@@ -378,8 +378,10 @@ def test_clauses_that_differ_are_said_with_the_rows_they_hold_for() -> None:
         "LPN": "Protocol: mirror added; ranked.",
         "SAFA": "Protocol: as it is; ranked.",
     }
-    assert foot.protocol(rows) == ("Protocol: ranked. Not in every row: mirror added (all but SAFA); as it is (SAFA).")
-    assert foot.protocol({"LPN": rows["LPN"]}) == rows["LPN"]
+    assert footnotes.protocol(rows) == (
+        "Protocol: ranked. Not in every row: mirror added (all but SAFA); as it is (SAFA)."
+    )
+    assert footnotes.protocol({"LPN": rows["LPN"]}) == rows["LPN"]
 
 
 def test_a_terminal_of_ascii_does_not_end_a_reproduction(

@@ -10,9 +10,9 @@ from lpn import descriptors, retrieval
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture
+from lpn.drawing.plots import png, pyplot
 from lpn.models.base import Model
 from lpn.models.spec import View
-from lpn.reproduce.plots import png, pyplot
 from lpn.retrieval import scoring
 
 TRUE, FALSE = "#f2c200", "#2f6fdb"
