@@ -13,7 +13,7 @@ from dataclasses import asdict
 from importlib import import_module
 
 from bench.figures import Figure, show
-from lpn.commands.using import DEMO
+from lpn.cli.using import DEMO
 
 NAMES = ("query", "search", "evaluate", "describe", "page", "large", "train")
 

@@ -17,7 +17,7 @@ from rich.table import Table
 
 import lpn
 from lpn import explain, retrieval
-from lpn.commands.using import DEMO
+from lpn.cli.using import DEMO
 from lpn.core import images
 from lpn.datasets import open_dataset
 from lpn.explain import occlusion

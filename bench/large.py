@@ -171,7 +171,17 @@ def figures(share: float = 1.0, kept: Path | None = None) -> list[Figure]:
         data, model = make(folder, share)
         cache = stack.enter_context(tempfile.TemporaryDirectory())
         environment = {**os.environ, "LPN_CACHE": cache}
-        command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(data), "--model", str(model), "--port"]
+        command = [
+            sys.executable,
+            "-m",
+            "lpn",
+            "explore",
+            "--data",
+            str(data),
+            "--model",
+            str(model),
+            "--port",
+        ]
         with Process([*command, str(free_port())], environment) as app:
             found = measure(app)
         with Process([*command, str(free_port())], environment) as again:

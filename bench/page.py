@@ -73,7 +73,7 @@ def show(self, answer):
 """
 _RUN = """
 app.Visitor._work = work
-from lpn.cli import main
+from lpn.cli.main import main
 sys.exit(main())
 """
 IDLE = f"""{_COUNTED}
@@ -249,7 +249,7 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         counts = folder / "counts"
         environment = {**os.environ, "LPN_CACHE": str(folder / "cache"), "LPN_BENCH_COUNTS": str(counts)}
         options = ["explore", "--data", str(data), "--model", str(model), "--port"]
-        command = [sys.executable, "-m", "lpn.cli", *options]
+        command = [sys.executable, "-m", "lpn", *options]
         with Process([*command, str(free_port())], environment) as cold:
             pass
         starts = []

@@ -16,7 +16,7 @@ import cv2
 from playwright.sync_api import Browser, sync_playwright
 
 from bench.page import Process, free_port
-from lpn.commands.using import DEMO, DEMO_QUERY
+from lpn.cli.using import DEMO, DEMO_QUERY
 from lpn.core.files import write_whole
 from soak.chromium import launch
 
@@ -66,7 +66,7 @@ def main() -> None:
 
 
 def _take(browser: Browser, shot: Shot, model: Path, out: Path, beside: Path | None) -> None:
-    command = [sys.executable, "-m", "lpn.cli", "explore", "--data", str(DEMO), "--model", str(model)]
+    command = [sys.executable, "-m", "lpn", "explore", "--data", str(DEMO), "--model", str(model)]
     command += ["--beside", str(beside)] if shot.beside else []
     with Process([*command, "--query", shot.query, "--port", str(free_port())], dict(os.environ)) as app:
         _open(browser, app.url, shot, out)

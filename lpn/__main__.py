@@ -8,19 +8,19 @@ import sys
 def run() -> None:
     """The console script."""
     try:
-        from lpn import cli
+        from lpn.cli import main
     except KeyboardInterrupt:
         sys.exit(130)
     except Exception as error:  # a package that is broken, or built for another, raises anything
         failure = error
     else:
-        cli.run()
+        main.run()
     sys.exit(_without(failure))
 
 
 def _without(error: Exception) -> int:
     if sys.argv[1:] == ["doctor"]:
-        from lpn.commands.using import Doctor
+        from lpn.cli.using import Doctor
 
         return Doctor().run()
     from lpn.core.requirements import flaw

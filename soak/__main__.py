@@ -9,7 +9,7 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 
-from lpn.commands.using import DEMO
+from lpn.cli.using import DEMO
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import check_writable, write_whole
 from soak.run import Soak

@@ -61,7 +61,7 @@ class Server:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
         self._log = tempfile.NamedTemporaryFile("w+", suffix=".log", encoding="utf-8", errors="replace")
-        command = [sys.executable, "-m", "lpn.cli", "explore", *self._options, "--port", str(port)]
+        command = [sys.executable, "-m", "lpn", "explore", *self._options, "--port", str(port)]
         # In a session of its own, so that Ctrl-C is the soak's alone.
         self._process = subprocess.Popen(
             command, stdout=self._log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, start_new_session=True

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from lpn import cli
+from lpn.cli import main
 from tests import painting
 
 _CHANGES = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate", "os.link", "os.symlink", "shutil.rmtree"}
@@ -34,7 +34,7 @@ def _run(arguments: Sequence[str], folder: str, cache: str, step: int | None, co
     if arguments[0] == "world":
         sys.modules["lpn.world.render"] = painting  # the real one needs Blender
     sys.addaudithook(watch)
-    code = cli.main(arguments)
+    code = main.main(arguments)
     # Without what an interpreter clears away at its end, which takes most of the time of a short command.
     os._exit(code)
 

@@ -44,7 +44,7 @@ class Process:
     """
 
     def __init__(self, arguments: list[object], cache: Path, before: str = "", **environment: str) -> None:
-        code = f"import sys\n{before}\nfrom lpn.cli import run\nsys.argv[0] = 'lpn'\nrun()\n"
+        code = f"import sys\n{before}\nfrom lpn.cli.main import run\nsys.argv[0] = 'lpn'\nrun()\n"
         command = [sys.executable, "-c", code, *map(str, arguments)]
         environ = {**os.environ, "LPN_CACHE": str(cache), **environment}
         self._files = [cache.with_name(f"{cache.name}-{name}.txt") for name in ("out", "err")]

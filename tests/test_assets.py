@@ -12,7 +12,7 @@ import trimesh
 
 import lpn
 from lpn import descriptors
-from lpn.commands.using import DEMO, DEMO_QUERY
+from lpn.cli.using import DEMO, DEMO_QUERY
 from lpn.core import images
 from lpn.datasets import open_dataset
 from lpn.datasets.city_model import city_model

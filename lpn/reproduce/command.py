@@ -65,7 +65,7 @@ class Reproduction:
         """
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError(
-                "lpn reproduce is one process; train with torchrun -m lpn.cli train, and give it with --model."
+                "lpn reproduce is one process; train with torchrun -m lpn train, and give it with --model."
             )
         wanted = [find(key, self.scale) for key in keys if key not in _SHOWN]
         check_writable(self.out / "measured.json")

@@ -19,7 +19,7 @@ import pytest
 import torch
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
 
-from lpn.commands.using import DEMO
+from lpn.cli.using import DEMO
 from lpn.models.checkpoints import save
 from lpn.models.export import export
 from lpn.models.network import LPN
@@ -56,7 +56,7 @@ def started(
     source = ["--model", model] if saved is None else ["--saved", saved, "--n-parts", "4"]
     source += [] if beside is None else ["--beside", beside]
     chosen = [] if default else ["--data", data, *source]
-    command = [sys.executable, "-m", "lpn.cli", "explore", *chosen, "--port", str(port), *options]
+    command = [sys.executable, "-m", "lpn", "explore", *chosen, "--port", str(port), *options]
     environment = {**os.environ, "LPN_CACHE": str(cache)}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert process.stdout is not None

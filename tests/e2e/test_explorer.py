@@ -13,7 +13,7 @@ from playwright.sync_api import BrowserContext, expect
 
 import lpn
 from lpn import datasets, retrieval
-from lpn.commands.using import DEMO_QUERY
+from lpn.cli.using import DEMO_QUERY
 from lpn.core import images
 from lpn.datasets import geo
 from lpn.retrieval import Ranking, scoring

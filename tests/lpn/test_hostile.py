@@ -14,7 +14,8 @@ import onnx
 import pytest
 import torch
 
-from lpn import cli, descriptors
+from lpn import descriptors
+from lpn.cli import main
 from lpn.core.checksums import Checksums
 from lpn.core.errors import DataError, ModelFileError
 from lpn.datasets.geo import read_positions
@@ -27,7 +28,7 @@ from tests import worlds
 
 
 def verified(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    status = cli.main(["verify", str(path)])
+    status = main.main(["verify", str(path)])
     return status, capsys.readouterr().out
 
 
@@ -66,7 +67,7 @@ def test_a_damaged_file_is_named_in_one_line(
     (folder / "model.onnx").write_bytes(exported.read_bytes()[:-10])
     assert verified(folder, capsys)[1].count("\n") == 1
     assert (
-        cli.main(["describe", "--model", str(folder / "none.onnx"), "--images", "a", "--view", "drone", "--out", "b"])
+        main.main(["describe", "--model", str(folder / "none.onnx"), "--images", "a", "--view", "drone", "--out", "b"])
         == 2
     )
     assert capsys.readouterr().err.count("\n") == 1
@@ -229,7 +230,7 @@ def test_a_model_of_many_epochs_without_its_state_is_not_trained_over(
     for extra in ({"epochs": "120"}, {}):
         save(worlds.make_network(), out / "last.safetensors", extra)
         kept = (out / "last.safetensors").read_bytes()
-        assert cli.main(arguments) == 2
+        assert main.main(arguments) == 2
         assert "state.pt" in capsys.readouterr().err
         assert (out / "last.safetensors").read_bytes() == kept
 

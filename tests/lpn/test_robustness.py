@@ -19,7 +19,8 @@ import torch
 from PIL import Image
 
 import lpn
-from lpn import cli, descriptors
+from lpn import descriptors
+from lpn.cli import main
 from lpn.core import images
 from lpn.core.errors import DataError, LPNError, ModelFileError, PictureError, StoreError
 from lpn.datasets import open_dataset
@@ -31,7 +32,7 @@ from tests import worlds
 
 def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     """The one sentence that a command ends with."""
-    assert cli.main(arguments) == 2
+    assert main.main(arguments) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("lpn: ")]
     assert len(lines) == 1
     return lines[0]
@@ -121,7 +122,7 @@ def test_links_that_lead_nowhere_or_in_a_circle_are_named(model_file: Path, tmp_
     tiles = open_dataset(root).gallery("satellite")
     with pytest.raises(LPNError, match=r"(circle|gone|absent)\.png"):
         descriptors.cached_descriptors(lpn.load(model_file), tiles, "satellite")
-    assert cli.main(["doctor", "--data", str(root)]) == 1
+    assert main.main(["doctor", "--data", str(root)]) == 1
 
 
 def test_a_picture_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,7 +146,7 @@ def test_one_place_is_too_few_to_train_on_and_says_nothing_when_tested(
     assert "at least two" in said(
         ["train", "--data", root, "--out", str(tmp_path / "run"), "--recipe", "small"], capsys
     )
-    assert cli.main(["evaluate", "--data", root, "--model", str(model_file)]) == 0
+    assert main.main(["evaluate", "--data", root, "--model", str(model_file)]) == 0
     assert "one place only" in caplog.text
 
 
@@ -163,7 +164,7 @@ def test_numbers_that_are_none_are_found_in_a_store(
     array = np.lib.format.open_memmap(store / "descriptors.npy", mode="r+")
     array[3, 1, 5] = value
     del array
-    assert cli.main(["verify", str(store)]) == 1
+    assert main.main(["verify", str(store)]) == 1
     assert "not finite" in capsys.readouterr().out
     assert f"norm {value}; expected 0.5" in said(
         ["index", "--descriptors", str(store), "--out", str(tmp_path / "index")], capsys
@@ -206,10 +207,10 @@ def test_a_flipped_byte_is_found_in_every_file(
         whole = (store / name).read_bytes()
         for place in rng.integers(0, len(whole), 5):
             (store / name).write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-            assert cli.main(["verify", str(store)]) == 1
+            assert main.main(["verify", str(store)]) == 1
             assert "DAMAGED" in capsys.readouterr().out
         (store / name).write_bytes(whole)
-    assert cli.main(["verify", str(store)]) == 0
+    assert main.main(["verify", str(store)]) == 0
     torch.save({"weight": torch.randn(1000)}, tmp_path / "net.pth")
     whole = (tmp_path / "net.pth").read_bytes()
     (tmp_path / "net.pth").write_bytes(whole[:2000] + bytes([whole[2000] ^ 1]) + whole[2001:])
@@ -242,7 +243,7 @@ def test_files_of_earlier_versions_without_checksums_are_read(model_file: Path, 
     text = (store / "manifest.json").read_text()
     (store / "manifest.json").write_text(text[: text.index(',\n "checksums"')] + "\n}")
     assert not descriptors.open_store(store).damaged().any()
-    assert cli.main(["verify", str(tmp_path)]) == 0
+    assert main.main(["verify", str(tmp_path)]) == 0
 
 
 def outside(model_file: Path, folder: Path) -> Path:
@@ -364,7 +365,7 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing_whole(
         "--out",
         str(small_disk / "s"),
     ]
-    done = subprocess.run([sys.executable, "-m", "lpn.cli", *given], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-m", "lpn", *given], capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
     assert "cannot be written (No space left on device); free space or choose another folder." in done.stderr
     assert "Traceback" not in done.stderr

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lpn import cli
+from lpn.cli import main
 from lpn.core.errors import InputError, OutputError
 from lpn.datasets import Picture, open_dataset
 from lpn.datasets.geo import Position, Positions, camera, metres
@@ -409,7 +409,7 @@ def test_a_part_is_i_of_k(text: str) -> None:
 
 def test_without_blender_the_command_says_what_to_install(tmp_path: Path) -> None:
     script = (
-        "import sys; sys.modules['bpy'] = None; from lpn.cli import main; "
+        "import sys; sys.modules['bpy'] = None; from lpn.cli.main import main; "
         f"sys.exit(main(['world', '--out', {str(tmp_path / 'w')!r}]))"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
@@ -421,7 +421,7 @@ def test_without_blender_the_command_says_what_to_install(tmp_path: Path) -> Non
 
 
 def test_the_command_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["--help"]) == 0
+    assert main.main(["--help"]) == 0
     assert "world" in capsys.readouterr().out
 
 

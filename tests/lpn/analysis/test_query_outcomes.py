@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import cli, retrieval
+from lpn import retrieval
 from lpn.analysis import breakdown, notes
 from lpn.analysis.query_outcomes import OUTCOME, Outcomes, build, described_by, labels_of, table
+from lpn.cli import main
 from lpn.core.errors import DataError, InputError
 from lpn.core.tables import number_column, text_column
 from lpn.datasets import Picture, Truth, geo, open_dataset
@@ -339,9 +340,9 @@ def test_the_command_lists_failures_and_writes_them(
     common = ["failures", "--data", str(known), "--model", str(model_file), "--notes", str(own)]
     out = tmp_path / "out" / "failures.csv"
     chosen = ["--where", "district = 'no'", "--csv", str(out)]
-    assert cli.main([*common, *chosen]) == 0
+    assert main.main([*common, *chosen]) == 0
     assert "0 of 14 queries" in capsys.readouterr().out
-    assert cli.main([*common, "--csv", str(out), "--top", "3"]) == 0
+    assert main.main([*common, "--csv", str(out), "--top", "3"]) == 0
     said = capsys.readouterr().out
     for words in ("14 of 14 queries, 3 listed", "Failures by district", "1 centre", " taken for ", "Dock 1"):
         assert words in said
@@ -354,7 +355,7 @@ def test_the_command_lists_failures_and_writes_them(
     assert by_path[first]["weather"] in ("rain", "'=sun", "")
     wrong = [["--where", "hue > 1"], ["--sort", "hue"], ["--task", "street-to-satellite"], ["--top", "0"]]
     for options, words in zip(wrong, ["'hue'", "'hue'", "drone-to-satellite", "1 or more"], strict=True):
-        assert cli.main([*common, *options]) == 2
+        assert main.main([*common, *options]) == 2
         said = capsys.readouterr().err
         assert words in said
         assert [line[:5] for line in said.splitlines() if " WARNING " not in line] == ["lpn: "]

@@ -26,7 +26,8 @@ import pytest
 pytest.importorskip("ray", reason="the extra ray is not installed")
 pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 
-from lpn import cli, descriptors
+from lpn import descriptors
+from lpn.cli import main
 from lpn.cluster import session
 from lpn.cluster.driver import Summary, describe_shards
 from lpn.cluster.gather import open_shards, to_store
@@ -254,7 +255,7 @@ def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
         describe(model_file, folder, done, worker=Dying)
     with pytest.raises(StoreError, match="the run that wrote them has not ended"):
         open_shards(done)
-    assert cli.main(["gather", f"--shards={done}", f"--out={tmp_path / 's'}"]) == 2
+    assert main.main(["gather", f"--shards={done}", f"--out={tmp_path / 's'}"]) == 2
     assert not (tmp_path / "s").exists()
     assert describe(model_file, folder, done).computed > 0
     rows = np.array(list(held(done).values()))
@@ -348,11 +349,11 @@ def test_shards_are_indexed_with_their_positions(
     for where, more in ((str(done), []), (f"file://{done}", []), (str(done), ["--data", str(tmp_path)])):
         out = tmp_path / f"index{len(list(tmp_path.iterdir()))}"
         making = ["index", "--descriptors", where, "--out", str(out), *more]
-        assert cli.main(making) == 0
+        assert main.main(making) == 0
         said = capsys.readouterr().out
         assert "holds 40 tiles, 40 of them added now" in said
         assert "1 pictures are broken and not in it" in said
-        assert cli.main(making) == 0
+        assert main.main(making) == 0
         assert "40 were there already" in capsys.readouterr().out
         with open_index(out) as index:
             for name, row in list(held(done).items())[:5]:
@@ -474,23 +475,23 @@ def test_commands_say_what_they_did(
     out = tmp_path / "shards"
     common = ["describe", "--model", str(model_file), "--view", "drone", "--engine", "ray", "--workers", "2"]
     given = [*common, "--images", f"file://{folder}", "--out", str(out), "--precision", "float16"]
-    assert cli.main(given) == 1
+    assert main.main(given) == 1
     said = capsys.readouterr().out
     assert f"{out} holds 40 descriptors, 40 of them computed now." in said
     assert "1 pictures could not be described; broken.csv there names them" in said
-    assert cli.main(["gather", "--shards", str(out), "--out", str(tmp_path / "store")]) == 0
+    assert main.main(["gather", "--shards", str(out), "--out", str(tmp_path / "store")]) == 0
     assert f"1 pictures are broken and not in it; broken.csv in {out} names them." in capsys.readouterr().out
     (folder / "1" / "text.jpg").unlink()
     store = descriptors.open_store(tmp_path / "store")
     alone = expected(model_file, folder, tmp_path / "alone")
     assert (store.manifest.precision, store.manifest.rows) == ("float16", alone.manifest.rows)
     np.testing.assert_allclose(store.float32, alone.descriptors, atol=2e-4)
-    assert cli.main([*given[:-2], "--precision", "float32"]) == 2
+    assert main.main([*given[:-2], "--precision", "float32"]) == 2
     assert "choose another place" in capsys.readouterr().err
-    assert cli.main([*given[:-2], "--precision", "int8"]) == 2
+    assert main.main([*given[:-2], "--precision", "int8"]) == 2
     assert "float32 or float16" in capsys.readouterr().err
     locally = [*common[:5], "--images", str(folder), "--out", str(out), "--workers", "2"]
-    assert cli.main(locally) == 2
+    assert main.main(locally) == 2
     assert "--workers is for many workers" in capsys.readouterr().err
 
 

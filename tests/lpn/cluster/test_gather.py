@@ -12,7 +12,8 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 
-from lpn import cli, descriptors
+from lpn import descriptors
+from lpn.cli import main
 from lpn.cluster import gather
 from lpn.cluster.gather import open_shards, to_store
 from lpn.cluster.shards import BEFORE, PLAN, Broken, Item, Plan, contents, read_notes, shard_name, write_shard
@@ -108,7 +109,7 @@ def test_gather_makes_a_store_of_one_state_or_none(
         np.testing.assert_array_equal(store.float32, described(expected))
 
     begins_before(monkeypatch, method, partition, folder, RUNS[run])
-    status = cli.main(given)
+    status = main.main(given)
     # `items` reads several at once, so that the run may be late for some of them there.
     if method == "items" or any(p >= partition for p in changed(run)):
         assert status == 2
@@ -117,10 +118,10 @@ def test_gather_makes_a_store_of_one_state_or_none(
         assert not (out / "manifest.json").exists()
     else:
         check(WAS)
-    assert cli.main(["gather", "--shards", str(folder), "--out", str(tmp_path / "other")]) == 2
+    assert main.main(["gather", "--shards", str(folder), "--out", str(tmp_path / "other")]) == 2
     assert "has not ended" in capsys.readouterr().err
     end(folder)
-    assert cli.main(given) == 0
+    assert main.main(given) == 0
     check(RUNS[run])
 
 
@@ -147,7 +148,7 @@ def test_an_index_is_made_of_one_state_as_far_as_it_goes(
                 np.testing.assert_array_equal(found.vectors[0], row)
 
     begins_before(monkeypatch, method, partition, folder, RUNS[run])
-    status = cli.main(given)
+    status = main.main(given)
     if method == "tiles" or any(p >= partition for p in changed(run)):
         assert status == 2
         assert ANEW in (said := capsys.readouterr().err)
@@ -155,7 +156,7 @@ def test_an_index_is_made_of_one_state_as_far_as_it_goes(
     else:
         check(WAS)
     end(folder)
-    assert cli.main([*given, "--replace"]) == 0
+    assert main.main([*given, "--replace"]) == 0
     gone = [item for item in WAS if item.row.file not in {one.row.file for one in RUNS[run]}]
     with open_index(tmp_path / "index") as index:
         there = [item for item in gone if index.holds([item.row.file])[0]]
@@ -215,7 +216,7 @@ def test_a_tile_that_broke_between_two_looks_at_its_shard_is_seen(
 
     monkeypatch.setattr(gather.Shards, "tiles", tiles)
     given = ["index", "--descriptors", str(folder), "--out", str(tmp_path / "index")]
-    assert cli.main([*given, "--data", str(tmp_path)] if positions else given) == 2
+    assert main.main([*given, "--data", str(tmp_path)] if positions else given) == 2
     assert f"{shard_name(1)} in {folder} {ANEW}" in capsys.readouterr().err
 
 
@@ -223,7 +224,7 @@ def test_a_shard_of_other_pictures_is_refused(folder: Path, tmp_path: Path, caps
     """Two shards with the same picture would be taken for two tiles."""
     write_shard(Storage(folder), PLANNED, 1, WAS, described(WAS))
     end(folder)
-    assert cli.main(["index", "--descriptors", str(folder), "--out", str(tmp_path / "index")]) == 2
+    assert main.main(["index", "--descriptors", str(folder), "--out", str(tmp_path / "index")]) == 2
     assert f"{shard_name(1)} in {folder} holds pictures that belong in other shards" in capsys.readouterr().err
     assert not (tmp_path / "index").exists()
 

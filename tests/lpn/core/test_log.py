@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from lpn import cli
+from lpn.cli import main
 from lpn.core import log
 from lpn.core.errors import InputError
 
@@ -128,8 +128,8 @@ def test_the_level_comes_from_the_command_line_or_else_from_the_environment() ->
 
 
 def test_the_command_line_names_it(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    assert cli.main(["--help"]) == 0
+    assert main.main(["--help"]) == 0
     assert "--logger-level debug COMMAND" in capsys.readouterr().out
     monkeypatch.setenv("LPN_LOG", "loud")
-    assert cli.main(["verify"]) == 2
+    assert main.main(["verify"]) == 2
     assert capsys.readouterr().err == "lpn: LPN_LOG is 'loud'; expected one of debug, info, warning, error.\n"

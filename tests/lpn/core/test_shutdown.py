@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from lpn import cli, descriptors
+from lpn import descriptors
+from lpn.cli import main
 from lpn.core import shutdown
 from lpn.core.files import write_whole
 from lpn.core.shutdown import Stop, finished, finishing
@@ -33,7 +34,7 @@ write = f.write_segment
 f.write_segment = lambda *a: (write(*a), print("writing", flush=True), time.sleep(30))
 """
 IN_A_LIBRARY = """
-import hashlib, lpn.commands.verify as v
+import hashlib, lpn.cli.verify as v
 def run(self):
     print("computing", flush=True)
     hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
@@ -104,7 +105,7 @@ def test_a_description_goes_on_where_it_was_stopped(how: str, model_file: Path, 
         assert last_line(process) == f"lpn: Stopped. What {out} has by now is kept; the same command goes on."
         assert not half_written(out)
         assert not (out / "manifest.json").exists()
-        assert cli.main([str(one) for one in given]) == 0
+        assert main.main([str(one) for one in given]) == 0
         assert len(open_store(out).descriptors) == len(descriptors.pictures_below(data / "test"))
 
 
@@ -119,7 +120,7 @@ def test_an_index_is_as_it_was_before_the_add(model_file: Path, data: Path, tmp_
         process.terminate()
         assert process.ended()[0] == 143
         assert "has by now are kept; the same command goes on." in last_line(process)
-        assert cli.main([str(one) for one in given]) == 0
+        assert main.main([str(one) for one in given]) == 0
         assert [verdict.whole for verdict in verify(tmp_path / "index")] == [True]
 
 
@@ -192,13 +193,13 @@ def test_what_another_thread_writes_is_waited_for() -> None:
 
 def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = [signal.getsignal(number) for number in shutdown.SIGNALS]
-    assert cli.main(["verify", str(tmp_path / "absent")]) == 2
+    assert main.main(["verify", str(tmp_path / "absent")]) == 2
 
     def interrupted(_: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli.COMMANDS["verify"], "run", interrupted)
-    assert cli.main(["verify"]) == 130
+    monkeypatch.setattr(main.COMMANDS["verify"], "run", interrupted)
+    assert main.main(["verify"]) == 130
     assert [signal.getsignal(number) for number in shutdown.SIGNALS] == before
     assert not [thread for thread in threading.enumerate() if thread.name == "lpn-stopping"]
 
@@ -218,6 +219,6 @@ def test_every_command_says_how_to_go_on(
     def interrupted(_: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli.COMMANDS[arguments[0]], "run", interrupted)
-    assert cli.main(arguments) == 130
+    monkeypatch.setattr(main.COMMANDS[arguments[0]], "run", interrupted)
+    assert main.main(arguments) == 130
     assert capsys.readouterr().err.startswith(f"lpn: Stopped. {said}")

@@ -20,7 +20,7 @@ class Refuse:
         if name.split(".")[0] == "scipy":
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Refuse())
-from lpn.cli import main
+from lpn.cli.main import main
 sys.exit(main(sys.argv[1:]))
 """
 

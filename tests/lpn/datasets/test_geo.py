@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpn import cli
+from lpn.cli import main
 from lpn.core.errors import DataError, InputError
 from lpn.datasets import Picture, geo, open_dataset
 from lpn.datasets.geo import Position, Positions
@@ -106,12 +106,12 @@ def test_evaluation_says_how_many_metres_the_answers_are_off(
     lines = ["path,latitude,longitude", *rows]
     write(root, "\n".join(lines) + "\n")
     out = tmp_path / "figures.json"
-    assert cli.main(["evaluate", "--data", str(root), "--model", str(model_file), "--json", str(out)]) == 0
+    assert main.main(["evaluate", "--data", str(root), "--model", str(model_file), "--json", str(out)]) == 0
     figures = json.loads(out.read_text())
     assert figures["within 25 m"] == figures["within 100 m"] == figures["recall@1"]
     step = geo.EARTH_RADIUS * np.radians(0.001)
     assert figures["median error m"] / step == pytest.approx(round(figures["median error m"] / step), abs=1e-6)
     assert "Error of the top match: median" in capsys.readouterr().out.replace("\n", " ")
     write(root, "\n".join(line for line in lines if "gallery_satellite/0003" not in line) + "\n")
-    assert cli.main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 2
+    assert main.main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 2
     assert "geo.csv has no position for 1 of" in capsys.readouterr().err

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from lpn import cli
+from lpn.cli import main
 from lpn.datasets import open_dataset
 from lpn.doctor.dataset_check import examine
 from tests import layouts, worlds
@@ -15,7 +15,7 @@ from tests import layouts, worlds
 
 def doctor(root: Path, tmp_path: Path, *more: str) -> tuple[int, dict[str, Any]]:
     out = tmp_path / "report.json"
-    status = cli.main(["doctor", "--data", str(root), "--json", str(out), *more])
+    status = main.main(["doctor", "--data", str(root), "--json", str(out), *more])
     return status, json.loads(out.read_text())
 
 
@@ -121,5 +121,5 @@ def test_files_named_and_not_there_are_damage_but_what_is_published_broken_is_no
 
 
 def test_a_folder_that_is_none_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["doctor", "--data", str(tmp_path / "absent")]) == 2
+    assert main.main(["doctor", "--data", str(tmp_path / "absent")]) == 2
     assert capsys.readouterr().err.count("\n") == 1

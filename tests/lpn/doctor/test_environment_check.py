@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn import cli
-from lpn.commands import using
-from lpn.commands.using import DEMO
+from lpn.cli import main, using
+from lpn.cli.using import DEMO
 from lpn.core import requirements, resources
 from lpn.core.errors import OutputError
 from lpn.descriptors import cache_folder
@@ -39,7 +38,7 @@ def test_a_sound_machine_is_said_to_be_one(
 ) -> None:
     monkeypatch.setattr(environment_check, "PORT", 0)
     out = tmp_path / "found.json"
-    assert cli.main(["doctor", "--json", str(out)]) == 0
+    assert main.main(["doctor", "--json", str(out)]) == 0
     said, found = capsys.readouterr().out.splitlines(), json.loads(out.read_text())
     assert said[-1] == "Nothing that is needed is broken."
     assert found["healthy"] is True
@@ -62,7 +61,7 @@ def test_a_problem_ends_with_status_1(
     (tmp_path / "file").write_bytes(b"")
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "file" / "cache"))
     monkeypatch.setattr(using, "DEMO", tmp_path / "absent")
-    assert cli.main(["doctor"]) == 1
+    assert main.main(["doctor"]) == 1
     said = capsys.readouterr().out
     assert "problem cache: " in said
     assert "cannot be written (Not a directory); make it writable, or set LPN_CACHE" in said
@@ -294,5 +293,5 @@ def test_cores_are_as_many_as_a_group_has_time_for(tmp_path: Path, monkeypatch: 
 
 
 def test_quick_is_for_pictures(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["doctor", "--quick"]) == 2
+    assert main.main(["doctor", "--quick"]) == 2
     assert "give one with --data" in capsys.readouterr().err

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from lpn import explain, retrieval
-from lpn.commands.using import DEMO
+from lpn.cli.using import DEMO
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset

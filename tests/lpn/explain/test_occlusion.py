@@ -9,7 +9,7 @@ import pytest
 
 from bench.faithful import curves
 from lpn import load, retrieval
-from lpn.commands.using import DEMO
+from lpn.cli.using import DEMO
 from lpn.core import images
 from lpn.explain import occlusion
 from lpn.retrieval import scoring

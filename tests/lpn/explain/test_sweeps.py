@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import cli, descriptors, retrieval
-from lpn.commands.using import DEMO
+from lpn import descriptors, retrieval
+from lpn.cli import main
+from lpn.cli.using import DEMO
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import Truth, open_dataset
@@ -193,14 +194,14 @@ def test_the_command_prints_a_table_and_writes_csv_and_png(
     table, curve = tmp_path / "out" / "sweep.csv", tmp_path / "sweep.png"
     common = ["sweep", "--data", str(data), "--model", str(model_file), "--query", "0009"]
     files = ["--csv", str(table), "--png", str(curve)]
-    assert cli.main([*common, "--over", "zoom", "--step", "1.4", "--weights", "1,1,0,0", *files]) == 0
+    assert main.main([*common, "--over", "zoom", "--step", "1.4", "--weights", "1,1,0,0", *files]) == 0
     rows = list(csv.DictReader(io.StringIO(table.read_text())))
     assert [float(row["zoom"]) for row in rows] == sorted(1.4**power for power in range(-2, 3))
     assert images.load_picture(curve).shape[1] > 500
     said = capsys.readouterr().out
     assert "The true match scores highest" in said
     assert all(row["rank"] in said for row in rows)
-    assert cli.main([*common, "--step", "90"]) == 0
+    assert main.main([*common, "--step", "90"]) == 0
     assert "clockwise from north" in capsys.readouterr().out
 
 
@@ -217,7 +218,7 @@ def test_the_command_prints_a_table_and_writes_csv_and_png(
 def test_the_command_refuses_in_one_sentence(
     data: Path, model_file: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str
 ) -> None:
-    assert cli.main(["sweep", "--data", str(data), "--model", str(model_file), *more]) == 2
+    assert main.main(["sweep", "--data", str(data), "--model", str(model_file), *more]) == 2
     assert said in capsys.readouterr().err
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from lpn import descriptors
-from lpn.cli import main
+from lpn.cli.main import main
 from lpn.core.errors import InputError, StoreError
 from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, segment_checksums
 from lpn.models.base import FloatArray, normalise

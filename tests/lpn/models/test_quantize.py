@@ -8,7 +8,8 @@ import pytest
 import torch
 
 import lpn
-from lpn import cli, explain
+from lpn import explain
+from lpn.cli import main
 from lpn.core.errors import InputError, PictureError
 from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
@@ -121,7 +122,7 @@ def test_the_command_says_how_close_it_is(
 ) -> None:
     out = tmp_path / "small.onnx"
     given = ["--model", str(model_file), "--data", str(data), "--out", str(out), "--pictures", "4"]
-    assert cli.main(["quantize", *given]) == 0
+    assert main.main(["quantize", *given]) == 0
     said = capsys.readouterr().out
     assert "Wrote small.onnx" in said
     assert "satellite 0.9" in said

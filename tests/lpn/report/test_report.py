@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import cli, report, retrieval
+from lpn import report, retrieval
 from lpn.analysis.notes import NAME as NOTES
 from lpn.analysis.task import Study, open_study
+from lpn.cli import main
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
@@ -275,7 +276,7 @@ def test_words_on_turning() -> None:
 
 
 def run(data: Path, model_file: Path, *more: object) -> int:
-    return cli.main(["report", "--data", str(data), "--model", str(model_file), *map(str, more)])
+    return main.main(["report", "--data", str(data), "--model", str(model_file), *map(str, more)])
 
 
 def test_the_worst_failures_come_first(

@@ -12,7 +12,7 @@ import torch
 from rich.console import Console
 from safetensors.torch import save_file
 
-from lpn.cli import main
+from lpn.cli.main import main
 from lpn.core.errors import DataError, DivergedError, InputError, LPNError, ModelFileError
 from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save

@@ -9,7 +9,7 @@ import pytest
 from scipy.io import savemat
 
 import lpn
-from lpn import cli
+from lpn.cli import main
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
@@ -54,7 +54,7 @@ def test_the_command_reads_it_without_model_and_data(data: Path, model_file: Pat
         ["--saved", str(tmp_path / "r.mat"), "--n-parts", "4", "--parts", "2"],
         ["--data", str(data), "--model", str(model_file), "--parts", "2"],
     ):
-        assert cli.main(["evaluate", *arguments, "--json", str(tmp_path / "f.json")]) == 0
+        assert main.main(["evaluate", *arguments, "--json", str(tmp_path / "f.json")]) == 0
         figures.append(json.loads((tmp_path / "f.json").read_text()))
     one, other = ({k: v for k, v in f.items() if k not in ("seconds", "protocol", "ap")} for f in figures)
     assert one == other
@@ -66,9 +66,9 @@ def test_queries_of_a_saved_result_are_averaged_part_by_part_only(
 ) -> None:
     savemat(tmp_path / "r.mat", contents(data, model_file))
     arguments = ["evaluate", "--saved", str(tmp_path / "r.mat"), "--average-queries"]
-    assert cli.main(arguments) == 2
+    assert main.main(arguments) == 2
     assert "--n-parts" in capsys.readouterr().err
-    assert cli.main([*arguments, "--n-parts", "4"]) == 0
+    assert main.main([*arguments, "--n-parts", "4"]) == 0
 
 
 def test_its_pictures_are_found_by_path_or_by_label(data: Path, model_file: Path, tmp_path: Path) -> None:

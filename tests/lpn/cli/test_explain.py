@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from lpn import cli
+from lpn.cli import main
 from lpn.drawing import verdicts
 from lpn.explain import Evidence, Side
 from lpn.retrieval.scoring import part_weights
-from tests.lpn.test_cli import without_torch
+from tests.lpn.cli.test_main import without_torch
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_what_is_written_adds_up_and_needs_no_torch(model_file: Path, pair: list
 def test_covering_is_said_to_be_approximate(model_file: Path, pair: list[str], tmp_path: Path) -> None:
     file, picture = tmp_path / "why.json", tmp_path / "why.png"
     given = ["explain", "--model", str(model_file), *pair, "--covering", "--json", str(file), "--png", str(picture)]
-    assert cli.main(given) == 0
+    assert main.main(given) == 0
     found = json.loads(file.read_text())
     assert found["exact"] is False
     assert np.shape(found["parts"][0]["losses"]) == (8, 8)
@@ -71,7 +71,7 @@ def test_covering_is_said_to_be_approximate(model_file: Path, pair: list[str], t
 def test_mistakes_get_one_sentence(
     changed: list[str], expected: str, model_file: Path, pair: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(["explain", "--model", str(model_file), *pair, *changed]) == 2
+    assert main.main(["explain", "--model", str(model_file), *pair, *changed]) == 2
     said = capsys.readouterr().err
     assert expected in said
     assert said.count("\n") == 1

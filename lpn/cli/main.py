@@ -12,15 +12,15 @@ from typing import Any
 import tyro
 
 import lpn
-from lpn.commands.describing import Describe, Gather
-from lpn.commands.failures import Failures
-from lpn.commands.index import MakeIndex, Search
-from lpn.commands.making import Export, Quantize, Reproduce, Train, World, parse_train
-from lpn.commands.reasons import Explain
-from lpn.commands.report import Report
-from lpn.commands.sweep import Sweep
-from lpn.commands.using import Doctor, Evaluate, Explore
-from lpn.commands.verify import Verify
+from lpn.cli.describe import Describe, Gather
+from lpn.cli.explain import Explain
+from lpn.cli.failures import Failures
+from lpn.cli.index import MakeIndex, Search
+from lpn.cli.making import Export, Quantize, Reproduce, Train, World, parse_train
+from lpn.cli.report import Report
+from lpn.cli.sweep import Sweep
+from lpn.cli.using import Doctor, Evaluate, Explore
+from lpn.cli.verify import Verify
 from lpn.core import log
 from lpn.core.errors import LPNError, MissingPackageError
 from lpn.core.files import printable

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import lpn
-from lpn.commands.using import ViewName
+from lpn.cli.using import ViewName
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 

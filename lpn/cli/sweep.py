@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import lpn
-from lpn.commands.reasons import part_values
-from lpn.commands.using import TaskName
+from lpn.cli.explain import part_values
+from lpn.cli.using import TaskName
 from lpn.core.errors import InputError
 from lpn.models.spec import views_of
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lpn import cli
+from lpn.cli import main
 from lpn.descriptors import open_store
 from tests import worlds
 
@@ -18,14 +18,14 @@ class Refuse:
         if name.split(".")[0] in ("torch", "onnx", "onnxscript", "safetensors", "yaml"):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Refuse())
-from lpn.cli import main
+from lpn.cli.main import main
 sys.exit(main(sys.argv[1:]))
 """
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:
     """The command as a person runs it."""
-    command = [sys.executable, "-m", "lpn.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "lpn", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
@@ -38,7 +38,7 @@ def without_torch(*arguments: object) -> subprocess.CompletedProcess[str]:
 def test_evaluate_writes_the_promised_keys(data: Path, model_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "deep" / "figures.json"
     common = ["evaluate", "--data", str(data), "--model", str(model_file), "--json", str(out)]
-    assert cli.main(common) == 0
+    assert main.main(common) == 0
     whole = json.loads(out.read_text())
     assert list(whole) == [
         *("recall@1", "recall@5", "recall@10", "recall@1%", "ap"),
@@ -47,7 +47,7 @@ def test_evaluate_writes_the_promised_keys(data: Path, model_file: Path, tmp_pat
     ]
     assert (whole["task"], whole["parts"], whole["queries"]) == ("drone-to-satellite", [1, 2, 3, 4], 14)
     changes = ["--rotate", "90", "--shift", "-3", "--scale", "1.5", "--branch", "drone", "--average-queries"]
-    assert cli.main([*common, "--task", "satellite-to-drone", *changes, "--parts", "2,4"]) == 0
+    assert main.main([*common, "--task", "satellite-to-drone", *changes, "--parts", "2,4"]) == 0
     turned = json.loads(out.read_text())
     for said in ("turned 90°", "3 px to the left", "scaled by 1.5", "the drone branch", "parts 2, 4 of 4", "averaged"):
         assert said in turned["protocol"]
@@ -59,7 +59,7 @@ def test_torch_and_onnx_models_evaluate_alike(data: Path, model_file: Path, tmp_
     figures = []
     for file in (model_file, model_file.with_suffix(".safetensors")):
         out = tmp_path / f"{file.suffix}.json"
-        assert cli.main(["evaluate", "--data", str(data), "--model", str(file), "--json", str(out)]) == 0
+        assert main.main(["evaluate", "--data", str(data), "--model", str(file), "--json", str(out)]) == 0
         figures.append({k: v for k, v in json.loads(out.read_text()).items() if k != "seconds"})
     assert figures[0] == figures[1]
 
@@ -131,7 +131,7 @@ def test_mistakes_get_one_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     filled = [a.replace("DATA", str(data)).replace("MODEL", str(model_file)) for a in arguments]
-    assert cli.main(filled) == 2
+    assert main.main(filled) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1

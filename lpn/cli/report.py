@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lpn
-from lpn.commands.using import TaskName
+from lpn.cli.using import TaskName
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 
@@ -55,7 +55,7 @@ class Report:
 
         from lpn import report
         from lpn.analysis.task import open_study, task_of
-        from lpn.commands.reasons import part_values
+        from lpn.cli.explain import part_values
         from lpn.core.files import check_writable, write_whole
         from lpn.datasets import open_dataset
         from lpn.descriptors.transforms import Change

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 import lpn
-from lpn.commands.using import ViewName
+from lpn.cli.using import ViewName
 from lpn.core.errors import InputError
 
 _FOR_RAY = ("address", "workers", "threads", "shard", "positions")

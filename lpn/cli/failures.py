@@ -10,7 +10,7 @@ from rich.table import Table as Printed
 from rich.text import Text
 
 import lpn
-from lpn.commands.using import TaskName
+from lpn.cli.using import TaskName
 from lpn.core.errors import InputError
 
 if TYPE_CHECKING:

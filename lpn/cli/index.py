@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import lpn
-from lpn.commands.reasons import part_values
-from lpn.commands.using import ViewName
+from lpn.cli.explain import part_values
+from lpn.cli.using import ViewName
 from lpn.core.files import printable
 
 if TYPE_CHECKING:
