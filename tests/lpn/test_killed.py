@@ -1,6 +1,6 @@
 """SIGKILL at any moment: what is there is whole, and the next run goes on or starts clean.
 
-World is painted rather than rendered here; tests/lpn/test_world.py renders, stops, and resumes one where Blender is.
+World is painted rather than rendered here; tests/lpn/world/test_world.py renders, stops, and resumes one where Blender is.
 """
 
 from __future__ import annotations
