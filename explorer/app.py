@@ -17,14 +17,12 @@ from typing import Any
 
 import viser
 
-from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, wakeup, why
+from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, why
 from explorer.asker import Asker
 from explorer.bridge import Bridge
 from explorer.cards import SHOWN
-from explorer.entry import Entry, entry, is_loopback
 from explorer.exhibit import Analyst, Answer, Exhibit
 from explorer.follower import Follower
-from explorer.guard import Guard
 from explorer.inference import AGAIN, BusyError
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
@@ -34,6 +32,9 @@ from explorer.panels import THUMBS, Change, Panels
 from explorer.reasons import Reasons
 from explorer.reporting import Reporter
 from explorer.room import Room
+from explorer.server import viser_compat
+from explorer.server.auth import Entry, entry, is_loopback
+from explorer.server.gateway import Guard
 from explorer.session import State
 from explorer.stage import SCENE, Stage
 from explorer.worker import Patience, Worker
@@ -217,7 +218,7 @@ class App:
         self.door = door or entry(host, None, False, ())
         conceal(self.door.token)
         conceal(self.door.pass_key)
-        wakeup.install()
+        viser_compat.install()
         make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
         with redirect_stdout(io.StringIO()):  # viser announces itself; people need one address, once
             self.server = Guard(self.door).before(make)

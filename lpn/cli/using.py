@@ -60,7 +60,7 @@ class Explore:
 
     def run(self) -> None:
         from explorer.app import run, run_saved
-        from explorer.entry import entry
+        from explorer.server.auth import entry
 
         door = entry(self.host or "0.0.0.0", self.token, self.ask_token, self.allow_host)
         if self.saved is not None:

@@ -27,16 +27,16 @@ from explorer import asker, session, upload
 from explorer.app import App, Visitor
 from explorer.asker import Asker
 from explorer.exhibit import Analyst, Exhibit
-from explorer.guard import _Connection
-from explorer.inbox import Inbox
 from explorer.lab import Lab
 from explorer.opening import open_model, open_saved
 from explorer.panels import Panels
 from explorer.reasons import Reasons
+from explorer.server.gateway import _Connection
+from explorer.server.message_filter import Inbox
+from explorer.server.viser_compat import Buffer
 from explorer.session import State, Upload
 from explorer.stage import Stage
 from explorer.sweep import Sweep
-from explorer.wakeup import Buffer
 from lpn import retrieval
 from lpn.core import images
 from lpn.core.errors import ModelFileError

@@ -13,7 +13,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 from explorer.app import App
 from explorer.opening import open_model
-from explorer.wakeup import Buffer
+from explorer.server.viser_compat import Buffer
 from soak.client import Talker
 from tests import worlds
 

@@ -8,7 +8,7 @@ from html import escape
 from websockets.datastructures import Headers
 from websockets.http11 import Response
 
-from explorer.entry import Onward, Refusal
+from explorer.server.auth import Onward, Refusal
 
 _BARE = "form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
 _STYLE = (

@@ -27,10 +27,10 @@ from websockets.http11 import Request as WebRequest
 from websockets.http11 import Response
 from websockets.protocol import CONNECTING, Event
 
-from explorer.doorstep import led_on, refused
-from explorer.entry import Entry, Onward, Refusal, Request
-from explorer.inbox import MESSAGE_BYTES, Allowance, Inbox, UnfitError, strange
-from explorer.turnstile import Turnstile
+from explorer.server.auth import Entry, Onward, Refusal, Request
+from explorer.server.auth_pages import led_on, refused
+from explorer.server.message_filter import MESSAGE_BYTES, Allowance, Inbox, UnfitError, strange
+from explorer.server.rate_limiter import Turnstile
 from lpn.core.errors import MissingPackageError
 
 log = logging.getLogger(__name__)

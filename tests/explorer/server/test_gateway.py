@@ -24,15 +24,16 @@ import pytest
 import viser._messages as viser_messages
 from websockets.exceptions import InvalidStatus
 
-from explorer import guard, turnstile, upload
+from explorer import upload
 from explorer.app import App
-from explorer.entry import Entry, Onward, Refusal, Request, entry, is_loopback, same_origin
 from explorer.exhibit import Analyst, Exhibit
-from explorer.guard import Guard
-from explorer.inbox import BURST, FIELDS, RATE, UPLOADS, Inbox, UnfitError, strange
 from explorer.opening import open_model
+from explorer.server import gateway, rate_limiter
+from explorer.server.auth import Entry, Onward, Refusal, Request, entry, is_loopback, same_origin
+from explorer.server.gateway import Guard
+from explorer.server.message_filter import BURST, FIELDS, RATE, UPLOADS, Inbox, UnfitError, strange
+from explorer.server.rate_limiter import ALL_WAITING, FIRST, FORGET, KEPT, LONGEST, WAITING, Turnstile
 from explorer.session import State, Upload
-from explorer.turnstile import ALL_WAITING, FIRST, FORGET, KEPT, LONGEST, WAITING, Turnstile
 from lpn.core.errors import InputError, MissingPackageError, PictureError
 from soak.client import Talker
 from tests import worlds
@@ -494,7 +495,7 @@ def test_a_token_is_not_written_to_the_log(locked: App, caplog: pytest.LogCaptur
 
 
 def test_connections_that_ask_for_nothing_do_not_use_up_the_files(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guard, "HALF_OPEN", 8)
+    monkeypatch.setattr(gateway, "HALF_OPEN", 8)
     before = len(list(Path("/proc/self/fd").iterdir()))
     held = [socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) for _ in range(30)]
     try:
@@ -536,7 +537,7 @@ def test_without_the_token_nothing_answers_and_with_it_everything_does(locked: A
 
 
 def test_a_wrong_token_waits_and_a_right_one_does_not(locked: App, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(turnstile, "LONGEST", 2.0)
+    monkeypatch.setattr(rate_limiter, "LONGEST", 2.0)
     waited: list[tuple[int, float]] = []
 
     def wrong() -> None:
