@@ -18,12 +18,13 @@ from typing import Any
 import viser
 
 from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, why
-from explorer.asker import Asker
 from explorer.bridge import Bridge
 from explorer.cards import SHOWN
+from explorer.compute.inference_scheduler import AGAIN, BusyError
+from explorer.compute.ranking_progress import Follower
+from explorer.compute.request_context import Asker
+from explorer.compute.worker import Patience, Worker
 from explorer.exhibit import Analyst, Answer, Exhibit
-from explorer.follower import Follower
-from explorer.inference import AGAIN, BusyError
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
 from explorer.link import Links
@@ -37,7 +38,6 @@ from explorer.server.auth import Entry, entry, is_loopback
 from explorer.server.gateway import Guard
 from explorer.session import State
 from explorer.stage import SCENE, Stage
-from explorer.worker import Patience, Worker
 from lpn.core import images
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable

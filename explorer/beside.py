@@ -8,8 +8,8 @@ from html import escape
 import numpy as np
 
 from explorer import why
-from explorer.asker import Asker
 from explorer.bridge import send
+from explorer.compute.request_context import Asker
 from explorer.exhibit import Analyst, Answer, Exhibit, Task
 from explorer.pages import SIGNS
 from explorer.session import State

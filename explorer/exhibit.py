@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from explorer import chart, session
-from explorer.asker import Asker, Shared
 from explorer.chart import Places
-from explorer.inference import Inference
-from explorer.kept import Kept
+from explorer.compute.cache import Kept
+from explorer.compute.inference_scheduler import Inference
+from explorer.compute.ranking_job import Found, Standing
+from explorer.compute.request_context import Asker, Shared
 from explorer.layout import layout_for
 from explorer.session import TRUTH, State
-from explorer.standing import Found, Standing
 from lpn import explain, retrieval
 from lpn.core import images
 from lpn.core.errors import InputError

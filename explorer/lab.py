@@ -12,6 +12,7 @@ import numpy as np
 import viser
 
 from explorer import labcharts, labmessages, labpages, labstate, reporting, session
+from explorer.compute.worker import Worker
 from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
 from explorer.laboratory import Findings, Laboratory
@@ -21,7 +22,6 @@ from explorer.panels import Change
 from explorer.reporting import Reporter
 from explorer.room import EDGE, Room
 from explorer.session import State
-from explorer.worker import Worker
 from lpn.core.errors import LPNError
 from lpn.retrieval.metrics import IntArray
 

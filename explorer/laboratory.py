@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
+from explorer.compute.background_jobs import Job, Jobs, Progress, in_process
 from explorer.exhibit import Exhibit, Task
-from explorer.jobs import Job, Jobs, Progress, in_process
 from lpn.analysis import embedding_map, notes, query_outcomes
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import Outcomes

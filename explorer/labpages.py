@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from explorer.bridge import send
+from explorer.compute.background_jobs import Job
 from explorer.exhibit import Exhibit
-from explorer.jobs import Job
 from explorer.laboratory import Findings
 from explorer.labstate import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
 from explorer.pages import SIGNS

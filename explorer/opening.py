@@ -11,8 +11,8 @@ from rich.console import Console
 
 import lpn
 from explorer import chart
+from explorer.compute.ranking_job import Standing
 from explorer.exhibit import Exhibit, Task
-from explorer.standing import Standing
 from lpn import descriptors
 from lpn.core.errors import DataError
 from lpn.core.files import printable

@@ -11,9 +11,10 @@ import viser
 
 from explorer import against, profiles, region, reporting, session, why
 from explorer.against import Contest
-from explorer.asker import Asker
 from explorer.beside import Beside
 from explorer.bridge import send
+from explorer.compute.request_context import Asker
+from explorer.compute.worker import Worker
 from explorer.exhibit import Answer, Exhibit
 from explorer.html import Html
 from explorer.panels import Change
@@ -21,7 +22,6 @@ from explorer.reporting import Reporter
 from explorer.room import EDGE, Room
 from explorer.session import State
 from explorer.sweep import Sweep
-from explorer.worker import Worker
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Ranking

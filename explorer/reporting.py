@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 import viser
 
+from explorer.compute.background_jobs import GivenUpError, Job, Progress
 from explorer.exhibit import Answer, Exhibit, Task
-from explorer.jobs import GivenUpError, Job, Progress
 from lpn import report
 from lpn.analysis import notes
 from lpn.analysis.task import Study

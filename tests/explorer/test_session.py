@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from explorer import session
+from explorer.compute.worker import Worker
 from explorer.session import State, Upload
-from explorer.worker import Worker
 from lpn.core.errors import PictureError
 
 

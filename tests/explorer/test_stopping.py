@@ -34,7 +34,7 @@ def slow(self, state, k):
 Analyst.answer = slow
 """
 SLOW_RANKING = """
-import time, explorer.standing as standing
+import time, explorer.compute.ranking_job as standing
 from lpn import metrics
 standing.QUICK = -1
 def slow(*given, progress, **more):

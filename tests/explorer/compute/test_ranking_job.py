@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explorer import beside, pages, standing
+from explorer import beside, pages
+from explorer.compute import ranking_job
+from explorer.compute.ranking_progress import Follower
 from explorer.exhibit import Exhibit, Task
-from explorer.follower import Follower
 from explorer.laboratory import Laboratory
 from explorer.opening import open_model
 from lpn.core.errors import LPNError
@@ -24,7 +25,7 @@ TASK = "drone-to-satellite"
 def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A data set that takes too long to be ranked before the first page is served."""
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(standing, "QUICK", 0)
+    monkeypatch.setattr(ranking_job, "QUICK", 0)
     monkeypatch.setattr(ranking_cache, "STEP", 2)
     return worlds.map_dataset(worlds.make_dataset(tmp_path / "places", train=1, test=9))
 
@@ -35,7 +36,7 @@ def exhibit(data: Path, model_file: Path) -> Exhibit:
 
 
 def at_once(data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> Task:
-    monkeypatch.setattr(standing, "QUICK", 10**12)
+    monkeypatch.setattr(ranking_job, "QUICK", 10**12)
     return open_model(data, model_file).tasks[TASK]
 
 
@@ -146,7 +147,7 @@ def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(exhibit: Exh
     task = exhibit.tasks[TASK]
     spoilt = np.array(task.descriptors)
     spoilt[0, 0, 0] = np.nan
-    broken = standing.Standing(ranking_cache.Sides(task.asked, spoilt, task.query_labels, task.labels), None)
+    broken = ranking_job.Standing(ranking_cache.Sides(task.asked, spoilt, task.query_labels, task.labels), None)
     with pytest.raises(LPNError, match="not finite"):
         broken.wait("me", lambda *_: None)
     assert "not finite" in broken.flaw

@@ -23,9 +23,10 @@ from viser import GuiApi, SceneApi
 
 import lpn
 from explorer import app as app_module
-from explorer import asker, session, upload
+from explorer import session, upload
 from explorer.app import App, Visitor
-from explorer.asker import Asker
+from explorer.compute import request_context
+from explorer.compute.request_context import Asker
 from explorer.exhibit import Analyst, Exhibit
 from explorer.lab import Lab
 from explorer.opening import open_model, open_saved
@@ -315,7 +316,7 @@ def test_a_browser_that_moves_on_while_it_waits_is_computed_for_once(
     app: App, exhibit: Exhibit, gate: Gate, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert exhibit.model is not None
-    monkeypatch.setattr(asker, "STALE", 0.0)
+    monkeypatch.setattr(request_context, "STALE", 0.0)
     monkeypatch.setattr(exhibit.model.own, "batch", 2)
     with Browser(url(app)) as one, Browser(url(app)) as other:
         for browser in (one, other):

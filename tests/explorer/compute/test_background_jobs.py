@@ -10,7 +10,7 @@ import time
 import pytest
 
 from explorer import labpages
-from explorer.jobs import GivenUpError, Job, Jobs, Progress, in_process
+from explorer.compute.background_jobs import GivenUpError, Job, Jobs, Progress, in_process
 from lpn.analysis import notes
 from lpn.core.errors import InputError, LPNError
 

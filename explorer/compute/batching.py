@@ -14,7 +14,7 @@ from lpn.models.base import FloatArray, Model, Pass
 from lpn.models.spec import View
 
 if TYPE_CHECKING:
-    from explorer.asker import Asker
+    from explorer.compute.request_context import Asker
 
 
 class MovedError(Exception):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from explorer.inference import Inference
-from explorer.passes import MovedError, joined
+from explorer.compute.batching import MovedError, joined
+from explorer.compute.inference_scheduler import Inference
 from lpn.models.base import FloatArray, Heads, Model, Pass
 from lpn.models.spec import View
 

@@ -9,12 +9,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from explorer import inference
-from explorer.asker import STALE, Asker, Shared
-from explorer.inference import KEPT, ROOM, TURN, BusyError, Inference
-from explorer.jobs import GivenUpError
-from explorer.kept import Kept
-from explorer.worker import Worker
+from explorer.compute import inference_scheduler
+from explorer.compute.background_jobs import GivenUpError
+from explorer.compute.cache import Kept
+from explorer.compute.inference_scheduler import KEPT, ROOM, TURN, BusyError, Inference
+from explorer.compute.request_context import STALE, Asker, Shared
+from explorer.compute.worker import Worker
 from lpn.core.errors import InputError, LPNError, ModelFileError
 from lpn.models.base import FloatArray, Heads, Model, Pass
 from lpn.models.spec import ModelSpec, View
@@ -376,7 +376,7 @@ def test_heads_are_read_once_of_each_model(slow: Slow) -> None:
 
 
 def test_the_thread_ends_when_nobody_asks_and_begins_anew(slow: Slow, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inference, "IDLE", 0.01)
+    monkeypatch.setattr(inference_scheduler, "IDLE", 0.01)
     slow._held = False
     queue = Inference()
     for mark in (1, 2):

@@ -17,14 +17,14 @@ from collections.abc import Callable, Iterable
 from itertools import count
 from typing import TYPE_CHECKING
 
-from explorer.jobs import GivenUpError
-from explorer.passes import MovedError, Request, compute, together, told
+from explorer.compute.background_jobs import GivenUpError
+from explorer.compute.batching import MovedError, Request, compute, together, told
 from lpn.core.errors import LPNError
 from lpn.models.base import FloatArray, Heads, Model, Pass
 from lpn.models.spec import View
 
 if TYPE_CHECKING:
-    from explorer.asker import Asker
+    from explorer.compute.request_context import Asker
 
 log = logging.getLogger(__name__)
 

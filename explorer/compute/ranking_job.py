@@ -8,7 +8,7 @@ import threading
 from dataclasses import dataclass
 
 from explorer.chart import Places
-from explorer.jobs import Job, Jobs, Progress
+from explorer.compute.background_jobs import Job, Jobs, Progress
 from lpn.core.errors import LPNError
 from lpn.retrieval import ranking_cache
 from lpn.retrieval.evaluate import error_shares

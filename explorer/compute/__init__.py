@@ -1,0 +1,3 @@
+"""The inference scheduler, background jobs, and caches that all browsers share.
+
+Nothing here draws."""
