@@ -17,8 +17,7 @@ from typing import Any
 
 import viser
 
-from explorer import against, beside, commands, labstyle, pages, profiles, region, session, style, tour, why
-from explorer.bridge import Bridge
+from explorer import against, beside, commands, labstyle, pages, profiles, region, session, tour, why
 from explorer.cards import SHOWN
 from explorer.compute.inference_scheduler import AGAIN, BusyError
 from explorer.compute.ranking_progress import Follower
@@ -38,6 +37,8 @@ from explorer.server.auth import Entry, entry, is_loopback
 from explorer.server.gateway import Guard
 from explorer.session import State
 from explorer.stage import SCENE, Stage
+from explorer.web import style
+from explorer.web.bridge import Bridge
 from lpn.core import images
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable

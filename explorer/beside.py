@@ -8,11 +8,11 @@ from html import escape
 import numpy as np
 
 from explorer import why
-from explorer.bridge import send
 from explorer.compute.request_context import Asker
 from explorer.exhibit import Analyst, Answer, Exhibit, Task
 from explorer.pages import SIGNS
 from explorer.session import State
+from explorer.web.bridge import send
 from lpn.core import images
 from lpn.drawing import overlays
 from lpn.drawing.verdicts import ordinal

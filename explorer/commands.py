@@ -9,10 +9,10 @@ from typing import Any, cast
 import viser
 
 from explorer import session
-from explorer.bridge import Bridge
 from explorer.exhibit import Exhibit
 from explorer.panels import Change, Panels
 from explorer.session import State
+from explorer.web.bridge import Bridge
 
 _SHIFT = 8
 _ZOOM = 1.1

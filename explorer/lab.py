@@ -14,7 +14,6 @@ import viser
 from explorer import labcharts, labmessages, labpages, labstate, reporting, session
 from explorer.compute.worker import Worker
 from explorer.exhibit import Answer, Exhibit
-from explorer.html import Html
 from explorer.laboratory import Findings, Laboratory
 from explorer.labstate import LabState
 from explorer.labviews import MapView, NoteView
@@ -22,6 +21,7 @@ from explorer.panels import Change
 from explorer.reporting import Reporter
 from explorer.room import EDGE, Room
 from explorer.session import State
+from explorer.web.html import Html
 from lpn.core.errors import LPNError
 from lpn.retrieval.metrics import IntArray
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from explorer.bridge import send
 from explorer.compute.background_jobs import Job
 from explorer.exhibit import Exhibit
 from explorer.laboratory import Findings
 from explorer.labstate import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
 from explorer.pages import SIGNS
-from explorer.style import verdict_ink
+from explorer.web.bridge import send
+from explorer.web.style import verdict_ink
 from lpn.analysis.notes import Note
 from lpn.core.tables import Column
 from lpn.drawing import overlays

@@ -8,10 +8,10 @@ import numpy as np
 import viser
 
 from explorer import labcharts, labmap, labmessages, labpages
-from explorer.html import Html
 from explorer.labmap import Drawn
 from explorer.laboratory import Findings, Laboratory
 from explorer.labstate import LabState
+from explorer.web.html import Html
 from lpn.analysis.notes import Note
 from lpn.core.errors import LPNError
 from lpn.retrieval.metrics import IntArray

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from html import escape
 
 from explorer import words
-from explorer.bridge import PRESSED, send
 from explorer.exhibit import Answer, Exhibit, Task
-from explorer.style import part_ink, verdict_ink
+from explorer.web.bridge import PRESSED, send
+from explorer.web.style import part_ink, verdict_ink
 from lpn.drawing import overlays
 from lpn.retrieval import Match
 

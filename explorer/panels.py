@@ -15,8 +15,8 @@ from viser import UploadedFile
 from explorer import pages, session, upload
 from explorer.cards import SHOWN
 from explorer.exhibit import Answer, Exhibit, Task
-from explorer.html import Html
 from explorer.session import State
+from explorer.web.html import Html
 from lpn.core.errors import LPNError
 from lpn.retrieval.metrics import IntArray
 

@@ -12,16 +12,16 @@ import viser
 from explorer import against, profiles, region, reporting, session, why
 from explorer.against import Contest
 from explorer.beside import Beside
-from explorer.bridge import send
 from explorer.compute.request_context import Asker
 from explorer.compute.worker import Worker
 from explorer.exhibit import Answer, Exhibit
-from explorer.html import Html
 from explorer.panels import Change
 from explorer.reporting import Reporter
 from explorer.room import EDGE, Room
 from explorer.session import State
 from explorer.sweep import Sweep
+from explorer.web.bridge import send
+from explorer.web.html import Html
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Ranking

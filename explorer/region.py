@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
-from explorer.bridge import send
 from explorer.exhibit import Answer, Exhibit
+from explorer.web.bridge import send
 from lpn.core import images
 from lpn.drawing import overlays
 

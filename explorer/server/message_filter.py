@@ -15,8 +15,8 @@ from typing import Any
 
 import msgspec
 
-from explorer.bridge import LONGEST
 from explorer.upload import BUTTONS, MAX_UPLOAD
+from explorer.web.bridge import LONGEST
 
 log = logging.getLogger(__name__)
 

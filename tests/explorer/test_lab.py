@@ -12,13 +12,13 @@ import pytest
 
 from explorer import labcharts, labmessages, labpages, labstate, session
 from explorer.exhibit import Exhibit
-from explorer.html import Html
 from explorer.labmap import Drawn, draw
 from explorer.laboratory import Findings, Laboratory, Points
 from explorer.labstate import LabState, Pick
 from explorer.labviews import MapView, NoteView
 from explorer.opening import open_model
 from explorer.session import State
+from explorer.web.html import Html
 from lpn.analysis import breakdown, notes
 from lpn.core.errors import InputError, OutputError
 from lpn.core.tables import Column, Table, number_column, text_column

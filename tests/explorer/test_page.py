@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from explorer import pages, style, tour
-from explorer.bridge import Bridge
+from explorer import pages, tour
 from explorer.compute.worker import Patience
 from explorer.exhibit import Exhibit
 from explorer.opening import open_model, open_saved
 from explorer.session import State
+from explorer.web import style
+from explorer.web.bridge import Bridge
 from lpn.drawing import overlays
 from lpn.retrieval.published_results import load_saved
 from tests import worlds

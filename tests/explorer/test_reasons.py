@@ -14,12 +14,12 @@ import pytest
 
 from explorer import against, profiles, region, session, why
 from explorer.against import Contest
-from explorer.bridge import LONGEST, Bridge
 from explorer.exhibit import Analyst, Answer, Exhibit
 from explorer.opening import open_model
 from explorer.room import Room
 from explorer.session import State, Upload
 from explorer.sweep import Sweep
+from explorer.web.bridge import LONGEST, Bridge
 from lpn import explain
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts

@@ -11,20 +11,21 @@ from typing import Any
 
 import viser
 
-from explorer.html import Html
+from explorer.web.html import Html
 
 log = logging.getLogger(__name__)
 
 LONGEST = 60_000
 """Characters of a message: a region of a large feature map fits."""
 _SCRIPT = ";".join(
-    (Path(__file__).parent / name).read_text("utf-8") for name in ("page.js", "fit.js", "tour.js", "address.js")
+    (Path(__file__).parent / "js" / name).read_text("utf-8")
+    for name in ("page.js", "viewport.js", "tour.js", "url_state.js")
 )
 _PIXEL = "data:image/gif;base64,R0lGODlhAQABAIAAAAAAAP///yH5BAEAAAAALAAAAAABAAEAAAIBRAA7"
 
 
 PRESSED = 'role="button" tabindex="0"'
-"""What makes an element that is clicked one that a keyboard reaches, too; `fit.js` has Enter and Space click it."""
+"""What makes an element that is clicked one that a keyboard reaches, too; `viewport.js` has Enter and Space click it."""
 
 
 class Bridge:

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import viser
 
-from explorer.html import Html
+from explorer.web.html import Html
 
 
 class Handle:
