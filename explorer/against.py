@@ -8,9 +8,9 @@ from html import escape
 
 import numpy as np
 
-from explorer.exhibit import Answer, Exhibit
 from explorer.pages import SIGNS
 from explorer.web.bridge import send
+from explorer.workspace import Answer, Exhibit
 from lpn.drawing import overlays, verdicts
 from lpn.drawing.verdicts import ordinal
 from lpn.explain import counterfactual

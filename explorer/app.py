@@ -17,28 +17,28 @@ from typing import Any
 
 import viser
 
-from explorer import against, beside, commands, labstyle, pages, profiles, region, session, tour, why
+from explorer import against, beside, commands, labstyle, pages, profiles, region, session_state, tour, why
 from explorer.cards import SHOWN
 from explorer.compute.inference_scheduler import AGAIN, BusyError
 from explorer.compute.ranking_progress import Follower
 from explorer.compute.request_context import Asker
 from explorer.compute.worker import Patience, Worker
-from explorer.exhibit import Analyst, Answer, Exhibit
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
-from explorer.link import Links
 from explorer.opening import open_model, open_saved
 from explorer.panels import THUMBS, Change, Panels
 from explorer.reasons import Reasons
-from explorer.reporting import Reporter
+from explorer.reports import Reporter
 from explorer.room import Room
 from explorer.server import viser_compat
 from explorer.server.auth import Entry, entry, is_loopback
 from explorer.server.gateway import Guard
-from explorer.session import State
+from explorer.session_state import State
 from explorer.stage import SCENE, Stage
+from explorer.url_state import Links
 from explorer.web import style
 from explorer.web.bridge import Bridge
+from explorer.workspace import Analyst, Answer, Exhibit
 from lpn.core import images
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
@@ -88,7 +88,7 @@ class Visitor:
                 "room": room.take,
                 "hello": self._hello,
                 "small": self._fit,
-                "dark": lambda _: self.change(session.flip_dark),
+                "dark": lambda _: self.change(session_state.flip_dark),
             }
             handlers |= self._reasons.handlers() | self._lab.handlers()
             told = {"steps": [asdict(step) for step in tour.steps(exhibit)], "scene": SCENE}
@@ -119,7 +119,7 @@ class Visitor:
         self._worker.wake()
 
     def _selected(self, shown: State, index: int) -> None:
-        self.change(lambda state: session.compare(state, shown, index))
+        self.change(lambda state: session_state.compare(state, shown, index))
 
     def leave(self) -> None:
         """The browser is gone: stop its worker."""

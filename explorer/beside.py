@@ -9,10 +9,10 @@ import numpy as np
 
 from explorer import why
 from explorer.compute.request_context import Asker
-from explorer.exhibit import Analyst, Answer, Exhibit, Task
 from explorer.pages import SIGNS
-from explorer.session import State
+from explorer.session_state import State
 from explorer.web.bridge import send
+from explorer.workspace import Analyst, Answer, Exhibit, Task
 from lpn.core import images
 from lpn.drawing import overlays
 from lpn.drawing.verdicts import ordinal

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import viser
 
-from explorer.exhibit import Answer, Exhibit
 from explorer.layout import Layout
 from explorer.planes import UPRIGHT, Plane
-from explorer.session import State
+from explorer.session_state import State
+from explorer.workspace import Answer, Exhibit
 from lpn.core.images import Picture
 from lpn.drawing import overlays
 from lpn.drawing.overlays import Colour, Palette

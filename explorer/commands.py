@@ -8,11 +8,11 @@ from typing import Any, cast
 
 import viser
 
-from explorer import session
-from explorer.exhibit import Exhibit
+from explorer import session_state
 from explorer.panels import Change, Panels
-from explorer.session import State
+from explorer.session_state import State
 from explorer.web.bridge import Bridge
+from explorer.workspace import Exhibit
 
 _SHIFT = 8
 _ZOOM = 1.1
@@ -38,7 +38,7 @@ def add(
     orders += [(label, None, order) for label, order in further]
     for label, key, order in orders:
         gui.add_command(label, hotkey=cast(Any, key)).on_trigger(_calls(order))
-    changes: list[tuple[str, str | None, Change]] = [("Light or dark", "O", session.flip_dark)]
+    changes: list[tuple[str, str | None, Change]] = [("Light or dark", "O", session_state.flip_dark)]
     if len(exhibit.tasks) > 1:
         changes += [(f"Task: {name}", None, _task(name)) for name in exhibit.tasks]
     changes += [(f"Part {name} on or off", None, _flip_part(part)) for part, name in enumerate(exhibit.part_names)]
@@ -67,7 +67,7 @@ def _changes(change: Callable[[Change], None], changed: Change) -> Callable[[Any
 
 
 def _task(name: str) -> Change:
-    return lambda state: session.take_task(state, name)
+    return lambda state: session_state.take_task(state, name)
 
 
 def _flip_part(part: int) -> Change:
@@ -83,7 +83,7 @@ def _heat_of(part: int | None) -> Change:
 
 
 def _zoom(factor: float) -> Change:
-    low, high = 1 / session.MAX_ZOOM, session.MAX_ZOOM
+    low, high = 1 / session_state.MAX_ZOOM, session_state.MAX_ZOOM
     return lambda state: replace(state, zoom=min(max(round(state.zoom * factor, 2), low), high))
 
 

@@ -11,10 +11,10 @@ import numpy.typing as npt
 import viser
 
 from explorer.chart import Places
-from explorer.exhibit import Answer, Exhibit
 from explorer.planes import Plane, Rotation
-from explorer.session import State
+from explorer.session_state import State
 from explorer.viewpoint import AT, PICTURE, SIDE, Viewpoint, over
+from explorer.workspace import Answer, Exhibit
 from lpn.datasets import geo
 from lpn.drawing import overlays
 

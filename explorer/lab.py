@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import viser
 
-from explorer import labcharts, labmessages, labpages, labstate, reporting, session
+from explorer import labcharts, labmessages, labpages, labstate, reports, session_state
 from explorer.compute.worker import Worker
-from explorer.exhibit import Answer, Exhibit
 from explorer.laboratory import Findings, Laboratory
 from explorer.labstate import LabState
 from explorer.labviews import MapView, NoteView
 from explorer.panels import Change
-from explorer.reporting import Reporter
+from explorer.reports import Reporter
 from explorer.room import EDGE, Room
-from explorer.session import State
+from explorer.session_state import State
 from explorer.web.html import Html
+from explorer.workspace import Answer, Exhibit
 from lpn.core.errors import LPNError
 from lpn.retrieval.metrics import IntArray
 
@@ -255,7 +255,7 @@ class Lab:
         queries = len(self._exhibit.tasks[task].queries)
         row = labmessages.integer(value, 0, queries - 1)
         if row is not None:
-            self._change(lambda state: session.choose(state, row, queries) if state.task == task else state)
+            self._change(lambda state: session_state.choose(state, row, queries) if state.task == task else state)
 
     def _open_at(self, value: Any) -> None:
         found = self._shared.findings(self._lab.task)
@@ -289,7 +289,7 @@ class Lab:
         rows, task = [int(row) for row in self._rows(found, lab)], found.task
         chosen = f"{labstate.words(found, lab)} (failure laboratory)"
         self._reporter.make(
-            lambda progress, model: reporting.of_selection(self._exhibit, task, rows, chosen, progress, model)
+            lambda progress, model: reports.of_selection(self._exhibit, task, rows, chosen, progress, model)
         )
 
     def _failed(self, error: Exception) -> None:

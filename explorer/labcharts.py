@@ -5,12 +5,12 @@ from __future__ import annotations
 from html import escape
 
 from explorer import labstate
-from explorer.exhibit import Exhibit
 from explorer.labmap import Drawn
 from explorer.laboratory import Findings
 from explorer.labstate import LabState
 from explorer.web.bridge import send
 from explorer.web.style import verdict_ink
+from explorer.workspace import Exhibit
 from lpn.analysis import breakdown
 from lpn.analysis.breakdown import Rate
 from lpn.core.tables import Column

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from explorer.compute.background_jobs import Job, Jobs, Progress, in_process
-from explorer.exhibit import Exhibit, Task
+from explorer.workspace import Exhibit, Task
 from lpn.analysis import embedding_map, notes, query_outcomes
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import Outcomes

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from explorer.compute.background_jobs import Job
-from explorer.exhibit import Exhibit
 from explorer.laboratory import Findings
 from explorer.labstate import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
 from explorer.pages import SIGNS
 from explorer.web.bridge import send
 from explorer.web.style import verdict_ink
+from explorer.workspace import Exhibit
 from lpn.analysis.notes import Note
 from lpn.core.tables import Column
 from lpn.drawing import overlays

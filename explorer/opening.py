@@ -12,7 +12,7 @@ from rich.console import Console
 import lpn
 from explorer import chart
 from explorer.compute.ranking_job import Standing
-from explorer.exhibit import Exhibit, Task
+from explorer.workspace import Exhibit, Task
 from lpn import descriptors
 from lpn.core.errors import DataError
 from lpn.core.files import printable

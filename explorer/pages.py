@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from html import escape
 
 from explorer import words
-from explorer.exhibit import Answer, Exhibit, Task
 from explorer.web.bridge import PRESSED, send
 from explorer.web.style import part_ink, verdict_ink
+from explorer.workspace import Answer, Exhibit, Task
 from lpn.drawing import overlays
 from lpn.retrieval import Match
 

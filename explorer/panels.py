@@ -12,11 +12,11 @@ from typing import Any, cast
 import viser
 from viser import UploadedFile
 
-from explorer import pages, session, upload
+from explorer import pages, session_state, uploads
 from explorer.cards import SHOWN
-from explorer.exhibit import Answer, Exhibit, Task
-from explorer.session import State
+from explorer.session_state import State
 from explorer.web.html import Html
+from explorer.workspace import Answer, Exhibit, Task
 from lpn.core.errors import LPNError
 from lpn.retrieval.metrics import IntArray
 
@@ -24,7 +24,7 @@ THUMBS = 12
 LEFT, RIGHT, NARROW = 290, 370, 330
 """Pixels of the panels' widths; NARROW is the right one's where the left one is folded to a strip."""
 ALL_PARTS = "All parts"
-HEAT: dict[str, session.HeatKind] = {"Activation": "activation", "Evidence": "evidence"}
+HEAT: dict[str, session_state.HeatKind] = {"Activation": "activation", "Evidence": "evidence"}
 
 Change = Callable[[State], State | None]
 
@@ -83,14 +83,14 @@ class Panels:
         with gui.add_folder("Shift and zoom", expand_by_default=False, visible=live):
             self._shift = gui.add_slider("Shift right", -self._reach[0], self._reach[0], 1, state.shift)
             self._down = gui.add_slider("Shift down", -self._reach[1], self._reach[1], 1, state.down)
-            self._zoom = gui.add_slider("Zoom", 1 / session.MAX_ZOOM, session.MAX_ZOOM, 0.05, state.zoom)
+            self._zoom = gui.add_slider("Zoom", 1 / session_state.MAX_ZOOM, session_state.MAX_ZOOM, 0.05, state.zoom)
             gui.add_html(pages.SHIFT_NOTE)
         if live:  # a hidden upload button would still be shown
             self._upload = gui.add_upload_button(
                 "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
             )
             self._upload.on_upload(self._uploaded)
-            upload.BUTTONS[str(self._upload._impl.uuid)] = self._upload
+            uploads.BUTTONS[str(self._upload._impl.uuid)] = self._upload
         with gui.add_folder("Pictures"):
             self._find = gui.add_text("Find name", state.find)
             self._picker = Html(gui)
@@ -124,7 +124,7 @@ class Panels:
         self._enabled, self._weights = [], []
         for name, on, weight in zip(self._exhibit.part_names, state.enabled, state.weights, strict=True):
             self._enabled.append(gui.add_checkbox(f"Part {name}", on))
-            self._weights.append(gui.add_slider(f"Weight {name}", 0.0, session.MAX_WEIGHT, 0.05, weight))
+            self._weights.append(gui.add_slider(f"Weight {name}", 0.0, session_state.MAX_WEIGHT, 0.05, weight))
         reset = gui.add_button("All parts equal")
         reset.on_click(lambda _: self._change(lambda s: replace(s, weights=(), enabled=())))
         self._watch(*self._enabled, *self._weights)
@@ -140,7 +140,7 @@ class Panels:
             for slot, button in enumerate(rows):
                 button.on_click(self._compare(slot))
             rows.append(gui.add_button("true tile"))
-            rows[-1].on_click(lambda _: self._change(lambda s: replace(s, selected=session.TRUTH)))
+            rows[-1].on_click(lambda _: self._change(lambda s: replace(s, selected=session_state.TRUTH)))
             self._match_buttons = [_uuid(button) for button in rows]
             gui.add_html(pages.hidden(self._match_buttons))
         with gui.add_folder("Compared pair"):
@@ -157,12 +157,12 @@ class Panels:
             ("Previous picture", "P", self.previous),
             ("Random picture", "R", self.random),
             ("Random failure", "F", self.failure),
-            ("Turn left 5°", "J", lambda s: session.turn(s, 5)),
-            ("Turn right 5°", "L", lambda s: session.turn(s, -5)),
-            ("Upright and whole", "K", session.upright),
+            ("Turn left 5°", "J", lambda s: session_state.turn(s, 5)),
+            ("Turn right 5°", "L", lambda s: session_state.turn(s, -5)),
+            ("Upright and whole", "K", session_state.upright),
             ("Heatmap on or off", "H", lambda s: replace(s, heat=not s.heat)),
             ("Rings on or off", "G", lambda s: replace(s, rings=not s.rings)),
-            ("Compare the true tile", "T", lambda s: replace(s, selected=session.TRUTH)),
+            ("Compare the true tile", "T", lambda s: replace(s, selected=session_state.TRUTH)),
             ("Take the rings apart", "X", lambda s: replace(s, exploded=not s.exploded)),
             ("Map or pair", "M", self.flip_map),
             ("Why: evidence for the compared pair", "Y", self.flip_why),
@@ -190,10 +190,10 @@ class Panels:
         part = names.index(self._heat_part.value) if self._heat_part.value in names else None
         read = replace(
             state,
-            angle=session.number(self._angle.value, -180, 180, state.angle),
-            shift=round(session.number(self._shift.value, -self._reach[0], self._reach[0], state.shift)),
-            down=round(session.number(self._down.value, -self._reach[1], self._reach[1], state.down)),
-            zoom=session.number(self._zoom.value, 1 / session.MAX_ZOOM, session.MAX_ZOOM, state.zoom),
+            angle=session_state.number(self._angle.value, -180, 180, state.angle),
+            shift=round(session_state.number(self._shift.value, -self._reach[0], self._reach[0], state.shift)),
+            down=round(session_state.number(self._down.value, -self._reach[1], self._reach[1], state.down)),
+            zoom=session_state.number(self._zoom.value, 1 / session_state.MAX_ZOOM, session_state.MAX_ZOOM, state.zoom),
             heat_kind=HEAT.get(self._kind.value, state.heat_kind),
             rings=bool(self._rings.value),
             exploded=bool(self._exploded.value),
@@ -201,17 +201,17 @@ class Panels:
             city=bool(self._city.value),
             heat=bool(self._heat.value),
             heat_part=part,
-            opacity=session.number(self._opacity.value, 0, 1, state.opacity),
+            opacity=session_state.number(self._opacity.value, 0, 1, state.opacity),
             enabled=tuple(bool(box.value) for box in self._enabled),
             weights=tuple(
-                session.number(slider.value, 0, session.MAX_WEIGHT, weight)
+                session_state.number(slider.value, 0, session_state.MAX_WEIGHT, weight)
                 for slider, weight in zip(self._weights, state.weights, strict=True)
             ),
         )
         find = str(self._find.value)[:200]
         if find != state.find:
             read = self._searched(replace(read, find=find, page=0))
-        return session.take_task(read, task)
+        return session_state.take_task(read, task)
 
     def write(self, state: State) -> None:
         """Put a state into the controls that differ from it; what the page sent since the state was read stays."""
@@ -304,11 +304,13 @@ class Panels:
     def _step(self, state: State, by: int) -> State:
         order = self.order(state)
         queries = self._queries(state)
-        return session.step(state, by, queries) if order is None else session.walk(state, by, order, queries)
+        return (
+            session_state.step(state, by, queries) if order is None else session_state.walk(state, by, order, queries)
+        )
 
     def random(self, state: State) -> State:
         """Any other query."""
-        return session.random_query(state, self._queries(state), self._rng)
+        return session_state.random_query(state, self._queries(state), self._rng)
 
     def failure(self, state: State) -> State | None:
         """Any other query whose true tile is not first."""
@@ -318,7 +320,7 @@ class Panels:
                 "Not known yet", "All queries are still being ranked; ask again when they are."
             )
             return None
-        failed = session.random_failure(state, task.ranks.tolist(), self._rng)
+        failed = session_state.random_failure(state, task.ranks.tolist(), self._rng)
         if failed is None:
             self._client.add_notification("No failure", "Every query of this task finds its true tile first.")
         return failed
@@ -352,12 +354,12 @@ class Panels:
     def _searched(self, state: State) -> State:
         """A name typed in full is chosen at once."""
         names = self._exhibit.tasks[state.task].names
-        hits = session.found(names, state.find) if state.find.strip() else []
-        return session.choose(state, hits[0], len(names)) if len(hits) == 1 else state
+        hits = session_state.found(names, state.find) if state.find.strip() else []
+        return session_state.choose(state, hits[0], len(names)) if len(hits) == 1 else state
 
     def _show_picker(self, answer: Answer) -> None:
         state, task = answer.state, answer.task
-        hits = session.found(task.names, state.find)
+        hits = session_state.found(task.names, state.find)
         last = max(-(-len(hits) // THUMBS), 1)
         page = state.page % last
         self._shown, self._shown_of = hits[page * THUMBS : (page + 1) * THUMBS], (state.task, state.find)
@@ -369,7 +371,9 @@ class Panels:
             shown, of = self._shown, self._shown_of
             if slot < len(shown):
                 query = shown[slot]
-                self._change(lambda s: session.choose(s, query, self._queries(s)) if (s.task, s.find) == of else s)
+                self._change(
+                    lambda s: session_state.choose(s, query, self._queries(s)) if (s.task, s.find) == of else s
+                )
 
         return picked
 
@@ -381,7 +385,7 @@ class Panels:
             answer = self._answer
             if answer is not None and slot < len(answer.matches):
                 index = answer.matches[slot].index
-                self._change(lambda s: session.compare(s, answer.state, index))
+                self._change(lambda s: session_state.compare(s, answer.state, index))
 
         return compared
 
@@ -403,13 +407,13 @@ class Panels:
             if not file.name:  # two came at once, and the later has been read in place of both
                 return
             self._upload._impl.value = UploadedFile("", b"")  # viser would keep the bytes
-            taken = upload.read(file.name, file.content)
+            taken = uploads.read(file.name, file.content)
         except LPNError as error:
             self.say("Picture not taken", str(error))
             return
         finally:
             self._reading.release()
-        self._change(lambda s: replace(session.upright(s), upload=taken, selected=None))
+        self._change(lambda s: replace(session_state.upright(s), upload=taken, selected=None))
 
     def _watch(self, *handles: Any) -> None:
         """Any control that changes makes all be read: the page may have merged two changes into one."""

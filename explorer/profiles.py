@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Sequence
 from html import escape
 
-from explorer.exhibit import Answer
-from explorer.session import State
+from explorer.session_state import State
 from explorer.web.bridge import send
+from explorer.workspace import Answer
 from lpn.drawing import overlays, verdicts
 from lpn.drawing.verdicts import ordinal
 from lpn.explain import sweeps

@@ -9,19 +9,19 @@ from typing import Any
 
 import viser
 
-from explorer import against, profiles, region, reporting, session, why
+from explorer import against, profiles, region, reports, session_state, why
 from explorer.against import Contest
 from explorer.beside import Beside
 from explorer.compute.request_context import Asker
 from explorer.compute.worker import Worker
-from explorer.exhibit import Answer, Exhibit
 from explorer.panels import Change
-from explorer.reporting import Reporter
+from explorer.reports import Reporter
 from explorer.room import EDGE, Room
-from explorer.session import State
+from explorer.session_state import State
 from explorer.sweep import Sweep
 from explorer.web.bridge import send
 from explorer.web.html import Html
+from explorer.workspace import Answer, Exhibit
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Ranking
@@ -235,24 +235,24 @@ class Reasons:
     def _report(self, _: Any) -> None:
         answer = self._answer
         if answer is not None:
-            self._reporter.make(lambda progress, model: reporting.of_answer(self._exhibit, answer, progress, model))
+            self._reporter.make(lambda progress, model: reports.of_answer(self._exhibit, answer, progress, model))
 
     def _part(self, value: Any) -> None:
-        part = session.whole(value, 0, self._exhibit.spec.n_parts - 1)
+        part = session_state.whole(value, 0, self._exhibit.spec.n_parts - 1)
         if part is not None or value is None:
             self._change(lambda state: replace(state, heat_part=part))
 
     def _compare(self, value: Any) -> None:
         answer = self._answer
-        index = session.whole(value, 0, len(answer.task.gallery) - 1) if answer else None
+        index = session_state.whole(value, 0, len(answer.task.gallery) - 1) if answer else None
         if answer is not None and index is not None:
-            self._change(lambda state: session.compare(state, answer.state, index))
+            self._change(lambda state: session_state.compare(state, answer.state, index))
 
     def _query(self, value: Any) -> None:
         def chosen(state: State) -> State:
             queries = len(self._exhibit.tasks[state.task].queries)
-            query = session.whole(value, 0, queries - 1)
-            return state if query is None else session.choose(state, query, queries)
+            query = session_state.whole(value, 0, queries - 1)
+            return state if query is None else session_state.choose(state, query, queries)
 
         self._change(chosen)
 
@@ -261,18 +261,18 @@ class Reasons:
         if contest is not None and contest.change is not None:
             # As the sliders count: equal weights are 1 each, and none is more than the slider's end.
             scaled = contest.change.weights * min(
-                len(contest.change.weights), session.MAX_WEIGHT / contest.change.weights.max()
+                len(contest.change.weights), session_state.MAX_WEIGHT / contest.change.weights.max()
             )
             weights = tuple(float(weight) for weight in scaled)
             self._change(lambda state: replace(state, weights=weights, enabled=()))
 
     def _take(self, value: Any) -> None:
-        self._change(lambda state: session.taken(state, value, self._exhibit.spec.input_size))
+        self._change(lambda state: session_state.taken(state, value, self._exhibit.spec.input_size))
 
     def _paint(self, value: Any) -> None:
         answer = self._answer
         if answer is not None:
             rows, columns = self._exhibit.map_sizes[answer.task.query_view]
-            cells = session.painted(value, rows * columns)
+            cells = session_state.painted(value, rows * columns)
             if cells is not None:
                 self._change(lambda state: replace(state, region=cells))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
-from explorer.exhibit import Answer, Exhibit
 from explorer.web.bridge import send
+from explorer.workspace import Answer, Exhibit
 from lpn.core import images
 from lpn.drawing import overlays
 

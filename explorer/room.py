@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, cast
 
-from explorer import session
+from explorer import session_state
 
 EDGE = 6
 _LEAST, _MOST = 320, 10_000
@@ -28,7 +28,7 @@ class Room:
     def take(self, value: Any) -> None:
         """Note what the page says, [width, height], if it is that."""
         if isinstance(value, list) and len(value) == 2:
-            sides = [session.whole(side, 1, _MOST) for side in value]
+            sides = [session_state.whole(side, 1, _MOST) for side in value]
             if None not in sides and (self.width, self.height) != tuple(sides):
                 self.width, self.height = cast("tuple[int, int]", tuple(sides))
                 for told in self._watching:

@@ -14,12 +14,12 @@ from PIL.ImageDraw import ImageDraw
 
 from explorer import why
 from explorer.cards import SHOWN, Cards
-from explorer.exhibit import Answer, Exhibit
 from explorer.gallery_map import GalleryMap
 from explorer.layout import CAPTION, Layout, Point
 from explorer.planes import UPRIGHT, Plane, Rotation, title
-from explorer.session import State
+from explorer.session_state import State
 from explorer.viewpoint import Viewpoint
+from explorer.workspace import Answer, Exhibit
 from lpn.core import images
 from lpn.core.images import Picture
 from lpn.drawing import overlays

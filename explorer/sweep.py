@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 
-from explorer.exhibit import Answer, Exhibit
+from explorer.workspace import Answer, Exhibit
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.explain import sweeps
 from lpn.explain.sweeps import FIELD, Over, Point, Profile

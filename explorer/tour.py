@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from explorer.exhibit import Exhibit
 from explorer.layout import Layout, Point
+from explorer.workspace import Exhibit
 
 
 @dataclass(frozen=True)

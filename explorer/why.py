@@ -8,9 +8,9 @@ from html import escape
 
 import numpy as np
 
-from explorer.exhibit import Answer, Exhibit
 from explorer.web.bridge import send
 from explorer.web.style import part_ink
+from explorer.workspace import Answer, Exhibit
 from lpn.core import images
 from lpn.drawing import overlays, verdicts
 from lpn.explain import Evidence, Mates

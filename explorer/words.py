@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from explorer.exhibit import Answer
+from explorer.workspace import Answer
 from lpn.drawing import verdicts
 from lpn.drawing.verdicts import ordinal
 

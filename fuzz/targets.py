@@ -375,9 +375,9 @@ def shards(folder: Path) -> list[Case]:
 
 def links(folder: Path) -> list[Case]:
     """The address of a page."""
-    from explorer.link import Links
     from explorer.opening import open_model
-    from explorer.session import State
+    from explorer.session_state import State
+    from explorer.url_state import Links
     from fuzz.small_models import onnx_file
     from tests import worlds
 

@@ -21,7 +21,7 @@ two minutes."""
 WHILE = 30.0
 """Seconds whose median stands for the memory at a moment: it goes up and down by tens of megabytes with what is being drawn."""
 GROWTH = 64.0
-"""Megabytes that the server may grow after that: what the caches of tiles, cards, and pictures (explorer.exhibit) still lack.
+"""Megabytes that the server may grow after that: what the caches of tiles, cards, and pictures (explorer.workspace) still lack.
 Ten minutes of visits, of which each kept a megabyte, are more."""
 CALLBACKS = 32
 """Threads that viser keeps for callbacks; it makes them as they are needed, and keeps them for good."""

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from explorer.app import App
-from explorer.exhibit import Analyst, Answer
 from explorer.opening import open_model
-from explorer.session import State
+from explorer.session_state import State
+from explorer.workspace import Analyst, Answer
 from lpn import descriptors
 from lpn.core.errors import LPNError
 from lpn.models.base import normalise

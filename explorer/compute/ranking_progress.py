@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from explorer.exhibit import Task
+from explorer.workspace import Task
 
 _OFTEN = 0.5
 """Seconds between two looks at how far it is."""

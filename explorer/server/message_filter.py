@@ -1,7 +1,7 @@
 """What a browser may send over the websocket: a few kinds of messages, each in its shape and in bounds. The rest is dropped.
 
 viser takes any message of its protocol, sets any attribute of a control, and keeps what it is sent. What comes through here
-is what the page of this app sends when a person uses it; `explorer.session` and the panels still trust no value of it.
+is what the page of this app sends when a person uses it; `explorer.session_state` and the panels still trust no value of it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from explorer.upload import BUTTONS, MAX_UPLOAD
+from explorer.uploads import BUTTONS, MAX_UPLOAD
 from explorer.web.bridge import LONGEST
 
 log = logging.getLogger(__name__)

@@ -15,9 +15,9 @@ from playwright.sync_api import Browser, BrowserContext, FloatRect, Locator, exp
 
 from bench.page import free_port
 from explorer.app import App
-from explorer.exhibit import Analyst, Answer
 from explorer.opening import open_model
-from explorer.session import State
+from explorer.session_state import State
+from explorer.workspace import Analyst, Answer
 from tests import worlds
 from tests.e2e.conftest import Explorer, Running, started
 

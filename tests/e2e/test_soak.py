@@ -14,9 +14,9 @@ import pytest
 from playwright.sync_api import Browser
 
 from explorer.app import App
-from explorer.exhibit import Analyst, Answer
 from explorer.opening import open_model
-from explorer.session import State
+from explorer.session_state import State
+from explorer.workspace import Analyst, Answer
 from lpn.core.files import write_whole
 from soak.asked import Asked
 from soak.chromium import Tab

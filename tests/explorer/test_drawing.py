@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from explorer import pages, words
-from explorer.exhibit import Analyst, Exhibit
 from explorer.opening import open_model
-from explorer.session import State, Upload
+from explorer.session_state import State, Upload
+from explorer.workspace import Analyst, Exhibit
 from lpn.core.errors import DataError, InputError
 from lpn.drawing import overlays
 from lpn.models.partition import Partition

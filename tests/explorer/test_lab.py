@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer import labcharts, labmessages, labpages, labstate, session
-from explorer.exhibit import Exhibit
+from explorer import labcharts, labmessages, labpages, labstate, session_state
 from explorer.labmap import Drawn, draw
 from explorer.laboratory import Findings, Laboratory, Points
 from explorer.labstate import LabState, Pick
 from explorer.labviews import MapView, NoteView
 from explorer.opening import open_model
-from explorer.session import State
+from explorer.session_state import State
 from explorer.web.html import Html
+from explorer.workspace import Exhibit
 from lpn.analysis import breakdown, notes
 from lpn.core.errors import InputError, OutputError
 from lpn.core.tables import Column, Table, number_column, text_column
@@ -455,11 +455,11 @@ def test_notes_that_cannot_be_written_are_said_and_nothing_is_changed(exhibit: E
 
 def test_next_and_previous_go_through_an_order() -> None:
     state, order = State(TASK, 4, query=7), np.array([3, 7, 5])
-    assert session.walk(state, 1, order, 13).query == 5
-    assert session.walk(replace(state, query=5), 1, order, 13).query == 3
-    assert session.walk(state, -1, order, 13).query == 3
-    assert [session.walk(replace(state, query=0), by, order, 13).query for by in (1, -1)] == [3, 5]
-    assert session.walk(state, 1, order[:0], 13) is state
+    assert session_state.walk(state, 1, order, 13).query == 5
+    assert session_state.walk(replace(state, query=5), 1, order, 13).query == 3
+    assert session_state.walk(state, -1, order, 13).query == 3
+    assert [session_state.walk(replace(state, query=0), by, order, 13).query for by in (1, -1)] == [3, 5]
+    assert session_state.walk(state, 1, order[:0], 13) is state
 
 
 def test_another_task_begins_with_all_its_queries(lab: LabState) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from soak.client import Talker
 from tests import worlds
-from tests.explorer.test_stopping import Explorer
+from tests.explorer.test_shutdown import Explorer
 
 TOKEN = "correct horse battery"
 

@@ -9,11 +9,11 @@ import pytest
 
 from explorer import pages, tour
 from explorer.compute.worker import Patience
-from explorer.exhibit import Exhibit
 from explorer.opening import open_model, open_saved
-from explorer.session import State
+from explorer.session_state import State
 from explorer.web import style
 from explorer.web.bridge import Bridge
+from explorer.workspace import Exhibit
 from lpn.drawing import overlays
 from lpn.retrieval.published_results import load_saved
 from tests import worlds

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer import against, profiles, region, session, why
+from explorer import against, profiles, region, session_state, why
 from explorer.against import Contest
-from explorer.exhibit import Analyst, Answer, Exhibit
 from explorer.opening import open_model
 from explorer.room import Room
-from explorer.session import State, Upload
+from explorer.session_state import State, Upload
 from explorer.sweep import Sweep
 from explorer.web.bridge import LONGEST, Bridge
+from explorer.workspace import Analyst, Answer, Exhibit
 from lpn import explain
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
@@ -152,24 +152,24 @@ def test_shift_and_zoom_are_of_the_described_query(exhibit: Exhibit) -> None:
     expected = Change(0, 8, 1.5, -4)
     assert moved.state.change == expected
     assert not np.allclose(moved.query.descriptor, answered(exhibit).query.descriptor, atol=1e-3)
-    assert session.upright(moved.state).change == Change()
+    assert session_state.upright(moved.state).change == Change()
 
 
 @pytest.mark.parametrize("value", [None, "a", 3, [1, "b"], [16], [-1], [True], [0.5], list(range(17)), {"a": 1}])
 def test_a_region_from_the_page_is_cells_or_nothing(value: Any) -> None:
-    assert session.painted(value, 16) is None
-    assert session.painted([3, 1, 3], 16) == (1, 3)
-    assert session.painted([], 16) == ()
+    assert session_state.painted(value, 16) is None
+    assert session_state.painted([3, 1, 3], 16) == (1, 3)
+    assert session_state.painted([], 16) == ()
 
 
 @pytest.mark.parametrize("value", [None, [1, 2], ["a", None, {}, []], [1e999, float("nan"), 5000, -7]])
 def test_a_point_of_a_profile_from_the_page_stays_within_bounds(value: Any) -> None:
-    state = session.taken(State("drone-to-satellite", 4, angle=10.0), value, (64, 128))
+    state = session_state.taken(State("drone-to-satellite", 4, angle=10.0), value, (64, 128))
     assert -180 <= state.angle <= 180
     assert abs(state.shift) <= 64
     assert abs(state.down) <= 32
     assert 0.25 <= state.zoom <= 4
-    assert session.taken(state, [270, 5, -6, 2.0], (64, 128)).change == Change(-90, 5, 2.0, -6)
+    assert session_state.taken(state, [270, 5, -6, 2.0], (64, 128)).change == Change(-90, 5, 2.0, -6)
 
 
 class Gui:

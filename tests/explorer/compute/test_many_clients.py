@@ -23,11 +23,10 @@ from viser import GuiApi, SceneApi
 
 import lpn
 from explorer import app as app_module
-from explorer import session, upload
+from explorer import session_state, uploads
 from explorer.app import App, Visitor
 from explorer.compute import request_context
 from explorer.compute.request_context import Asker
-from explorer.exhibit import Analyst, Exhibit
 from explorer.lab import Lab
 from explorer.opening import open_model, open_saved
 from explorer.panels import Panels
@@ -35,9 +34,10 @@ from explorer.reasons import Reasons
 from explorer.server.gateway import _Connection
 from explorer.server.message_filter import Inbox
 from explorer.server.viser_compat import Buffer
-from explorer.session import State, Upload
+from explorer.session_state import State, Upload
 from explorer.stage import Stage
 from explorer.sweep import Sweep
+from explorer.workspace import Analyst, Exhibit
 from lpn import retrieval
 from lpn.core import images
 from lpn.core.errors import ModelFileError
@@ -267,9 +267,9 @@ def test_a_value_that_comes_while_an_older_one_is_taken_stays(app: App) -> None:
         assert (visitor._state.angle, slider.value) == (10, 12)
         visitor.change(visitor._panels.read)  # what the value itself brings about
         assert visitor._state.angle == 12
-        visitor.change(lambda state: session.turn(state, 5))
+        visitor.change(lambda state: session_state.turn(state, 5))
         assert slider.value == 17
-        visitor.change(lambda state: session.turn(state, -5))
+        visitor.change(lambda state: session_state.turn(state, -5))
         assert slider.value == 12
 
 
@@ -277,7 +277,7 @@ def test_a_picture_that_waits_to_be_read_keeps_nobodys_controls_waiting(
     app: App, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reading = threading.BoundedSemaphore(1)
-    monkeypatch.setattr(upload, "_READING", reading)
+    monkeypatch.setattr(uploads, "_READING", reading)
     with Browser(url(app)) as browser, ThreadPoolExecutor(1) as pool:
         browser.greet()
         # In place of the threads that viser has for all browsers' callbacks.

@@ -11,9 +11,9 @@ import pytest
 from explorer import beside, pages
 from explorer.compute import ranking_job
 from explorer.compute.ranking_progress import Follower
-from explorer.exhibit import Exhibit, Task
 from explorer.laboratory import Laboratory
 from explorer.opening import open_model
+from explorer.workspace import Exhibit, Task
 from lpn.core.errors import LPNError
 from lpn.retrieval import ranking_cache
 from tests import worlds

@@ -24,16 +24,16 @@ import pytest
 import viser._messages as viser_messages
 from websockets.exceptions import InvalidStatus
 
-from explorer import upload
+from explorer import uploads
 from explorer.app import App
-from explorer.exhibit import Analyst, Exhibit
 from explorer.opening import open_model
 from explorer.server import gateway, rate_limiter
 from explorer.server.auth import Entry, Onward, Refusal, Request, entry, is_loopback, same_origin
 from explorer.server.gateway import Guard
 from explorer.server.message_filter import BURST, FIELDS, RATE, UPLOADS, Inbox, UnfitError, strange
 from explorer.server.rate_limiter import ALL_WAITING, FIRST, FORGET, KEPT, LONGEST, WAITING, Turnstile
-from explorer.session import State, Upload
+from explorer.session_state import State, Upload
+from explorer.workspace import Analyst, Exhibit
 from lpn.core.errors import InputError, MissingPackageError, PictureError
 from soak.client import Talker
 from tests import worlds
@@ -239,9 +239,9 @@ class Button:
 @pytest.fixture
 def button() -> Iterator[Button]:
     """That of "u"; viser takes a file for any control."""
-    made = upload.BUTTONS["u"] = Button()
+    made = uploads.BUTTONS["u"] = Button()
     yield made
-    del upload.BUTTONS["u"]
+    del uploads.BUTTONS["u"]
 
 
 def begun(transfer: str, size: int, parts: int, name: str = "a.png", control: str = "u") -> bytes:
@@ -318,7 +318,7 @@ def test_uploads_are_bounded_in_bytes_parts_and_number() -> None:
     assert inbox.read(begun("c", 10, 1)) is None, "a third at a time"
     assert inbox.read(part("a", 1, b"x" * 4)) is not None
     assert inbox.read(part("a", 2, b"")) is None, "it is whole"
-    for size, parts in ((upload.MAX_UPLOAD + 1, 60), (10**12, 1), (1000, 999), (0, 0), (5, 9)):
+    for size, parts in ((uploads.MAX_UPLOAD + 1, 60), (10**12, 1), (1000, 999), (0, 0), (5, 9)):
         emptied = msgspec.msgpack.decode(inbox.read(begun("d", size, parts)) or b"")
         assert (emptied["size_bytes"], emptied["part_count"]) == (0, 0)
     named = msgspec.msgpack.decode(inbox.read(begun("e", 1, 1, "x" * 100_000)) or b"")
@@ -368,7 +368,7 @@ def picture(size: int = 48, suffix: str = ".png") -> bytes:
     "name", ["../../etc/passwd.png", "C:\\x\\passwd.png", "/passwd.png", "\u202epasswd.png", "a" * 5000]
 )
 def test_of_an_uploads_name_the_last_part_is_kept_to_be_shown(name: str) -> None:
-    taken = upload.read(name, picture())
+    taken = uploads.read(name, picture())
     assert not set("/\\\u202e") & set(taken.name)
     assert len(taken.name) <= 80
 
@@ -376,7 +376,7 @@ def test_of_an_uploads_name_the_last_part_is_kept_to_be_shown(name: str) -> None
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp"])
 def test_a_picture_is_shrunk_to_a_size_that_can_be_turned(suffix: str) -> None:
     wide = cv2.imencode(suffix, np.zeros((8, 3200, 3), np.uint8))[1].tobytes()
-    assert upload.read("a", wide).picture.shape == (4, 1600, 3)
+    assert uploads.read("a", wide).picture.shape == (4, 1600, 3)
 
 
 @pytest.mark.parametrize(
@@ -385,7 +385,7 @@ def test_a_picture_is_shrunk_to_a_size_that_can_be_turned(suffix: str) -> None:
         (b"", "empty"),
         (b"x", "JPEG, PNG, or WebP"),
         (b"<svg xmlns='http://www.w3.org/2000/svg'/>", "JPEG, PNG, or WebP"),
-        (bytes(upload.MAX_UPLOAD + 1), "30 MB"),
+        (bytes(uploads.MAX_UPLOAD + 1), "30 MB"),
         (b"\x89PNG\r\n\x1a\n" + bytes(99), "cannot be read|can be read"),
         (picture(suffix=".jpg") + b"\xff\xda" * 500, "passes"),
         (picture(suffix=".bmp"), "JPEG, PNG, or WebP"),
@@ -393,7 +393,7 @@ def test_a_picture_is_shrunk_to_a_size_that_can_be_turned(suffix: str) -> None:
 )
 def test_what_is_no_picture_in_bounds_is_not_decoded(content: bytes, said: str) -> None:
     with pytest.raises(PictureError, match=said):
-        upload.read("a.png", content)
+        uploads.read("a.png", content)
 
 
 # A real server.

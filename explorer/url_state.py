@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode
 
-from explorer import session
-from explorer.exhibit import Exhibit
-from explorer.session import TRUTH, State
+from explorer import session_state
+from explorer.session_state import TRUTH, State
+from explorer.workspace import Exhibit
 from lpn.core.files import printable
 
 LONGEST = 20_000
@@ -51,7 +51,7 @@ class Links:
             _number("angle", -180, 180),
             _number("shift", -reach[0], reach[0], whole=True),
             _number("down", -reach[1], reach[1], whole=True),
-            _number("zoom", 1 / session.MAX_ZOOM, session.MAX_ZOOM),
+            _number("zoom", 1 / session_state.MAX_ZOOM, session_state.MAX_ZOOM),
             _Kind("weights", _written_weights, _weights),
             _Kind("off", _written_off, _off),
             _Kind("region", lambda s: ranges(s.region) or None, self._region),
@@ -227,7 +227,7 @@ def _weights(state: State, text: str) -> State:
     pieces = text.split(",")
     if len(pieces) != state.n_parts:
         raise UnusableError(f"expected {state.n_parts} weights, one for each part.")
-    return replace(state, weights=tuple(_parsed(piece, 0, session.MAX_WEIGHT) for piece in pieces))
+    return replace(state, weights=tuple(_parsed(piece, 0, session_state.MAX_WEIGHT) for piece in pieces))
 
 
 def _written_off(state: State) -> str | None:

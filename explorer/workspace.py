@@ -11,14 +11,14 @@ from threading import Lock
 import numpy as np
 import numpy.typing as npt
 
-from explorer import chart, session
+from explorer import chart, session_state
 from explorer.chart import Places
 from explorer.compute.cache import Kept
 from explorer.compute.inference_scheduler import Inference
 from explorer.compute.ranking_job import Found, Standing
 from explorer.compute.request_context import Asker, Shared
 from explorer.layout import layout_for
-from explorer.session import TRUTH, State
+from explorer.session_state import TRUTH, State
 from lpn import explain, retrieval
 from lpn.core import images
 from lpn.core.errors import InputError
@@ -153,7 +153,11 @@ class Exhibit:
 
     def possible(self, state: State) -> State:
         """The state without what needs a network, where there is none: turning, heatmaps, and pictures of one's own."""
-        return state if self.model is not None else replace(session.upright(state), heat=False, upload=None, why=False)
+        return (
+            state
+            if self.model is not None
+            else replace(session_state.upright(state), heat=False, upload=None, why=False)
+        )
 
     def sizes(self, task: Task) -> tuple[int, int]:
         """(h, w) of the feature map of the task's queries."""

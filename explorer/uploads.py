@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from weakref import WeakValueDictionary
 
-from explorer.session import Upload
+from explorer.session_state import Upload
 from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import printable

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import viser
 
 from explorer.compute.background_jobs import GivenUpError, Job, Progress
-from explorer.exhibit import Answer, Exhibit, Task
+from explorer.workspace import Answer, Exhibit, Task
 from lpn import report
 from lpn.analysis import notes
 from lpn.analysis.task import Study

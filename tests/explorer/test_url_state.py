@@ -8,11 +8,11 @@ from urllib.parse import parse_qs
 import numpy as np
 import pytest
 
-from explorer import link, session
-from explorer.exhibit import Exhibit
-from explorer.link import Links
+from explorer import session_state, url_state
 from explorer.opening import open_model
-from explorer.session import TRUTH, State, Upload
+from explorer.session_state import TRUTH, State, Upload
+from explorer.url_state import Links
+from explorer.workspace import Exhibit
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +157,7 @@ def test_every_choice_is_in_the_address_or_known_not_to_be(links: Links) -> None
 
 
 def test_ranges_are_short_and_exact() -> None:
-    assert link.ranges([3, 4, 5, 8]) == "3-5,8"
-    assert link.cells("3-5,8", 9) == (3, 4, 5, 8)
-    assert link.ranges(range(256)) == "0-255"
-    assert session.State("t", 1).region == ()
+    assert url_state.ranges([3, 4, 5, 8]) == "3-5,8"
+    assert url_state.cells("3-5,8", 9) == (3, 4, 5, 8)
+    assert url_state.ranges(range(256)) == "0-255"
+    assert session_state.State("t", 1).region == ()

@@ -9,9 +9,9 @@ from random import Random
 import numpy as np
 import pytest
 
-from explorer import session
+from explorer import session_state
 from explorer.compute.worker import Worker
-from explorer.session import State, Upload
+from explorer.session_state import State, Upload
 from lpn.core.errors import PictureError
 
 
@@ -21,44 +21,44 @@ def state() -> State:
 
 
 def test_another_query_starts_upright_with_its_top_match(state: State) -> None:
-    stepped = session.step(state, 1, 10)
+    stepped = session_state.step(state, 1, 10)
     assert (stepped.query, stepped.angle, stepped.selected) == (4, 0, None)
-    assert session.step(State("t", 4), -1, 10).query == 9
-    assert session.choose(state, 99, 10) is state
-    own = session.choose(State("t", 4, upload=Upload("mine", np.zeros((2, 2, 3), np.uint8))), 0, 10)
+    assert session_state.step(State("t", 4), -1, 10).query == 9
+    assert session_state.choose(state, 99, 10) is state
+    own = session_state.choose(State("t", 4, upload=Upload("mine", np.zeros((2, 2, 3), np.uint8))), 0, 10)
     assert own.upload is None
 
 
 def test_a_tile_chosen_from_an_old_answer_is_not_compared_with_a_new_query(state: State) -> None:
-    assert session.compare(state, state, 5).selected == 5
-    turned = session.turn(state, 5)
-    assert session.compare(turned, state, 5).selected == 5
-    stepped = session.step(state, 1, 10)
-    assert session.compare(stepped, state, 5) is stepped
+    assert session_state.compare(state, state, 5).selected == 5
+    turned = session_state.turn(state, 5)
+    assert session_state.compare(turned, state, 5).selected == 5
+    stepped = session_state.step(state, 1, 10)
+    assert session_state.compare(stepped, state, 5) is stepped
     other = replace(state, task="satellite-to-drone")
-    assert session.compare(other, state, 5) is other
+    assert session_state.compare(other, state, 5) is other
 
 
 def test_random_choices_move_and_failures_fail(state: State) -> None:
     rng = Random(1)
-    assert all(session.random_query(state, 10, rng).query != 3 for _ in range(50))
-    assert session.random_query(state, 1, rng) is state
+    assert all(session_state.random_query(state, 10, rng).query != 3 for _ in range(50))
+    assert session_state.random_query(state, 1, rng) is state
     ranks = [0, 0, 5, 2, 0, -1]
-    chosen = {session.random_failure(state, ranks, rng).query for _ in range(50)}  # type: ignore[union-attr]
+    chosen = {session_state.random_failure(state, ranks, rng).query for _ in range(50)}  # type: ignore[union-attr]
     assert chosen == {2}
-    assert session.random_failure(state, [0, 0, 0, 0], rng) is None
+    assert session_state.random_failure(state, [0, 0, 0, 0], rng) is None
 
 
 @pytest.mark.parametrize(("angle", "by", "expected"), [(0, 5, 5), (178, 5, -177), (-178, -5, 177), (90, -270, 180)])
 def test_turning_goes_around_the_circle(angle: float, by: float, expected: float) -> None:
-    assert session.turn(State("t", 4, angle=angle), by).angle == expected
+    assert session_state.turn(State("t", 4, angle=angle), by).angle == expected
 
 
 def test_values_from_the_page_are_not_trusted() -> None:
-    assert session.number(99999, 0, 10, 3) == 10
-    assert session.number(-5, 0, 10, 3) == 0
+    assert session_state.number(99999, 0, 10, 3) == 10
+    assert session_state.number(-5, 0, 10, 3) == 0
     for value in ("7", None, math.nan, math.inf, True, [1]):
-        assert session.number(value, 0, 10, 3) == 3
+        assert session_state.number(value, 0, 10, 3) == 3
 
 
 def test_parts_switched_off_count_nothing_and_never_all() -> None:
@@ -70,9 +70,9 @@ def test_parts_switched_off_count_nothing_and_never_all() -> None:
 
 
 def test_names_are_found_by_any_part_of_them() -> None:
-    assert session.found(["0010", "0100", "Ab"], " 10 ") == [0, 1]
-    assert session.found(["0010", "Ab"], "aB") == [1]
-    assert session.found(["a", "b"], "") == [0, 1]
+    assert session_state.found(["0010", "0100", "Ab"], " 10 ") == [0, 1]
+    assert session_state.found(["0010", "Ab"], "aB") == [1]
+    assert session_state.found(["a", "b"], "") == [0, 1]
 
 
 def test_a_worker_never_queues_stale_work() -> None:

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are POS
 TASK = "drone-to-satellite"
 SLOW_ANSWERS = """
 import time
-from explorer.exhibit import Analyst
+from explorer.workspace import Analyst
 answer = Analyst.answer
 def slow(self, state, k):
     if state.angle:
