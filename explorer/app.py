@@ -18,7 +18,6 @@ from typing import Any
 import viser
 
 from explorer import against, beside, commands, labstyle, pages, profiles, region, session_state, tour, why
-from explorer.cards import SHOWN
 from explorer.compute.inference_scheduler import AGAIN, BusyError
 from explorer.compute.ranking_progress import Follower
 from explorer.compute.request_context import Asker
@@ -34,7 +33,8 @@ from explorer.server import viser_compat
 from explorer.server.auth import Entry, entry, is_loopback
 from explorer.server.gateway import Guard
 from explorer.session_state import State
-from explorer.stage import SCENE, Stage
+from explorer.stage.cards import SHOWN
+from explorer.stage.scene import SCENE, Stage
 from explorer.url_state import Links
 from explorer.web import style
 from explorer.web.bridge import Bridge

@@ -10,8 +10,8 @@ import numpy as np
 from rich.console import Console
 
 import lpn
-from explorer import chart
 from explorer.compute.ranking_job import Standing
+from explorer.stage import gallery_geometry
 from explorer.workspace import Exhibit, Task
 from lpn import descriptors
 from lpn.core.errors import DataError
@@ -104,7 +104,7 @@ def _task(
 ) -> Task:
     """Everything about one direction; labels are the pictures' own unless others are given."""
     name = "-to-".join(views)
-    laid = None if where is None else chart.places(where.of(queries), where.of(gallery))
+    laid = None if where is None else gallery_geometry.places(where.of(queries), where.of(gallery))
     own = tuple(np.array([entry.label for entry in entries], np.int64) for entries in (queries, gallery))
     query_labels, labels = given or own
     truth = None if given else dataset.truth(name)

@@ -13,8 +13,8 @@ import viser
 from viser import UploadedFile
 
 from explorer import pages, session_state, uploads
-from explorer.cards import SHOWN
 from explorer.session_state import State
+from explorer.stage.cards import SHOWN
 from explorer.web.html import Html
 from explorer.workspace import Answer, Exhibit, Task
 from lpn.core.errors import LPNError

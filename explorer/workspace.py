@@ -11,14 +11,15 @@ from threading import Lock
 import numpy as np
 import numpy.typing as npt
 
-from explorer import chart, session_state
-from explorer.chart import Places
+from explorer import session_state
 from explorer.compute.cache import Kept
 from explorer.compute.inference_scheduler import Inference
 from explorer.compute.ranking_job import Found, Standing
 from explorer.compute.request_context import Asker, Shared
-from explorer.layout import layout_for
 from explorer.session_state import TRUTH, State
+from explorer.stage import gallery_geometry
+from explorer.stage.gallery_geometry import Places
+from explorer.stage.layout import layout_for
 from lpn import explain, retrieval
 from lpn.core import images
 from lpn.core.errors import InputError
@@ -192,7 +193,7 @@ class Exhibit:
         assert task.places is not None
         with self._mosaic_lock:
             if task.name not in self._mosaics:
-                self._mosaics[task.name] = chart.mosaic(task.places, [entry.path for entry in task.gallery])
+                self._mosaics[task.name] = gallery_geometry.mosaic(task.places, [entry.path for entry in task.gallery])
             return self._mosaics[task.name]
 
     def _part_names(self) -> list[str]:

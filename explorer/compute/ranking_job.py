@@ -7,8 +7,8 @@ import sys
 import threading
 from dataclasses import dataclass
 
-from explorer.chart import Places
 from explorer.compute.background_jobs import Job, Jobs, Progress
+from explorer.stage.gallery_geometry import Places
 from lpn.core.errors import LPNError
 from lpn.retrieval import ranking_cache
 from lpn.retrieval.evaluate import error_shares

@@ -148,7 +148,7 @@ def coarse(picture: np.ndarray) -> np.ndarray:
 
 def test_light_and_dark(explorer: Explorer) -> None:
     def picture() -> np.ndarray:
-        return cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_COLOR).astype(int)
+        return cv2.imdecode(np.frombuffer(explorer.stage.scene(), np.uint8), cv2.IMREAD_COLOR).astype(int)
 
     dark = picture()
     assert dark[3, 3].max() < 60
@@ -226,7 +226,7 @@ def test_a_phone_held_upright(app: Running, contexts: Callable[..., BrowserConte
     assert verdict["y"] + verdict["height"] < 844
     assert verdict["width"] > 340
     explorer.expect_filled(1, 0.85)
-    picture = cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_COLOR)
+    picture = cv2.imdecode(np.frombuffer(explorer.stage.scene(), np.uint8), cv2.IMREAD_COLOR)
     assert np.flatnonzero((picture > 90).any(axis=(0, 2)))[0] >= 2  # framed: it fills the width and no more
     explorer.rows.nth(1).tap()
     expect(explorer.rows.nth(1)).to_have_class(re.compile("chosen"))

@@ -74,10 +74,10 @@ def test_evidence_follows_the_chosen_tile_and_part(explorer: Explorer) -> None:
 
 
 def test_the_stage_shows_evidence_in_place_of_activation(explorer: Explorer) -> None:
-    before = explorer.stage()
+    before = explorer.stage.scene()
     explorer.key("v")
     explorer.page.wait_for_timeout(600)
-    assert explorer.stage() != before
+    assert explorer.stage.scene() != before
     expect(explorer.page.get_by_label("Shows", exact=True)).to_have_value("Evidence")
 
 

@@ -35,7 +35,7 @@ from explorer.server.gateway import _Connection
 from explorer.server.message_filter import Inbox
 from explorer.server.viser_compat import Buffer
 from explorer.session_state import State, Upload
-from explorer.stage import Stage
+from explorer.stage.scene import Stage
 from explorer.sweep import Sweep
 from explorer.workspace import Analyst, Exhibit
 from lpn import retrieval

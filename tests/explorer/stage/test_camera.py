@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer.viewpoint import AT, PICTURE, SIDE, Viewpoint, over
+from explorer.stage.camera import AT, PICTURE, SIDE, Viewpoint, over
 
 FOV = 0.45
 Points = np.ndarray[Any, np.dtype[np.float64]]

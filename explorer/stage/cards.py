@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import viser
 
-from explorer.layout import Layout
-from explorer.planes import UPRIGHT, Plane
 from explorer.session_state import State
+from explorer.stage.image_planes import UPRIGHT, Plane
+from explorer.stage.layout import Layout
 from explorer.workspace import Answer, Exhibit
 from lpn.core.images import Picture
 from lpn.drawing import overlays

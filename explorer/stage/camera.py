@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from explorer.planes import Rotation
+from explorer.stage.image_planes import Rotation
 
 AT = np.array([60.0, 0.0, 0.0])
 """The map lies this far from the compared pair, in stage units, so that neither is in the other's picture."""

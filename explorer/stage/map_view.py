@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from explorer.chart import Places
-from explorer.planes import Plane, Rotation
 from explorer.session_state import State
-from explorer.viewpoint import AT, PICTURE, SIDE, Viewpoint, over
+from explorer.stage.camera import AT, PICTURE, SIDE, Viewpoint, over
+from explorer.stage.gallery_geometry import Places
+from explorer.stage.image_planes import Plane, Rotation
 from explorer.workspace import Answer, Exhibit
 from lpn.datasets import geo
 from lpn.drawing import overlays

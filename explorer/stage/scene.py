@@ -13,12 +13,12 @@ import viser
 from PIL.ImageDraw import ImageDraw
 
 from explorer import why
-from explorer.cards import SHOWN, Cards
-from explorer.gallery_map import GalleryMap
-from explorer.layout import CAPTION, Layout, Point
-from explorer.planes import UPRIGHT, Plane, Rotation, title
 from explorer.session_state import State
-from explorer.viewpoint import Viewpoint
+from explorer.stage.camera import Viewpoint
+from explorer.stage.cards import SHOWN, Cards
+from explorer.stage.image_planes import UPRIGHT, Plane, Rotation, title
+from explorer.stage.layout import CAPTION, Layout, Point
+from explorer.stage.map_view import GalleryMap
 from explorer.workspace import Answer, Exhibit
 from lpn.core import images
 from lpn.core.images import Picture

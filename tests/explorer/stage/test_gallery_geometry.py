@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explorer import chart
+from explorer.stage import gallery_geometry
 from lpn.datasets import geo, open_dataset
 from lpn.datasets.geo import Position, Positions
 from tests import worlds
 
 
-def laid_out(root: Path) -> tuple[chart.Places, list[Path]]:
+def laid_out(root: Path) -> tuple[gallery_geometry.Places, list[Path]]:
     dataset, where = open_dataset(root), Positions(root)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
-    return chart.places(where.of(queries), where.of(gallery)), [picture.path for picture in gallery]
+    return gallery_geometry.places(where.of(queries), where.of(gallery)), [picture.path for picture in gallery]
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +46,11 @@ def test_the_picture_of_all_tiles_shows_each_at_its_place(tmp_path: Path) -> Non
         worlds.write(tmp_path / f"{i}.png", np.full((40, 40, 3), colour, np.uint8))
         files.append(tmp_path / f"{i}.png")
     tiles = [Position(0.0, 0.0, width=100), Position(0.003, 0.0, width=100), Position(0.0, 0.003, width=100)]
-    laid = chart.places(tiles, tiles)
-    picture = chart.mosaic(laid, files)
+    laid = gallery_geometry.places(tiles, tiles)
+    picture = gallery_geometry.mosaic(laid, files)
     west, south, east, north = laid.bounds()
-    scale = chart.LARGEST / max(east - west, north - south)
-    assert max(picture.shape[:2]) == chart.LARGEST
+    scale = gallery_geometry.LARGEST / max(east - west, north - south)
+    assert max(picture.shape[:2]) == gallery_geometry.LARGEST
     for (x, y), colour in zip(laid.ground, colours, strict=True):
         assert picture[int((north - y) * scale), int((x - west) * scale)].tolist() == list(colour)
     assert picture[0, -1].max() < 60
@@ -58,5 +58,5 @@ def test_the_picture_of_all_tiles_shows_each_at_its_place(tmp_path: Path) -> Non
 
 def test_a_width_that_is_not_given_is_the_usual_distance() -> None:
     tiles = [Position(0.0, i * 0.001) for i in range(6)]
-    assert chart.places(tiles, tiles).width == pytest.approx(111.3, abs=0.1)
-    assert chart.places(tiles[:1], tiles[:1]).width == 100
+    assert gallery_geometry.places(tiles, tiles).width == pytest.approx(111.3, abs=0.1)
+    assert gallery_geometry.places(tiles[:1], tiles[:1]).width == 100
