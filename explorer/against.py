@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from explorer.pages import SIGNS
+from explorer.panels.pages import SIGNS
 from explorer.web.bridge import send
 from explorer.workspace import Answer, Exhibit
 from lpn.drawing import overlays, verdicts

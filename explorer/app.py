@@ -17,7 +17,7 @@ from typing import Any
 
 import viser
 
-from explorer import against, beside, commands, labstyle, pages, profiles, region, session_state, tour, why
+from explorer import against, beside, labstyle, profiles, region, session_state, why
 from explorer.compute.inference_scheduler import AGAIN, BusyError
 from explorer.compute.ranking_progress import Follower
 from explorer.compute.request_context import Asker
@@ -25,10 +25,11 @@ from explorer.compute.worker import Patience, Worker
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
 from explorer.opening import open_model, open_saved
-from explorer.panels import THUMBS, Change, Panels
+from explorer.panels import pages, shortcuts, tour
+from explorer.panels.panels import THUMBS, Change, Panels
+from explorer.panels.viewport import Room
 from explorer.reasons import Reasons
 from explorer.reports import Reporter
-from explorer.room import Room
 from explorer.server import viser_compat
 from explorer.server.auth import Entry, entry, is_loopback
 from explorer.server.gateway import Guard
@@ -94,7 +95,7 @@ class Visitor:
             told = {"steps": [asdict(step) for step in tour.steps(exhibit)], "scene": SCENE}
             self._bridge = Bridge(client.gui, handlers, told, STYLES)
             further = self._reasons.orders() + self._lab.orders()
-            commands.add(client.gui, exhibit, self._panels, self.change, self._bridge, further)
+            shortcuts.add(client.gui, exhibit, self._panels, self.change, self._bridge, further)
             self._stage = Stage(client, exhibit, self._selected)
             self._worker = Worker(self._work, self._failed)
             self._follower = Follower(self._panels.show_results, self._worker.wake)

@@ -9,7 +9,7 @@ import numpy as np
 
 from explorer import why
 from explorer.compute.request_context import Asker
-from explorer.pages import SIGNS
+from explorer.panels.pages import SIGNS
 from explorer.session_state import State
 from explorer.web.bridge import send
 from explorer.workspace import Analyst, Answer, Exhibit, Task

@@ -16,9 +16,9 @@ from explorer.compute.worker import Worker
 from explorer.laboratory import Findings, Laboratory
 from explorer.labstate import LabState
 from explorer.labviews import MapView, NoteView
-from explorer.panels import Change
+from explorer.panels.panels import Change
+from explorer.panels.viewport import EDGE, Room
 from explorer.reports import Reporter
-from explorer.room import EDGE, Room
 from explorer.session_state import State
 from explorer.web.html import Html
 from explorer.workspace import Answer, Exhibit

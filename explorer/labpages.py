@@ -10,7 +10,7 @@ import numpy as np
 from explorer.compute.background_jobs import Job
 from explorer.laboratory import Findings
 from explorer.labstate import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
-from explorer.pages import SIGNS
+from explorer.panels.pages import SIGNS
 from explorer.web.bridge import send
 from explorer.web.style import verdict_ink
 from explorer.workspace import Exhibit

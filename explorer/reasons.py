@@ -14,9 +14,9 @@ from explorer.against import Contest
 from explorer.beside import Beside
 from explorer.compute.request_context import Asker
 from explorer.compute.worker import Worker
-from explorer.panels import Change
+from explorer.panels.panels import Change
+from explorer.panels.viewport import EDGE, Room
 from explorer.reports import Reporter
-from explorer.room import EDGE, Room
 from explorer.session_state import State
 from explorer.sweep import Sweep
 from explorer.web.bridge import send

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explorer import pages, words
 from explorer.opening import open_model, open_saved
+from explorer.panels import answer_text, pages
 from explorer.session_state import State, Upload
 from explorer.workspace import Analyst, Exhibit
 from lpn.core.errors import DataError, InputError
@@ -39,7 +39,7 @@ def test_a_saved_result_is_ranked_as_its_model_ranks(exhibit: Exhibit, data: Pat
             assert match.true == expected.true
         assert one.tile.activation is None
         np.testing.assert_array_equal(one.tile.picture, other.tile.picture)
-        assert words.verdict(one, exhibit.part_names)[:2] == words.verdict(other, live.part_names)[:2]
+        assert answer_text.verdict(one, exhibit.part_names)[:2] == answer_text.verdict(other, live.part_names)[:2]
 
 
 def test_what_needs_a_network_cannot_be_asked_for(exhibit: Exhibit, data: Path, model_file: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 from explorer import against, profiles, region, session_state, why
 from explorer.against import Contest
 from explorer.opening import open_model
-from explorer.room import Room
+from explorer.panels.viewport import Room
 from explorer.session_state import State, Upload
 from explorer.sweep import Sweep
 from explorer.web.bridge import LONGEST, Bridge

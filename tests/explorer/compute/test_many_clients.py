@@ -29,7 +29,7 @@ from explorer.compute import request_context
 from explorer.compute.request_context import Asker
 from explorer.lab import Lab
 from explorer.opening import open_model, open_saved
-from explorer.panels import Panels
+from explorer.panels.panels import Panels
 from explorer.reasons import Reasons
 from explorer.server.gateway import _Connection
 from explorer.server.message_filter import Inbox

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explorer import beside, pages
+from explorer import beside
 from explorer.compute import ranking_job
 from explorer.compute.ranking_progress import Follower
 from explorer.laboratory import Laboratory
 from explorer.opening import open_model
+from explorer.panels import pages
 from explorer.workspace import Exhibit, Task
 from lpn.core.errors import LPNError
 from lpn.retrieval import ranking_cache

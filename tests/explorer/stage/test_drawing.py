@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explorer import pages, words
 from explorer.opening import open_model
+from explorer.panels import answer_text, pages
 from explorer.session_state import State, Upload
 from explorer.workspace import Analyst, Exhibit
 from lpn.core.errors import DataError, InputError
@@ -73,15 +73,15 @@ def test_words_name_the_part_that_decides(exhibit: Exhibit) -> None:
     seen = set()
     for query in range(len(task.queries)):
         answer = analyst.answer(State(task.name, 4, query=query), 10)
-        true, headline, reason = words.verdict(answer, exhibit.part_names)
+        true, headline, reason = answer_text.verdict(answer, exhibit.part_names)
         assert true == (task.ranks[query] == 0)
         assert any(f"part {name}" in reason for name in exhibit.part_names)
         seen.add(true)
         if not true:
-            assert words.ordinal(int(task.ranks[query]) + 1) in headline
+            assert answer_text.ordinal(int(task.ranks[query]) + 1) in headline
     own = analyst.answer(State(task.name, 4, upload=Upload("own", worlds.place(50))), 10)
-    assert words.verdict(own, exhibit.part_names)[0] is None
-    assert [words.ordinal(i) for i in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
+    assert answer_text.verdict(own, exhibit.part_names)[0] is None
+    assert [answer_text.ordinal(i) for i in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
         *("1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "111th")
     ]
 

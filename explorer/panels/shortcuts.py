@@ -9,7 +9,7 @@ from typing import Any, cast
 import viser
 
 from explorer import session_state
-from explorer.panels import Change, Panels
+from explorer.panels.panels import Change, Panels
 from explorer.session_state import State
 from explorer.web.bridge import Bridge
 from explorer.workspace import Exhibit

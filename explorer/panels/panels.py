@@ -12,7 +12,8 @@ from typing import Any, cast
 import viser
 from viser import UploadedFile
 
-from explorer import pages, session_state, uploads
+from explorer import session_state, uploads
+from explorer.panels import pages
 from explorer.session_state import State
 from explorer.stage.cards import SHOWN
 from explorer.web.html import Html

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from explorer import words
+from explorer.panels import answer_text
 from explorer.web.bridge import PRESSED, send
 from explorer.web.style import part_ink, verdict_ink
 from explorer.workspace import Answer, Exhibit, Task
@@ -104,7 +104,7 @@ def _metres(results: dict[str, float]) -> str:
 
 def verdict(answer: Answer, exhibit: Exhibit) -> str:
     """The answer in words, and a status line that also tells tests what is shown."""
-    true, headline, reason = words.verdict(answer, exhibit.part_names)
+    true, headline, reason = answer_text.verdict(answer, exhibit.part_names)
     colour = overlays.css(overlays.verdict_colour(true))
     warning = (
         ""

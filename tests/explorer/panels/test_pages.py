@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from explorer import pages, tour
 from explorer.compute.worker import Patience
 from explorer.opening import open_model, open_saved
+from explorer.panels import pages, tour
 from explorer.session_state import State
 from explorer.web import style
 from explorer.web.bridge import Bridge

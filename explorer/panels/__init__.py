@@ -1,0 +1,1 @@
+"""The panels beside the stage: query, parts, answer, and the command palette."""
