@@ -17,18 +17,19 @@ from typing import Any
 
 import viser
 
-from explorer import against, beside, labstyle, profiles, region, session_state, why
+from explorer import labstyle, session_state
 from explorer.compute.inference_scheduler import AGAIN, BusyError
 from explorer.compute.ranking_progress import Follower
 from explorer.compute.request_context import Asker
 from explorer.compute.worker import Patience, Worker
+from explorer.explain_window import comparison, evidence, model_comparison, region, sweep_page
+from explorer.explain_window.window import Reasons
 from explorer.lab import Lab
 from explorer.laboratory import Laboratory
 from explorer.opening import open_model, open_saved
 from explorer.panels import pages, shortcuts, tour
 from explorer.panels.panels import THUMBS, Change, Panels
 from explorer.panels.viewport import Room
-from explorer.reasons import Reasons
 from explorer.reports import Reporter
 from explorer.server import viser_compat
 from explorer.server.auth import Entry, entry, is_loopback
@@ -51,7 +52,16 @@ from lpn.retrieval.published_results import load_saved
 log = logging.getLogger(__name__)
 
 STYLES = "".join(
-    (pages.STYLE, style.STYLE, why.STYLE, against.STYLE, profiles.STYLE, region.STYLE, beside.STYLE, labstyle.STYLE)
+    (
+        pages.STYLE,
+        style.STYLE,
+        evidence.STYLE,
+        comparison.STYLE,
+        sweep_page.STYLE,
+        region.STYLE,
+        model_comparison.STYLE,
+        labstyle.STYLE,
+    )
 )
 """Of all panels, the later over the earlier."""
 GREETING = 3.0

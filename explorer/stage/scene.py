@@ -12,7 +12,7 @@ import numpy.typing as npt
 import viser
 from PIL.ImageDraw import ImageDraw
 
-from explorer import why
+from explorer.explain_window import evidence
 from explorer.session_state import State
 from explorer.stage.camera import Viewpoint
 from explorer.stage.cards import SHOWN, Cards
@@ -210,7 +210,7 @@ class Stage:
         state = answer.state
         picture = images.resize(self._exhibit.cut(described.picture, view), *self._layout.pixels)
         if state.heat and state.heat_kind == "evidence" and answer.reasons is not None:
-            cells, limit = why.maps(answer.reasons.evidence, state.heat_part)
+            cells, limit = evidence.maps(answer.reasons.evidence, state.heat_part)
             picture = overlays.with_evidence(picture, cells[side], limit, state.opacity)
         elif state.heat and described.activation is not None:
             picture = overlays.with_heat(

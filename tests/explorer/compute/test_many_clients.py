@@ -27,16 +27,16 @@ from explorer import session_state, uploads
 from explorer.app import App, Visitor
 from explorer.compute import request_context
 from explorer.compute.request_context import Asker
+from explorer.explain_window.sweep_request import Sweep
+from explorer.explain_window.window import Reasons
 from explorer.lab import Lab
 from explorer.opening import open_model, open_saved
 from explorer.panels.panels import Panels
-from explorer.reasons import Reasons
 from explorer.server.gateway import _Connection
 from explorer.server.message_filter import Inbox
 from explorer.server.viser_compat import Buffer
 from explorer.session_state import State, Upload
 from explorer.stage.scene import Stage
-from explorer.sweep import Sweep
 from explorer.workspace import Analyst, Exhibit
 from lpn import retrieval
 from lpn.core import images

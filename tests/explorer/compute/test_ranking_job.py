@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explorer import beside
 from explorer.compute import ranking_job
 from explorer.compute.ranking_progress import Follower
+from explorer.explain_window import model_comparison
 from explorer.laboratory import Laboratory
 from explorer.opening import open_model
 from explorer.panels import pages
@@ -81,11 +81,11 @@ def test_pages_say_how_far_it_is_and_mark_nothing_that_is_not_known(exhibit: Exh
     assert "Results: ranking 0 of 9 queries" in pages.header(exhibit, task)
     before = pages.picker(exhibit, task, [0, 1], 0, 0, 1, buttons)
     assert not any(sign in before for sign in ("✓", "✗"))
-    assert "when both have ranked" in beside._changes(task, task, ("a", "b"), exhibit)
+    assert "when both have ranked" in model_comparison._changes(task, task, ("a", "b"), exhibit)
     assert task.standing.ask("me").wait(20)
     assert "R@1" in pages.header(exhibit, task)
     assert any(sign in pages.picker(exhibit, task, [0, 1], 0, 0, 1, buttons) for sign in ("✓", "✗"))
-    assert "alone finds" in beside._changes(task, task, ("a", "b"), exhibit)
+    assert "alone finds" in model_comparison._changes(task, task, ("a", "b"), exhibit)
 
 
 def test_a_ranking_that_nobody_waits_for_stands_still_and_goes_on(exhibit: Exhibit) -> None:

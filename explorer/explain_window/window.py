@@ -9,16 +9,17 @@ from typing import Any
 
 import viser
 
-from explorer import against, profiles, region, reports, session_state, why
-from explorer.against import Contest
-from explorer.beside import Beside
+from explorer import reports, session_state
 from explorer.compute.request_context import Asker
 from explorer.compute.worker import Worker
+from explorer.explain_window import comparison, evidence, region, sweep_page
+from explorer.explain_window.comparison import Contest
+from explorer.explain_window.model_comparison import Beside
+from explorer.explain_window.sweep_request import Sweep
 from explorer.panels.panels import Change
 from explorer.panels.viewport import EDGE, Room
 from explorer.reports import Reporter
 from explorer.session_state import State
-from explorer.sweep import Sweep
 from explorer.web.bridge import send
 from explorer.web.html import Html
 from explorer.workspace import Answer, Exhibit
@@ -107,7 +108,7 @@ class Reasons:
         if self._exhibit.model is None:
             return []
         sweeps = [
-            (f"Profile: {said.lower()}", self._ordered(self._begin, key)) for key, said in profiles.CHOICES.items()
+            (f"Profile: {said.lower()}", self._ordered(self._begin, key)) for key, said in sweep_page.CHOICES.items()
         ]
         return [
             *sweeps,
@@ -149,7 +150,7 @@ class Reasons:
             self._panel.visible = self._open
 
     def _draw(self, answer: Answer) -> None:
-        self._why.show(why.page(answer, self._exhibit))
+        self._why.show(evidence.page(answer, self._exhibit))
         self._draw_versus(answer)
         self._draw_profile(answer)
         self._region.show(region.page(answer, self._exhibit))
@@ -164,15 +165,15 @@ class Reasons:
 
     def _draw_versus(self, answer: Answer) -> None:
         busy = self._wanted is not None and self._wanted is self._contest
-        self._versus.show(against.page(answer, self._exhibit, self._contest, self._effect, busy))
+        self._versus.show(comparison.page(answer, self._exhibit, self._contest, self._effect, busy))
 
     def _draw_profile(self, answer: Answer) -> None:
         sweep, names = self._sweep, self._exhibit.part_names
         if sweep is None:
-            self._profile.show(profiles.page(answer, None, None, 0, names))
+            self._profile.show(sweep_page.page(answer, None, None, 0, names))
         else:
             profile = sweep.profile(answer)
-            self._profile.show(profiles.page(answer, sweep.over, profile, sweep.of, names, sweep.stopped))
+            self._profile.show(sweep_page.page(answer, sweep.over, profile, sweep.of, names, sweep.stopped))
 
     def _place(self) -> None:
         """Over the stage, as large as it has room for."""
@@ -222,7 +223,7 @@ class Reasons:
 
     def _begin(self, value: Any) -> None:
         answer = self._answer
-        if answer is not None and value in list(profiles.CHOICES):
+        if answer is not None and value in list(sweep_page.CHOICES):
             self._cancel(None)
             self._sweep = Sweep(value, answer)
             self._draw_profile(answer)

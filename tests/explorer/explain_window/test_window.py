@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer import against, profiles, region, session_state, why
-from explorer.against import Contest
+from explorer import session_state
+from explorer.explain_window import comparison, evidence, region, sweep_page
+from explorer.explain_window.comparison import Contest
+from explorer.explain_window.sweep_request import Sweep
 from explorer.opening import open_model
 from explorer.panels.viewport import Room
 from explorer.session_state import State, Upload
-from explorer.sweep import Sweep
 from explorer.web.bridge import LONGEST, Bridge
 from explorer.workspace import Analyst, Answer, Exhibit
 from lpn import explain
@@ -56,13 +57,13 @@ def test_evidence_is_computed_for_those_who_look(exhibit: Exhibit) -> None:
 def test_the_page_holds_every_cell_and_its_mate(exhibit: Exhibit) -> None:
     answer = answered(exhibit, weights=(1.0, 1.0, 0.5, 0.0))
     assert answer.reasons is not None
-    found, html = answer.reasons.evidence, why.page(answer, exhibit)
+    found, html = answer.reasons.evidence, evidence.page(answer, exhibit)
     cells = data_of(html, "cells")
     for held, side in zip(cells, (found.query, found.tile), strict=True):
         np.testing.assert_allclose(held, side.total(found.weights).reshape(-1), atol=6e-6)
         assert sum(held) + side.constants @ found.weights == pytest.approx(answer.chosen.score, abs=1e-3)
     assert [len(mates) for mates in data_of(html, "mates")] == [16, 16]
-    of_part = why.page(answered(exhibit, heat_part=1), exhibit)
+    of_part = evidence.page(answered(exhibit, heat_part=1), exhibit)
     assert data_of(of_part, "cells") != cells
     assert f"{found.score:+.3f}" in html
 
@@ -92,7 +93,7 @@ def test_the_waterfall_and_the_smallest_change_are_said(exhibit: Exhibit) -> Non
         answer = answered(exhibit, query=int(query))
         contest = Contest.of(answer)
         assert contest is not None
-        html = against.page(answer, exhibit, contest, None, False)
+        html = comparison.page(answer, exhibit, contest, None, False)
         behind = contest.rival.distance2 - contest.ahead.distance2
         assert f"{-behind:.3f} (d²) behind" in html
         widths = [float(value) for value in re.findall(r"max\(1px,([\d.]+)%\)", html)]
@@ -102,9 +103,9 @@ def test_the_waterfall_and_the_smallest_change_are_said(exhibit: Exhibit) -> Non
             continue
         assert "The smallest change" in html
         effect = Effect(50.0, 40.0, np.array([1]), np.array([2, 3]), 13)
-        assert "it harms" in against.page(answer, exhibit, contest, effect, False)
+        assert "it harms" in comparison.page(answer, exhibit, contest, effect, False)
     first = answered(exhibit, query=int(np.flatnonzero(task.ranks == 0)[0]))
-    assert "first already" in against.page(first, exhibit, Contest.of(first), None, False)
+    assert "first already" in comparison.page(first, exhibit, Contest.of(first), None, False)
 
 
 def test_a_profile_is_drawn_from_its_first_point_on(exhibit: Exhibit) -> None:
@@ -117,15 +118,15 @@ def test_a_profile_is_drawn_from_its_first_point_on(exhibit: Exhibit) -> None:
         int(task.query_labels[0]),
     )  # fmt: skip
     points = [next(steps)]
-    one = profiles.page(answer, "rotation", sweeps.Profile("rotation", tuple(points)), 8, exhibit.part_names)
+    one = sweep_page.page(answer, "rotation", sweeps.Profile("rotation", tuple(points)), 8, exhibit.part_names)
     assert "data-done='1' data-of='8'" in one
     assert "Cancel" in one
     points += list(steps)
-    whole = profiles.page(answer, "rotation", sweeps.Profile("rotation", tuple(points)), 8, exhibit.part_names)
+    whole = sweep_page.page(answer, "rotation", sweeps.Profile("rotation", tuple(points)), 8, exhibit.part_names)
     assert "Cancel" not in whole
     assert whole.count("class='point'") == 2 * 8
     assert "clockwise from north" in whole
-    assert "Choose what to change" in profiles.page(answer, None, None, 0, exhibit.part_names)
+    assert "Choose what to change" in sweep_page.page(answer, None, None, 0, exhibit.part_names)
 
 
 def test_a_region_ranks_by_what_its_cells_add(exhibit: Exhibit) -> None:
@@ -143,7 +144,7 @@ def test_a_region_ranks_by_what_its_cells_add(exhibit: Exhibit) -> None:
         assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-5)
         assert match.shares.min() >= -1e-6
     assert "3 of 16 cells" in region.page(part, exhibit)
-    assert "whole query" in why.page(part, exhibit)
+    assert "whole query" in evidence.page(part, exhibit)
     np.testing.assert_array_equal(analyst.answer(state, 10).ranking.scores, whole.ranking.scores)
 
 
@@ -210,8 +211,8 @@ def test_a_bridge_hands_on_messages_and_drops_everything_else() -> None:
 
 def test_a_profile_without_a_point_says_whether_it_is_still_being_computed(exhibit: Exhibit) -> None:
     answer = answered(exhibit)
-    assert "computing" in profiles.page(answer, "zoom", None, 8, exhibit.part_names)
-    stopped = profiles.page(answer, "zoom", None, 8, exhibit.part_names, stopped=True)
+    assert "computing" in sweep_page.page(answer, "zoom", None, 8, exhibit.part_names)
+    stopped = sweep_page.page(answer, "zoom", None, 8, exhibit.part_names, stopped=True)
     assert "computing" not in stopped
     assert "Stopped before the first step" in stopped
 
@@ -228,7 +229,7 @@ def test_a_profile_ends_where_it_is_cancelled_and_is_of_one_query(exhibit: Exhib
     sweep.cancelled.set()
     assert list(steps) == []
     assert sweep.stopped
-    page = profiles.page(turned, "rotation", found, sweep.of, exhibit.part_names, sweep.stopped)
+    page = sweep_page.page(turned, "rotation", found, sweep.of, exhibit.part_names, sweep.stopped)
     assert "stopped at" in page
     assert "1 of 25" in page
     assert sweep.is_of(answered(exhibit, angle=-75.0, shift=4))

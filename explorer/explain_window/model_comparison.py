@@ -7,8 +7,8 @@ from html import escape
 
 import numpy as np
 
-from explorer import why
 from explorer.compute.request_context import Asker
+from explorer.explain_window import evidence
 from explorer.panels.pages import SIGNS
 from explorer.session_state import State
 from explorer.web.bridge import send
@@ -74,7 +74,7 @@ def _evidence(answer: Answer, exhibit: Exhibit) -> str:
     if answer.reasons is None:
         return ""
     view = answer.task.query_view
-    cells, limit = why.maps(answer.reasons.evidence, None)
+    cells, limit = evidence.maps(answer.reasons.evidence, None)
     width = round(_HEIGHT * exhibit.layout.picture[0] / exhibit.layout.picture[1])
     picture = images.resize(exhibit.cut(answer.query.picture, view), _HEIGHT, min(width, 700))
     drawn = overlays.with_evidence(picture, cells[0], limit)
