@@ -17,15 +17,16 @@ from typing import Any
 
 import viser
 
-from explorer import labstyle, session_state
+from explorer import session_state
 from explorer.compute.inference_scheduler import AGAIN, BusyError
 from explorer.compute.ranking_progress import Follower
 from explorer.compute.request_context import Asker
 from explorer.compute.worker import Patience, Worker
 from explorer.explain_window import comparison, evidence, model_comparison, region, sweep_page
 from explorer.explain_window.window import Reasons
-from explorer.lab import Lab
-from explorer.laboratory import Laboratory
+from explorer.failure_lab import lab_style
+from explorer.failure_lab.service import Laboratory
+from explorer.failure_lab.window import Lab
 from explorer.opening import open_model, open_saved
 from explorer.panels import pages, shortcuts, tour
 from explorer.panels.panels import THUMBS, Change, Panels
@@ -60,7 +61,7 @@ STYLES = "".join(
         sweep_page.STYLE,
         region.STYLE,
         model_comparison.STYLE,
-        labstyle.STYLE,
+        lab_style.STYLE,
     )
 )
 """Of all panels, the later over the earlier."""

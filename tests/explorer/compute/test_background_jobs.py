@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from explorer import labpages
 from explorer.compute.background_jobs import GivenUpError, Job, Jobs, Progress, in_process
+from explorer.failure_lab import table
 from lpn.analysis import notes
 from lpn.core.errors import InputError, LPNError
 
@@ -55,7 +55,7 @@ def test_a_failure_is_one_sentence_and_is_tried_again_when_asked() -> None:
     assert job.wait(5)
     assert job.flaw == "The file is damaged."
     assert jobs.ask("k", 1, work) is job
-    html = labpages.waiting(job, "The <map>", False, "pca")
+    html = table.waiting(job, "The <map>", False, "pca")
     assert "The &lt;map&gt; is not there: The file is damaged." in html
     assert "lab-go" in html
     jobs.forget("k")
@@ -72,12 +72,12 @@ def test_progress_is_a_share_with_a_way_to_cancel() -> None:
     job = Job(work, "me")
     while not job.total:
         time.sleep(0.005)
-    html = labpages.waiting(job, "Ranking", False, "table")
+    html = table.waiting(job, "Ranking", False, "table")
     assert "25 % (1,000 of 4,000 queries)" in html
     assert "lab-stop" in html
-    assert "lab-go" in labpages.waiting(None, "Ranking", True, "table")
+    assert "lab-go" in table.waiting(None, "Ranking", True, "table")
     job.total = 0
-    assert re.search(r"Ranking: \d+ s so far", labpages.waiting(job, "Ranking", False, "table"))
+    assert re.search(r"Ranking: \d+ s so far", table.waiting(job, "Ranking", False, "table"))
     release.set()
 
 

@@ -29,7 +29,7 @@ from explorer.compute import request_context
 from explorer.compute.request_context import Asker
 from explorer.explain_window.sweep_request import Sweep
 from explorer.explain_window.window import Reasons
-from explorer.lab import Lab
+from explorer.failure_lab.window import Lab
 from explorer.opening import open_model, open_saved
 from explorer.panels.panels import Panels
 from explorer.server.gateway import _Connection

@@ -11,7 +11,7 @@ import pytest
 from explorer.compute import ranking_job
 from explorer.compute.ranking_progress import Follower
 from explorer.explain_window import model_comparison
-from explorer.laboratory import Laboratory
+from explorer.failure_lab.service import Laboratory
 from explorer.opening import open_model
 from explorer.panels import pages
 from explorer.workspace import Exhibit, Task

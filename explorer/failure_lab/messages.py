@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from explorer import labstate
-from explorer.labmap import Drawn
-from explorer.laboratory import Findings
-from explorer.labstate import MAPS, OUTCOMES, TABS, LabState, Pick
+from explorer.failure_lab import lab_state
+from explorer.failure_lab.lab_state import MAPS, OUTCOMES, TABS, LabState, Pick
+from explorer.failure_lab.map_drawing import Drawn
+from explorer.failure_lab.service import Findings
 from lpn.retrieval.metrics import IntArray
 
 Changed = LabState | None
@@ -43,7 +43,7 @@ def outcome(lab: LabState, _: Findings, value: Any) -> Changed:
 
 def sort(lab: LabState, found: Findings, value: Any) -> Changed:
     """Sort by a column."""
-    return labstate.sorted_by(lab, value) if _is_column(found, value) else None
+    return lab_state.sorted_by(lab, value) if _is_column(found, value) else None
 
 
 def find(lab: LabState, _: Findings, value: Any) -> Changed:
@@ -53,37 +53,37 @@ def find(lab: LabState, _: Findings, value: Any) -> Changed:
 
 def where(lab: LabState, found: Findings, value: Any) -> Changed:
     """Filter."""
-    return labstate.filtered(lab, value[:2000], found.table) if isinstance(value, str) else None
+    return lab_state.filtered(lab, value[:2000], found.table) if isinstance(value, str) else None
 
 
 def column(lab: LabState, found: Findings, value: Any) -> Changed:
     """Show a column, or no longer."""
-    return labstate.with_column(lab, found.table, value) if _is_column(found, value) else None
+    return lab_state.with_column(lab, found.table, value) if _is_column(found, value) else None
 
 
 def unpick(lab: LabState, _: Findings, value: Any) -> Changed:
     """Take a choice away."""
-    return labstate.unpicked(lab, value) if isinstance(value, str) else None
+    return lab_state.unpicked(lab, value) if isinstance(value, str) else None
 
 
 def part(lab: LabState, found: Findings, value: Any, names: list[str]) -> Changed:
     """Choose the failures that a part costs most."""
     chosen = integer(value, 0, len(names) - 1)
-    return None if chosen is None else _toggled(lab, labstate.pick_part(found, chosen, names[chosen]))
+    return None if chosen is None else _toggled(lab, lab_state.pick_part(found, chosen, names[chosen]))
 
 
 def pair(lab: LabState, found: Findings, value: Any) -> Changed:
     """Choose the queries of one place that were answered with another."""
     if not isinstance(value, list) or len(value) != 2 or not all(type(v) is int for v in value):
         return None
-    return _toggled(lab, labstate.pick_pair(found, lab, *value))
+    return _toggled(lab, lab_state.pick_pair(found, lab, *value))
 
 
 def of_bin(lab: LabState, found: Findings, value: Any) -> Changed:
     """Choose the queries of one bin of a column: [column, the bin's index, its name]."""
     if not isinstance(value, list) or len(value) != 3 or not isinstance(value[0], str) or type(value[1]) is not int:
         return None
-    return _toggled(lab, labstate.pick_bin(found, lab, *value))
+    return _toggled(lab, lab_state.pick_bin(found, lab, *value))
 
 
 def map_kind(lab: LabState, found: Findings, value: Any) -> Changed:
@@ -102,7 +102,7 @@ def rectangle(lab: LabState, value: Any, drawn: Drawn | None) -> Changed:
         return None
     words = "rectangle on the ground" if lab.map == "ground" else f"rectangle in the {lab.map.upper()}"
     rows: IntArray = drawn.inside(one, other)
-    return labstate.picked(lab, Pick(f"in {lab.map}", words, rows))
+    return lab_state.picked(lab, Pick(f"in {lab.map}", words, rows))
 
 
 def stop(lab: LabState, _: Findings | None, value: Any) -> Changed:
@@ -126,7 +126,7 @@ WITH_TABLE: dict[str, Callable[[LabState, Findings, Any], Changed]] = {
     "lab-pair": pair,
     "lab-bin": of_bin,
     "lab-map": map_kind,
-    "lab-clear": lambda lab, _, __: labstate.cleared(lab),
+    "lab-clear": lambda lab, _, __: lab_state.cleared(lab),
     "lab-choose": lambda lab, _, __: replace(lab, choosing=not lab.choosing),
     "lab-fit": lambda lab, _, __: replace(lab, fit=not lab.fit),
 }
@@ -138,7 +138,7 @@ def _toggled(lab: LabState, pick: Pick | None) -> Changed:
     if pick is None:
         return None
     same = any(one.same(pick) for one in lab.picks)
-    return labstate.unpicked(lab, pick.kind) if same else labstate.picked(lab, pick)
+    return lab_state.unpicked(lab, pick.kind) if same else lab_state.picked(lab, pick)
 
 
 def _is_column(found: Findings, value: Any) -> bool:

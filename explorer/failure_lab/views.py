@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import viser
 
-from explorer import labcharts, labmap, labmessages, labpages
-from explorer.labmap import Drawn
-from explorer.laboratory import Findings, Laboratory
-from explorer.labstate import LabState
+from explorer.failure_lab import charts, map_drawing, messages, table
+from explorer.failure_lab.lab_state import LabState
+from explorer.failure_lab.map_drawing import Drawn
+from explorer.failure_lab.service import Findings, Laboratory
 from explorer.web.html import Html
 from lpn.analysis.notes import Note
 from lpn.core.errors import LPNError
@@ -40,8 +40,8 @@ class MapView:
             self._shared.leave(self._who, lab.task, lab.map)
         if job is None or not job.wait(0.4) or job.value is None:
             self._key, self.drawn = None, None
-            choice = f"<div class='lpn' id='lpn-lab-nomap'>{labcharts.map_choice(found, lab, self._shared.umap)}</div>"
-            return choice + labpages.waiting(job, "The map", stopped, lab.map), job is None or job.flaw is not None
+            choice = f"<div class='lpn' id='lpn-lab-nomap'>{charts.map_choice(found, lab, self._shared.umap)}</div>"
+            return choice + table.waiting(job, "The map", stopped, lab.map), job is None or job.flaw is not None
         points = job.value
         around = 210 + (30 if window[0] < 700 else 0)
         size = (max(window[0] - 34, 280), max(window[1] - around, 180))
@@ -51,16 +51,16 @@ class MapView:
             chosen[rows] = True
             outcomes = found.outcomes
             truth = -1 if query is None else int(outcomes.true[query])
-            self.drawn = labmap.draw(points, outcomes.failed, chosen, outcomes.first, size, lab.fit, query, truth)
+            self.drawn = map_drawing.draw(points, outcomes.failed, chosen, outcomes.first, size, lab.fit, query, truth)
             self._key, self._rows = key, rows
-        return labcharts.map_page(found, lab, self.drawn, points.axes, self._shared.umap), True
+        return charts.map_page(found, lab, self.drawn, points.axes, self._shared.umap), True
 
     def at(self, found: Findings, lab: LabState, value: Any) -> IntArray | None:
         """The queries at a point of the map that is shown, [map, fractions], the lowest margin first; None without any."""
         drawn = self.drawn
         if drawn is None or not isinstance(value, list) or len(value) != 2 or value[0] != lab.map:
             return None
-        place = labmessages.point(value[1])
+        place = messages.point(value[1])
         rows = None if place is None else drawn.near(*place)
         return None if rows is None or not len(rows) else found.table.sort(rows, "margin")
 
@@ -88,7 +88,7 @@ class NoteView:
             self._message.show("")
         self._noted = stored
         self._opened += 1
-        self._boxes.show(labpages.note(found, query, stored[1], self._opened))
+        self._boxes.show(table.note(found, query, stored[1], self._opened))
 
     def say(self, value: Any) -> bool:
         """Save what the page sends, [task, row, tags, note], and say whether it was saved."""
@@ -96,16 +96,16 @@ class NoteView:
             return False
         task, row, tags, text = value
         found = self._shared.findings(task)
-        if found is None or labmessages.integer(row, 0, len(found.table) - 1) is None:
+        if found is None or messages.integer(row, 0, len(found.table) - 1) is None:
             return False
         path = found.table.paths[row]
         try:
             self._shared.say(path, tags, text)
         except LPNError as error:
-            self._message.show(labpages.message(f"Not saved. {error}", False))
+            self._message.show(table.message(f"Not saved. {error}", False))
             return False
         newest = self._shared.findings(task)
         if newest is not None and self._noted is not None and self._noted[0] == path:
             self._noted = path, newest.note(row)
-        self._message.show(labpages.message(f"Saved in {self._shared.notes.name}, beside the data.", True))
+        self._message.show(table.message(f"Saved in {self._shared.notes.name}, beside the data.", True))
         return True

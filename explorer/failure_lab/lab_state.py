@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from explorer.laboratory import Findings, MapKind
+from explorer.failure_lab.service import Findings, MapKind
 from lpn.analysis import breakdown, query_outcomes
 from lpn.analysis.breakdown import Rate
 from lpn.core.errors import InputError

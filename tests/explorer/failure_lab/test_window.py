@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer import labcharts, labmessages, labpages, labstate, session_state
-from explorer.labmap import Drawn, draw
-from explorer.laboratory import Findings, Laboratory, Points
-from explorer.labstate import LabState, Pick
-from explorer.labviews import MapView, NoteView
+from explorer import session_state
+from explorer.failure_lab import charts, lab_state, messages, table
+from explorer.failure_lab.lab_state import LabState, Pick
+from explorer.failure_lab.map_drawing import Drawn, draw
+from explorer.failure_lab.service import Findings, Laboratory, Points
+from explorer.failure_lab.views import MapView, NoteView
 from explorer.opening import open_model
 from explorer.session_state import State
 from explorer.web.html import Html
@@ -82,71 +83,71 @@ def test_ranks_are_those_of_the_explorer(exhibit: Exhibit, found: Findings) -> N
 
 def test_choices_narrow_each_other(found: Findings, lab: LabState) -> None:
     failed = failures(found)
-    assert labstate.select(found, replace(lab, outcome="failed")).tolist() == failed
-    both = labstate.picked(replace(lab, outcome="failed"), Pick("some", "some", np.array([*failed[:2], 12])))
-    assert set(labstate.select(found, both)) == {*failed[:2]} | ({12} & set(failed))
-    assert labstate.select(found, both, without="some").tolist() == failed
-    assert 12 in labstate.select(found, both, whatever=True)
+    assert lab_state.select(found, replace(lab, outcome="failed")).tolist() == failed
+    both = lab_state.picked(replace(lab, outcome="failed"), Pick("some", "some", np.array([*failed[:2], 12])))
+    assert set(lab_state.select(found, both)) == {*failed[:2]} | ({12} & set(failed))
+    assert lab_state.select(found, both, without="some").tolist() == failed
+    assert 12 in lab_state.select(found, both, whatever=True)
     named = replace(lab, find="0009")
-    assert [found.task.queries[row].name for row in labstate.select(found, named)] == ["0009"]
-    assert labstate.select(found, labstate.cleared(both)).tolist() == list(range(13))
+    assert [found.task.queries[row].name for row in lab_state.select(found, named)] == ["0009"]
+    assert lab_state.select(found, lab_state.cleared(both)).tolist() == list(range(13))
 
 
 def test_another_choice_of_one_kind_takes_the_place_of_the_last(lab: LabState) -> None:
     one, other, third = (Pick(kind, words, np.zeros(0, int)) for kind, words in (("a", "x"), ("b", "y"), ("a", "z")))
     state = lab
     for pick in (one, other, third):
-        state = labstate.picked(replace(state, page=3), pick)
+        state = lab_state.picked(replace(state, page=3), pick)
         assert state.page == 0
     assert state.picks == (other, third)
-    assert labstate.unpicked(state, "b").picks == (third,)
+    assert lab_state.unpicked(state, "b").picks == (third,)
 
 
 def test_sorting_twice_turns_the_order_round(found: Findings, lab: LabState) -> None:
     rows = found.table.rows()
-    by_rank = labstate.sorted_by(lab, "rank")
-    assert found.outcomes.rank[labstate.order(found, by_rank, rows)].tolist() == sorted(found.outcomes.rank.tolist())
-    again = labstate.sorted_by(by_rank, "rank")
+    by_rank = lab_state.sorted_by(lab, "rank")
+    assert found.outcomes.rank[lab_state.order(found, by_rank, rows)].tolist() == sorted(found.outcomes.rank.tolist())
+    again = lab_state.sorted_by(by_rank, "rank")
     assert again.descending
-    assert found.outcomes.rank[labstate.order(found, again, rows)].tolist() == sorted(found.outcomes.rank)[::-1]
-    assert not labstate.sorted_by(again, "name").descending
+    assert found.outcomes.rank[lab_state.order(found, again, rows)].tolist() == sorted(found.outcomes.rank)[::-1]
+    assert not lab_state.sorted_by(again, "name").descending
 
 
 def test_a_wrong_filter_is_said_and_leaves_the_table(found: Findings, lab: LabState) -> None:
-    right = labstate.filtered(lab, "altitude > 100 and weather = sun", found.table)
-    assert len(labstate.select(found, right)) == 4
-    wrong = labstate.filtered(right, "weather > 3 <script>", found.table)
+    right = lab_state.filtered(lab, "altitude > 100 and weather = sun", found.table)
+    assert len(lab_state.select(found, right)) == 4
+    wrong = lab_state.filtered(right, "weather > 3 <script>", found.table)
     assert (wrong.where, wrong.typed) == (right.where, "weather > 3 <script>")
     assert "weather" in wrong.flaw
-    html = labpages.said(found, wrong, labstate.select(found, wrong), (0, 9))
+    html = table.said(found, wrong, lab_state.select(found, wrong), (0, 9))
     assert "4 of 13 queries" in html
     assert "role='alert'" in html
-    assert "<script>" not in html + labpages.boxes(found, wrong)
-    assert labstate.filtered(wrong, "", found.table).flaw == ""
+    assert "<script>" not in html + table.boxes(found, wrong)
+    assert lab_state.filtered(wrong, "", found.table).flaw == ""
 
 
 def test_a_chart_is_not_narrowed_by_the_choice_made_in_it(found: Findings, lab: LabState) -> None:
     weather = found.table.columns["weather"]
-    all_rates = labstate.rates(found, lab, weather)
+    all_rates = lab_state.rates(found, lab, weather)
     assert {rate.name for rate in all_rates} == set(WEATHERS)
     for said in WEATHERS:
         index = [rate.name for rate in all_rates].index(said)
-        pick = labstate.pick_bin(found, lab, "weather", index, said)
+        pick = lab_state.pick_bin(found, lab, "weather", index, said)
         assert pick is not None
         assert pick.rows.tolist() == np.flatnonzero(weather.values == said).tolist()
-        chosen = labstate.picked(replace(lab, outcome="failed"), pick)
-        assert labstate.rates(found, chosen, weather) == all_rates
-        altitude = labstate.rates(found, chosen, found.table.columns["heading"])
+        chosen = lab_state.picked(replace(lab, outcome="failed"), pick)
+        assert lab_state.rates(found, chosen, weather) == all_rates
+        altitude = lab_state.rates(found, chosen, found.table.columns["heading"])
         assert sum(rate.queries for rate in altitude) in (len(pick.rows), 13)
-    assert labstate.pick_bin(found, lab, "weather", 0, "hail") is None
-    assert labstate.pick_bin(found, lab, "weather", 3, "sun") is None
-    assert labstate.pick_bin(found, lab, "weather", -1, all_rates[-1].name) is None
-    assert labstate.pick_bin(found, lab, "latitude", 0, "46") is None
+    assert lab_state.pick_bin(found, lab, "weather", 0, "hail") is None
+    assert lab_state.pick_bin(found, lab, "weather", 3, "sun") is None
+    assert lab_state.pick_bin(found, lab, "weather", -1, all_rates[-1].name) is None
+    assert lab_state.pick_bin(found, lab, "latitude", 0, "46") is None
 
 
 def test_a_bin_of_numbers_holds_the_queries_it_counts(found: Findings, lab: LabState) -> None:
-    for index, rate in enumerate(labstate.rates(found, lab, found.table.columns["heading"])):
-        pick = labstate.pick_bin(found, lab, "heading", index, rate.name)
+    for index, rate in enumerate(lab_state.rates(found, lab, found.table.columns["heading"])):
+        pick = lab_state.pick_bin(found, lab, "heading", index, rate.name)
         assert pick is not None
         assert len(pick.rows) == rate.queries
         assert int(found.outcomes.failed[pick.rows].sum()) == rate.failures
@@ -159,11 +160,11 @@ def known_of(found: Findings, column: Column) -> Findings:
 def test_bins_of_large_numbers_are_told_apart(found: Findings, lab: LabState) -> None:
     seconds = 1_700_000_000 + 150.0 * np.arange(13)
     timed = known_of(found, number_column("time", seconds, "s"))
-    bins = labstate.rates(timed, lab, timed.table.columns["time"])
+    bins = lab_state.rates(timed, lab, timed.table.columns["time"])
     assert len({rate.name for rate in bins}) == len(bins) == 5
     assert bins[0].name.startswith("1700000000 to 17000003")
     for index, rate in enumerate(bins):
-        chosen = labmessages.of_bin(lab, timed, ["time", index, rate.name])
+        chosen = messages.of_bin(lab, timed, ["time", index, rate.name])
         assert chosen is not None
         assert seconds[chosen.picks[0].rows].min() == rate.low
         assert len(chosen.picks[0].rows) == rate.queries
@@ -172,42 +173,42 @@ def test_bins_of_large_numbers_are_told_apart(found: Findings, lab: LabState) ->
 def test_a_value_called_not_known_is_not_what_is_not_known(found: Findings, lab: LabState) -> None:
     values = ["not known"] * 4 + [""] * 5 + ["sun"] * 4
     told = known_of(found, text_column("sky", values))
-    bins = labstate.rates(told, lab, told.table.columns["sky"])
-    picked = [labstate.pick_bin(told, lab, "sky", index, rate.name) for index, rate in enumerate(bins)]
+    bins = lab_state.rates(told, lab, told.table.columns["sky"])
+    picked = [lab_state.pick_bin(told, lab, "sky", index, rate.name) for index, rate in enumerate(bins)]
     rows = {tuple(pick.rows.tolist()) for pick in picked if pick is not None}
     assert rows == {(0, 1, 2, 3), (4, 5, 6, 7, 8), (9, 10, 11, 12)}
 
 
 def test_a_chart_says_which_queries_it_counts(exhibit: Exhibit, found: Findings, lab: LabState) -> None:
     some = Pick("some", "some", np.array([failures(found)[0], np.flatnonzero(~found.outcomes.failed)[0]]))
-    assert "Failures by weather, of all 13 queries" in labcharts.page(found, lab, exhibit)
-    assert "Failures by weather, of 2 queries" in labcharts.page(found, labstate.picked(lab, some), exhibit)
+    assert "Failures by weather, of all 13 queries" in charts.page(found, lab, exhibit)
+    assert "Failures by weather, of 2 queries" in charts.page(found, lab_state.picked(lab, some), exhibit)
     # Among failures alone every rate would be 100 %.
-    assert "Failures by weather, of all 13 queries" in labcharts.page(found, replace(lab, where="rank > 1"), exhibit)
+    assert "Failures by weather, of all 13 queries" in charts.page(found, replace(lab, where="rank > 1"), exhibit)
 
 
 def test_a_report_says_all_that_chose_and_ordered_its_queries(found: Findings, lab: LabState) -> None:
-    assert labstate.words(found, lab) == "all, sorted by margin"
+    assert lab_state.words(found, lab) == "all, sorted by margin"
     pair = Pick("pair", "0449 taken for 0450", np.array([1, 2]))
     part = Pick("part", "part ring 1 costs most", np.array([1]))
-    busy = labstate.picked(
-        labstate.picked(replace(lab, outcome="failed", where="rank > 1 ", find=" 0002 "), pair), part
+    busy = lab_state.picked(
+        lab_state.picked(replace(lab, outcome="failed", where="rank > 1 ", find=" 0002 "), pair), part
     )
-    assert labstate.words(found, replace(busy, sort="rank", descending=True)) == (
+    assert lab_state.words(found, replace(busy, sort="rank", descending=True)) == (
         "failed and rank > 1 and name ~ 0002 and 0449 taken for 0450 and part ring 1 costs most, sorted by rank, descending"
     )
-    assert labstate.words(found, replace(lab, sort="gone")) == "all, sorted by margin"
+    assert lab_state.words(found, replace(lab, sort="gone")) == "all, sorted by margin"
 
 
 def test_pairs_and_parts_choose_the_failures_they_count(exhibit: Exhibit, found: Findings, lab: LabState) -> None:
     task = found.task
     for one in breakdown.confusions(found.outcomes, task.query_labels, task.labels):
-        pick = labstate.pick_pair(found, lab, one.place, one.answered)
+        pick = lab_state.pick_pair(found, lab, one.place, one.answered)
         assert pick is not None
         assert pick.rows.tolist() == one.queries.tolist()
         assert pick.words == f"{one.place:04d} taken for {one.answered:04d}"
-    assert labstate.pick_pair(found, lab, 1, 999) is None
-    blamed = [labstate.pick_part(found, part, name) for part, name in enumerate(exhibit.part_names)]
+    assert lab_state.pick_pair(found, lab, 1, 999) is None
+    blamed = [lab_state.pick_part(found, part, name) for part, name in enumerate(exhibit.part_names)]
     assert [len(pick.rows) for pick in blamed] == breakdown.blame(found.outcomes).tolist()
     assert sorted(row for pick in blamed for row in pick.rows) == failures(found)
 
@@ -235,23 +236,23 @@ def test_pairs_and_parts_choose_the_failures_they_count(exhibit: Exhibit, found:
     ],
 )
 def test_what_is_no_message_changes_nothing(found: Findings, lab: LabState, kind: str, value: Any) -> None:
-    assert labmessages.WITH_TABLE[kind](lab, found, value) is None
+    assert messages.WITH_TABLE[kind](lab, found, value) is None
 
 
 def test_a_second_click_takes_a_choice_away(found: Findings, lab: LabState) -> None:
-    index = [rate.name for rate in labstate.rates(found, lab, found.table.columns["weather"])].index("sun")
-    once = labmessages.of_bin(lab, found, ["weather", index, "sun"])
+    index = [rate.name for rate in lab_state.rates(found, lab, found.table.columns["weather"])].index("sun")
+    once = messages.of_bin(lab, found, ["weather", index, "sun"])
     assert once is not None
     assert [pick.words for pick in once.picks] == ["weather sun"]
-    twice = labmessages.of_bin(once, found, ["weather", index, "sun"])
+    twice = messages.of_bin(once, found, ["weather", index, "sun"])
     assert twice is not None
     assert twice.picks == ()
 
 
 @pytest.mark.parametrize("value", [[0.5], [0, "1"], [-0.1, 0], [0, math.nan], [True, 0], None, [0, 1, 0]])
 def test_points_of_a_map_are_fractions(value: Any) -> None:
-    assert labmessages.point(value) is None
-    assert labmessages.point([0, 0.25]) == (0.0, 0.25)
+    assert messages.point(value) is None
+    assert messages.point([0, 0.25]) == (0.0, 0.25)
 
 
 def plane(count: int = 9, fit: bool = False, chosen: list[int] | None = None) -> tuple[Drawn, np.ndarray]:
@@ -331,32 +332,32 @@ def test_a_map_is_kept_until_something_on_it_changes(laboratory: Laboratory, fou
         assert view.drawn is not drawn
         x, y = (0.5, 0.5)
         assert view.at(found, replace(lab, map="umap"), [kind, [x, y]]) is None
-        chosen = labmessages.rectangle(shown, [kind, [0, 0], [1, 1]], view.drawn)
+        chosen = messages.rectangle(shown, [kind, [0, 0], [1, 1]], view.drawn)
         assert chosen is not None
         assert chosen.picks[0].rows.tolist() == list(range(13))
         for wrong in ([kind, [0, 0]], ["umap", [0, 0], [1, 1]], [kind, [0, 0], [2, 1]], None):
-            assert labmessages.rectangle(shown, wrong, view.drawn) is None
-    assert labmessages.map_kind(lab, replace(found, task=replace(found.task, places=None)), "ground") is None
+            assert messages.rectangle(shown, wrong, view.drawn) is None
+    assert messages.map_kind(lab, replace(found, task=replace(found.task, places=None)), "ground") is None
 
 
 def test_names_and_metadata_never_become_html(exhibit: Exhibit, found: Findings, lab: LabState) -> None:
     chosen = replace(lab, columns=("weather",))
-    html = labpages.table(found, chosen, exhibit, found.table.rows(), 3)
-    html += labcharts.page(found, chosen, exhibit) + labpages.columns(found, chosen)
+    html = table.table(found, chosen, exhibit, found.table.rows(), 3)
+    html += charts.page(found, chosen, exhibit) + table.columns(found, chosen)
     assert "<b>rain" not in html
     assert "&lt;b&gt;rain" in html
     assert html.count("class='chosen' data-row='3'") == 1
     # The click on a bin says its name as it is.
     assert re.search(r'\["weather", \d, "say \\"hi\\""\]', unescape(html))
-    said = labpages.note(found, 0, notes.Note(("a",), "</textarea><script>"), 1)
+    said = table.note(found, 0, notes.Note(("a",), "</textarea><script>"), 1)
     assert "<script>" not in said
 
 
 def test_a_page_has_as_many_rows_as_are_shown_and_an_empty_one_says_what_to_do(
     exhibit: Exhibit, found: Findings, lab: LabState
 ) -> None:
-    assert labpages.table(found, lab, exhibit, found.table.rows()[:5], None).count("<tr class") == 5
-    assert "lab-clear" in labpages.table(found, lab, exhibit, found.table.rows()[:0], None)
+    assert table.table(found, lab, exhibit, found.table.rows()[:5], None).count("<tr class") == 5
+    assert "lab-clear" in table.table(found, lab, exhibit, found.table.rows()[:0], None)
 
 
 def test_notes_reach_every_table_and_the_disk(exhibit: Exhibit, laboratory: Laboratory, found: Findings) -> None:
@@ -381,7 +382,7 @@ def test_notes_reach_every_table_and_the_disk(exhibit: Exhibit, laboratory: Labo
         without = damaged.findings(TASK)
         assert without is not None
         assert "expected path,tags,note" in without.flaw
-        assert "left out" in labpages.said(without, LabState(TASK), without.table.rows(), (0, 5))
+        assert "left out" in table.said(without, LabState(TASK), without.table.rows(), (0, 5))
     finally:
         (exhibit.root / "notes.csv").unlink()
 
@@ -464,7 +465,7 @@ def test_next_and_previous_go_through_an_order() -> None:
 
 def test_another_task_begins_with_all_its_queries(lab: LabState) -> None:
     busy = replace(lab, where="rank > 1", picks=(Pick("a", "x", np.zeros(0, int)),), page=4, tab="maps", tall=True)
-    other = labstate.of_task(busy, "satellite-to-drone")
+    other = lab_state.of_task(busy, "satellite-to-drone")
     assert (other.where, other.picks, other.page) == ("", (), 0)
     assert (other.tab, other.tall) == ("maps", True)
-    assert labstate.of_task(busy, TASK) is busy
+    assert lab_state.of_task(busy, TASK) is busy

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import viser
 
-from explorer import labcharts, labmessages, labpages, labstate, reports, session_state
+from explorer import reports, session_state
 from explorer.compute.worker import Worker
-from explorer.laboratory import Findings, Laboratory
-from explorer.labstate import LabState
-from explorer.labviews import MapView, NoteView
+from explorer.failure_lab import charts, lab_state, messages, table
+from explorer.failure_lab.lab_state import LabState
+from explorer.failure_lab.service import Findings, Laboratory
+from explorer.failure_lab.views import MapView, NoteView
 from explorer.panels.panels import Change
 from explorer.panels.viewport import EDGE, Room
 from explorer.reports import Reporter
@@ -82,12 +83,12 @@ class Lab:
 
         parts = self._exhibit.part_names
         return {
-            **{kind: changing(change) for kind, change in labmessages.WITH_TABLE.items()},
-            "lab-part": changing(lambda lab, found, value: labmessages.part(lab, found, value, parts)),
-            "lab-rect": changing(lambda lab, _, value: labmessages.rectangle(lab, value, self._map.drawn)),
+            **{kind: changing(change) for kind, change in messages.WITH_TABLE.items()},
+            "lab-part": changing(lambda lab, found, value: messages.part(lab, found, value, parts)),
+            "lab-rect": changing(lambda lab, _, value: messages.rectangle(lab, value, self._map.drawn)),
             "lab-page": self._turn,
             "lab-tall": lambda _: self._update(lambda lab, _: replace(lab, tall=not lab.tall)),
-            "lab-stop": lambda value: self._update(lambda lab, found: labmessages.stop(lab, found, value)),
+            "lab-stop": lambda value: self._update(lambda lab, found: messages.stop(lab, found, value)),
             "lab-go": self._go,
             "lab-open": self._open,
             "lab-point": self._open_at,
@@ -103,7 +104,7 @@ class Lab:
         state = answer.state
         query = None if state.upload else state.query
         with self._lock:
-            self._lab = labstate.of_task(self._lab, state.task)
+            self._lab = lab_state.of_task(self._lab, state.task)
             self._view = View(state.task, query, state.lab)
         self._worker.wake()
 
@@ -141,7 +142,7 @@ class Lab:
         key = (found, lab.outcome, lab.where, lab.find, lab.picks, lab.sort, lab.descending)
         with self._lock:
             if self._selection[0] != key:
-                self._selection = key, labstate.order(found, lab, labstate.select(found, lab))
+                self._selection = key, lab_state.order(found, lab, lab_state.select(found, lab))
             return self._selection[1]
 
     def _work(self) -> None:
@@ -166,16 +167,16 @@ class Lab:
             lab = self._paged(lab, view, rows)
         first = lab.page * self._count
         shown = rows[first : first + self._count]
-        self._bar.show(labpages.bar(found, lab))
+        self._bar.show(table.bar(found, lab))
         if lab.texts != self._texts:  # else what is being typed would be taken away
             self._texts = lab.texts
-            self._boxes.show(labpages.boxes(found, lab))
-        self._said.show(labpages.said(found, lab, rows, (first, self._count)))
-        self._columns.show(labpages.columns(found, lab) if lab.choosing and lab.tab == "table" else "")
+            self._boxes.show(table.boxes(found, lab))
+        self._said.show(table.said(found, lab, rows, (first, self._count)))
+        self._columns.show(table.columns(found, lab) if lab.choosing and lab.tab == "table" else "")
         if lab.tab == "table":
-            self._body.show(labpages.table(found, lab, self._exhibit, shown, view.query))
+            self._body.show(table.table(found, lab, self._exhibit, shown, view.query))
         elif lab.tab == "breakdown":
-            self._body.show(labcharts.page(found, lab, self._exhibit))
+            self._body.show(charts.page(found, lab, self._exhibit))
         else:
             shown_map, ready = self._map.page(found, lab, view.query, rows, self._size)
             self._body.show(shown_map)
@@ -199,7 +200,7 @@ class Lab:
         self._texts = None
         self._notes.show(None, None)
         queries = len(self._exhibit.tasks[lab.task].queries)
-        self._body.show(labpages.waiting(job, f"Ranking {queries:,} queries", stopped, "table"))
+        self._body.show(table.waiting(job, f"Ranking {queries:,} queries", stopped, "table"))
         if job is not None and job.flaw is None:
             self._worker.wake()
 
@@ -238,22 +239,22 @@ class Lab:
         self._worker.wake()
 
     def _turn(self, value: Any) -> None:
-        by = labmessages.integer(value, -1, 1)
+        by = messages.integer(value, -1, 1)
         if by is not None:
             self._update(lambda lab, _: replace(lab, page=max(lab.page + by, 0)))
 
     def _go(self, value: Any) -> None:
         if value == "table":
             self._shared.again(self._lab.task)
-        elif value in labstate.MAPS:
+        elif value in lab_state.MAPS:
             self._shared.again(self._lab.task, value)
-        self._update(lambda lab, found: labmessages.go(lab, found, value))
+        self._update(lambda lab, found: messages.go(lab, found, value))
         self._worker.wake()
 
     def _open(self, value: Any) -> None:
         task = self._lab.task
         queries = len(self._exhibit.tasks[task].queries)
-        row = labmessages.integer(value, 0, queries - 1)
+        row = messages.integer(value, 0, queries - 1)
         if row is not None:
             self._change(lambda state: session_state.choose(state, row, queries) if state.task == task else state)
 
@@ -268,7 +269,7 @@ class Lab:
         if found is not None:
             rows = self._map.at(found, self._lab, value)
             self._tips += 1
-            self._tip.show("" if rows is None else labpages.tip(found, self._exhibit, rows, self._tips))
+            self._tip.show("" if rows is None else table.tip(found, self._exhibit, rows, self._tips))
 
     def _say(self, value: Any) -> None:
         if self._notes.say(value):
@@ -287,7 +288,7 @@ class Lab:
         if found is None:
             return
         rows, task = [int(row) for row in self._rows(found, lab)], found.task
-        chosen = f"{labstate.words(found, lab)} (failure laboratory)"
+        chosen = f"{lab_state.words(found, lab)} (failure laboratory)"
         self._reporter.make(
             lambda progress, model: reports.of_selection(self._exhibit, task, rows, chosen, progress, model)
         )
@@ -298,4 +299,4 @@ class Lab:
             if isinstance(error, LPNError)
             else f"{type(error).__name__}: the details are in the server's log."
         )
-        self._body.show(f"<div class='lpn'>{labpages.message(text, False)}</div>")
+        self._body.show(f"<div class='lpn'>{table.message(text, False)}</div>")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from html import escape
 
-from explorer import labstate
-from explorer.labmap import Drawn
-from explorer.laboratory import Findings
-from explorer.labstate import LabState
+from explorer.failure_lab import lab_state
+from explorer.failure_lab.lab_state import LabState
+from explorer.failure_lab.map_drawing import Drawn
+from explorer.failure_lab.service import Findings
 from explorer.web.bridge import send
 from explorer.web.style import verdict_ink
 from explorer.workspace import Exhibit
@@ -40,7 +40,7 @@ NOTHING = (
 
 def page(found: Findings, lab: LabState, exhibit: Exhibit) -> str:
     """All of it, among the chosen queries; a choice made here does not narrow the chart that it was made in."""
-    columns = [(column, labstate.rates(found, lab, column)) for column in labstate.described(found)]
+    columns = [(column, lab_state.rates(found, lab, column)) for column in lab_state.described(found)]
     # Neither a column of one value says anything, nor one in which each query has its own.
     columns = [(c, r) for c, r in columns if 1 < len(r) <= max(len(found.table) // 2, 2)]
     full = max((rate.interval[1] for _, rates in columns for rate in rates if rate.queries >= _ENOUGH), default=1.0)
@@ -86,7 +86,7 @@ def map_choice(found: Findings, lab: LabState, umap: bool) -> str:
 
 
 def _blame(found: Findings, lab: LabState, exhibit: Exhibit, chosen: dict[str, str]) -> str:
-    rows = labstate.select(found, lab, "part", whatever=True)
+    rows = lab_state.select(found, lab, "part", whatever=True)
     counts = breakdown.blame(found.outcomes, rows).tolist()
     failed = int(found.outcomes.failed[rows].sum())
     if not failed:
@@ -107,11 +107,11 @@ def _blame(found: Findings, lab: LabState, exhibit: Exhibit, chosen: dict[str, s
 
 
 def _pairs(found: Findings, lab: LabState, exhibit: Exhibit, chosen: dict[str, str]) -> str:
-    rows = labstate.select(found, lab, "pair", whatever=True)
+    rows = lab_state.select(found, lab, "pair", whatever=True)
     pairs = breakdown.confusions(found.outcomes, found.task.query_labels, found.task.labels, rows)
     lines = []
     for one in pairs[:_PAIRS]:
-        place, answered = labstate.names_of(found, one)
+        place, answered = lab_state.names_of(found, one)
         truth = int(found.outcomes.true[one.queries[0]])
         pictures = [exhibit.thumbnail(found.task.gallery[tile].path) if tile >= 0 else "" for tile in (truth, one.tile)]
         shown = [f"<img src='{picture}' alt=''>" if picture else "<i class='none'></i>" for picture in pictures]
@@ -132,7 +132,7 @@ def _rates(column: Column, rates: list[Rate], full: float, overall: float, chose
     lines = "".join(
         _line(
             ("lab-bin", [column.name, index, rate.name]),
-            f"{column.name} {rate.name}" == chosen.get(labstate.kind_of(column)),
+            f"{column.name} {rate.name}" == chosen.get(lab_state.kind_of(column)),
             f"<span class='name'>{escape(rate.name)}</span><span class='track'>{_share(rate, full, overall)}</span>"
             f"<span class='many'>{100 * rate.share:.0f} %</span>",
             f"{rate.name}: {rate.failures} of {rate.queries} queries failed; 95 % interval {100 * rate.interval[0]:.0f} to "

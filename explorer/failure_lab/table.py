@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from explorer.compute.background_jobs import Job
-from explorer.laboratory import Findings
-from explorer.labstate import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
+from explorer.failure_lab.lab_state import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
+from explorer.failure_lab.service import Findings
 from explorer.panels.pages import SIGNS
 from explorer.web.bridge import send
 from explorer.web.style import verdict_ink

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from explorer.laboratory import Points
+from explorer.failure_lab.service import Points
 from lpn.analysis import embedding_map
 from lpn.core.images import Picture
 from lpn.datasets.geo import FloatArray

@@ -1,0 +1,1 @@
+"""The failure laboratory: all queries of a task as a table, charts, and maps."""
