@@ -71,15 +71,15 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.browser
-	$(BIN)/python -m bench $(BENCH)
+	$(BIN)/python -m tools.bench $(BENCH)
 
 # Every reader, on small real files damaged with a fixed seed; the tests give each some hundred.
 fuzz: $(VENV)/.dev
-	OMP_NUM_THREADS=1 $(BIN)/python -m fuzz.readers --inputs $(or $(INPUTS),10000)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tools.fuzz.readers --inputs $(or $(INPUTS),10000)
 
 # Many people at once, every answer checked: make soak MINUTES=10 CLIENTS=20 PAGES=2 SEED=0 OUT=soak.json
 soak: $(VENV)/.browser
-	$(BIN)/python -m soak $(if $(MINUTES),--minutes $(MINUTES)) $(if $(CLIENTS),--clients $(CLIENTS)) $(if $(PAGES),--pages $(PAGES)) \
+	$(BIN)/python -m tools.soak $(if $(MINUTES),--minutes $(MINUTES)) $(if $(CLIENTS),--clients $(CLIENTS)) $(if $(PAGES),--pages $(PAGES)) \
 	  $(if $(SEED),--seed $(SEED)) $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(OUT),--out "$(OUT)")
 
 # The demo made again, in runs/: a city rendered, a network trained on it, both packed. Every step goes on where it stopped.

@@ -15,7 +15,7 @@ from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save
 from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -35,13 +35,13 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An exported model; `model.safetensors` lies beside it."""
-    return worlds.make_model(tmp_path_factory.mktemp("model"))
+    return small_worlds.make_model(tmp_path_factory.mktemp("model"))
 
 
 @pytest.fixture(scope="session")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set that no test may change."""
-    return worlds.make_dataset(tmp_path_factory.mktemp("data") / "places")
+    return small_worlds.make_dataset(tmp_path_factory.mktemp("data") / "places")
 
 
 @dataclass(frozen=True)

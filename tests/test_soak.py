@@ -22,18 +22,18 @@ from explorer.workspace import Analyst, Answer
 from lpn import descriptors
 from lpn.core.errors import LPNError
 from lpn.models.base import normalise
-from soak import hand, reading
-from soak import server as server_module
-from soak.asked import Asked, fits, strange
-from soak.figures import CALLBACKS, ENOUGH, GROWTH, LEFT_HANDLES, LEFT_THREADS, Figures, Memory
-from soak.hand import FaultError, Socket, StoppedError
-from soak.reading import Row, Shown
-from soak.record import OWN_ERROR, Fault, Record, Time
-from soak.record import Answer as Answered
-from soak.reference import EQUAL, SIGNS, Reference
-from soak.run import Soak
-from soak.script import Client
-from soak.server import Held, Server
+from tools.soak import hand, reading
+from tools.soak import server as server_module
+from tools.soak.asked import Asked, fits, strange
+from tools.soak.figures import CALLBACKS, ENOUGH, GROWTH, LEFT_HANDLES, LEFT_THREADS, Figures, Memory
+from tools.soak.hand import FaultError, Socket, StoppedError
+from tools.soak.reading import Row, Shown
+from tools.soak.record import OWN_ERROR, Fault, Record, Time
+from tools.soak.record import Answer as Answered
+from tools.soak.reference import EQUAL, SIGNS, Reference
+from tools.soak.run import Soak
+from tools.soak.script import Client
+from tools.soak.server import Held, Server
 
 
 @pytest.fixture(scope="module")
@@ -379,7 +379,7 @@ class Idle(Server):
 def test_a_client_that_cannot_begin_or_does_not_end_is_an_error(
     reference: Reference, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("soak.run.ENDING", 0.2)
+    monkeypatch.setattr("tools.soak.run.ENDING", 0.2)
     let = threading.Event()
 
     def cannot(*_: object) -> None:

@@ -24,10 +24,10 @@ from lpn.models.checkpoints import save
 from lpn.models.export import export
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
-from soak.chromium import launch
-from tests import worlds
 from tests.conftest import RealRun
-from tests.saved import save_result
+from tools.fixtures import small_worlds
+from tools.fixtures.chromium import launch
+from tools.fixtures.published_results import save_result
 
 
 @dataclass(frozen=True)
@@ -80,15 +80,17 @@ def started(
 def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """The app on drawn places."""
     folder = tmp_path_factory.mktemp("app")
-    with started(worlds.make_dataset(folder / "places"), worlds.make_model(folder), folder / "cache") as running:
+    with started(
+        small_worlds.make_dataset(folder / "places"), small_worlds.make_model(folder), folder / "cache"
+    ) as running:
         yield running
 
 
 @pytest.fixture
 def two_models(tmp_path: Path) -> Iterator[Running]:
     """The app with a network of one part beside that of four."""
-    worlds.make_model(tmp_path / "n1", n_parts=1).rename(tmp_path / "whole.onnx")
-    model, data = worlds.make_model(tmp_path), worlds.make_dataset(tmp_path / "places")
+    small_worlds.make_model(tmp_path / "n1", n_parts=1).rename(tmp_path / "whole.onnx")
+    model, data = small_worlds.make_model(tmp_path), small_worlds.make_dataset(tmp_path / "places")
     with started(data, model, tmp_path / "cache", beside=tmp_path / "whole.onnx") as running:
         yield running
 
@@ -103,7 +105,7 @@ def demo_app(tmp_path: Path) -> Iterator[Running]:
 @pytest.fixture
 def mapped_app(model_file: Path, tmp_path: Path) -> Iterator[Running]:
     """The app on drawn places whose positions are known."""
-    data = worlds.map_dataset(worlds.make_dataset(tmp_path / "places"))
+    data = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places"))
     with started(data, model_file, tmp_path / "cache") as running:
         yield running
 
@@ -111,8 +113,8 @@ def mapped_app(model_file: Path, tmp_path: Path) -> Iterator[Running]:
 @pytest.fixture
 def city_app(model_file: Path, tmp_path: Path) -> Iterator[Running]:
     """The app on drawn places whose city stands beside their positions."""
-    data = worlds.map_dataset(worlds.make_dataset(tmp_path / "places"))
-    (data / "city.glb").write_bytes(worlds.city())
+    data = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places"))
+    (data / "city.glb").write_bytes(small_worlds.city())
     with started(data, model_file, tmp_path / "cache") as running:
         yield running
 
@@ -142,7 +144,9 @@ def panorama_app(tmp_path: Path) -> Iterator[Running]:
     )
     save(LPN(spec), tmp_path / "safa.safetensors")
     export(tmp_path / "safa.safetensors", tmp_path / "safa.onnx")
-    with started(worlds.make_cvusa(tmp_path / "pairs", 12), tmp_path / "safa.onnx", tmp_path / "cache") as running:
+    with started(
+        small_worlds.make_cvusa(tmp_path / "pairs", 12), tmp_path / "safa.onnx", tmp_path / "cache"
+    ) as running:
         yield running
 
 

@@ -17,8 +17,8 @@ from lpn.cli.using import DEMO_QUERY
 from lpn.core import images
 from lpn.datasets import geo
 from lpn.retrieval import Ranking, scoring
-from tests import worlds
 from tests.e2e.conftest import Explorer, Running
+from tools.fixtures import small_worlds
 
 
 def expected(app: Running, name: str, angle: float = 0.0, weights: tuple[float, ...] = (1, 1, 1, 1)) -> Ranking:
@@ -170,7 +170,7 @@ def test_heatmap_and_rings_can_be_hidden_and_rings_taken_apart(explorer: Explore
 
 def test_a_picture_of_ones_own(explorer: Explorer, tmp_path: Path) -> None:
     own = tmp_path / "<b>mine.png"
-    worlds.write(own, worlds.place(77))
+    small_worlds.write(own, small_worlds.place(77))
     explorer.page.locator("input[type=file]").set_input_files(str(own))
     explorer.expect_status("name", own.name)
     expect(explorer.verdict).to_contain_text("Your picture")

@@ -17,8 +17,8 @@ import pytest
 from PIL import Image, PngImagePlugin
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from tests import worlds
 from tests.e2e.conftest import Explorer, Running, started
+from tools.fixtures import small_worlds
 
 # Without slashes, so that a folder can have such a name.
 NAMES = [
@@ -46,8 +46,11 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pairs, positions, weather, notes = [], [], [], []
     for number, name in enumerate(NAMES):
         tile, photo = f"tiles/{name}/tile.png", f"photos/{name}/<img src=x onerror=window.hurt=12>.png"
-        for path, picture in ((tile, worlds.place(number)), (photo, worlds.from_drone(worlds.place(number), number))):
-            worlds.write(root / path, picture)
+        for path, picture in (
+            (tile, small_worlds.place(number)),
+            (photo, small_worlds.from_drone(small_worlds.place(number), number)),
+        ):
+            small_worlds.write(root / path, picture)
             Image.open(root / path).save(root / path, pnginfo=told)
             positions.append([path, f"{46 + 0.001 * number:.4f}", "7"])
             weather.append([path, TEXT, NAMES[1]])
@@ -143,7 +146,7 @@ def visit(walk: Walk, folder: Path) -> None:
             look()
     explorer.key("y")
     own = folder / NAMES[0]
-    worlds.write(own.with_suffix(".png"), worlds.place(77))
+    small_worlds.write(own.with_suffix(".png"), small_worlds.place(77))
     page.locator("input[type=file]").set_input_files(str(own.with_suffix(".png")))
     explorer.expect_status("name", own.with_suffix(".png").name)
     look()

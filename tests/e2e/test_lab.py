@@ -17,8 +17,8 @@ from lpn import datasets, descriptors
 from lpn.analysis import breakdown, query_outcomes
 from lpn.analysis.query_outcomes import Outcomes
 from lpn.core.tables import Table
-from tests import worlds
 from tests.e2e.conftest import Explorer, Running, started
+from tools.fixtures import small_worlds
 
 WEATHERS = ("rain", "sun", "<b>fog</b>")
 
@@ -26,7 +26,9 @@ WEATHERS = ("rain", "sun", "<b>fog</b>")
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Drawn places with positions and weather."""
-    data = worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("lab") / "places", train=1, test=40))
+    data = small_worlds.map_dataset(
+        small_worlds.make_dataset(tmp_path_factory.mktemp("lab") / "places", train=1, test=40)
+    )
     files = sorted((data / "test" / "query_drone").rglob("*.png"))
     lines = [f"{file.relative_to(data).as_posix()},{WEATHERS[i % 3]}" for i, file in enumerate(files)]
     (data / "metadata.csv").write_text("\n".join(["path,weather", *lines]))
@@ -37,7 +39,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def lab_app(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     """The app on those places."""
     folder = tmp_path_factory.mktemp("run")
-    with started(places, worlds.make_model(folder), folder / "cache") as running:
+    with started(places, small_worlds.make_model(folder), folder / "cache") as running:
         yield running
 
 

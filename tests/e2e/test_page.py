@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, FloatRect, Locator, expect
 
-from bench.page import free_port
 from explorer.app import App
 from explorer.opening import open_model
 from explorer.session_state import State
 from explorer.workspace import Analyst, Answer
-from tests import worlds
 from tests.e2e.conftest import Explorer, Running, started
+from tools.fixtures import small_worlds
+from tools.fixtures.processes import free_port
 
 SHOWN = ("query", "name", "angle", "chosen", "top")
 
@@ -117,7 +117,7 @@ def test_ones_own_picture_is_said_not_to_be_in_the_link(
     explorer: Explorer, contexts: Callable[..., BrowserContext], tmp_path: Path
 ) -> None:
     file = tmp_path / "mine.png"
-    worlds.write(file, worlds.place(77))
+    small_worlds.write(file, small_worlds.place(77))
     explorer.page.locator("input[type=file]").set_input_files(str(file))
     explorer.expect_status("name", "mine.png")
     wait_address(explorer, "query", "own")

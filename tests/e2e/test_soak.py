@@ -18,20 +18,20 @@ from explorer.opening import open_model
 from explorer.session_state import State
 from explorer.workspace import Analyst, Answer
 from lpn.core.files import write_whole
-from soak.asked import Asked
-from soak.chromium import Tab
-from soak.hand import FaultError, StoppedError
-from soak.record import Record
-from soak.reference import Reference
-from soak.run import Soak
-from soak.script import Client
-from tests import worlds
+from tools.fixtures import small_worlds
+from tools.soak.asked import Asked
+from tools.soak.chromium import Tab
+from tools.soak.hand import FaultError, StoppedError
+from tools.soak.record import Record
+from tools.soak.reference import Reference
+from tools.soak.run import Soak
+from tools.soak.script import Client
 
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Places that are seen in both directions."""
-    return worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("soak") / "places"))
+    return small_worlds.map_dataset(small_worlds.make_dataset(tmp_path_factory.mktemp("soak") / "places"))
 
 
 def test_many_at_once_are_each_answered_rightly_and_leave_nothing_behind(
@@ -104,7 +104,7 @@ def test_an_answer_in_a_page_is_timed_from_the_last_move_of_the_mouse(
 ) -> None:
     with page_of(places, model_file, browser, threading.Event()) as (tab, reference):
         asked = entered(tab, reference)
-        monkeypatch.setattr("soak.chromium.RATE", 2.0)  # it rests half a second where the drag ends
+        monkeypatch.setattr("tools.soak.chromium.RATE", 2.0)  # it rests half a second where the drag ends
         left = tab.drag("Rotate", [90.0])
         passed = [replace(asked, angle=float(angle)) for angle in range(-180, 181)]
         assert tab.settle(replace(asked, angle=left), passed).seconds > 0.45

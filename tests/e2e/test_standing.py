@@ -11,8 +11,8 @@ from playwright.sync_api import BrowserContext, expect
 from explorer.app import App
 from explorer.compute import ranking_job
 from explorer.opening import open_model
-from tests import worlds
 from tests.e2e.conftest import Explorer
+from tools.fixtures import small_worlds
 
 
 def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
@@ -20,7 +20,7 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
 ) -> None:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(ranking_job, "QUICK", 0)
-    exhibit = open_model(worlds.make_dataset(tmp_path / "places"), model_file)
+    exhibit = open_model(small_worlds.make_dataset(tmp_path / "places"), model_file)
     task = exhibit.tasks["drone-to-satellite"]
     app = App(exhibit, "127.0.0.1", 0)
     try:

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from soak.client import Talker
-from tests import worlds
 from tests.explorer.test_shutdown import Explorer
+from tools.fixtures import small_worlds
+from tools.fixtures.websocket_client import Talker
 
 TOKEN = "correct horse battery"
 
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.make_dataset(tmp_path_factory.mktemp("log") / "places", train=1, test=4)
+    return small_worlds.make_dataset(tmp_path_factory.mktemp("log") / "places", train=1, test=4)
 
 
 def test_requests_are_a_line_each_at_debug_and_no_token_is_in_them(

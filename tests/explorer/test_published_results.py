@@ -12,8 +12,8 @@ from explorer.session_state import State, Upload
 from explorer.workspace import Analyst, Exhibit
 from lpn.core.errors import DataError, InputError
 from lpn.retrieval.published_results import load_saved
-from tests import worlds
-from tests.saved import save_result
+from tools.fixtures import small_worlds
+from tools.fixtures.published_results import save_result
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_results_that_cannot_be_explored_are_refused(data: Path, model_file: Pat
     with pytest.raises(InputError, match="parts of norm"):
         open_saved(data, load_saved(tmp_path / "r.mat"))
     save_result(tmp_path / "r.mat", data, model_file)
-    other = worlds.make_dataset(tmp_path / "other", train=1, test=2)
+    other = small_worlds.make_dataset(tmp_path / "other", train=1, test=2)
     with pytest.raises(DataError, match="give the data set"):
         open_saved(other, load_saved(tmp_path / "r.mat"))
     with pytest.raises(InputError, match="no query x"):

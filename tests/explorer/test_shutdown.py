@@ -15,9 +15,9 @@ import pytest
 
 from lpn.analysis.notes import read_notes
 from lpn.core.shutdown import GRACE
-from soak.client import Talker
-from tests import worlds
-from tests.processes import SOON, Process
+from tools.fixtures import small_worlds
+from tools.fixtures.processes import SOON, Process
+from tools.fixtures.websocket_client import Talker
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's")
 
@@ -72,7 +72,7 @@ d.prepared = lambda *given: (print("describing", flush=True), time.sleep(0.5), p
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.make_dataset(tmp_path_factory.mktemp("stopping") / "places", train=1, test=4)
+    return small_worlds.make_dataset(tmp_path_factory.mktemp("stopping") / "places", train=1, test=4)
 
 
 class Explorer(Process):

@@ -1,4 +1,4 @@
-"""A few hundred damaged files for every reader; `python -m fuzz.readers` reads ten thousand, in processes of their own."""
+"""A few hundred damaged files for every reader; `python -m tools.fuzz.readers` reads ten thousand, in processes of their own."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fuzz.readers import an_input, run
-from fuzz.targets import TARGETS, complaint, described, misbehaving
 from lpn import descriptors
 from lpn.core.errors import LPNError
 from lpn.datasets.geo import read_positions
 from lpn.models.spec import ModelSpec
+from tools.fuzz.readers import an_input, run
+from tools.fuzz.targets import TARGETS, complaint, described, misbehaving
 
 FEW = {"pth": 60, "safetensors": 60, "onnx": 100}
 """Of these, an input takes tens of milliseconds."""

@@ -24,7 +24,7 @@ from lpn.models.checkpoints import load_torch
 from lpn.models.network import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.published_checkpoints import read_options
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 def verified(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
@@ -34,7 +34,7 @@ def verified(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.make_model(tmp_path_factory.mktemp("model"), size=32)
+    return small_worlds.make_model(tmp_path_factory.mktemp("model"), size=32)
 
 
 @pytest.mark.parametrize("name", ["model.onnx", "model.safetensors", "net.pth", "old.pth", "state.pt"])
@@ -111,7 +111,7 @@ def test_a_pth_that_unpacks_to_more_than_it_is_takes_no_memory(tmp_path: Path) -
 def test_a_pth_whose_tensors_repeat_one_number_takes_no_memory(tmp_path: Path) -> None:
     """As a safetensors file cannot: each tensor of these shapes has a single number behind it."""
     with torch.device("meta"):
-        huge = LPN(replace(worlds.make_network().spec, embedding=1 << 17, n_parts=64, classes=2))
+        huge = LPN(replace(small_worlds.make_network().spec, embedding=1 << 17, n_parts=64, classes=2))
     state = {key: torch.zeros([1] * value.dim()).expand(value.shape) for key, value in huge.state_dict().items()}
     torch.save(state, tmp_path / "huge.pth")
     with pytest.raises(ModelFileError, match="claims to hold"):
@@ -190,7 +190,7 @@ def test_positions_from_a_spreadsheet() -> None:
 def test_a_png_that_claims_gigabytes_needs_no_room(tmp_path: Path) -> None:
     resource = pytest.importorskip("resource")
     file = tmp_path / "a.png"
-    worlds.write(file, worlds.place(1))
+    small_worlds.write(file, small_worlds.place(1))
     data = bytearray(file.read_bytes())
     place = data.index(b"IDAT") - 4
     data[place : place + 4] = b"\xff\xff\xff\xf0"
@@ -208,7 +208,7 @@ def test_checksums_of_another_number_of_blocks_are_not_counted(
     exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A manifest that tells of blocks of one byte would have a store of gigabytes counted byte by byte."""
-    worlds.write(tmp_path / "a.png", worlds.place(1))
+    small_worlds.write(tmp_path / "a.png", small_worlds.place(1))
     made = descriptors.describe(Engine(exported, threads=1), [tmp_path / "a.png"], "drone", tmp_path / "store")
     told = made.manifest.checksums
     assert told is not None
@@ -224,11 +224,11 @@ def test_a_model_of_many_epochs_without_its_state_is_not_trained_over(
     """Whoever copies a model to another machine and adds --resume must not lose it to a first epoch."""
     from lpn.models.checkpoints import save
 
-    places = worlds.make_dataset(tmp_path / "places", train=3, test=2)
+    places = small_worlds.make_dataset(tmp_path / "places", train=3, test=2)
     out = tmp_path / "run"
     arguments = ["train", "--data", str(places), "--out", str(out), "--recipe", "small", "--batch", "2", "--resume"]
     for extra in ({"epochs": "120"}, {}):
-        save(worlds.make_network(), out / "last.safetensors", extra)
+        save(small_worlds.make_network(), out / "last.safetensors", extra)
         kept = (out / "last.safetensors").read_bytes()
         assert main.main(arguments) == 2
         assert "state.pt" in capsys.readouterr().err

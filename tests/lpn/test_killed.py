@@ -24,8 +24,8 @@ from lpn import descriptors, index
 from lpn.core.errors import DataError, StoreError
 from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
-from tests import worlds
-from tests.killing import Killer
+from tools.fixtures import small_worlds
+from tools.fixtures.killed_commands import Killer
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is POSIX's")
 ROUNDS = int(os.environ.get("LPN_KILLS", "4"))
@@ -51,7 +51,7 @@ class Command:
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.make_dataset(tmp_path_factory.mktemp("few") / "places", train=4, test=4)
+    return small_worlds.make_dataset(tmp_path_factory.mktemp("few") / "places", train=4, test=4)
 
 
 @pytest.fixture
@@ -226,7 +226,7 @@ def test_a_store_read_while_it_is_written_is_none_or_whole(
     ]
     assert killer.run(arguments)[0] == 0
     before = shutil.copytree(out, tmp_path / "before")
-    worlds.write(pictures / "new.png", worlds.place(77))
+    small_worlds.write(pictures / "new.png", small_worlds.place(77))
     _, _, steps = killer.run(arguments)
     killed = 0
     for step in range(1, steps + 1):

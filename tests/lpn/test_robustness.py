@@ -27,7 +27,7 @@ from lpn.datasets import open_dataset
 from lpn.datasets.geo import read_positions
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.onnx_engine import Engine
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -39,26 +39,26 @@ def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def test_an_animation_is_its_first_frame() -> None:
-    first, second = (Image.fromarray(picture) for picture in (worlds.place(1), 255 - worlds.place(1)))
+    first, second = (Image.fromarray(picture) for picture in (small_worlds.place(1), 255 - small_worlds.place(1)))
     for kind in ("PNG", "WEBP"):
         whole = io.BytesIO()
         first.save(whole, kind, save_all=True, append_images=[second], lossless=True)
-        np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), kind), worlds.place(1))
+        np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), kind), small_worlds.place(1))
 
 
 @pytest.mark.parametrize("name", ["png.jpg", "webp.png", "gif.jpeg", "bmp.webp"])
 def test_a_wrong_extension_does_not_matter(name: str, tmp_path: Path) -> None:
     kind = name.split(".")[0]
-    Image.fromarray(worlds.place(1)).save(tmp_path / name, kind.upper())
-    assert images.load_picture(tmp_path / name).shape == (worlds.SIZE, worlds.SIZE, 3)
+    Image.fromarray(small_worlds.place(1)).save(tmp_path / name, kind.upper())
+    assert images.load_picture(tmp_path / name).shape == (small_worlds.SIZE, small_worlds.SIZE, 3)
 
 
 def test_transparency_is_left_out() -> None:
-    seen = Image.fromarray(worlds.place(1))
+    seen = Image.fromarray(small_worlds.place(1))
     seen.putalpha(0)
     whole = io.BytesIO()
     seen.save(whole, "PNG")
-    np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), "alpha"), worlds.place(1))
+    np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), "alpha"), small_worlds.place(1))
 
 
 def test_kinds_that_people_take_for_pictures_are_named() -> None:
@@ -83,7 +83,7 @@ def test_a_hundred_megapixels_and_more_are_refused_at_once() -> None:
 def test_a_chunk_that_claims_gigabytes_takes_none() -> None:
     """OpenCV makes room for what a PNG says will follow; 164 bytes once took 2 GB."""
     whole = io.BytesIO()
-    Image.fromarray(worlds.place(1)).save(whole, "PNG")
+    Image.fromarray(small_worlds.place(1)).save(whole, "PNG")
     data = bytearray(whole.getvalue())
     place = data.index(b"IDAT") - 4
     data[place : place + 4] = (0x7FFF_0000).to_bytes(4, "big")
@@ -99,7 +99,7 @@ NAMES = ("ä ö.png", "with space.png", "new\nline.png", "\U0001f6f0.png", "%s &
 def test_names_of_any_kind_are_described(model_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "pictures of\nmine"
     for i, name in enumerate(NAMES):
-        worlds.write(tmp_path / "a.png", worlds.place(i))
+        small_worlds.write(tmp_path / "a.png", small_worlds.place(i))
         (folder / name).parent.mkdir(exist_ok=True)
         (tmp_path / "a.png").rename(folder / name)
     files = descriptors.pictures_below(folder)
@@ -110,7 +110,7 @@ def test_names_of_any_kind_are_described(model_file: Path, tmp_path: Path) -> No
 
 
 def test_links_that_lead_nowhere_or_in_a_circle_are_named(model_file: Path, tmp_path: Path) -> None:
-    root = worlds.make_dataset(tmp_path / "places", train=1, test=3)
+    root = small_worlds.make_dataset(tmp_path / "places", train=1, test=3)
     place = root / "test" / "gallery_satellite" / "0002"
     (place / "gone.png").symlink_to(tmp_path / "absent.png")
     (place / "circle.png").symlink_to(place / "circle.png")
@@ -129,7 +129,7 @@ def test_a_picture_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: py
     from lpn.datasets.integrity import check_whole
 
     file = tmp_path / "a.png"
-    worlds.write(file, worlds.place(1))
+    small_worlds.write(file, small_worlds.place(1))
 
     def refused(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
@@ -142,7 +142,7 @@ def test_a_picture_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: py
 def test_one_place_is_too_few_to_train_on_and_says_nothing_when_tested(
     model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    root = str(worlds.make_dataset(tmp_path / "one", train=1, test=1))
+    root = str(small_worlds.make_dataset(tmp_path / "one", train=1, test=1))
     assert "at least two" in said(
         ["train", "--data", root, "--out", str(tmp_path / "run"), "--recipe", "small"], capsys
     )
@@ -178,7 +178,7 @@ def test_numbers_that_are_none_are_found_in_a_store(
 
 
 def test_a_model_that_computes_nan_is_told_before_anything_is_kept(tmp_path: Path, data: Path) -> None:
-    file = worlds.make_model(tmp_path)
+    file = small_worlds.make_model(tmp_path)
     proto = onnx.load_model(file)
     for weight in proto.graph.initializer:
         if weight.name == "bias" or weight.dims == [4, 512]:
@@ -298,7 +298,7 @@ def test_an_onnx_whose_metadata_lie_is_refused(
 
 
 def test_an_onnx_whose_shapes_lie_is_told_when_it_runs(tmp_path: Path) -> None:
-    from fuzz.small_models import SPEC, onnx_file
+    from tools.fuzz.small_models import SPEC, onnx_file
 
     proto = onnx.load_model_from_string(onnx_file(seal=False))
     reshape = next(one for one in proto.graph.initializer if one.name == "mix")
@@ -311,7 +311,7 @@ def test_an_onnx_whose_shapes_lie_is_told_when_it_runs(tmp_path: Path) -> None:
 def test_a_checkpoint_that_claims_to_be_huge_takes_no_memory(tmp_path: Path) -> None:
     from dataclasses import replace
 
-    network = worlds.make_network()
+    network = small_worlds.make_network()
     network.spec = replace(network.spec, embedding=1 << 17, n_parts=256, classes=1 << 24)
     save(network, tmp_path / "huge.safetensors")
     started = time.process_time()

@@ -45,9 +45,9 @@ from lpn.models.base import FloatArray, Model, Pass
 from lpn.models.spec import View
 from lpn.retrieval import scoring
 from lpn.retrieval.published_results import load_saved
-from soak.client import CHUNK, Talker
-from tests import worlds
-from tests.saved import save_result
+from tools.fixtures import small_worlds
+from tools.fixtures.published_results import save_result
+from tools.fixtures.websocket_client import CHUNK, Talker
 
 TASK = "drone-to-satellite"
 HELD = (
@@ -88,7 +88,9 @@ class Gate:
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("many") / "places", train=1, test=9))
+    return small_worlds.map_dataset(
+        small_worlds.make_dataset(tmp_path_factory.mktemp("many") / "places", train=1, test=9)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from explorer.panels import pages
 from explorer.workspace import Exhibit, Task
 from lpn.core.errors import LPNError
 from lpn.retrieval import ranking_cache
-from tests import worlds
+from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
 
@@ -28,7 +28,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(ranking_job, "QUICK", 0)
     monkeypatch.setattr(ranking_cache, "STEP", 2)
-    return worlds.map_dataset(worlds.make_dataset(tmp_path / "places", train=1, test=9))
+    return small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=1, test=9))
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def test_the_next_start_has_them_at_once_unless_a_picture_changed(
     assert again[TASK].results == exhibit.tasks[TASK].results
     assert again["satellite-to-drone"].found is None
     file = exhibit.tasks[TASK].queries[3].path
-    worlds.write(file, worlds.place(99))
+    small_worlds.write(file, small_worlds.place(99))
     assert open_model(data, model_file).tasks[TASK].found is None
 
 

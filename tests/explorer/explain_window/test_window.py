@@ -26,13 +26,13 @@ from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.explain import sweeps
 from lpn.explain.counterfactual import Effect
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 @pytest.fixture(scope="module")
 def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Any) -> Exhibit:
     folder = tmp_path_factory.mktemp("reasons")
-    return open_model(worlds.make_dataset(folder / "places", train=1, test=13), model_file)
+    return open_model(small_worlds.make_dataset(folder / "places", train=1, test=13), model_file)
 
 
 def answered(exhibit: Exhibit, **changes: Any) -> Answer:
@@ -80,7 +80,7 @@ def test_a_contest_is_between_the_truth_and_what_it_is_compared_with(exhibit: Ex
     assert contest is not None
     assert (contest.ahead.true, contest.rival.rank) == (True, 1)
     # A picture of one's own has no truth: the compared tile is followed.
-    own = answered(exhibit, upload=Upload("own", worlds.place(50)), selected=3)
+    own = answered(exhibit, upload=Upload("own", small_worlds.place(50)), selected=3)
     contest = Contest.of(own)
     assert contest is not None
     assert contest.ahead.index == 3
@@ -237,7 +237,7 @@ def test_a_profile_ends_where_it_is_cancelled_and_is_of_one_query(exhibit: Exhib
         assert not sweep.is_of(answered(exhibit, **other))
     # Where the truth is known it is followed, whatever is compared; else the compared tile is.
     assert sweep.is_of(answered(exhibit, shift=4, selected=3))
-    own = Upload("own", worlds.place(50))
+    own = Upload("own", small_worlds.place(50))
     assert not Sweep("zoom", answered(exhibit, upload=own, selected=3)).is_of(answered(exhibit, upload=own, selected=4))
 
 

@@ -24,7 +24,7 @@ from lpn.analysis import breakdown, notes
 from lpn.core.errors import InputError, OutputError
 from lpn.core.tables import Column, Table, number_column, text_column
 from lpn.drawing import overlays
-from tests import worlds
+from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
 WEATHERS = ("<b>rain", 'say "hi"', "sun")
@@ -32,7 +32,9 @@ WEATHERS = ("<b>rain", 'say "hi"', "sun")
 
 @pytest.fixture(scope="module")
 def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Exhibit:
-    data = worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("lab") / "places", train=1, test=13))
+    data = small_worlds.map_dataset(
+        small_worlds.make_dataset(tmp_path_factory.mktemp("lab") / "places", train=1, test=13)
+    )
     lines = ["path,weather"]
     for i, file in enumerate(sorted((data / "test" / "query_drone").rglob("*.png"))):
         said = WEATHERS[i % 3].replace('"', '""')

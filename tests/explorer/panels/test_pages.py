@@ -16,8 +16,8 @@ from explorer.web.bridge import Bridge
 from explorer.workspace import Exhibit
 from lpn.drawing import overlays
 from lpn.retrieval.published_results import load_saved
-from tests import worlds
-from tests.saved import save_result
+from tools.fixtures import small_worlds
+from tools.fixtures.published_results import save_result
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
     assert all(step.selectors or step.box for step in live)
     assert not any("map" in step.text + step.keys for step in live)
     assert any("square rings" in step.text for step in live)
-    mapped = open_model(worlds.map_dataset(worlds.make_dataset(tmp_path / "mapped")), model_file)
+    mapped = open_model(small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "mapped")), model_file)
     assert any("map" in step.text for step in tour.steps(mapped))
     save_result(tmp_path / "r.mat", data, model_file)
     saved = tour.steps(open_saved(data, load_saved(tmp_path / "r.mat", 4)))

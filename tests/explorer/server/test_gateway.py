@@ -35,8 +35,8 @@ from explorer.server.rate_limiter import ALL_WAITING, FIRST, FORGET, KEPT, LONGE
 from explorer.session_state import State, Upload
 from explorer.workspace import Analyst, Exhibit
 from lpn.core.errors import InputError, MissingPackageError, PictureError
-from soak.client import Talker
-from tests import worlds
+from tools.fixtures import small_worlds
+from tools.fixtures.websocket_client import Talker
 
 TOKEN = "correct horse battery"
 
@@ -361,7 +361,7 @@ def test_messages_beyond_a_rate_wait_their_turn() -> None:
 
 
 def picture(size: int = 48, suffix: str = ".png") -> bytes:
-    return cv2.imencode(suffix, cv2.resize(worlds.place(3), (size, size)))[1].tobytes()
+    return cv2.imencode(suffix, cv2.resize(small_worlds.place(3), (size, size)))[1].tobytes()
 
 
 @pytest.mark.parametrize(
@@ -405,7 +405,7 @@ def app(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Iterator[
     folder = tmp_path_factory.mktemp("guard")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(folder / "cache"))
-        data = worlds.map_dataset(worlds.make_dataset(folder / "places", train=1, test=8))
+        data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=8))
         served = App(open_model(data, model_file), "127.0.0.1", 0)
         yield served
         served.close()

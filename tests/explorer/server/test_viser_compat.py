@@ -14,8 +14,8 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from explorer.app import App
 from explorer.opening import open_model
 from explorer.server.viser_compat import Buffer
-from soak.client import Talker
-from tests import worlds
+from tools.fixtures import small_worlds
+from tools.fixtures.websocket_client import Talker
 
 ROUNDS = 300
 WAIT = 20.0
@@ -107,7 +107,7 @@ def test_every_browser_and_all_of_them_have_such_a_buffer(
     model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    places = worlds.map_dataset(worlds.make_dataset(tmp_path / "places", train=1, test=2))
+    places = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=1, test=2))
     app = App(open_model(places, model_file), "127.0.0.1", 0)
     try:
         with Talker(f"http://127.0.0.1:{app.server.get_port()}") as talker:

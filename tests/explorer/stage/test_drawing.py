@@ -13,13 +13,13 @@ from explorer.workspace import Analyst, Exhibit
 from lpn.core.errors import DataError, InputError
 from lpn.drawing import overlays
 from lpn.models.partition import Partition
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 @pytest.fixture(scope="module")
 def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Exhibit:
     folder = tmp_path_factory.mktemp("exhibit")
-    return open_model(worlds.make_dataset(folder / "<i>places", train=1, test=13), model_file)
+    return open_model(small_worlds.make_dataset(folder / "<i>places", train=1, test=13), model_file)
 
 
 def test_masks_are_the_model_s_own_cells() -> None:
@@ -79,7 +79,7 @@ def test_words_name_the_part_that_decides(exhibit: Exhibit) -> None:
         seen.add(true)
         if not true:
             assert answer_text.ordinal(int(task.ranks[query]) + 1) in headline
-    own = analyst.answer(State(task.name, 4, upload=Upload("own", worlds.place(50))), 10)
+    own = analyst.answer(State(task.name, 4, upload=Upload("own", small_worlds.place(50))), 10)
     assert answer_text.verdict(own, exhibit.part_names)[0] is None
     assert [answer_text.ordinal(i) for i in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
         *("1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "111th")
@@ -88,7 +88,7 @@ def test_words_name_the_part_that_decides(exhibit: Exhibit) -> None:
 
 def test_names_from_files_never_become_html(exhibit: Exhibit) -> None:
     task = exhibit.tasks["drone-to-satellite"]
-    own = Upload("<img src=x onerror=alert(1)>.png", worlds.place(51))
+    own = Upload("<img src=x onerror=alert(1)>.png", small_worlds.place(51))
     answer = Analyst(exhibit).answer(State(task.name, 4, upload=own), 10)
     assert "<i>places" not in pages.header(exhibit, task)
     assert "&lt;i&gt;places" in pages.header(exhibit, task)
@@ -106,14 +106,14 @@ def test_a_true_tile_below_the_list_is_offered(exhibit: Exhibit) -> None:
 
 
 def test_a_model_without_the_views_of_the_data_is_refused(tmp_path: Path, model_file: Path) -> None:
-    worlds.write(tmp_path / "street" / "test" / "query_street" / "0001" / "a.png", worlds.place(1))
-    worlds.write(tmp_path / "street" / "test" / "gallery_satellite" / "0001" / "a.png", worlds.place(1))
+    small_worlds.write(tmp_path / "street" / "test" / "query_street" / "0001" / "a.png", small_worlds.place(1))
+    small_worlds.write(tmp_path / "street" / "test" / "gallery_satellite" / "0001" / "a.png", small_worlds.place(1))
     with pytest.raises(DataError, match="street-to-satellite"):
         open_model(tmp_path / "street", model_file)
 
 
 def test_the_query_to_open_with_goes_by_its_name(tmp_path: Path, model_file: Path) -> None:
-    data = worlds.make_dataset(tmp_path / "places", train=1, test=4)
+    data = small_worlds.make_dataset(tmp_path / "places", train=1, test=4)
     assert open_model(data, model_file).first == 0
     names = [entry.name for entry in next(iter(open_model(data, model_file).tasks.values())).queries]
     assert open_model(data, model_file, names[2]).first == 2
@@ -124,14 +124,14 @@ def test_the_query_to_open_with_goes_by_its_name(tmp_path: Path, model_file: Pat
 def test_a_city_that_cannot_be_used_is_said_and_left_out(
     tmp_path: Path, model_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    data = worlds.map_dataset(worlds.make_dataset(tmp_path / "places", train=1, test=2))
+    data = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=1, test=2))
     assert open_model(data, model_file).city is None
     assert not caplog.messages
-    (data / "city.glb").write_bytes(worlds.city())
+    (data / "city.glb").write_bytes(small_worlds.city())
     city = open_model(data, model_file).city
     assert city is not None
-    assert city.data == worlds.city()
-    (data / "city.glb").write_bytes(worlds.city()[:-9])
+    assert city.data == small_worlds.city()
+    (data / "city.glb").write_bytes(small_worlds.city()[:-9])
     assert open_model(data, model_file).city is None
     assert len(caplog.messages) == 1
     assert "city.glb has" in caplog.messages[0]

@@ -8,7 +8,7 @@ import pytest
 from explorer.stage import gallery_geometry
 from lpn.datasets import geo, open_dataset
 from lpn.datasets.geo import Position, Positions
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 def laid_out(root: Path) -> tuple[gallery_geometry.Places, list[Path]]:
@@ -19,7 +19,7 @@ def laid_out(root: Path) -> tuple[gallery_geometry.Places, list[Path]]:
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("mapped") / "places"))
+    return small_worlds.map_dataset(small_worlds.make_dataset(tmp_path_factory.mktemp("mapped") / "places"))
 
 
 def test_tiles_lie_where_their_positions_say(root: Path) -> None:
@@ -43,7 +43,7 @@ def test_the_picture_of_all_tiles_shows_each_at_its_place(tmp_path: Path) -> Non
     colours = [(200, 30, 30), (30, 200, 30), (30, 30, 200)]
     files = []
     for i, colour in enumerate(colours):
-        worlds.write(tmp_path / f"{i}.png", np.full((40, 40, 3), colour, np.uint8))
+        small_worlds.write(tmp_path / f"{i}.png", np.full((40, 40, 3), colour, np.uint8))
         files.append(tmp_path / f"{i}.png")
     tiles = [Position(0.0, 0.0, width=100), Position(0.003, 0.0, width=100), Position(0.0, 0.003, width=100)]
     laid = gallery_geometry.places(tiles, tiles)

@@ -19,7 +19,7 @@ from lpn.datasets import Picture, Truth, geo, open_dataset
 from lpn.descriptors import cached_descriptors, describe, known_descriptors
 from lpn.models.base import FloatArray, normalise
 from lpn.retrieval import inner_products, metrics, scoring
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 def descriptors(count: int, n: int = 4, size: int = 6, seed: int = 0) -> FloatArray:
@@ -169,7 +169,7 @@ def world_json(root: Path) -> None:
 @pytest.fixture(scope="module")
 def known(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set with everything that can be known of its pictures."""
-    root = worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("known") / "places"))
+    root = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path_factory.mktemp("known") / "places"))
     world_json(root)
     lines = ["path,weather,Battery left,2nd"]
     files = sorted((root / "test" / "query_drone").rglob("*.png"))
@@ -233,7 +233,7 @@ def test_a_data_set_of_which_nothing_is_known_has_its_outcomes_only(data: Path, 
     ],
 )
 def test_metadata_that_cannot_be_used_is_one_sentence(tmp_path: Path, text: str, said: str) -> None:
-    root = worlds.make_dataset(tmp_path / "places", train=0)
+    root = small_worlds.make_dataset(tmp_path / "places", train=0)
     queries, gallery = open_dataset(root).queries("drone"), open_dataset(root).gallery("satellite")
     outcomes = build(descriptors(14), descriptors(14), labels_of(queries), labels_of(gallery))
     (root / "metadata.csv").write_bytes(text.encode("latin-1"))
@@ -315,7 +315,7 @@ def test_failure_rates_by_text_come_with_the_highest_first() -> None:
 
 
 def test_descriptors_that_came_with_a_data_set_are_taken(tmp_path: Path, model_file: Path) -> None:
-    root, model = worlds.make_dataset(tmp_path / "places", train=0, test=3), lpn.load(model_file)
+    root, model = small_worlds.make_dataset(tmp_path / "places", train=0, test=3), lpn.load(model_file)
     queries = open_dataset(root).queries("drone")
     folder = root / "test" / "query_drone"
     store = describe(model, [q.path for q in queries], "drone", root / "descriptors" / "query_drone", root=folder)

@@ -9,7 +9,7 @@ import pytest
 
 from lpn.cli import main
 from lpn.descriptors import open_store
-from tests import worlds
+from tools.fixtures import small_worlds
 
 WITHOUT_TORCH = """
 import sys
@@ -138,7 +138,7 @@ def test_mistakes_get_one_sentence(
 
 
 def test_train_takes_its_defaults_from_the_named_recipe(tmp_path: Path) -> None:
-    root = worlds.make_dataset(tmp_path / "places", train=4, test=2)
+    root = small_worlds.make_dataset(tmp_path / "places", train=4, test=2)
     done = run(
         *("train", "--data", root, "--out", tmp_path / "run", "--recipe", "small"),
         *("--size", 64, "--batch", 4, "--epochs", 1, "--n-parts", 2),

@@ -39,8 +39,8 @@ from lpn.core.errors import DataError, InputError, LPNError, StoreError
 from lpn.core.files import alone
 from lpn.index import open_index
 from lpn.models.onnx_engine import Engine
-from tests import worlds
-from tests.processes import free_port
+from tools.fixtures import small_worlds
+from tools.fixtures.processes import free_port
 
 pytestmark = [
     # Of Ray and what it starts: deprecations within its own modules, processes and sockets it leaves to the system.
@@ -66,7 +66,7 @@ def described(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tup
     """Pictures, their shards, and what was said; no test may change them."""
     root, lines = tmp_path_factory.mktemp("described"), []
     for i in range(PICTURES):
-        worlds.write(root / "pictures" / f"{i % 3}" / f"{i:02d}.png", worlds.place(i))
+        small_worlds.write(root / "pictures" / f"{i % 3}" / f"{i:02d}.png", small_worlds.place(i))
     out = root / "shards"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -174,9 +174,9 @@ def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
     broken = ["0/cut.png", "1/text.jpg", "2/spoilt.png"]
     (folder / broken[0]).write_bytes((folder / "0" / "00.png").read_bytes()[:-500])
     (folder / broken[1]).write_bytes(b"no picture")
-    worlds.spoilt_png(folder / broken[2])
-    worlds.write(folder / "0" / "00.png", worlds.place(51))
-    worlds.write(folder / "3" / "new.png", worlds.place(52))
+    small_worlds.spoilt_png(folder / broken[2])
+    small_worlds.write(folder / "0" / "00.png", small_worlds.place(51))
+    small_worlds.write(folder / "3" / "new.png", small_worlds.place(52))
     (folder / "2" / "02.png").unlink()
     names = [path.relative_to(folder).as_posix() for path in descriptors.pictures_below(folder)]
     (folder / "geo.csv").write_text("path,latitude,longitude\n" + "".join(f"{name},46.5,7.25\n" for name in names))
@@ -250,7 +250,7 @@ def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
     model_file: Path, folder: Path, done: Path, tmp_path: Path
 ) -> None:
     for file in descriptors.pictures_below(folder):
-        worlds.write(file, worlds.place(90))
+        small_worlds.write(file, small_worlds.place(90))
     with pytest.raises(StoreError, match="The driver is gone"):
         describe(model_file, folder, done, worker=Dying)
     with pytest.raises(StoreError, match="the run that wrote them has not ended"):
@@ -327,7 +327,7 @@ def test_shards_of_a_folder_that_grows_stay_small(model_file: Path, folder: Path
     for name, row in before.items():
         np.testing.assert_array_equal(found[name], row)
     (pictures / kept[0].name).unlink()
-    worlds.write(pictures / kept[1].name, worlds.place(77))
+    small_worlds.write(pictures / kept[1].name, small_worlds.place(77))
     assert run().computed == 1
     alone = expected(model_file, pictures, tmp_path / "alone")
     store = to_store(open_shards(out), tmp_path / "store")
@@ -498,7 +498,7 @@ def test_commands_say_what_they_did(
 def test_object_storage_is_read_like_a_folder(folder: Path) -> None:
     names = [str(path.relative_to(folder)) for path in descriptors.pictures_below(folder)]
     (folder / ".hidden").mkdir()
-    worlds.write(folder / ".hidden" / "a.png", worlds.place(0))
+    small_worlds.write(folder / ".hidden" / "a.png", small_worlds.place(0))
     for where in (folder, f"file://{folder}", f"local://{folder}"):  # the last is opened by fsspec
         storage = Storage(where)
         rows = storage.files((".png",))

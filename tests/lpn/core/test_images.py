@@ -11,11 +11,11 @@ from PIL import Image
 from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.resources import usable_cores
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 def test_preparation_is_the_published_one() -> None:
-    picture = worlds.place(1)
+    picture = small_worlds.place(1)
     reference = np.asarray(Image.fromarray(picture).resize((64, 48), Image.Resampling.BICUBIC), np.float32) / 255
     mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
     prepared = images.prepare(picture, (48, 64))
@@ -26,7 +26,7 @@ def test_preparation_is_the_published_one() -> None:
 
 @pytest.mark.parametrize(("degrees", "turns"), [(90, 1), (180, 2), (270, 3), (-90, 3)])
 def test_quarter_turns_are_exact_and_counter_clockwise(degrees: float, turns: int) -> None:
-    picture = worlds.place(2)
+    picture = small_worlds.place(2)
     turned = images.rotate(picture, degrees).astype(int)
     assert np.abs(turned - np.rot90(picture, turns).astype(int)).max() <= 1
 
@@ -43,31 +43,31 @@ def test_rotation_keeps_the_canvas_and_leaves_corners_black() -> None:
 @pytest.mark.parametrize("mode", ["L", "RGBA", "P", "CMYK", "I;16"])
 def test_other_pixel_formats_become_rgb(mode: str, tmp_path: Path) -> None:
     suffix = "jpg" if mode == "CMYK" else "png"
-    grey = Image.fromarray(worlds.place(3)).convert("L")
+    grey = Image.fromarray(small_worlds.place(3)).convert("L")
     picture = Image.fromarray(np.asarray(grey).astype(np.uint16) * 257) if mode == "I;16" else grey.convert(mode)
     picture.save(tmp_path / f"picture.{suffix}")
     loaded = images.load_picture(tmp_path / f"picture.{suffix}")
-    assert loaded.shape == (worlds.SIZE, worlds.SIZE, 3)
+    assert loaded.shape == (small_worlds.SIZE, small_worlds.SIZE, 3)
     assert loaded.dtype == np.uint8
     assert np.abs(loaded.mean() - np.asarray(grey).mean()) < 12
 
 
 def test_webp_is_read_as_what_it_shows(tmp_path: Path) -> None:
-    Image.fromarray(worlds.place(3)).save(tmp_path / "picture.webp", lossless=True)
-    np.testing.assert_array_equal(images.load_picture(tmp_path / "picture.webp"), worlds.place(3))
+    Image.fromarray(small_worlds.place(3)).save(tmp_path / "picture.webp", lossless=True)
+    np.testing.assert_array_equal(images.load_picture(tmp_path / "picture.webp"), small_worlds.place(3))
     assert ".webp" in images.SUFFIXES
 
 
 def test_exif_orientation_is_obeyed(tmp_path: Path) -> None:
-    picture = Image.fromarray(worlds.place(4)[:40])
+    picture = Image.fromarray(small_worlds.place(4)[:40])
     exif = picture.getexif()
     exif[0x0112] = 6
     picture.save(tmp_path / "turned.jpg", exif=exif)
-    assert images.load_picture(tmp_path / "turned.jpg").shape == (worlds.SIZE, 40, 3)
+    assert images.load_picture(tmp_path / "turned.jpg").shape == (small_worlds.SIZE, 40, 3)
 
 
 def test_what_is_not_a_picture_gets_one_sentence(tmp_path: Path) -> None:
-    png = cv2.imencode(".png", worlds.place(5))[1].tobytes()
+    png = cv2.imencode(".png", small_worlds.place(5))[1].tobytes()
     for name, content in (("empty.png", b""), ("text.jpg", b"hello"), ("svg.png", b"<svg/>"), ("cut.png", png[:60])):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(PictureError, match=name) as caught:

@@ -18,8 +18,8 @@ from lpn.core.files import write_whole
 from lpn.core.shutdown import Stop, finished, finishing
 from lpn.descriptors import open_store
 from lpn.doctor.verify import verify
-from tests import worlds
-from tests.processes import Process
+from tools.fixtures import small_worlds
+from tools.fixtures.processes import Process
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's")
 
@@ -53,7 +53,7 @@ def half_written(folder: Path) -> list[Path]:
 
 
 def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> None:
-    data, out = worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
+    data, out = small_worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
     given: list[object] = ["train", "--data", data, "--out", out, "--recipe", "small", "--size", 64, "--batch", 4]
     given += ["--epochs", 1000, "--n-parts", 2]
     with Process(given, tmp_path / "cache") as process:
@@ -74,7 +74,7 @@ def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> 
 
 
 def test_a_training_without_a_whole_epoch_says_so(tmp_path: Path) -> None:
-    data, out = worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
+    data, out = small_worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
     slow = "import time, lpn.training.loader as l\ns = l.Loader.stream\nl.Loader.stream = lambda *a: (time.sleep(60), s(*a))[1]"
     given: list[object] = ["train", "--data", data, "--out", out, "--recipe", "small", "--size", 64, "--batch", 4]
     with Process(given, tmp_path / "cache", slow) as process:

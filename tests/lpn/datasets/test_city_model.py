@@ -24,7 +24,7 @@ from lpn.world.cameras import Site
 from lpn.world.city import City
 from lpn.world.geometry import turned, within
 from lpn.world.glb import Primitive, glb
-from tests import worlds
+from tools.fixtures import small_worlds
 
 Points = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -177,7 +177,7 @@ def test_a_folder_without_a_city_has_none(tmp_path: Path) -> None:
 
 def _changed(change: Callable[[dict[str, Any]], object]) -> bytes:
     """A good file with something changed in its header."""
-    good = worlds.city()
+    good = small_worlds.city()
     values = header(good)
     change(values)
     text = json.dumps(values).encode()
@@ -188,7 +188,7 @@ def _changed(change: Callable[[dict[str, Any]], object]) -> bytes:
 
 def _with_second_header() -> bytes:
     """A good file, and behind it a header that a browser would take for the file's."""
-    good = worlds.city()
+    good = small_worlds.city()
     text = b'{"asset": {"version": "2.0"}, "buffers": [{"uri": "http://example.org/x.bin", "byteLength": 4}]}'
     chunk = struct.pack("<I4s", len(text), b"JSON") + text
     return good[:8] + struct.pack("<I", len(good) + len(chunk)) + good[12:] + chunk
@@ -199,10 +199,10 @@ def _with_second_header() -> bytes:
     [
         (b"", "not a binary glTF"),
         (b"solid cube\n" * 9, "not a binary glTF"),
-        (worlds.city()[:-40], "where it says"),
-        (worlds.city() + b"more", "where it says"),
-        (worlds.city().replace(b"glTF\2", b"glTF\1", 1), "version 1"),
-        (worlds.city().replace(b'{"asset"', b'["asset"', 1), "not JSON"),
+        (small_worlds.city()[:-40], "where it says"),
+        (small_worlds.city() + b"more", "where it says"),
+        (small_worlds.city().replace(b"glTF\2", b"glTF\1", 1), "version 1"),
+        (small_worlds.city().replace(b'{"asset"', b'["asset"', 1), "not JSON"),
         (_changed(lambda h: h["scenes"][0].pop("extras")), "does not say where it stands"),
         (_changed(lambda h: h["scenes"][0].update(extras={"latitude": 1})), "does not say where it stands"),
         (_changed(lambda h: h["scenes"][0].update(extras={"latitude": 91, "longitude": 0})), "expected degrees"),

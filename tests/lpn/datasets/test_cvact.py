@@ -11,7 +11,7 @@ from scipy.io import savemat
 
 from lpn.core.errors import DataError
 from lpn.datasets import CVACT, open_dataset
-from tests import layouts
+from tools.fixtures import layouts
 
 WITHOUT_SCIPY = """
 import sys

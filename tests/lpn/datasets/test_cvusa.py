@@ -9,7 +9,7 @@ from rich.console import Console
 from lpn.core.errors import DataError
 from lpn.datasets import CVUSA, open_dataset
 from lpn.training.training_set import Places
-from tests import layouts, worlds
+from tools.fixtures import layouts, small_worlds
 
 
 def test_pairs_are_read_from_the_splits(tmp_path: Path) -> None:
@@ -44,7 +44,7 @@ def test_numbers_that_do_not_agree_give_way_to_the_rows(tmp_path: Path) -> None:
     layouts.cvusa(tmp_path)
     file = tmp_path / "splits" / "val-19zl.csv"
     file.write_text(file.read_text().replace("panos/0000006", "panos/0000099"))
-    worlds.write(tmp_path / "streetview" / "panos" / "0000099.jpg", layouts.small(1))
+    small_worlds.write(tmp_path / "streetview" / "panos" / "0000099.jpg", layouts.small(1))
     dataset = open_dataset(tmp_path)
     assert [p.label for p in dataset.train("street")] == [0, 1, 2, 3]
     assert [(p.label, p.name) for p in dataset.queries("street")] == [(4, "0000005"), (5, "0000099"), (6, "0000007")]

@@ -7,7 +7,7 @@ import pytest
 
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
-from tests import layouts, worlds
+from tools.fixtures import layouts, small_worlds
 
 
 def test_the_layout_is_read_in_order_of_place_and_file(data: Path) -> None:
@@ -31,7 +31,7 @@ def test_several_pictures_of_a_place_are_told_apart(tmp_path: Path) -> None:
 
 def test_hidden_files_and_folders_are_not_places(tmp_path: Path) -> None:
     for name in (".ipynb_checkpoints/a.jpg", "0001/._a.jpg", "0001/a.jpg"):
-        worlds.write(tmp_path / "test" / "query_drone" / name, worlds.place(1))
+        small_worlds.write(tmp_path / "test" / "query_drone" / name, small_worlds.place(1))
     assert [p.path.name for p in open_dataset(tmp_path).queries("drone")] == ["a.jpg"]
 
 
@@ -56,7 +56,7 @@ def test_what_is_wrong_with_a_folder_is_said_in_one_sentence(tmp_path: Path) -> 
         open_dataset(tmp_path).queries("drone")
     with pytest.raises(DataError, match="no such folder at test/gallery_satellite"):
         open_dataset(tmp_path).gallery("satellite")
-    worlds.write(tmp_path / "test" / "query_drone" / "castle" / "a.png", worlds.place(1))
+    small_worlds.write(tmp_path / "test" / "query_drone" / "castle" / "a.png", small_worlds.place(1))
     with pytest.raises(DataError, match="castle in test/query_drone is not a number"):
         open_dataset(tmp_path).queries("drone")
 
@@ -73,7 +73,7 @@ def test_a_world_is_told_from_university_1652(data: Path, tmp_path: Path) -> Non
         *("train/satellite", "train/drone", "test/query_drone", "test/query_satellite"),
         *("test/gallery_drone", "test/gallery_satellite"),
     ]
-    worlds.make_dataset(tmp_path, train=1, test=1)
+    small_worlds.make_dataset(tmp_path, train=1, test=1)
     (tmp_path / "world.json").write_text("{}")
     layouts.cvusa(tmp_path / "cvusa")
     assert (open_dataset(tmp_path).kind, open_dataset(tmp_path).full) == ("world", {})
@@ -148,7 +148,7 @@ def test_a_wrong_list_of_pairs_is_one_sentence(text: str, said: str, tmp_path: P
 
 def test_a_folder_of_pictures_can_be_opened_and_offers_no_task(tmp_path: Path) -> None:
     for name in ("b.jpg", "sub/a.png", ".thumbnails/c.png"):
-        worlds.write(tmp_path / name, layouts.small(1))
+        small_worlds.write(tmp_path / name, layouts.small(1))
     dataset = open_dataset(tmp_path)
     assert (dataset.kind, dataset.tasks(), dataset.train("satellite")) == ("folder", [], [])
     assert [p.name for p in dataset.lists()["pictures"]] == ["b", "sub/a"]

@@ -11,7 +11,7 @@ from lpn.cli import main
 from lpn.core.errors import DataError, InputError
 from lpn.datasets import Picture, geo, open_dataset
 from lpn.datasets.geo import Position, Positions
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 def write(root: Path, text: str) -> Path:
@@ -98,7 +98,7 @@ def test_mistakes_in_a_file_of_positions_are_named(tmp_path: Path, text: str, sa
 def test_evaluation_says_how_many_metres_the_answers_are_off(
     tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    root = worlds.make_dataset(tmp_path / "places", train=1, test=5)
+    root = small_worlds.make_dataset(tmp_path / "places", train=1, test=5)
     dataset = open_dataset(root)
     # Places 111 m apart on a meridian: the error is that distance times how many places the answer is off.
     pictures = [p for view in ("satellite", "drone") for p in (*dataset.queries(view), *dataset.gallery(view))]

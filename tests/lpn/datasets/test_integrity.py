@@ -8,14 +8,14 @@ from PIL import Image
 from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.datasets.integrity import flaw, flaws, naming
-from tests import worlds
+from tools.fixtures import small_worlds
 
 KINDS = ("jpg", "png", "webp")
 
 
 def picture(folder: Path, kind: str) -> Path:
     file = folder / f"whole.{kind}"
-    Image.fromarray(worlds.place(1)).save(file)
+    Image.fromarray(small_worlds.place(1)).save(file)
     return file
 
 

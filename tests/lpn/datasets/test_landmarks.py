@@ -8,7 +8,7 @@ import pytest
 from lpn.core.errors import DataError
 from lpn.datasets import Landmarks, open_dataset
 from lpn.datasets.landmarks import CORRUPT
-from tests import layouts, worlds
+from tools.fixtures import layouts, small_worlds
 
 
 def test_oxford_is_read_with_its_boxes_and_true_matches(tmp_path: Path) -> None:
@@ -105,7 +105,7 @@ def test_wrong_ground_truth_is_named(name: str, text: str | None, said: str, tmp
 
 def test_two_pictures_of_one_name_are_refused(tmp_path: Path) -> None:
     layouts.oxford(tmp_path)
-    worlds.write(tmp_path / "small" / "bodleian_000001.jpg", layouts.small(1))
+    small_worlds.write(tmp_path / "small" / "bodleian_000001.jpg", layouts.small(1))
     with pytest.raises(DataError, match=r"two pictures of one name, oxbuild_images/bodleian_000001\.jpg and small/"):
         open_dataset(tmp_path)
 

@@ -23,7 +23,7 @@ from lpn.descriptors import writer
 from lpn.descriptors.transforms import Change
 from lpn.models.base import FloatArray, Model
 from lpn.models.spec import View
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def model(model_file: Path) -> Model:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     for i in range(20):
-        worlds.write(tmp_path / "pictures" / f"{i % 3}" / f"{i:02d}.png", worlds.place(i))
+        small_worlds.write(tmp_path / "pictures" / f"{i % 3}" / f"{i:02d}.png", small_worlds.place(i))
     return tmp_path / "pictures"
 
 
@@ -100,8 +100,8 @@ def test_nothing_is_computed_twice(model: Model, folder: Path, tmp_path: Path, m
     count = Counting(model, monkeypatch)
     descriptors.describe(model, files, "drone", tmp_path / "store")
     assert count.described == 0
-    worlds.write(folder / "3" / "new.png", worlds.place(99))
-    worlds.write(files[4], worlds.place(98))
+    small_worlds.write(folder / "3" / "new.png", small_worlds.place(99))
+    small_worlds.write(files[4], small_worlds.place(98))
     store = descriptors.describe(model, descriptors.pictures_below(folder), "drone", tmp_path / "store")
     assert count.described == 2
     assert len(store.descriptors) == 21
@@ -292,7 +292,7 @@ def test_two_at_once_describe_into_one_folder_once(
 def test_hidden_files_are_not_pictures(folder: Path) -> None:
     before = descriptors.pictures_below(folder)
     for name in (".ipynb_checkpoints/a.png", "1/._02.png"):
-        worlds.write(folder / name, worlds.place(0))
+        small_worlds.write(folder / name, small_worlds.place(0))
     assert descriptors.pictures_below(folder) == before
 
 

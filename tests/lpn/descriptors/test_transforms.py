@@ -16,11 +16,11 @@ from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 def test_a_shift_pads_one_side_with_black_and_crops_the_other() -> None:
-    picture = worlds.place(1)
+    picture = small_worlds.place(1)
     right, left = Change(shift=10).move(picture), Change(shift=-10).move(picture)
     np.testing.assert_array_equal(right[:, 10:], picture[:, :-10])
     np.testing.assert_array_equal(left[:, :-10], picture[:, 10:])
@@ -29,7 +29,7 @@ def test_a_shift_pads_one_side_with_black_and_crops_the_other() -> None:
 
 
 def test_a_shift_down_or_up_does_the_same_with_the_rows() -> None:
-    picture = worlds.place(1)
+    picture = small_worlds.place(1)
     down, both = Change(down=10).move(picture), Change(shift=-4, down=-10).move(picture)
     np.testing.assert_array_equal(down[10:], picture[:-10])
     np.testing.assert_array_equal(both[:-10, :-4], picture[10:, 4:])
@@ -39,22 +39,22 @@ def test_a_shift_down_or_up_does_the_same_with_the_rows() -> None:
 
 
 def test_a_shift_is_shown_at_any_resolution_by_as_much_of_its_sides() -> None:
-    picture = worlds.place(1)
+    picture = small_worlds.place(1)
     shown = Change(shift=16, down=-8).show(picture, (32, 64))
     np.testing.assert_array_equal(shown, images.shift(picture, 24, -24))
 
 
 def test_a_shift_of_everything_is_refused() -> None:
     with pytest.raises(InputError, match="96 wide"):
-        Change(shift=worlds.SIZE).move(worlds.place(1))
+        Change(shift=small_worlds.SIZE).move(small_worlds.place(1))
     with pytest.raises(InputError, match="96 high"):
-        Change(down=-worlds.SIZE).move(worlds.place(1))
+        Change(down=-small_worlds.SIZE).move(small_worlds.place(1))
 
 
 @pytest.mark.parametrize("shape", [(96, 96), (61, 40)])
 def test_zooming_keeps_the_centre_and_the_canvas(shape: tuple[int, int]) -> None:
     height, width = shape
-    picture = images.resize(worlds.place(2), height, width)
+    picture = images.resize(small_worlds.place(2), height, width)
     magnified = Change(scale=2).apply(picture)
     assert magnified.shape == picture.shape
     if height % 4 == 0:
@@ -72,7 +72,7 @@ def test_zooming_keeps_the_centre_and_the_canvas(shape: tuple[int, int]) -> None
 
 
 def test_turning_comes_before_zooming_and_nothing_changes_nothing() -> None:
-    picture = worlds.place(3)
+    picture = small_worlds.place(3)
     assert not UNCHANGED
     assert UNCHANGED.apply(picture) is picture
     assert UNCHANGED.move(picture) is picture
@@ -102,7 +102,7 @@ def test_changes_that_mean_nothing_are_refused(values: dict[str, float], said: s
 
 
 def test_a_box_is_rounded_cut_at_the_borders_and_must_hold_something() -> None:
-    picture = worlds.place(4)
+    picture = small_worlds.place(4)
     np.testing.assert_array_equal(images.crop(picture, (10.4, 20.6, 300, 50)), picture[21:50, 10:])
     np.testing.assert_array_equal(images.crop(picture, (-5, -5, 3, 4)), picture[:4, :3])
     for box in ((5.0, 5.0, 5.0, 9.0), (-9.0, 0.0, -2.0, 5.0), (200.0, 0.0, 300.0, 5.0)):
@@ -111,7 +111,7 @@ def test_a_box_is_rounded_cut_at_the_borders_and_must_hold_something() -> None:
 
 
 def test_a_panorama_is_turned_by_moving_its_columns_around(tmp_path: Path) -> None:
-    dataset = open_dataset(worlds.make_cvusa(tmp_path / "pairs", 3))
+    dataset = open_dataset(small_worlds.make_cvusa(tmp_path / "pairs", 3))
     street, tile = dataset.queries("street")[0], dataset.gallery("satellite")[0]
     assert (street.panorama, tile.panorama) == (True, False)
     picture = images.load_picture(street.path)
@@ -127,7 +127,7 @@ def test_a_panorama_is_turned_by_moving_its_columns_around(tmp_path: Path) -> No
 
 
 def test_stores_of_turned_panoramas_are_told_from_those_of_turned_pictures(tmp_path: Path) -> None:
-    dataset = open_dataset(worlds.make_cvusa(tmp_path / "pairs", 3))
+    dataset = open_dataset(small_worlds.make_cvusa(tmp_path / "pairs", 3))
     torch.manual_seed(0)
     spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=2, input_size=(64, 64))
     model, queries = TorchModel(LPN(spec), "f" * 16), dataset.queries("street")

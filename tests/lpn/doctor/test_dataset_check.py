@@ -10,7 +10,7 @@ import pytest
 from lpn.cli import main
 from lpn.datasets import open_dataset
 from lpn.doctor.dataset_check import examine
-from tests import layouts, worlds
+from tools.fixtures import layouts, small_worlds
 
 
 def doctor(root: Path, tmp_path: Path, *more: str) -> tuple[int, dict[str, Any]]:
@@ -67,7 +67,7 @@ def test_broken_and_missing_pictures_are_named_and_end_with_status_1(
 
 
 def test_positions_are_checked(tmp_path: Path) -> None:
-    root = worlds.map_dataset(worlds.make_dataset(tmp_path / "places", train=2, test=3))
+    root = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=2, test=3))
     status, found = doctor(root, tmp_path)
     assert (status, found["positions"]) == (0, "geo.csv has a position for each of the 12 test pictures.")
     lines = (root / "geo.csv").read_text().splitlines()
@@ -100,7 +100,7 @@ def test_every_layout_is_named_with_what_it_is_for(tmp_path: Path, capsys: pytes
         assert (status, found["kind"], found["decoded"]) == (0, kind, False)
         assert f"{kind} is in {kind}'s layout" in capsys.readouterr().out
         assert any(text.startswith(runs) for text in found["runs"])
-    worlds.write(tmp_path / "photos" / "a.png", layouts.small(1))
+    small_worlds.write(tmp_path / "photos" / "a.png", layouts.small(1))
     assert doctor(tmp_path / "photos", tmp_path)[1]["runs"] == [
         "lpn describe --images, on any folder of these pictures"
     ]

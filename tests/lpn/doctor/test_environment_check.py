@@ -154,7 +154,7 @@ def test_a_package_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.Monk
 @pytest.mark.parametrize("module", ["numpy", "cv2", "tyro"])
 def test_it_runs_without_a_package_that_the_command_line_needs(module: str, tmp_path: Path) -> None:
     (tmp_path / f"{module}.py").write_text('raise ImportError("built for\\nanother Python")')
-    paths = (str(tmp_path), str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")]))
+    paths = (str(tmp_path), str(Path(__file__).parents[3]), *filter(None, [os.environ.get("PYTHONPATH")]))
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
     def said(*given: str) -> tuple[int, str]:

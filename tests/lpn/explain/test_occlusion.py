@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.faithful import curves
 from lpn import load, retrieval
 from lpn.cli.using import DEMO
 from lpn.core import images
 from lpn.explain import occlusion
 from lpn.retrieval import scoring
-from tests import worlds
+from tools.bench.faithful import curves
+from tools.fixtures import small_worlds
 
 
 def test_a_square_s_loss_is_what_its_blurring_costs(model_file: Path) -> None:
     model = load(model_file)
-    picture = worlds.place(3)
-    other = retrieval.describe_picture(model, worlds.from_drone(worlds.place(3), 1), "satellite").descriptor
+    picture = small_worlds.place(3)
+    other = retrieval.describe_picture(model, small_worlds.from_drone(small_worlds.place(3), 1), "satellite").descriptor
     steps = list(occlusion.covered(model, picture, "drone", other, rows=3, columns=4))
     assert [done for done, _ in steps] == [8, 12]
     losses = steps[-1][1]
@@ -40,16 +40,16 @@ def test_a_square_s_loss_is_what_its_blurring_costs(model_file: Path) -> None:
 
 def test_covering_can_be_stopped_and_shows_what_it_has(model_file: Path) -> None:
     model = load(model_file)
-    other = model.descriptors(images.prepare(worlds.place(1), model.input_size)[None], "satellite")[0]
-    done, losses = next(occlusion.covered(model, worlds.place(2), "drone", other))
+    other = model.descriptors(images.prepare(small_worlds.place(1), model.input_size)[None], "satellite")[0]
+    done, losses = next(occlusion.covered(model, small_worlds.place(2), "drone", other))
     assert done == 8
     assert np.isnan(losses).sum() == 4 * (64 - 8)
 
 
 def test_curves_begin_and_end_at_the_whole_and_the_blurred_picture(model_file: Path) -> None:
     model, weights = load(model_file), scoring.part_weights(4)
-    picture = worlds.place(2)
-    other = retrieval.describe_picture(model, worlds.place(1), "satellite").descriptor
+    picture = small_worlds.place(2)
+    other = retrieval.describe_picture(model, small_worlds.place(1), "satellite").descriptor
     order = occlusion.centre_first((4, 4))
     assert set(order[:4]) == {5, 6, 9, 10}
     out, back = (

@@ -21,7 +21,7 @@ from lpn.explain import sweeps
 from lpn.explain.sweeps import Point, Profile, changes_over, profile
 from lpn.models.base import FloatArray, Model
 from lpn.retrieval import scoring
-from tests import worlds
+from tools.fixtures import small_worlds
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def model(model_file: Path) -> Model:
 @pytest.fixture(scope="module")
 def tiles(model: Model) -> FloatArray:
     """Descriptors of places 0 to 5."""
-    prepared = np.stack([model.prepare(worlds.place(label), "satellite") for label in range(6)])
+    prepared = np.stack([model.prepare(small_worlds.place(label), "satellite") for label in range(6)])
     return model.descriptors(prepared, "satellite")
 
 
@@ -73,7 +73,7 @@ def test_sweeps_that_mean_nothing_are_refused(given: tuple[object, ...], said: s
 
 
 def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: FloatArray) -> None:
-    picture, weights = worlds.from_drone(worlds.place(2), 3), scoring.part_weights(4, [1, 2, 1, 0])
+    picture, weights = small_worlds.from_drone(small_worlds.place(2), 3), scoring.part_weights(4, [1, 2, 1, 0])
     labels = np.array([5, 9, 2, 2, -1, 7])
     changes = [Change(rotate=90), Change(shift=9), Change(down=-7), Change(scale=1.5)]
     points = list(profile(model, picture, "drone", tiles, weights, changes, labels, 2))
@@ -94,7 +94,7 @@ def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float
 
 
 def test_without_a_truth_a_chosen_tile_or_the_top_match_is_followed(model: Model, tiles: FloatArray) -> None:
-    given = (model, worlds.place(1), "satellite", tiles, scoring.part_weights(4), [Change(), Change(rotate=180)])
+    given = (model, small_worlds.place(1), "satellite", tiles, scoring.part_weights(4), [Change(), Change(rotate=180)])
     chosen, top = list(profile(*given, follow=3)), list(profile(*given))  # type: ignore[arg-type]
     assert [(point.tile, point.true) for point in chosen] == [(3, None)] * 2
     assert [point.tile for point in top] == [point.top for point in top]
@@ -105,7 +105,7 @@ def test_without_a_truth_a_chosen_tile_or_the_top_match_is_followed(model: Model
     with pytest.raises(InputError, match="no tile to rank"):
         next(profile(*given, labels=np.full(6, -1)))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="no 'street' view"):
-        next(profile(model, worlds.place(1), "street", *given[3:]))  # type: ignore[arg-type]
+        next(profile(model, small_worlds.place(1), "street", *given[3:]))  # type: ignore[arg-type]
 
 
 def test_a_sweep_computes_no_further_than_it_is_asked(
@@ -120,7 +120,7 @@ def test_a_sweep_computes_no_further_than_it_is_asked(
 
     monkeypatch.setattr(retrieval, "describe_picture", counted)
     changes = changes_over("rotation", 30)
-    points = profile(model, worlds.place(1), "drone", tiles, scoring.part_weights(4), changes)
+    points = profile(model, small_worlds.place(1), "drone", tiles, scoring.part_weights(4), changes)
     assert [point.change for point in islice(points, 3)] == changes[:3] == asked
 
 
@@ -160,7 +160,7 @@ def test_a_profile_tells_the_best_change_and_what_it_gains() -> None:
 
 def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model: Model, tiles: FloatArray) -> None:
     # Flying east, what lies east is at the top: the north-up tile is turned counter-clockwise by its heading.
-    seen = images.rotate(worlds.place(3), 90)
+    seen = images.rotate(small_worlds.place(3), 90)
     labels = np.arange(6)
     turned = changes_over("rotation", 90)
     points = tuple(profile(model, seen, "satellite", tiles, scoring.part_weights(4), turned, labels, 3))

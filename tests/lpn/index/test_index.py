@@ -21,8 +21,8 @@ from lpn.core.errors import InputError, StoreError
 from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, segment_checksums
 from lpn.models.base import FloatArray, normalise
 from lpn.retrieval import scoring
-from tests import worlds
-from tests.lpn.index.milvus_server import COLLECTION, Client, pretend
+from tools.fixtures import small_worlds
+from tools.fixtures.milvus_server import COLLECTION, Client, pretend
 
 KIND = Kind("0123456789abcdef", 4, 16)
 WEIGHTS: list[list[float] | None] = [None, [1, 0, 0, 0], [0.5, 0.1, 0, 0.4]]
@@ -491,7 +491,7 @@ class Described:
 
 @pytest.fixture(scope="module")
 def described(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Described:
-    data = worlds.map_dataset(worlds.make_dataset(tmp_path_factory.mktemp("tiles") / "places"))
+    data = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path_factory.mktemp("tiles") / "places"))
     gallery, store = data / "test" / "gallery_satellite", data / "store"
     assert main(["describe", *_options(model=model_file, images=gallery, view="satellite", out=store)]) == 0
     return Described(model_file, data, store, gallery / "0011" / "0011.png")

@@ -12,7 +12,6 @@ import pytest
 from lpn.core.errors import InputError, LPNError, StoreError
 from lpn.index import Box, Index, Kind, MilvusIndex, Structure, create_index, milvus, open_index
 from lpn.models.base import normalise
-from tests.lpn.index.milvus_server import COLLECTION, Client, Server, indexed, milvus_python, pretend
 from tests.lpn.index.test_index import (  # noqa: F401 - the contract, with `make` of this module
     BOXES,
     KIND,
@@ -23,6 +22,7 @@ from tests.lpn.index.test_index import (  # noqa: F401 - the contract, with `mak
     test_every_index_refuses_what_it_cannot_keep,
     test_names_of_all_kinds_come_back,
 )
+from tools.fixtures.milvus_server import COLLECTION, Client, Server, indexed, milvus_python, pretend
 
 
 @pytest.fixture(scope="module")

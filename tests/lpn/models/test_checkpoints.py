@@ -15,7 +15,7 @@ from lpn.models.checkpoints import load_backbone, load_torch, save
 from lpn.models.network import LPN
 from lpn.models.published_checkpoints import infer_spec
 from lpn.models.spec import ModelSpec
-from tests import seeded, worlds
+from tools.fixtures import seeded, small_worlds
 
 
 @pytest.mark.parametrize("case", ["n4", "n1_baseline"])
@@ -102,7 +102,7 @@ def test_pickled_code_is_refused_and_does_not_run(tmp_path: Path) -> None:
 def test_files_that_are_not_models_get_one_sentence(tmp_path: Path, model_file: Path) -> None:
     assert "no model file" in _refused(tmp_path / "absent.pth")
     safetensors = model_file.with_suffix(".safetensors")
-    torch.save(worlds.make_network().state_dict(), tmp_path / "whole.pth")
+    torch.save(small_worlds.make_network().state_dict(), tmp_path / "whole.pth")
     for name, source in (
         ("cut.pth", tmp_path / "whole.pth"),
         ("cut.safetensors", safetensors),
@@ -122,7 +122,7 @@ def test_files_that_are_not_models_get_one_sentence(tmp_path: Path, model_file: 
 
 
 def test_missing_and_misshapen_entries_are_named(tmp_path: Path) -> None:
-    state = worlds.make_network().state_dict()
+    state = small_worlds.make_network().state_dict()
     lacking = {k: v for k, v in state.items() if k != "classifier2.add_block.1.running_mean"}
     torch.save(lacking, tmp_path / "lacking.pth")
     assert "classifier2.add_block.1.running_mean" in _refused(tmp_path / "lacking.pth")
@@ -139,7 +139,7 @@ def test_missing_and_misshapen_entries_are_named(tmp_path: Path) -> None:
 
 
 def test_options_that_contradict_the_keys_are_refused(tmp_path: Path) -> None:
-    state: dict[str, Tensor] = worlds.make_network().state_dict()
+    state: dict[str, Tensor] = small_worlds.make_network().state_dict()
     for options, word in (({"LPN": True, "block": 6}, "block: 6"), ({"pool": "max"}, "pool: max")):
         with pytest.raises(ModelFileError, match=word):
             infer_spec(state, options)
@@ -152,16 +152,16 @@ def test_options_that_contradict_the_keys_are_refused(tmp_path: Path) -> None:
 
 
 def test_the_same_weights_read_with_other_options_are_another_model(tmp_path: Path) -> None:
-    torch.save(worlds.make_network().state_dict(), tmp_path / "net.pth")
+    torch.save(small_worlds.make_network().state_dict(), tmp_path / "net.pth")
     large = lpn.load(tmp_path / "net.pth").fingerprint
     (tmp_path / "opts.yaml").write_text("h: 64\nw: 64\n")
     assert lpn.load(tmp_path / "net.pth").fingerprint != large
 
 
 def test_a_backbone_is_loaded_as_far_as_it_goes(tmp_path: Path) -> None:
-    source = worlds.make_network(seed=1).branch("drone").model.state_dict()
+    source = small_worlds.make_network(seed=1).branch("drone").model.state_dict()
     torch.save({k: v for k, v in source.items() if not k.startswith("layer3.")}, tmp_path / "backbone.pth")
-    network = worlds.make_network(seed=2)
+    network = small_worlds.make_network(seed=2)
     filled, total, missing = load_backbone(network, tmp_path / "backbone.pth")
     assert 0 < filled < total
     assert missing == ["layer3"]

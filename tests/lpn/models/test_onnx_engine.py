@@ -16,7 +16,7 @@ from lpn.models.network import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture
-from tests import seeded, worlds
+from tools.fixtures import seeded, small_worlds
 
 
 def close(found: np.ndarray, expected: np.ndarray) -> None:
@@ -103,7 +103,7 @@ def test_each_part_has_the_norm_of_its_share(model_file: Path) -> None:
 
 def test_mirrored_and_half_turned_symmetric_pictures_keep_their_descriptor(model_file: Path) -> None:
     engine = lpn.load(model_file)
-    picture = worlds.place(5)[:64, :64]
+    picture = small_worlds.place(5)[:64, :64]
     mirrored = np.ascontiguousarray(picture[:, ::-1])
     both = engine.descriptors(np.stack([normalise(picture), normalise(mirrored)]), "drone")
     np.testing.assert_allclose(both[0], both[1], atol=1e-5)

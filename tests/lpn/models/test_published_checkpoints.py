@@ -1,4 +1,4 @@
-"""Published checkpoints of every kind give what `tests.published` works out from their entries alone."""
+"""Published checkpoints of every kind give what `tools.fixtures.published_network` works out from their entries alone."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from lpn.models.export import export
 from lpn.models.network import LPN
 from lpn.models.published_checkpoints import infer_spec
 from lpn.models.spec import ModelSpec
-from tests import published, seeded, worlds
-from tests.published import State
+from tools.fixtures import published_network, seeded, small_worlds
+from tools.fixtures.published_network import State
 
 UNIVERSITY_OPTIONS = """\
 DA: false
@@ -72,7 +72,7 @@ warm_epoch: 5
 
 @cache
 def backbone(name: str) -> State:
-    values = seeded.entries({f"model.{k}": shape for k, shape in published.backbone_shapes(name).items()})
+    values = seeded.entries({f"model.{k}": shape for k, shape in published_network.backbone_shapes(name).items()})
     return {k.removeprefix("model."): value for k, value in values.items()}
 
 
@@ -90,7 +90,9 @@ def state_dict(name: str, views: int, n: int, baseline: bool = False) -> State:
         state |= {f"model_3.model.{k}": v for k, v in backbone(name).items()}
     channels = 2048 if name == "resnet50" else 512
     heads = ["classifier"] if baseline else [f"classifier{i}" for i in range(n)]
-    return state | seeded.entries({k: v for head in heads for k, v in published.head_shapes(head, channels).items()})
+    return state | seeded.entries(
+        {k: v for head in heads for k, v in published_network.head_shapes(head, channels).items()}
+    )
 
 
 @cache
@@ -102,7 +104,7 @@ def picture(size: int) -> Tensor:
 def feature_map(name: str, street: bool, size: int = 256, stride: int = 1, mirrored: bool = False) -> Tensor:
     """What the published backbone makes of the picture or its mirror; the heads of every n stand on it."""
     state = {f"model_1.model.{k}": v for k, v in (street_backbone if street else backbone)(name).items()}
-    return published.feature_map(state, "model_1", picture(size).flip(3) if mirrored else picture(size), stride)
+    return published_network.feature_map(state, "model_1", picture(size).flip(3) if mirrored else picture(size), stride)
 
 
 @cache
@@ -110,15 +112,17 @@ def golden_maps() -> tuple[Tensor, Tensor]:
     """The pictures of the golden cases, and their mirrors; both cases have the same backbone."""
     images = torch.from_numpy(seeded.pictures(7, 2, 256, 256))
     state = {f"model_3.model.{k}": v for k, v in backbone("resnet50").items()}
-    return published.feature_map(state, "model_3", images), published.feature_map(state, "model_3", images.flip(3))
+    return published_network.feature_map(state, "model_3", images), published_network.feature_map(
+        state, "model_3", images.flip(3)
+    )
 
 
 def raw(state: State, view: str, name: str, size: int = 256, stride: int = 1, mirrored: bool = False) -> Tensor:
-    return published.embeddings(state, view, feature_map(name, view == "street", size, stride, mirrored))
+    return published_network.embeddings(state, view, feature_map(name, view == "street", size, stride, mirrored))
 
 
 def descriptor(state: State, view: str, name: str) -> Tensor:
-    return published.descriptor(*(raw(state, view, name, mirrored=mirrored) for mirrored in (False, True)))
+    return published_network.descriptor(*(raw(state, view, name, mirrored=mirrored) for mirrored in (False, True)))
 
 
 def agree(found: np.ndarray, expected: Tensor) -> None:
@@ -129,10 +133,12 @@ def agree(found: np.ndarray, expected: Tensor) -> None:
 @pytest.mark.parametrize("case", ["n4", "n1_baseline"])
 def test_the_reference_answers_as_the_published_implementation(case: str) -> None:
     golden, state = np.load(seeded.DATA / f"parity_{case}.npz"), seeded.state_dict(case)
-    of_image, of_mirror = (published.embeddings(state, "drone", features) for features in golden_maps())
+    of_image, of_mirror = (published_network.embeddings(state, "drone", features) for features in golden_maps())
     # The published arrays are (B, D, n), parts last.
     agree(golden["raw"].reshape(2, 512, -1).transpose(0, 2, 1), of_image)
-    agree(golden["descriptor"].reshape(2, 512, -1).transpose(0, 2, 1), published.descriptor(of_image, of_mirror))
+    agree(
+        golden["descriptor"].reshape(2, 512, -1).transpose(0, 2, 1), published_network.descriptor(of_image, of_mirror)
+    )
 
 
 @pytest.mark.parametrize(
@@ -207,13 +213,13 @@ def test_parts_at_every_size(side: int) -> None:
     """Maps of VGG-16 and ResNet-50 for 256, 320, 384, 512 pixels; of random numbers, as the backbones know nothing of n."""
     features = torch.randn(1, 6, side, side, generator=torch.Generator().manual_seed(side))
     for n in (1, 2, 4, 6, 8, 10):
-        centre_out = published.rings(features, n, align_corners=True)
-        outside_in = published.rings(features, n, align_corners=False)[::-1]
+        centre_out = published_network.rings(features, n, align_corners=True)
+        outside_in = published_network.rings(features, n, align_corners=False)[::-1]
         two_view = ModelSpec(views=("satellite", "street"), n_parts=n, layout="cvusa", shared=False)
         for partition, expected in (
             (ModelSpec(n_parts=n).partition("drone"), centre_out),
             (two_view.partition("satellite"), outside_in),
-            (two_view.partition("street"), published.rows(features, n)),
+            (two_view.partition("street"), published_network.rows(features, n)),
         ):
             cells = torch.from_numpy(partition.weights(side, side))
             agree(torch.einsum("nhw,bchw->bnc", cells, features).numpy(), torch.stack(expected, 1))
@@ -237,7 +243,7 @@ def two_branches() -> State:
     ],
 )
 def test_options_of_another_model_are_refused(option: str, said: str, tmp_path: Path) -> None:
-    torch.save(worlds.make_network().state_dict(), tmp_path / "net_last.pth")
+    torch.save(small_worlds.make_network().state_dict(), tmp_path / "net_last.pth")
     (tmp_path / "opts.yaml").write_text(option)
     with pytest.raises(ModelFileError, match=r"opts\.yaml") as caught:
         lpn.load(tmp_path / "net_last.pth")
@@ -247,7 +253,7 @@ def test_options_of_another_model_are_refused(option: str, said: str, tmp_path: 
 
 def test_options_that_say_nothing_of_the_network_are_left_alone() -> None:
     options = yaml.safe_load(UNIVERSITY_OPTIONS.format(n=4, size=384, stride=2))
-    state = worlds.make_network().state_dict()
+    state = small_worlds.make_network().state_dict()
     told = infer_spec(state, options | {"views": 2, "use_dense": False, "ms": "1", "colour": None, 7: "seven"})
     assert (told.input_size, told.last_stride, told.dropout, told.n_parts) == ((384, 384), 2, 0.75, 4)
     # The baseline's options have the default of a number that it does not use.
@@ -258,7 +264,7 @@ def test_the_log_says_how_two_branches_are_read_unless_the_options_do(caplog: py
     state = two_branches()
     for options in ({"data_dir": "/data/CVUSA/train"}, {"data_dir": "./data/cvact", "name": "x"}, {"name": "CVUSA_n8"}):
         assert infer_spec(state, options).layout == "cvusa"
-    infer_spec(worlds.make_network().state_dict(), {})
+    infer_spec(small_worlds.make_network().state_dict(), {})
     assert not caplog.records
     for options in ({}, {"data_dir": "/data/University-Release/train", "views": 2}):
         caplog.clear()
@@ -276,7 +282,7 @@ def test_a_second_branch_renamed_to_the_third_is_the_drones() -> None:
 
 
 def test_checkpoints_in_half_precision_are_widened(tmp_path: Path) -> None:
-    state = worlds.make_network().state_dict()
+    state = small_worlds.make_network().state_dict()
     half = {k: v.half() if v.is_floating_point() else v for k, v in state.items()}
     torch.save(half, tmp_path / "half.pth")
     torch.save({k: v.float() if v.is_floating_point() else v for k, v in half.items()}, tmp_path / "whole.pth")
@@ -289,7 +295,7 @@ def test_checkpoints_in_half_precision_are_widened(tmp_path: Path) -> None:
 
 
 def test_weights_that_are_not_numbers_are_found(tmp_path: Path) -> None:
-    state = worlds.make_network().state_dict()
+    state = small_worlds.make_network().state_dict()
     for value in (float("nan"), float("inf")):
         state["classifier1.add_block.0.weight"][3, 4] = value
         torch.save(state, tmp_path / "net_last.pth")

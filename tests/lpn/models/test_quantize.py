@@ -19,8 +19,8 @@ from lpn.models.network import LPN
 from lpn.models.quantize import calibration_pictures, quantize
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture, evaluate, scoring
-from tests import worlds
 from tests.conftest import RealRun
+from tools.fixtures import small_worlds
 
 
 def convolutions(file: Path) -> tuple[int, int]:
@@ -109,7 +109,7 @@ def test_what_cannot_be_quantised_is_refused_in_words(data: Path, model_file: Pa
 
 
 def test_a_broken_calibration_picture_is_named(model_file: Path, tmp_path: Path) -> None:
-    root = worlds.make_dataset(tmp_path / "places", train=2, test=2)
+    root = small_worlds.make_dataset(tmp_path / "places", train=2, test=2)
     broken = open_dataset(root).train("drone")[0].path
     broken.write_bytes(b"no picture")
     with pytest.raises(PictureError, match=broken.name):

@@ -24,7 +24,7 @@ from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
-from tests import seeded, worlds
+from tools.fixtures import seeded, small_worlds
 
 SPEC = ModelSpec(
     "resnet18",
@@ -126,7 +126,7 @@ def test_attention_lies_inside_its_strip_and_makes_the_embedding() -> None:
         sums = torch.einsum("bnmhw,bchw->bnmc", attention, features).flatten(2)
     torch.testing.assert_close(parts, sums, rtol=1e-4, atol=1e-4)
     with pytest.raises(InputError, match="only SAFA"):
-        worlds.make_network().attention(torch.zeros(1, 256, 4, 4), "drone")
+        small_worlds.make_network().attention(torch.zeros(1, 256, 4, 4), "drone")
 
 
 @pytest.mark.parametrize("n", [1, 4, 8])
@@ -188,7 +188,7 @@ def test_polar_rows_are_distances_from_the_centre() -> None:
 
 
 def test_turning_a_tile_moves_its_polar_picture_sideways() -> None:
-    smooth = cv2.GaussianBlur(np.kron(worlds.place(2), np.ones((2, 2, 1), np.uint8)), (0, 0), 3)
+    smooth = cv2.GaussianBlur(np.kron(small_worlds.place(2), np.ones((2, 2, 1), np.uint8)), (0, 0), 3)
     turned = polar(np.rot90(smooth), 32, 128).astype(int)
     # A quarter turn counter-clockwise brings what was in the north to the west, a quarter of the width to the left.
     assert np.abs(turned - np.roll(polar(smooth, 32, 128).astype(int), -32, axis=1)).max() <= 2
@@ -196,7 +196,7 @@ def test_turning_a_tile_moves_its_polar_picture_sideways() -> None:
 
 def test_only_satellites_are_unrolled() -> None:
     model = TorchModel(network())
-    tile = worlds.place(1)
+    tile = small_worlds.place(1)
     np.testing.assert_array_equal(model.shape(tile, "satellite"), polar(tile, 32, 160))
     assert not np.array_equal(model.shape(tile, "drone"), polar(tile, 32, 160))
     plain = TorchModel(network(replace(SPEC, polar=False)))

@@ -26,7 +26,7 @@ from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect, Margin, Reweighting, Standing, Without
 from lpn.explain.sweeps import Point, Profile
 from lpn.report import Options, Own, figures
-from tests import worlds
+from tools.fixtures import small_worlds
 
 VOID = {"meta", "img", "br", "path", "rect", "circle", "polyline"}
 SVG_VOID = VOID - {"meta", "img", "br"}
@@ -151,7 +151,7 @@ def test_what_files_say_is_shown_and_never_obeyed(data: Path, model_file: Path, 
 
 
 def test_metres_are_said_where_the_map_is_known(data: Path, model_file: Path, tmp_path: Path) -> None:
-    root = worlds.map_dataset(shutil.copytree(data, tmp_path / "places"))
+    root = small_worlds.map_dataset(shutil.copytree(data, tmp_path / "places"))
     made = open_study(lpn.load(model_file), "model.onnx", open_dataset(root))
     text = Page(report.build(made, [worst(made)])).text
     metres = made.table.column("distance").values[worst(made)]

@@ -25,14 +25,14 @@ from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import SCALES, find, tables
 from lpn.training.recipes import METHODS
 from lpn.training.trainer import Trainer
-from tests import layouts, worlds
+from tools.fixtures import layouts, small_worlds
 
 QUICK = {"size": 64, "epochs": 1, "batch": 4, "precision": "float32"}
 
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.make_dataset(tmp_path_factory.mktemp("reproduce") / "places", train=4, test=6)
+    return small_worlds.make_dataset(tmp_path_factory.mktemp("reproduce") / "places", train=4, test=6)
 
 
 def reproduction(places: Path, out: Path, **options: Any) -> Reproduction:
@@ -124,7 +124,7 @@ def test_other_pictures_or_another_start_are_noticed(places: Path, tmp_path: Pat
     with pytest.raises(InputError, match="another batch, pictures"):
         reproduction(tmp_path / "places", tmp_path / "out", changes=quick).run(["table4"])
     start = tmp_path / "start.safetensors"
-    save(worlds.make_network(), start)
+    save(small_worlds.make_network(), start)
     with pytest.raises(InputError, match="another start"):
         reproduction(places, tmp_path / "out", init=[start]).run(["table4"])
 
@@ -167,7 +167,7 @@ def test_an_unfinished_run_goes_on_only_as_it_began(
         reproduction(places, out, changes=longer).run(["table4"])
     monkeypatch.setattr(Trainer, "_epoch", original)
     start = tmp_path / "start.safetensors"
-    save(worlds.make_network(), start)
+    save(small_worlds.make_network(), start)
     with pytest.raises(InputError, match="another start"):
         reproduction(places, out, init=[start], changes=longer).run(["table4"])
     note = out / "runs" / "lpn-seed0" / "job.json"
@@ -182,7 +182,7 @@ def test_an_unfinished_run_goes_on_only_as_it_began(
 
 
 def test_given_models_stand_for_trainings(places: Path, tmp_path: Path) -> None:
-    model, baseline = (worlds.make_model(tmp_path / str(n), n) for n in (4, 1))
+    model, baseline = (small_worlds.make_model(tmp_path / str(n), n) for n in (4, 1))
     made = reproduction(places, tmp_path / "out", models={"lpn": model, "instance": baseline}, train=False)
     made.run(["table1", "table4", "figure7", "figure8"])
     text = (tmp_path / "out" / "table1.md").read_text()
@@ -200,7 +200,7 @@ def test_given_models_stand_for_trainings(places: Path, tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, tmp_path: Path) -> None:
-    model, out = worlds.make_model(tmp_path), tmp_path / "out"
+    model, out = small_worlds.make_model(tmp_path), tmp_path / "out"
     start = tmp_path / "model.safetensors"
     for options, keys, expected in (
         ({}, ["table1", "table2"], "Panoramas and tiles as in CVUSA are needed"),
@@ -220,7 +220,7 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, tm
             "needs the view street; places, on which instance",
         ),
         (
-            {"data": [str(places), str(worlds.make_cvusa(tmp_path / "three", 3))]},
+            {"data": [str(places), str(small_worlds.make_cvusa(tmp_path / "three", 3))]},
             ["table5", "table2"],
             "has 3 to train on",
         ),
@@ -272,7 +272,7 @@ def two_views(folder: Path, n_parts: int = 4) -> Path:
 
 def strips(folder: Path) -> Path:
     """A network of four columns."""
-    network = LPN(replace(worlds.make_network().spec, layout="strips"))
+    network = LPN(replace(small_worlds.make_network().spec, layout="strips"))
     save(network, folder / "strips.safetensors")
     return folder / "strips.safetensors"
 
@@ -282,9 +282,9 @@ def landmarks(folder: Path) -> Path:
 
 
 def test_landmarks_stand_beside_the_paper_s_column_of_their_own(places: Path, tmp_path: Path) -> None:
-    root = worlds.make_views(tmp_path / "views", 4)
+    root = small_worlds.make_views(tmp_path / "views", 4)
     paris, start = layouts.paris(tmp_path / "paris"), tmp_path / "start.safetensors"
-    save(worlds.make_network(), start)
+    save(small_worlds.make_network(), start)
     data = [str(root), str(paris), str(layouts.oxford(tmp_path / "oxford"))]
     reproduction(places, tmp_path / "out", data=data, init=[start]).run(["table6"])
     header, _, first = (tmp_path / "out" / "table6.md").read_text().splitlines()[2:5]
@@ -300,15 +300,15 @@ def test_landmarks_stand_beside_the_paper_s_column_of_their_own(places: Path, tm
 def test_a_world_becomes_places_with_google_panoramas_and_landmarks(tmp_path: Path) -> None:
     root = tmp_path / "world"
     for label in range(1, 7):
-        picture, split = worlds.place(label), "train" if label <= 4 else "test"
+        picture, split = small_worlds.place(label), "train" if label <= 4 else "test"
         roles = {"satellite": 1, "drone": 1, "street": 4}
         for view, count in roles.items():
             for folder in (view,) if split == "train" else (f"query_{view}", f"gallery_{view}"):
                 for k in range(count):
-                    worlds.write(
-                        root / split / folder / f"{label:04d}" / f"image-{k}.jpg", worlds.from_drone(picture, k)
+                    small_worlds.write(
+                        root / split / folder / f"{label:04d}" / f"image-{k}.jpg", small_worlds.from_drone(picture, k)
                     )
-    worlds.make_cvusa(root / "cvusa", 4)
+    small_worlds.make_cvusa(root / "cvusa", 4)
     (root / "world.json").write_text("{}")
     made = reproduction(root, tmp_path / "out", data=[str(root)])
     made.run(["table1", "table2", "table6"])
@@ -331,7 +331,7 @@ def test_figures_are_drawn_with_the_networks_there_are(
         raise DivergedError("The loss became nan in epoch 1, step 1; start again.")
 
     monkeypatch.setattr(Trainer, "_epoch", explode)
-    model = worlds.make_model(tmp_path)
+    model = small_worlds.make_model(tmp_path)
     made = reproduction(places, tmp_path / "one", models={"lpn": model})
     assert [file.name for file in made.run(["figure7", "figure8"])] == ["figure7.png", "figure8.png"]
     assert "figure7 drawn with the others: there is no network instance" in said(made)
@@ -343,7 +343,7 @@ def test_figures_are_drawn_with_the_networks_there_are(
 
 def test_what_backbones_start_from_is_said_before_training(places: Path, tmp_path: Path) -> None:
     start = tmp_path / "start.safetensors"
-    save(worlds.make_network(), start)
+    save(small_worlds.make_network(), start)
     made = reproduction(places, tmp_path / "out", init=[start])
     made.run(["table5"])
     assert said(made).index("resnet18 starts from start.safetensors.") < said(made).index("1 of 1 trainings")
@@ -351,9 +351,9 @@ def test_what_backbones_start_from_is_said_before_training(places: Path, tmp_pat
 
 
 def test_a_world_whose_pictures_are_not_all_there_is_refused(tmp_path: Path) -> None:
-    root = worlds.map_dataset(worlds.make_dataset(tmp_path / "half", train=4, test=3))
+    root = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "half", train=4, test=3))
     (root / "world.json").write_text("{}")
-    options = {"data": [str(root)], "models": {"lpn": worlds.make_model(tmp_path)}, "train": False}
+    options = {"data": [str(root)], "models": {"lpn": small_worlds.make_model(tmp_path)}, "train": False}
     reproduction(root, tmp_path / "whole", **options).run(["table5"])
     shutil.rmtree(root / "test" / "query_drone" / "0006")
     with pytest.raises(
@@ -387,7 +387,7 @@ def test_clauses_that_differ_are_said_with_the_rows_they_hold_for() -> None:
 def test_a_terminal_of_ascii_does_not_end_a_reproduction(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model = worlds.make_model(tmp_path, size=256)
+    model = small_worlds.make_model(tmp_path, size=256)
     shown = io.BytesIO()
     monkeypatch.setattr("sys.stdout", io.TextIOWrapper(shown, "ascii", write_through=True))
     out = tmp_path / "out"

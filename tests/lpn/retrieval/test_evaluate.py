@@ -19,7 +19,7 @@ from lpn.models.network import LPN
 from lpn.retrieval import metrics
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
-from tests import worlds
+from tools.fixtures import small_worlds
 
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
 
@@ -90,11 +90,11 @@ def test_queries_are_scaled_before_the_resize_and_shifted_after_it(data: Path, m
 
 
 def test_averaged_queries_are_one_per_place(tmp_path: Path, model_file: Path) -> None:
-    root = worlds.make_dataset(tmp_path / "places", train=1, test=6)
+    root = small_worlds.make_dataset(tmp_path / "places", train=1, test=6)
     for label in range(2, 8):
         for i in (2, 3):
-            picture = worlds.from_drone(worlds.place(label), 50 * i + label)
-            worlds.write(root / "test" / "query_drone" / f"{label:04d}" / f"image-0{i}.png", picture)
+            picture = small_worlds.from_drone(small_worlds.place(label), 50 * i + label)
+            small_worlds.write(root / "test" / "query_drone" / f"{label:04d}" / f"image-0{i}.png", picture)
     model, dataset = lpn.load(model_file), open_dataset(root)
     found = evaluate(model, dataset, "drone-to-satellite", Protocol(average=True))
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
@@ -108,7 +108,7 @@ def test_averaged_queries_are_one_per_place(tmp_path: Path, model_file: Path) ->
 
 
 def test_one_branch_can_describe_both_sides(data: Path, tmp_path: Path) -> None:
-    save(LPN(replace(worlds.make_network().spec, shared=False)), tmp_path / "two.safetensors")
+    save(LPN(replace(small_worlds.make_network().spec, shared=False)), tmp_path / "two.safetensors")
     model, dataset = lpn.load(tmp_path / "two.safetensors"), open_dataset(data)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
     found = {}

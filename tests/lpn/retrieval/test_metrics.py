@@ -9,7 +9,7 @@ import pytest
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.retrieval import inner_products, metrics
-from tests import seeded
+from tools.fixtures import seeded
 
 Case = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 

@@ -16,8 +16,8 @@ from lpn.descriptors.transforms import Change
 from lpn.retrieval.evaluate import evaluate, evaluate_saved
 from lpn.retrieval.protocol import Protocol
 from lpn.retrieval.published_results import load_saved
-from tests import seeded, worlds
-from tests.saved import contents
+from tools.fixtures import seeded, small_worlds
+from tools.fixtures.published_results import contents
 
 VIEWS = ("drone", "satellite")
 
@@ -92,7 +92,7 @@ def test_its_pictures_are_found_by_path_or_by_label(data: Path, model_file: Path
 
 def test_pictures_of_another_data_set_are_not_taken(data: Path, model_file: Path, tmp_path: Path) -> None:
     savemat(tmp_path / "r.mat", contents(data, model_file))
-    other = worlds.make_dataset(tmp_path / "other", train=1, test=3)
+    other = small_worlds.make_dataset(tmp_path / "other", train=1, test=3)
     with pytest.raises(DataError, match="/home/someone/test/query_drone/0007"):
         load_saved(tmp_path / "r.mat").pictures(open_dataset(other))
 

@@ -6,32 +6,32 @@ from lpn.core import images
 from lpn.core.images import Picture
 from lpn.training.augmentation import augment
 from lpn.training.recipes import Recipe
-from tests import worlds
+from tools.fixtures import small_worlds
 
-STILL = Recipe(backbone="resnet18", size=worlds.SIZE, shift=0.0, satellite_rotation=0.0, flip="none")
+STILL = Recipe(backbone="resnet18", size=small_worlds.SIZE, shift=0.0, satellite_rotation=0.0, flip="none")
 
 
 def changed(recipe: Recipe, seed: int) -> Picture:
-    return augment(worlds.place(7), recipe, np.random.default_rng(seed), 0.0, False, "drone")
+    return augment(small_worlds.place(7), recipe, np.random.default_rng(seed), 0.0, False, "drone")
 
 
 def test_a_recipe_without_changes_leaves_the_picture_alone() -> None:
-    np.testing.assert_array_equal(changed(STILL, 1), worlds.place(7))
+    np.testing.assert_array_equal(changed(STILL, 1), small_worlds.place(7))
 
 
 def test_compression_leaves_its_traces_as_often_as_it_is_told() -> None:
     always = Recipe(**{**STILL.__dict__, "compression": 1.0})
-    errors = [np.abs(changed(always, seed).astype(int) - worlds.place(7)).mean() for seed in range(12)]
+    errors = [np.abs(changed(always, seed).astype(int) - small_worlds.place(7)).mean() for seed in range(12)]
     assert 0.1 < min(errors) < max(errors) < 25
     assert max(errors) > 1.2 * min(errors)  # qualities differ
     often = Recipe(**{**STILL.__dict__, "compression": 0.5})
-    touched = sum(not np.array_equal(changed(often, seed), worlds.place(7)) for seed in range(40))
+    touched = sum(not np.array_equal(changed(often, seed), small_worlds.place(7)) for seed in range(40))
     assert 8 < touched < 32
 
 
 def test_a_turned_place_is_turned_alike_in_its_tile_and_its_panorama() -> None:
     still = Recipe(**{**STILL.__dict__, "size": 48, "width": 192, "polar": True, "black_corners": 0.0})
-    tile = images.resize(worlds.place(7), 384, 384)
+    tile = images.resize(small_worlds.place(7), 384, 384)
     panorama = images.polar(tile, 48, 192)
     rng = np.random.default_rng(0)
 

@@ -19,7 +19,7 @@ from lpn.datasets import open_dataset
 from lpn.training.loader import Batch, Loader, choose_workers
 from lpn.training.recipes import RECIPES
 from lpn.training.training_set import Places
-from tests import worlds
+from tools.fixtures import small_worlds
 
 CPU = torch.device("cpu")
 RECIPE = replace(RECIPES["world"], size=32, batch=4)
@@ -27,7 +27,7 @@ RECIPE = replace(RECIPES["world"], size=32, batch=4)
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.make_dataset(tmp_path_factory.mktemp("loader") / "places", train=10, test=0)
+    return small_worlds.make_dataset(tmp_path_factory.mktemp("loader") / "places", train=10, test=0)
 
 
 def loader(data: Path, **options: Any) -> Loader:

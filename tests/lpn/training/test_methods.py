@@ -18,7 +18,7 @@ from lpn.models.export import export
 from lpn.retrieval.evaluate import evaluate
 from lpn.training.recipes import METHODS, RECIPES, method
 from lpn.training.trainer import Trainer
-from tests import worlds
+from tools.fixtures import small_worlds
 
 PLACES = 12
 STEPS = replace(
@@ -66,12 +66,12 @@ ON_PANORAMAS: dict[str, dict[str, Any]] = {
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.make_views(tmp_path_factory.mktemp("methods") / "places", PLACES)
+    return small_worlds.make_views(tmp_path_factory.mktemp("methods") / "places", PLACES)
 
 
 @pytest.fixture(scope="module")
 def panoramas(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.make_cvusa(tmp_path_factory.mktemp("methods") / "pairs", PLACES)
+    return small_worlds.make_cvusa(tmp_path_factory.mktemp("methods") / "pairs", PLACES)
 
 
 def improves(data: Path, folder: Path, name: str, changes: dict[str, Any], task: str) -> Path:

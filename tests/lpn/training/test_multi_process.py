@@ -12,10 +12,10 @@ from safetensors.torch import load_file
 
 from lpn.core.errors import InputError
 from lpn.training.multi_process import Group
-from tests import worlds
 from tests.lpn.training.two_processes import trainer
+from tools.fixtures import small_worlds
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -31,7 +31,7 @@ def losses(out: Path) -> list[float]:
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.make_dataset(tmp_path_factory.mktemp("shared") / "places", train=16, test=3)
+    return small_worlds.make_dataset(tmp_path_factory.mktemp("shared") / "places", train=16, test=3)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_a_shared_run_is_resumed_to_the_same_losses(shared: Path) -> None:
 def test_an_error_in_one_process_ends_all_with_its_sentence(places: Path, tmp_path: Path) -> None:
     data = tmp_path / "places"
     shutil.copytree(places, data)
-    worlds.spoilt_png(data / "train" / "drone" / "0003" / "image-01.png")
+    small_worlds.spoilt_png(data / "train" / "drone" / "0003" / "image-01.png")
     quick = ("--recipe", "small", "--size", 64, "--batch", 4, "--epochs", 1)
     done = torchrun("-m", "lpn", "train", "--data", data, "--out", tmp_path / "run", *quick)
     assert done.returncode != 0

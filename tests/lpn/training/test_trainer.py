@@ -21,8 +21,8 @@ from lpn.training import optimizer
 from lpn.training.model_selection import HeldOut, TestSplit
 from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.trainer import Trainer
-from tests import worlds
 from tests.conftest import RealRun
+from tools.fixtures import small_worlds
 
 QUICK = replace(RECIPES["small"], size=64, epochs=3, batch=4, warmup_epochs=0, precision="float32")
 
@@ -39,17 +39,17 @@ def losses(out: Path) -> list[float]:
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return worlds.make_dataset(tmp_path_factory.mktemp("train") / "places", train=24, test=12)
+    return small_worlds.make_dataset(tmp_path_factory.mktemp("train") / "places", train=24, test=12)
 
 
 @pytest.mark.parametrize("n_parts", [1, 4])
 def test_training_improves_retrieval_of_the_training_places(tmp_path: Path, n_parts: int) -> None:
     root = tmp_path / "negatives"
     for label in range(1, 25):
-        satellite = worlds.place(label)
+        satellite = small_worlds.place(label)
         for folder, picture in (("satellite", satellite), ("drone", (255 - satellite))):
             for split in (f"train/{folder}", f"test/query_{folder}", f"test/gallery_{folder}"):
-                worlds.write(root / split / f"{label:04d}" / "a.png", picture)
+                small_worlds.write(root / split / f"{label:04d}" / "a.png", picture)
     recipe = replace(
         QUICK,
         n_parts=n_parts,
@@ -107,7 +107,7 @@ def test_an_epoch_is_kept_although_its_evaluation_fails(places: Path, tmp_path: 
     broken.write_bytes(whole[:400])
     with pytest.raises(PictureError, match=f"1 of .* test pictures .*{broken.parent.name}/{broken.name}"):
         trainer(data, tmp_path / "run", evaluate_every=1)
-    worlds.spoilt_png(broken)  # which the check at the start does not find
+    small_worlds.spoilt_png(broken)  # which the check at the start does not find
     run, _ = trainer(data, tmp_path / "run", evaluate_every=1)
     with pytest.raises(PictureError, match=f"{broken.parent.name}/{broken.name}"):
         run.run()
@@ -152,7 +152,7 @@ def test_runs_are_not_overwritten_or_mixed(places: Path, tmp_path: Path) -> None
         trainer(places, tmp_path / "new", quick, evaluate_every=-1)
     with pytest.raises(InputError, match="another epochs"):
         trainer(places, tmp_path / "run", replace(quick, epochs=5), resume=True)
-    others = worlds.make_dataset(tmp_path / "others", train=25, test=1)
+    others = small_worlds.make_dataset(tmp_path / "others", train=25, test=1)
     with pytest.raises(InputError, match="other training pictures"):
         trainer(others, tmp_path / "run", quick, resume=True)
     (tmp_path / "run" / "state.pt").write_bytes(b"half")
@@ -290,7 +290,7 @@ def test_a_loss_that_is_no_number_stops_with_a_sentence(places: Path, tmp_path: 
 
 
 def test_init_says_how_far_it_goes(places: Path, tmp_path: Path) -> None:
-    save(worlds.make_network(), tmp_path / "init.safetensors")
+    save(small_worlds.make_network(), tmp_path / "init.safetensors")
     _, said = trainer(places, tmp_path / "run", replace(QUICK, last_layer="layer4"), init=tmp_path / "init.safetensors")
     assert "init.safetensors fills" in said.getvalue()
     assert "as initialised: layer4" in said.getvalue()
@@ -302,14 +302,14 @@ def test_three_views_and_google_train_and_missing_counterparts_are_named(tmp_pat
     for label in range(1, 6):
         for name in ("satellite", "drone", "street", "google"):
             if (label, name) != (3, "street"):
-                worlds.write(tmp_path / "train" / name / f"{label:04d}" / "a.png", worlds.place(label))
+                small_worlds.write(tmp_path / "train" / name / f"{label:04d}" / "a.png", small_worlds.place(label))
     recipe = replace(RECIPES["university1652"], backbone="resnet18", last_layer="layer3", size=64, epochs=1, batch=4)
     run, said = trainer(tmp_path, tmp_path / "run", recipe)
     model = lpn.load(run.run())
     assert model.views == ("satellite", "street", "drone")
     assert "1 places lack a picture" in said.getvalue()
     assert "0003" in said.getvalue()
-    worlds.write(tmp_path / "bare" / "train" / "drone" / "0001" / "a.png", worlds.place(1))
+    small_worlds.write(tmp_path / "bare" / "train" / "drone" / "0001" / "a.png", small_worlds.place(1))
     with pytest.raises(DataError, match="train/satellite"):
         trainer(tmp_path / "bare", tmp_path / "none")
 

@@ -1,1 +1,0 @@
-"""Damaged and hostile input for everything that is read from files or from an address: `python -m fuzz.readers`."""

@@ -1,1 +1,0 @@
-"""Many people at the running explorer at once, every answer checked against a direct computation: `python -m soak`."""

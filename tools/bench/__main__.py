@@ -1,0 +1,44 @@
+"""Every bench in one table: `python -m tools.bench [NAME ...]`.
+
+Names are query, search, evaluate, describe, page, large, and train; without one, all are run, each in a process of its own. The
+page is measured on the demo.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import asdict
+from importlib import import_module
+
+from lpn.cli.using import DEMO
+from tools.bench.figures import Figure, show
+
+NAMES = ("query", "search", "evaluate", "describe", "page", "large", "train")
+
+
+def measured(name: str) -> list[Figure]:
+    """The figures of one bench, from a process of its own."""
+    print(f"Measuring {name} ...", file=sys.stderr, flush=True)
+    done = subprocess.run([sys.executable, "-m", "tools.bench", "--json", name], stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        print(f"bench.{name} failed; its figures are missing below.", file=sys.stderr)
+        return []
+    return [Figure(**values) for values in json.loads(done.stdout.splitlines()[-1])]
+
+
+def main(arguments: list[str]) -> None:
+    """Measure and print."""
+    if arguments[:1] == ["--json"]:
+        given = (DEMO, DEMO / "lpn.onnx") if arguments[1] == "page" else ()
+        found = import_module(f"bench.{arguments[1]}").figures(*given)
+        print(json.dumps([asdict(figure) for figure in found]))
+        return
+    if unknown := set(arguments) - set(NAMES):
+        raise SystemExit(f"There is no bench {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}.")
+    show("Measured", [figure for name in arguments or NAMES for figure in measured(name)])
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

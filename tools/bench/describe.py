@@ -1,0 +1,161 @@
+"""Pictures per second into descriptors: `python -m tools.bench.describe [--pictures N] [FOLDER]`.
+
+The peer is the published test loop: a DataLoader with worker processes decodes with Pillow, resizes bicubically, and
+normalises; PyTorch in eager mode passes each batch of 32 and then its mirror, and the parts of the sum are normalised. Ours is
+`lpn.descriptors.describe` into a store on disk, of the same network exported to ONNX, with its check of the pictures, manifest, and
+saves; and of the same network quantised. They take turns in one process, after a round that is not counted; the table gives
+medians. Where the extra `ray` is installed, the quantised network is then run by Ray, on a worker a core, into shards: the
+pictures a second while its workers are there, from the times of all pictures and of a few. The limit is ONNX Runtime's bare
+passes, two for each picture, on as many threads as there are cores. FOLDER holds pictures with folders below it; without it,
+synthetic JPEG files of 512 x 512 pixels are made. Weights are random, which changes no time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import shutil
+import statistics
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stdout
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from torch.utils.data import DataLoader, Dataset
+
+from lpn import descriptors
+from lpn.core import images
+from lpn.core.resources import usable_cores
+from lpn.datasets import open_dataset
+from lpn.models.base import FloatArray, Model
+from lpn.models.checkpoints import TorchModel, load_torch, save
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.onnx_engine import Engine
+from lpn.models.quantize import quantize
+from lpn.models.spec import ModelSpec
+from tools.bench.figures import Figure, against_peer, show, take_turns
+from tools.bench.pictures import make_folder, make_train_split
+
+PICTURES = 96
+ROUNDS = 3
+BATCH = 32
+"""Of the published test script."""
+SHARD = 4
+"""Pictures of a shard: few, so that workers end at about the same time."""
+SPEC = ModelSpec("resnet50", views=("satellite", "drone"), classes=701)
+
+
+class Files(Dataset[torch.Tensor]):
+    """Picture files as the published loop prepares them."""
+
+    def __init__(self, files: Sequence[Path], size: tuple[int, int]) -> None:
+        self.files, self.size = files, size
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __getitem__(self, index: int) -> torch.Tensor:
+        with Image.open(self.files[index]) as file:
+            picture = file.convert("RGB").resize(self.size[::-1], Image.Resampling.BICUBIC)
+        return torch.from_numpy(images.normalise(np.asarray(picture)))
+
+
+def published(network: TorchModel, files: Sequence[Path], workers: int) -> FloatArray:
+    """The published loop's descriptors, (N, n D)."""
+    rows = []
+    with torch.inference_mode():
+        for batch in DataLoader(Files(files, SPEC.input_size), BATCH, num_workers=workers):
+            raw = torch.zeros(len(batch), SPEC.n_parts, SPEC.embedding)
+            for mirrored in (False, True):
+                raw += network.network.embed(batch.flip(3) if mirrored else batch, "drone")[0]
+            norms = raw.norm(dim=2, keepdim=True) * SPEC.n_parts**0.5
+            rows.append((raw / norms).flatten(1))
+    return torch.cat(rows).numpy()  # type: ignore[no-any-return]
+
+
+def ours(model: Model, files: Sequence[Path], root: Path) -> FloatArray:
+    """A store's descriptors, made anew, (N, n D)."""
+    with tempfile.TemporaryDirectory() as out, redirect_stdout(io.StringIO()):
+        store = descriptors.describe(model, files, "drone", out, root=root)
+        return np.array(store.descriptors).reshape(len(files), -1)
+
+
+def bare(engine: Engine, passes: int) -> None:
+    """Forward passes alone, on every core one after the other; the engine computes each on one thread."""
+    single = np.zeros((1, 3, *engine.input_size), np.float32)
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        list(pool.map(lambda _: engine.run(single, "drone"), range(passes)))
+
+
+def with_ray(model: Path, files: Sequence[Path], root: Path, folder: Path) -> list[Figure]:
+    """Ray's pictures a second; none without the extra, or where its times do not tell."""
+    few = min(len(files) // 2, 2 * SHARD * usable_cores())
+    if find_spec("ray") is None or not few:
+        return []
+    from lpn.cluster.driver import describe_shards
+    from lpn.cluster.session import started
+
+    def run(pictures: Path) -> None:
+        with tempfile.TemporaryDirectory() as out:
+            describe_shards(model, pictures, "drone", out, workers=usable_cores(), shard=SHARD, say=lambda _: None)
+
+    for name, some in (("all", files), ("few", files[:few])):
+        for file in some:
+            copy = folder / name / file.relative_to(root)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, copy)
+    with started(None, usable_cores(), 1):
+        times = take_turns({name: lambda name=name: run(folder / name) for name in ("all", "few")}, ROUNDS)  # type: ignore[misc]
+    more = statistics.median(times["all"]) - statistics.median(times["few"])
+    what = f"the same to shards, int8, Ray, {usable_cores()} workers"
+    return [Figure(what, (len(files) - few) / more, "pictures/s", more=True)] if more > 0 else []
+
+
+def agreement(a: FloatArray, b: FloatArray) -> float:
+    """Mean cosine between descriptors of the same pictures."""
+    return float((a * b).sum(1).mean())
+
+
+def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
+    """The figures of a folder of pictures, at most `count` of them."""
+    torch.manual_seed(0)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        root = given or make_folder(folder / "pictures", count)
+        files = descriptors.pictures_below(root)[:count]
+        save(LPN(SPEC), folder / "model.safetensors")
+        export(folder / "model.safetensors", folder / "model.onnx")
+        quantize(folder / "model.onnx", open_dataset(make_train_split(folder / "places")), folder / "int8.onnx", 32)
+        network = load_torch(folder / "model.safetensors", "cpu")
+        workers = max(1, usable_cores() // 2)
+        tasks: dict[str, Callable[[], object]] = {"peer": lambda: published(network, files, workers)}
+        for kind, file in (("float32", "model.onnx"), ("int8", "int8.onnx")):
+            engine, single = Engine(folder / file), Engine(folder / file, threads=1)
+            tasks[kind] = lambda engine=engine: ours(engine, files, root)  # type: ignore[misc]
+            tasks[f"{kind} bare"] = lambda single=single: bare(single, 2 * len(files))  # type: ignore[misc]
+        apart = 1 - agreement(published(network, files, workers), ours(Engine(folder / "model.onnx"), files, root))
+        speed = {name: len(files) / statistics.median(values) for name, values in take_turns(tasks, ROUNDS).items()}
+        # After the others: even an idle Ray is at work.
+        ray = with_ray(folder / "int8.onnx", files, root, folder / "ray")
+    what = f"ResNet-50, {len(files)} pictures of a folder to a store"
+    peer = speed["peer"]
+    return [
+        against_peer(f"{what}, int8", speed["int8"], peer, 6, "pictures/s", limit=speed["int8 bare"], more=True),
+        Figure(f"{what}, float32", speed["float32"], "pictures/s", peer, speed["float32 bare"], more=True),
+        *ray,
+        Figure("1 - mean cosine of the published descriptors and ours in float32", apart, ""),
+    ]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--pictures", type=int, default=PICTURES, help="how many are described in each turn, at most")
+    parser.add_argument("folder", nargs="?", type=Path, help="a folder of pictures")
+    options = parser.parse_args()
+    show("A folder of pictures", figures(options.pictures, options.folder))

@@ -1,0 +1,139 @@
+"""A whole evaluation, from descriptors to Recall@K and AP: `python -m tools.bench.evaluate [SHARE]`.
+
+The peer is the published evaluation: query by query, all scores, a full sort, and a walk over the true matches. The limit is
+the matrix product of the two sides in single precision, which ranks nothing. The loop runs once, the others several times, of
+which the median counts. SHARE, 0 .. 1, is how much of both sizes is measured, 1 by default. Descriptors are drawn: places are
+points in a space of few dimensions, mapped to unit parts, with the noise that leaves a trained network's Recall@1. Ours is
+measured in a process of its own, which tells its peak memory.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.retrieval import metrics
+from tools.bench.figures import Figure, below, show, within
+
+LENGTH, PARTS, LATENT, NOISE = 2048, 4, 96, 1.2
+KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
+Array = npt.NDArray[np.float32]
+Labels = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Size:
+    """Queries, gallery pictures, and how many of these one place has."""
+
+    name: str
+    queries: int
+    gallery: int
+    each: int
+
+
+SIZES = (Size("drone to satellite", 37_855, 951, 1), Size("satellite to drone", 701, 51_355, 54))
+
+
+def draw(size: Size, share: float) -> tuple[Array, Labels, Array, Labels]:
+    """Descriptors and labels of both sides."""
+    rng = np.random.default_rng(0)
+    count, tiles = (max(round(share * number), 20) for number in (size.queries, size.gallery))
+    labels = np.arange(tiles) // size.each
+    asked = rng.integers(0, max(int(0.74 * labels[-1]), 1), count)
+    centres = rng.standard_normal((int(labels[-1]) + 1, LATENT), dtype=np.float32)
+    spread = rng.standard_normal((LATENT, LENGTH), dtype=np.float32) / np.float32(np.sqrt(LATENT))
+
+    def side(of: Labels) -> Array:
+        made = np.empty((len(of), LENGTH), np.float32)
+        for start in range(0, len(of), 4096):
+            some = of[start : start + 4096]
+            points = centres[some] + NOISE * rng.standard_normal((len(some), LATENT), dtype=np.float32)
+            mapped = points @ spread + 0.3 * rng.standard_normal((len(some), LENGTH), dtype=np.float32)
+            parts = mapped.reshape(len(some), PARTS, -1)
+            parts /= np.sqrt(PARTS) * np.linalg.norm(parts, axis=2, keepdims=True)
+            made[start : start + 4096] = mapped
+        return made
+
+    return side(asked), asked, side(labels), labels
+
+
+def published(query: Array, query_labels: Labels, gallery: Array, labels: Labels) -> dict[str, float]:
+    """The figures as the published evaluation comes to them."""
+    curve, total = np.zeros(len(gallery)), 0.0
+    for descriptor, label in zip(query, query_labels, strict=True):
+        ranking = np.argsort(gallery @ descriptor)[::-1]
+        ranking = ranking[np.isin(ranking, np.flatnonzero(labels == -1), invert=True)]
+        hits = np.flatnonzero(np.isin(ranking, np.flatnonzero(labels == label)))
+        if len(hits) == 0:
+            continue
+        curve[hits[0] :] += 1
+        for i, rank in enumerate(hits):
+            before = i / rank if rank else 1.0
+            total += ((i + 1) / (rank + 1) + before) / (2 * len(hits))
+    at = (1, 5, 10, round(0.01 * len(gallery)) + 1)
+    values = [curve[min(k, len(gallery)) - 1] for k in at]
+    return {key: 100 * float(value) / len(query) for key, value in zip(KEYS, (*values, total), strict=True)}
+
+
+def ours(size: Size, share: float) -> None:
+    """Measure in this process, and print figures, seconds of both, and the memory that was the most, as JSON."""
+    query, query_labels, gallery, labels = draw(size, share)
+    _ = query[:256] @ gallery[:256].T  # the first product starts the threads
+    started = time.perf_counter()
+    figures = metrics.evaluate(query, query_labels, gallery, labels)
+    seconds = time.perf_counter() - started
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    products, evaluations = [], [seconds]
+    for _ in range(3):
+        started = time.perf_counter()
+        _product = query @ gallery.T
+        products.append(time.perf_counter() - started)
+        del _product
+        started = time.perf_counter()
+        metrics.evaluate(query, query_labels, gallery, labels)
+        evaluations.append(time.perf_counter() - started)
+    told = {"figures": figures, "seconds": statistics.median(evaluations), "product": statistics.median(products)}
+    print(json.dumps(told | {"peak": most * 1024}))
+
+
+def figures(share: float = 1.0) -> list[Figure]:
+    """The figures of both sizes."""
+    made: list[Figure] = []
+    for number, size in enumerate(SIZES):
+        command = [sys.executable, "-m", "tools.bench.evaluate", "ours", str(number), str(share)]
+        found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+        drawn = draw(size, share)
+        started = time.perf_counter()
+        theirs = published(*drawn)
+        loop = time.perf_counter() - started
+        apart = max(abs(theirs[key] - found["figures"][key]) for key in KEYS)
+        what = f"evaluate {len(drawn[0]):,} x {len(drawn[2]):,}"
+        made += [
+            within(f"{what} (limit: the float32 product)", found["seconds"], found["product"], 1.5, "s", loop),
+            below(f"{what}, peak memory", found["peak"] / 1e9, 2, "GB"),
+            Figure(f"{what}, largest difference of R@K and AP from the published loop's", apart, "points"),
+        ]
+    return made
+
+
+def main(arguments: list[str]) -> None:
+    """Measure and print."""
+    if arguments[:1] == ["ours"]:
+        ours(SIZES[int(arguments[1])], float(arguments[2]))
+        return
+    share = float(arguments[0]) if arguments else 1.0
+    if not 0 < share <= 1:
+        raise SystemExit(f"The share is {share:g}; expected more than 0 and at most 1.")
+    show("Evaluation", figures(share))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,118 @@
+"""One query, from the bytes of a JPEG to its descriptor: `python -m tools.bench.query [PICTURES]`.
+
+The peer is the published pipeline: Pillow decodes and resizes, PyTorch in eager mode passes the picture and then its mirror.
+Ours is `lpn.retrieval.describe_picture` on ONNX Runtime, in float32 and quantised. The limit of a pass is ONNX Runtime's bare
+run of the same graph on the same batch. Weights are random, which changes no time; PICTURES is a folder to calibrate by and to
+query with, in any layout of a data set; without it synthetic pictures are made.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+import torch
+from PIL import Image
+
+from lpn import retrieval
+from lpn.core import images
+from lpn.core.resources import usable_cores
+from lpn.datasets import Dataset, open_dataset
+from lpn.descriptors.transforms import Change
+from lpn.models.base import normalise
+from lpn.models.checkpoints import TorchModel, load_torch, save
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.onnx_engine import Engine
+from lpn.models.quantize import quantize
+from lpn.models.spec import ModelSpec
+from tools.bench.figures import Figure, against_peer, below, medians, show, within
+from tools.bench.pictures import make_train_split
+
+SPECS = {
+    "ResNet-50": ModelSpec("resnet50", views=("satellite", "drone"), classes=701),
+    "ResNet-18 to layer3": ModelSpec("resnet18", "layer3", views=("satellite", "drone"), classes=701),
+}
+ANGLE = 30.0
+_MEAN, _STD = (np.array(values, np.float32) for values in ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]))
+
+
+class Published:
+    """The published way from a file's bytes to a descriptor."""
+
+    def __init__(self, model: TorchModel) -> None:
+        self._network, self._size = model, model.input_size
+
+    def __call__(self, data: bytes) -> object:
+        picture = Image.open(io.BytesIO(data)).convert("RGB").resize(self._size[::-1], Image.Resampling.BICUBIC)
+        scaled = (np.asarray(picture, np.float32) / 255 - _MEAN) / _STD
+        single = torch.from_numpy(np.ascontiguousarray(scaled.transpose(2, 0, 1)))[None]
+        first = self._network.part_embeddings(single, "drone")
+        return normalise(first + self._network.part_embeddings(torch.flip(single, [3]), "drone"))
+
+
+def bare(file: Path) -> ort.InferenceSession:
+    """A graph on ONNX Runtime and nothing else."""
+    options = ort.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads, options.log_severity_level = (
+        torch.get_num_threads(),
+        1,
+        4,
+    )
+    return ort.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+
+
+def measure(name: str, spec: ModelSpec, dataset: Dataset, folder: Path) -> list[Figure]:
+    """The figures of one network."""
+    save(LPN(spec), folder / "model.safetensors")
+    export(folder / "model.safetensors", folder / "model.onnx")
+    quantize(folder / "model.onnx", dataset, folder / "int8.onnx", 32)
+    published = Published(load_torch(folder / "model.safetensors"))
+    engines = {kind: Engine(folder / file) for kind, file in (("float32", "model.onnx"), ("int8", "int8.onnx"))}
+    sessions = {kind: bare(folder / file) for kind, file in (("float32", "model.onnx"), ("int8", "int8.onnx"))}
+    data = dataset.train("satellite")[0].path.read_bytes()
+    picture = images.decode_picture(data, "picture")
+    single = images.prepare(picture, spec.input_size)
+    both = np.stack([single, single[..., ::-1]])
+    outputs = ["parts", "features"]
+    tasks = {"published": lambda: published(data)}
+    for kind, engine in engines.items():
+        tasks[kind] = lambda engine=engine: retrieval.describe_picture(engine, images.decode_picture(data, ""), "drone")
+        tasks[f"{kind} pass"] = lambda engine=engine: engine.run(both, "drone")
+        tasks[f"{kind} bare"] = lambda kind=kind: sessions[kind].run(outputs, {"images": both})
+    change = Change(rotate=ANGLE)
+    tasks["prepare"] = lambda: np.stack(
+        [ready := images.normalise(images.resize(change.apply(picture), *spec.input_size)), ready[..., ::-1]]
+    )
+    found = medians(tasks)
+    side = f"{picture.shape[1]} px JPEG to descriptor with mirror"
+    limits = {kind: found[f"{kind} bare"] for kind in engines}
+    return [
+        against_peer(f"{name}, {side}, int8", found["int8"], found["published"], 8, limit=limits["int8"]),
+        against_peer(f"{name}, {side}, float32", found["float32"], found["published"], 3, limit=limits["float32"]),
+        within(f"{name}, forward pass of two, int8", found["int8 pass"], limits["int8"], 1.15),
+        within(f"{name}, forward pass of two, float32", found["float32 pass"], limits["float32"], 1.15),
+        below(f"{name}, turn, resize, normalise, mirror a {picture.shape[1]} px picture", found["prepare"], 3),
+    ]
+
+
+def figures(root: Path | None = None) -> list[Figure]:
+    """The figures of both networks."""
+    torch.set_num_threads(usable_cores())
+    images.use_all_cores()  # as the explorer does
+    torch.manual_seed(0)
+    found: list[Figure] = []
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        dataset = open_dataset(root or make_train_split(folder / "places"))
+        for name, spec in SPECS.items():
+            found += measure(name, spec, dataset, folder)
+    return found
+
+
+if __name__ == "__main__":
+    show("One query", figures(Path(sys.argv[1]) if len(sys.argv) > 1 else None))

@@ -1,0 +1,105 @@
+"""Makes the pictures of docs/demo.md and docs/stories.md: `python -m tools.bench.screenshot docs BASELINE.onnx [FILE ...]`.
+
+BASELINE is the demo's network with n = 1; without it, the pictures that need it are left as they are.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+from playwright.sync_api import Browser, sync_playwright
+
+from lpn.cli.using import DEMO, DEMO_QUERY
+from lpn.core.files import write_whole
+from tools.bench.page import Process
+from tools.fixtures.chromium import launch
+from tools.fixtures.processes import free_port
+
+QUALITY = 84
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture: of which query, after which keys, and whether by the baseline or with it beside; and which tab of the window
+    of reasons, with what chosen there and waited for."""
+
+    file: str
+    query: str
+    keys: str = ""
+    baseline: bool = False
+    beside: bool = False
+    tab: str | None = None
+    choose: str | None = None
+    wait: str | None = None
+
+
+SHOTS = (
+    Shot("success.jpg", DEMO_QUERY, "m"),
+    Shot("twin-n1.jpg", "0447/07", baseline=True),
+    Shot("twin-n4.jpg", "0447/07"),
+    Shot("failure.jpg", "0449/05"),
+    Shot("failure-map.jpg", "0449/05", "m"),
+    Shot("story-context.jpg", "0445/05", "y", beside=True, tab="Two models"),
+    Shot("story-turn.jpg", "0334/08", "y", tab="Turn, shift, zoom", choose="Turn", wait="#lpn-profile[data-done='24']"),
+    Shot("story-constant.jpg", "0381/02", "y", tab="Why"),
+)
+
+
+def main() -> None:
+    """Start the app with each model, open it, take the pictures."""
+    out = Path(sys.argv[1])
+    models = [(False, DEMO / "lpn.onnx"), *((True, Path(argument)) for argument in sys.argv[2:3])]
+    with ExitStack() as stack:
+        browser = launch(stack.enter_context(sync_playwright()))
+        wanted = [shot for shot in SHOTS if not sys.argv[3:] or shot.file in sys.argv[3:]]
+        beside = models[1][1] if len(models) > 1 else None
+        for baseline, model in models:
+            for shot in wanted:
+                if shot.baseline == baseline and (not shot.beside or beside):
+                    _take(browser, shot, model, out, beside)
+        browser.close()
+
+
+def _take(browser: Browser, shot: Shot, model: Path, out: Path, beside: Path | None) -> None:
+    command = [sys.executable, "-m", "lpn", "explore", "--data", str(DEMO), "--model", str(model)]
+    command += ["--beside", str(beside)] if shot.beside else []
+    with Process([*command, "--query", shot.query, "--port", str(free_port())], dict(os.environ)) as app:
+        _open(browser, app.url, shot, out)
+
+
+def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
+    page = browser.new_page(viewport={"width": 1456, "height": 835})
+    page.add_init_script("localStorage.setItem('lpn-tour', 'seen')")
+    page.goto(url)
+    page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
+    page.wait_for_timeout(4000)
+    for notice in page.locator(".mantine-Notification-closeButton").all():
+        notice.click()
+    page.wait_for_timeout(1000)
+    for key in shot.keys:
+        page.keyboard.press(key)
+        page.wait_for_timeout(6000)
+    if shot.tab is not None:
+        page.get_by_role("tab", name=shot.tab).click()
+        page.wait_for_timeout(1500)
+    if shot.choose is not None:
+        page.locator(".chips a", has_text=shot.choose).first.click()
+    if shot.wait is not None:
+        page.wait_for_selector(shot.wait, state="attached", timeout=120_000)
+        page.wait_for_timeout(500)
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "page.png"
+        page.screenshot(path=str(file))
+        data = cv2.imencode(".jpg", cv2.imread(str(file)), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
+    write_whole(out / shot.file, data)
+    page.close()
+
+
+if __name__ == "__main__":
+    main()

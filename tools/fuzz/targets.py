@@ -1,0 +1,544 @@
+"""What is read, from which real files its damaged ones are made, and what must hold of whatever is accepted.
+
+A reader gets the contents of one file and may raise LPNError and nothing else. Where a format has checksums of its own, some
+seeds are the contents within it, around which the reader builds a whole file again: else no damage would get past them.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import time
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lpn.core.errors import LPNError
+
+Read = Callable[[bytes], object]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One file: seeds that its damaged ones are made from, and how it is read."""
+
+    seeds: list[bytes]
+    read: Read
+
+
+def pictures(folder: Path) -> list[Case]:
+    """Uploads and picture files, in every format that is accepted, with 8 and 16 bits, transparent, animated, and turned."""
+    from PIL import Image
+
+    from lpn.core import images
+    from lpn.datasets.integrity import flaw_within
+    from tools.fixtures import small_worlds
+
+    del folder
+    shown = Image.fromarray(small_worlds.place(1)[:40, :48])
+    exif = shown.getexif()
+    exif[0x0112] = 6
+    more = {"save_all": True, "append_images": [shown.rotate(90)]}
+    kinds = [("JPEG", {}), ("JPEG", {"exif": exif, "progressive": True}), ("PNG", {}), ("PNG", more), ("WEBP", {})]
+    kinds += [
+        ("WEBP", more | {"lossless": True, "exif": exif}),
+        ("GIF", more),
+        ("BMP", {}),
+        ("TIFF", {"compression": "tiff_lzw"}),
+    ]
+    seeds = [_saved(shown, kind, **given) for kind, given in kinds]
+    seeds += [
+        _saved(shown.convert("CMYK"), "JPEG"),
+        _saved(shown.convert("RGBA"), "PNG"),
+        _saved(shown.convert("P"), "PNG"),
+    ]
+    seeds.append(_saved(Image.fromarray(np.asarray(shown.convert("L")).astype(np.uint16) * 257), "PNG"))
+
+    def read(data: bytes) -> None:
+        flaw_within(io.BytesIO(data), decode=True)
+        picture = images.decode_picture(data, "picture")
+        assert picture.ndim == 3
+        assert picture.shape[2] == 3
+        assert picture.dtype == np.uint8
+        assert 0 < picture[..., 0].size <= images.MAX_PIXELS
+
+    png = [seed for seed in seeds if seed.startswith(b"\x89PNG")]
+    return [Case(seeds, read), Case(png, lambda data: read(_with_png_checksums(data)))]
+
+
+def stores(folder: Path) -> list[Case]:
+    """Manifest, array, and progress of a store of descriptors."""
+    from lpn import descriptors
+    from lpn.descriptors.partial_store import Unfinished
+    from lpn.descriptors.transforms import UNCHANGED
+    from lpn.descriptors.writer import write_store
+    from lpn.models.base import normalise
+
+    rows = tuple(descriptors.Row(f"{i % 3}/{i:02d}.png", 100 + i, 10**18 + i, (0.0, 1.0, 9.5, 9.0)) for i in range(12))
+    plain = descriptors.Manifest("0" * 16, "drone", UNCHANGED.rotate, 2, 8, rows)
+    raw = normalise(np.random.default_rng(0).standard_normal((12, 2, 8)).astype(np.float32))
+    write_store(folder, plain, lambda unfinished: unfinished.put(range(12), raw))
+    whole = {name: (folder / name).read_bytes() for name in ("manifest.json", "descriptors.npy")}
+
+    def opened(name: str) -> Read:
+        def read(data: bytes) -> None:
+            (folder / name).write_bytes(data)
+            try:
+                store = descriptors.open_store(folder)
+                assert store.float32.shape == (
+                    len(store.manifest.rows),
+                    store.manifest.n_parts,
+                    store.manifest.embedding,
+                )
+                _ = store.damaged(), store.manifest.damaged, store.manifest.change.describe()
+            finally:
+                (folder / name).write_bytes(whole[name])
+
+        return read
+
+    part = folder / "part"
+    part.mkdir()
+    left = {"descriptors.part": whole["descriptors.npy"], "planned.json": plain.to_json()}
+    left["progress.json"] = b'{"done": [[0, 5], [7, 12]]}'
+
+    def gone_on(name: str) -> Read:
+        def read(data: bytes) -> None:
+            for other, content in left.items():
+                (part / other).write_bytes(data if other == name else content)
+            assert len(Unfinished(part, plain, None).good) == 12
+
+        return read
+
+    cases = [Case([whole["manifest.json"], plain.to_json()], opened("manifest.json"))]
+    cases.append(Case([whole["descriptors.npy"]], opened("descriptors.npy")))
+    return cases + [Case([content], gone_on(name)) for name, content in left.items()]
+
+
+def tables(folder: Path) -> list[Case]:
+    """geo.csv, pairs.csv, metadata.csv, CVUSA's lists, and the ground-truth files of landmarks."""
+    from lpn.datasets import open_dataset
+    from lpn.datasets.geo import read_positions
+    from lpn.datasets.metadata import columns
+    from tools.fixtures import layouts, small_worlds
+
+    world = small_worlds.map_dataset(small_worlds.make_dataset(folder / "world", train=1, test=3))
+    queries = [f"test/query_drone/{i:04d}/image-01.png" for i in (2, 3, 4)]
+    metadata = "path,weather,wind\n" + "".join(f"{q},sun,{i}.5\n" for i, q in enumerate(queries))
+    pairs = folder / "pairs"
+    for name in ("a", "b", "c"):
+        small_worlds.write(pairs / "tiles" / f"{name}.png", small_worlds.place(1))
+    listed = b"satellite,drone,split,place\ntiles/a.png,tiles/b.png,train,\ntiles/b.png,tiles/c.png,test,7\n,tiles/a.png,,8\n"
+    ground = small_worlds.make_cvusa(folder / "cvusa", 3, 8, 32)
+    oxford = layouts.oxford(folder / "oxford")
+    lists = sorted(oxford.rglob("all_souls_1_*.txt"))
+
+    def own(data: bytes) -> None:
+        (world / "metadata.csv").write_bytes(data)
+        columns(world, queries)
+
+    def dataset(root: Path, file: Path) -> Read:
+        whole = file.read_bytes()
+
+        def read(data: bytes) -> None:
+            file.write_bytes(data)
+            try:
+                found = open_dataset(root)
+                _ = found.lists(), [found.truth(task) for task in found.tasks()]
+            finally:
+                file.write_bytes(whole)
+
+        return read
+
+    (pairs / "pairs.csv").write_bytes(listed)
+    split = ground / "splits" / "val-19zl.csv"
+    cases = [
+        Case([(world / "geo.csv").read_bytes()], read_positions),
+        Case([metadata.encode()], own),
+        Case([listed], dataset(pairs, pairs / "pairs.csv")),
+        Case([split.read_bytes()], dataset(ground, split)),
+    ]
+    return cases + [Case([file.read_bytes()], dataset(oxford, file)) for file in lists]
+
+
+def matlab(folder: Path) -> list[Case]:
+    """CVACT's lists and saved results, packed and not."""
+    from scipy.io import savemat
+
+    from lpn.datasets import open_dataset
+    from lpn.retrieval.published_results import load_saved
+    from tools.fixtures import layouts
+
+    def packings(values: dict[str, object]) -> list[bytes]:
+        found = []
+        for packed in (False, True):
+            whole = io.BytesIO()
+            savemat(whole, values, do_compression=packed)
+            found.append(whole.getvalue())
+        return found
+
+    rng = np.random.default_rng(0)
+    of_side = {
+        side: rng.standard_normal((count, 8)).astype(np.float32) for side, count in (("query_f", 3), ("gallery_f", 4))
+    }
+    labels = {"query_label": np.array([[1, 2, 3]]), "gallery_label": np.array([[1, 2, 3, 4]])}
+    paths = {"query_path": ["/a/1/1.jpg", "/a/2/2.jpg", "/a/3/3.jpg"]}
+    saved = packings({**of_side, **labels, **paths})
+    root = layouts.cvact(folder / "cvact", "")
+    lists = root / "ACT_data.mat"
+
+    def result(data: bytes) -> None:
+        (folder / "result.mat").write_bytes(data)
+        load_saved(folder / "result.mat", 2)
+
+    def dataset(data: bytes) -> None:
+        lists.write_bytes(data)
+        open_dataset(root).lists()
+
+    cases = [Case(saved, result), Case([lists.read_bytes()], dataset)]
+    # The contents of a packed variable, packed again.
+    body = saved[0][128:]
+    return [*cases, Case([body], lambda data: result(saved[0][:128] + _packed(data)))]
+
+
+def onnx(folder: Path) -> list[Case]:
+    """Exported models, sealed and as before there were seals."""
+    from lpn.models.onnx_engine import Engine
+    from tools.fuzz.small_models import SPEC, onnx_file
+
+    blank = np.ones((1, 3, *SPEC.input_size), np.float32)
+
+    def read(data: bytes) -> None:
+        (folder / "model.onnx").write_bytes(data)
+        model = Engine(folder / "model.onnx", threads=1)
+        for view in model.views:
+            images = blank if model.input_size == SPEC.input_size else np.ones((1, 3, *model.input_size), np.float32)
+            found = model.descriptors(images, view)
+            assert found.shape == (1, model.n_parts, model.spec.embedding)
+            assert np.isfinite(found).all()
+            model.heads(view)
+            model.map_size(view)
+
+    return [Case([onnx_file(seal=True)], read), *[Case([onnx_file(seal=False)], read)] * 3]
+
+
+def safetensors(folder: Path) -> list[Case]:
+    """Our checkpoints."""
+    from safetensors.torch import save
+
+    from lpn.core.checksums import BLANK, SEAL, sealed
+    from lpn.models.checkpoints import FORMAT, load_torch
+    from tools.fuzz.small_models import SPEC, state_dict
+
+    metadata = {"format": FORMAT, "spec": SPEC.to_json(), "recipe": "{}", "epochs": "3"}
+    plain = save(state_dict(), metadata)
+    whole = sealed(save(state_dict(), metadata | {SEAL: BLANK}))
+
+    def read(data: bytes) -> None:
+        (folder / "model.safetensors").write_bytes(data)
+        load_torch(folder / "model.safetensors")
+
+    def header(data: bytes) -> None:
+        read(len(data).to_bytes(8, "little") + data + plain[8 + size :])
+
+    size = int.from_bytes(plain[:8], "little")
+    return [Case([whole, plain], read), Case([plain[8 : 8 + size]], header)]
+
+
+def pth(folder: Path) -> list[Case]:
+    """Published checkpoints, the options beside them, and the state of a training."""
+
+    from lpn.models.checkpoints import load_torch
+    from lpn.training.recipes import RECIPES
+    from lpn.training.resume_state import State, read_state
+    from tools.fuzz.small_models import pth_file, state_dict
+
+    file, options = folder / "net.pth", folder / "opts.yaml"
+    whole = pth_file(state_dict())
+    recipe = RECIPES["small"]
+    State(
+        [{"epoch": 1, "loss": 1.0}], 2.0, 1, {key: {} for key in ("network", "average", "optimizer", "scaler")}
+    ).write(folder / "state.pt", recipe, "0" * 16)
+    state = (folder / "state.pt").read_bytes()
+    text = (
+        b"h: 64\nw: 64\nstride: 1\npool: avg\ndroprate: 0.5\nLPN: true\nblock: 2\nviews: 2\nuse_vgg16: false\nname: x\n"
+    )
+
+    def model(data: bytes, told: bytes = b"") -> None:
+        file.write_bytes(data)
+        options.write_bytes(told)
+        load_torch(file)
+
+    def training(data: bytes) -> None:
+        (folder / "state.pt").write_bytes(data)
+        read_state(folder / "state.pt", recipe, "0" * 16)
+
+    return [
+        Case([whole], model),
+        Case([_entry(whole, "data.pkl")], lambda data: model(_with_entry(whole, "data.pkl", data))),
+        Case([text], lambda data: model(whole, data)),
+        Case([state], training),
+        Case([_entry(state, "data.pkl")], lambda data: training(_with_entry(state, "data.pkl", data))),
+    ]
+
+
+def notes(folder: Path) -> list[Case]:
+    """A person's notes."""
+    from lpn.analysis.notes import read_notes, set_note
+
+    file = folder / "notes.csv"
+    for path, tags, text in (
+        ("a/1.png", "night blur", "one,\ntwo"),
+        ("b/2.png", "twin", 'a "b"'),
+        ("c/3.png", "", "x"),
+    ):
+        set_note(file, path, tags, text)
+    seed = file.read_bytes()
+
+    def read(data: bytes) -> None:
+        file.write_bytes(data)
+        before = read_notes(file)
+        after = set_note(file, "d/4.png", "new", "said")
+        assert read_notes(file) == after
+        assert {path: after[path] for path in before if path != "d/4.png"} == {
+            path: note for path, note in before.items() if path != "d/4.png"
+        }
+
+    return [Case([seed], read)]
+
+
+def rankings(folder: Path) -> list[Case]:
+    """A ranking kept between runs."""
+    from lpn.models.base import normalise
+    from lpn.retrieval import metrics
+    from lpn.retrieval.ranking_cache import Sides, keep, kept
+
+    os.environ["LPN_CACHE"] = str(folder)
+    rng = np.random.default_rng(0)
+    asked, tiles = (normalise(rng.standard_normal((count, 2, 8)).astype(np.float32)) for count in (10, 7))
+    sides = Sides(asked, tiles, rng.integers(0, 4, 10), rng.integers(-1, 3, 7), identity="these")
+    keep(sides, metrics.retrieve(sides.asked, sides.query_labels, sides.tiles, sides.labels))
+    file = sides.file
+    assert file is not None
+    whole = file.read_bytes()
+
+    def read(data: bytes) -> None:
+        file.write_bytes(data)
+        found = kept(sides)
+        assert found is None or found.figures()["gallery"] == 7
+
+    def inner(name: str) -> Case:
+        return Case([_entry(whole, name)], lambda data: read(_with_entry(whole, name, data)))
+
+    return [Case([whole], read), inner("first.npy"), inner("precision.npy"), inner("gallery.npy")]
+
+
+def shards(folder: Path) -> list[Case]:
+    """Parquet files of descriptors, and their plan."""
+    from lpn.cluster.gather import open_shards
+    from lpn.cluster.shards import Item, Plan, contents, read_notes, shard_name, write_shard
+    from lpn.cluster.storage import Storage
+    from lpn.descriptors import Row
+    from lpn.models.base import normalise
+
+    storage = Storage(folder)
+    plan = Plan("0" * 16, "drone", 2, 8, "float32", 1)
+    items = [Item(Row(f"{i}.png", 100 + i, 10**18, None), (46.0, 7.0) if i % 2 else None) for i in range(9)]
+    raw = normalise(np.random.default_rng(0).standard_normal((9, 2, 8)).astype(np.float32))
+    write_shard(storage, plan, 0, items, raw)
+    written = contents([notes for notes in read_notes(storage, plan, [0]) if notes is not None])
+    storage.write("plan.json", replace(plan, finished=True, contents=written).to_json())
+    whole = {name: (folder / name).read_bytes() for name in ("plan.json", shard_name(0))}
+
+    def read(name: str) -> Read:
+        def of(data: bytes) -> None:
+            (folder / name).write_bytes(data)
+            try:
+                found = open_shards(folder)
+                for partition in range(found.plan.partitions):
+                    tiles = found.tiles(partition)
+                    assert tiles.positions.shape == (len(tiles.names), 2)
+                    assert [item.row.file for item in found.items(partition)] == tiles.names
+                    shape = found.descriptors(partition, tiles.names).shape
+                    assert shape == (len(tiles.names), found.plan.n_parts, found.plan.embedding)
+            finally:
+                (folder / name).write_bytes(whole[name])
+
+        return of
+
+    return [Case([content], read(name)) for name, content in whole.items()]
+
+
+def links(folder: Path) -> list[Case]:
+    """The address of a page."""
+    from explorer.opening import open_model
+    from explorer.session_state import State
+    from explorer.url_state import Links
+    from tools.fixtures import small_worlds
+    from tools.fuzz.small_models import onnx_file
+
+    os.environ["LPN_CACHE"] = str(folder / "cache")
+    (folder / "model.onnx").write_bytes(onnx_file(seal=True))
+    data = small_worlds.make_dataset(folder / "places", train=1, test=3)
+    exhibit = open_model(data, folder / "model.onnx")
+    made = Links(exhibit)
+    start = State(next(iter(exhibit.tasks)), exhibit.spec.n_parts)
+    seeds = [
+        b"?task=drone-to-satellite&query=0003&with=0002&angle=-30.5&shift=3&down=-4&zoom=2&weights=1,0.5&off=1&region=0-1,3",
+        b"query=~1&with=truth&why=1&lab=1&apart=1&rings=0&heat=0&shows=evidence&part=2&opacity=0.3&theme=dark&map=1&city=0",
+        b"query=own&region=0-9999999&weights=1e-9,1e9&off=1,2,3&angle=nan&task=%00%ff%0a",
+    ]
+
+    def read(data: bytes) -> None:
+        state, said = made.read(data.decode("utf-8", "replace"), start)
+        again, complaints = made.read(made.write(state), start)
+        assert not complaints
+        assert again == state
+        assert all("\n" not in text for text in said)
+
+    return [Case(seeds, read)]
+
+
+def indexes(folder: Path) -> list[Case]:
+    """The manifest and the segments of an index in a folder."""
+    from lpn import index
+    from lpn.models.base import normalise
+
+    rng = np.random.default_rng(0)
+    made = index.create_index(folder / "index", index.Kind("0" * 16, 2, 8))
+    raw = normalise(rng.standard_normal((6, 2, 8)).astype(np.float32))
+    made.add([f"{i}.png" for i in range(6)], raw)
+    files = sorted(file for file in (folder / "index").rglob("*") if file.is_file())
+
+    def read(file: Path) -> Read:
+        whole = file.read_bytes()
+
+        def of(data: bytes) -> None:
+            file.write_bytes(data)
+            try:
+                index.open_index(folder / "index").search(raw[0], None, 3)
+            finally:
+                file.write_bytes(whole)
+
+        return of
+
+    return [Case([file.read_bytes()], read(file)) for file in files if file.stat().st_size]
+
+
+def cities(folder: Path) -> list[Case]:
+    """The 3-D model that a browser gets."""
+    from lpn.datasets.city_model import city_model
+    from tools.fixtures import small_worlds
+
+    def read(data: bytes) -> None:
+        (folder / "city.glb").write_bytes(data)
+        city_model(folder)
+
+    whole = small_worlds.city()
+    size = int.from_bytes(whole[12:16], "little")
+
+    def header(data: bytes) -> None:
+        text = data + b" " * (-len(data) % 4)
+        rest = whole[20 + size :]
+        total = 20 + len(text) + len(rest)
+        read(whole[:8] + total.to_bytes(4, "little") + len(text).to_bytes(4, "little") + whole[16:20] + text + rest)
+
+    return [Case([whole], read), Case([whole[20 : 20 + size]], header)]
+
+
+def misbehaving(folder: Path) -> list[Case]:
+    """What no reader may do, to test the program by: it ends the process, comes to no end, or raises, as the input says."""
+    del folder
+
+    def read(data: bytes) -> None:
+        kind = zlib.crc32(data) % 4
+        if kind == 0:
+            os.abort()
+        if kind == 1:
+            time.sleep(3600)
+        if kind == 2:
+            raise KeyError(kind)
+
+    return [Case([b"0123456789" * 10], read)]
+
+
+TARGETS: dict[str, Callable[[Path], list[Case]]] = {
+    made.__name__: made
+    for made in (
+        pictures,
+        stores,
+        tables,
+        matlab,
+        onnx,
+        safetensors,
+        pth,
+        notes,
+        rankings,
+        shards,
+        links,
+        indexes,
+        cities,
+    )
+}
+
+
+def complaint(read: Read, data: bytes) -> BaseException | None:
+    """What a reader raised that it must not."""
+    try:
+        read(data)
+    except LPNError as error:
+        text = str(error)
+        # One sentence, or two: what a person reads, and no traceback.
+        return AssertionError(f"several lines: {text!r}") if "\n" in text or not text else None
+    except Exception as error:
+        return error
+    return None
+
+
+def _saved(picture: object, kind: str, **given: object) -> bytes:
+    whole = io.BytesIO()
+    picture.save(whole, kind, **given)  # type: ignore[attr-defined]
+    return whole.getvalue()
+
+
+def _with_png_checksums(data: bytes) -> bytes:
+    """A PNG whose chunks have the checksums of what is in them now."""
+    found, position = bytearray(data[:8]), 8
+    while position + 12 <= len(data):
+        size = int.from_bytes(data[position : position + 4], "big")
+        body = data[position + 4 : position + 8 + size]
+        found += data[position : position + 4] + body + zlib.crc32(body).to_bytes(4, "big")
+        position += 12 + size
+    return bytes(found + data[position:])
+
+
+def _packed(data: bytes) -> bytes:
+    body = zlib.compress(data)
+    return (15).to_bytes(4, "little") + len(body).to_bytes(4, "little") + body
+
+
+def _entry(archive: bytes, name: str) -> bytes:
+    with zipfile.ZipFile(io.BytesIO(archive)) as opened:
+        return opened.read(next(entry for entry in opened.namelist() if entry.endswith(name)))
+
+
+def _with_entry(archive: bytes, name: str, data: bytes) -> bytes:
+    """An archive with other contents of one entry, and the checksum of those."""
+    whole = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(archive)) as opened, zipfile.ZipFile(whole, "w") as made:
+        for entry in opened.namelist():
+            made.writestr(entry, data if entry.endswith(name) else opened.read(entry))
+    return whole.getvalue()
+
+
+def described(error: BaseException) -> str:
+    """An error in one line, with the place it came from."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = "" if trace is None else f" ({Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno})"
+    return f"{type(error).__name__}: {json.dumps(str(error))[:200]}{where}"

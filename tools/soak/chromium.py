@@ -1,0 +1,235 @@
+"""A hand at a real page in headless Chromium: mouse, fields, and keys."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+from playwright.sync_api import Browser, BrowserContext, Error, Locator, Page, sync_playwright
+
+from tools.fixtures.chromium import launch
+from tools.soak import reading
+from tools.soak.asked import Asked, Naming, Own, fits, strange
+from tools.soak.hand import BOUND, RATE, FaultError, Settled, StoppedError
+
+T = TypeVar("T")
+SHOWN = """
+() => {
+  const html = (id) => document.getElementById(id)?.outerHTML ?? "";
+  const told = window.lpn;
+  if (told?.address && !told.listened) {
+    const plain = told.address;
+    told.listened = [];
+    told.address = (query, keys) => { told.listened.push(query); plain(query, keys); };
+  }
+  const links = told?.listened?.splice(0) ?? [];
+  return [links, location.search, html("lpn-status"), html("lpn-matches"), html("lpn-parts")];
+}
+"""
+"""The page writes its address late, so what it is told to write is noted when it is told, and taken with the next look."""
+EVERY = 0.03
+"""Seconds between two looks at the page."""
+TYPINGS = 5
+"""How often a number is typed until the box shows it: a page that is drawn anew between marking what is there and typing over it
+can keep a part of that, which whoever types sees."""
+KEYS = {"Why this tile?": "y", "Failure laboratory": "b", "Next ›": "n", "‹ Previous": "p"}
+
+
+class Chromium:
+    """A browser process for one thread, for a `with` block; playwright's objects belong to the thread that made them."""
+
+    def __enter__(self) -> Browser:
+        self._playwright = sync_playwright().start()
+        try:
+            self.browser = launch(self._playwright, handle_sigint=False)
+        except BaseException:
+            self._playwright.stop()
+            raise
+        return self.browser
+
+    def __exit__(self, *_: object) -> None:
+        for end in (self.browser.close, self._playwright.stop):
+            with contextlib.suppress(Exception):  # Ctrl-C ends the browser, too
+                end()
+
+
+class Tab:
+    """One client in a browser, which may come and go; each visit is a profile of its own.
+
+    Args:
+        url: of the server.
+        naming: of what is asked for.
+        stop: set when the soak ends.
+    """
+
+    def __init__(self, browser: Browser, url: str, naming: Naming, stop: threading.Event) -> None:
+        self._browser, self._url, self._naming, self._stop = browser, url, naming, stop
+        self._context: BrowserContext | None = None
+        self._changed = time.monotonic()
+        self._link: str | None = None
+        self._links: list[str] = []
+        self._before: list[Asked] = []
+        self.page: Page
+
+    def enter(self, link: str) -> None:
+        """Open the page by a link's query, as somebody who has seen the tour."""
+        began = time.monotonic()
+        self._link, self._links, self._before = None, [], []
+        self.errors: list[str] = []
+        self._doing(self._open)
+        self._doing(lambda: self.page.goto(f"{self._url}/?{link}"))
+        self._await(lambda: reading.status(self._look()[1]).get("seq", "0") != "0", "a first answer")
+        notice = self.page.locator(".mantine-Notification-closeButton")  # of software WebGL
+        if self._doing(notice.count):
+            self._doing(notice.first.click)
+        self._doing(lambda: self.page.get_by_text("Shift and zoom", exact=True).click())
+        self._doing(lambda: self.page.wait_for_timeout(400))
+        self._changed = began
+
+    def _open(self) -> None:
+        self._context = self._browser.new_context(viewport={"width": 1280, "height": 800})
+        self._context.add_init_script("localStorage.setItem('lpn-tour', 'seen')")
+        self._context.set_default_timeout(1000 * BOUND)
+        self.page = self._context.new_page()
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+
+    def drag(self, label: str, values: list[float]) -> float:
+        """Drag a slider's thumb to the places of values; the page rounds to what a pixel is."""
+        row = self._row(label)
+        low, high = {"Rotate": (-180.0, 180.0), "Zoom": (0.25, 4.0)}.get(label, (0.0, 2.0))
+        thumb, track = row.get_by_role("slider"), row.locator(".mantine-Slider-root")
+
+        def moved() -> float:
+            thumb.scroll_into_view_if_needed()
+            at, box = thumb.bounding_box(), track.bounding_box()
+            assert at is not None
+            assert box is not None
+            mouse, height = self.page.mouse, at["y"] + at["height"] / 2
+            mouse.move(at["x"] + at["width"] / 2, height)
+            mouse.down()
+            for value in values:
+                mouse.move(box["x"] + box["width"] * (value - low) / (high - low), height)
+                self._changed = time.monotonic()
+                time.sleep(1 / RATE)
+            mouse.up()
+            return float(row.locator("input").last.input_value())
+
+        return self._doing(moved)
+
+    def fill(self, label: str, value: float) -> None:
+        """Type into a slider's field."""
+
+        def typed() -> None:
+            box = self._row(label).locator("input").last
+            for _ in range(TYPINGS):
+                box.fill(f"{value:g}")
+                box.press("Enter")
+                self.page.wait_for_timeout(60)
+                if box.input_value() == f"{value:g}":
+                    return
+            raise AssertionError(f"{label} shows {box.input_value()} where {value:g} was typed {TYPINGS} times")
+
+        self._changing(typed)
+
+    def switch(self, label: str, on: bool) -> None:
+        """Set a checkbox."""
+        self._changing(lambda: self._row(label).locator("input").last.set_checked(on))
+
+    def press(self, label: str) -> None:
+        """Press the key that does what a button does."""
+
+        def pressed() -> None:
+            self.page.evaluate("document.activeElement.blur()")
+            self.page.keyboard.press(KEYS[label])
+
+        self._changing(pressed)
+
+    def choose(self, label: str, option: str) -> None:
+        """Take an option: of the buttons in a row by its key, else of a list."""
+        if option in KEYS:
+            self.press(option)
+            return
+
+        def chosen() -> None:
+            self.page.get_by_label(label, exact=True).click()
+            self.page.get_by_role("option", name=option, exact=True).click()
+
+        self._changing(chosen)
+
+    def send(self, own: Own) -> None:
+        """Upload a picture."""
+        file = {"name": own.name, "mimeType": "image/jpeg", "buffer": own.content}
+        self._changing(lambda: self.page.locator("input[type=file]").set_input_files(file))  # type: ignore[arg-type]
+
+    def open_tab(self, name: str) -> None:
+        """Open a tab of a panel."""
+        self._doing(lambda: self.page.get_by_role("tab", name=name).click())
+
+    def settle(self, asked: Asked, path: Iterable[Asked] = ()) -> Settled:
+        """Wait for the answer, and see that the page's address said nothing else before it."""
+        found = list[tuple[str | None, str, str, str]]()
+
+        def there() -> bool:
+            link, status, matches, parts = self._look()
+            if fits(self._naming, asked, link, reading.status(status)):
+                found.append((link, status, matches, parts))
+            return bool(found)
+
+        self._await(there, f"{self._naming.address(asked)} with {self._naming.label(asked)}")
+        seconds = time.monotonic() - self._changed
+        if self.errors:
+            raise FaultError("page error", "; ".join(self.errors[:3]))
+        links, self._links = self._links, []
+        if said := strange(self._naming, [asked, *path, *self._before], links):
+            raise FaultError("foreign state", f"the page's address said {', '.join(said)}, which was not asked for")
+        self._before = [
+            asked,
+            *path,
+        ]  # a mouse may pass the last value on its way, and what follows comes after that answer
+        return Settled(reading.shown(*found[0][1:]), seconds)
+
+    def leave(self, how: str) -> None:
+        """Close the profile, or put another page into its place first."""
+        context, self._context = self._context, None
+        if context is not None:
+            with contextlib.suppress(Error):
+                if how == "vanish":
+                    self.page.goto("about:blank")
+                context.close()
+
+    def _look(self) -> tuple[str | None, str, str, str]:
+        links, address, status, matches, parts = self.page.evaluate(SHOWN)
+        self._links += links
+        self._link = links[-1] if links else self._link
+        return address if self._link is None else self._link, status, matches, parts
+
+    def _row(self, label: str) -> Locator:
+        return self.page.locator(f'label:text-is("{label}")').locator("xpath=ancestor::div[contains(@class,'Flex')][1]")
+
+    def _await(self, holds: Callable[[], bool], what: str) -> None:
+        deadline = time.monotonic() + BOUND
+        while not self._doing(holds):
+            time.sleep(EVERY)
+            if time.monotonic() > deadline:
+                link, status, *_ = self._look()
+                raise FaultError(
+                    "no answer",
+                    f"expected {what} within {BOUND:g} s; the page shows {link} with {reading.status(status)}",
+                )
+
+    def _changing(self, act: Callable[[], object]) -> None:
+        """Do what is to be answered."""
+        self._doing(act)
+        self._changed = time.monotonic()
+
+    def _doing(self, act: Callable[[], T]) -> T:
+        """Do something with the page; what fails is the page's fault, unless the soak ends."""
+        try:
+            return act()
+        except (Error, AssertionError) as error:
+            if self._stop.is_set():
+                raise StoppedError from error
+            raise FaultError("page", f"{type(error).__name__}: {str(error)[:400]}") from error

@@ -1,0 +1,232 @@
+"""A hand at a page over a websocket: it moves controls as viser's page does, and reads what is shown."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from websockets.exceptions import WebSocketException
+
+from tools.fixtures.websocket_client import CHUNK, Talker
+from tools.soak import reading
+from tools.soak.asked import Asked, Naming, Own, fits, strange
+from tools.soak.reading import Shown
+
+BOUND = 60.0
+"""Seconds within which every answer must be there, on a machine that is busy with all of the others."""
+RATE = 20.0
+"""Changes a second that viser's page sends of a slider that is dragged."""
+
+
+class StoppedError(Exception):
+    """The soak ends, and so does every client."""
+
+
+class FaultError(Exception):
+    """The server did what it must not.
+
+    Args:
+        kind: such as "no answer".
+        text: what was expected, and what was there.
+    """
+
+    def __init__(self, kind: str, text: str) -> None:
+        super().__init__(f"{kind}: {text}")
+        self.kind, self.text = kind, text
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A page that shows what was asked for.
+
+    Attributes:
+        shown: what it shows.
+        seconds: from the last change to the answer.
+    """
+
+    shown: Shown
+    seconds: float
+
+
+class Hand(Protocol):
+    """Works a page; each call is what a person does with it. Raises FaultError and StoppedError."""
+
+    def enter(self, link: str) -> None:
+        """Open the page by a link's query."""
+
+    def drag(self, label: str, values: list[float]) -> float:
+        """Move a slider through values, and say where it was left."""
+
+    def switch(self, label: str, on: bool) -> None:
+        """Set a checkbox."""
+
+    def press(self, label: str) -> None:
+        """Press a button."""
+
+    def choose(self, label: str, option: str) -> None:
+        """Take an option."""
+
+    def send(self, own: Own) -> None:
+        """Upload a picture."""
+
+    def settle(self, asked: Asked, path: Iterable[Asked] = ()) -> Settled:
+        """Wait for the answer to what is asked for.
+
+        Args:
+            path: what was asked for in between, so may have been shown in between.
+        """
+
+    def leave(self, how: str) -> None:
+        """Go: "close", or "vanish" without a word."""
+
+
+class Socket:
+    """One client over a websocket, which may come and go.
+
+    Args:
+        url: of the server.
+        naming: of what is asked for.
+        stop: set when the soak ends.
+    """
+
+    def __init__(self, url: str, naming: Naming, stop: threading.Event) -> None:
+        self._url, self._naming, self._stop = url, naming, stop
+        self._talker: Talker | None = None
+        self._changed = time.monotonic()
+        self._before: list[Asked] = []
+
+    @property
+    def talker(self) -> Talker:
+        """The connection."""
+        assert self._talker is not None
+        return self._talker
+
+    def enter(self, link: str) -> None:
+        """Connect, show a camera, and greet as the page does."""
+        began = time.monotonic()
+        try:
+            self._talker = Talker(self._url, origin=self._url, open_timeout=BOUND)
+        except (OSError, WebSocketException) as error:
+            raise FaultError("no connection", f"{type(error).__name__}: {error}") from error
+        self.talker.camera()
+        self._await(lambda: self.talker.find("page") is not None, "the page's controls", "none came")
+        hello = {"search": f"?{link}", "small": False}
+        self.tell("hello", hello)
+        # Again and again, as the page does: the app may not be listening yet.
+        self._await(
+            lambda: self.talker.link is not None, "a first answer", "none came", lambda: self.tell("hello", hello)
+        )
+        self._changed, self._before = began, []
+
+    def drag(self, label: str, values: list[float]) -> float:
+        """Send the values at the page's pace."""
+        for value in values:
+            self.set(label, value)
+            if self._stop.wait(1 / RATE):
+                raise StoppedError
+        return values[-1]
+
+    def switch(self, label: str, on: bool) -> None:
+        """Set a checkbox."""
+        self.set(label, on)
+
+    def press(self, label: str) -> None:
+        """Press a button."""
+        self.set(label, True)
+
+    def choose(self, label: str, option: str) -> None:
+        """Take an option."""
+        self.set(label, option)
+
+    def set(self, label: str, value: Any, prop: str = "value") -> None:
+        """Set a control, or another attribute of it."""
+        self._sending(lambda: self.talker.set(label, value, prop))
+
+    def tell(self, kind: str, value: Any) -> None:
+        """Send a message of the page's own script."""
+        self._sending(lambda: self.talker.tell(kind, value))
+
+    def send(self, own: Own) -> None:
+        """Upload a picture."""
+        self._sending(lambda: self.talker.upload(own.name, own.content, transfer=own.name))
+
+    def begin_upload(self, name: str) -> None:
+        """Send the first of three parts of a file."""
+        self._sending(lambda: self.talker.begin_upload(name, CHUNK, 3))
+
+    def raw(self, data: bytes | str) -> None:
+        """Send a frame."""
+        self._sending(lambda: self.talker.raw(data))
+
+    def settle(self, asked: Asked, path: Iterable[Asked] = ()) -> Settled:
+        """Wait for the answer, and see that nothing else was shown before it."""
+        talker, caught = self.talker, list[tuple[dict[str, str], float, list[str], list[str]]]()
+
+        def there() -> bool:  # nothing is taken in meanwhile
+            found = fits(self._naming, asked, talker.link, reading.status(talker.elements.get("lpn-status", "")))
+            if found:
+                caught.append((dict(talker.elements), talker.heard, list(talker.statuses), list(talker.links)))
+                talker.statuses.clear()
+                talker.links.clear()
+            return found
+
+        self._await(there, f"{self._naming.address(asked)} with {self._naming.label(asked)},", None)
+        elements, heard, statuses, links = caught[0]
+        refused = [f"{title}: {text}" for title, text in talker.notices if title == "No answer"]
+        talker.notices.clear()
+        if refused:
+            raise FaultError("refused", " ".join(refused))
+        self._foreign([asked, *path, *self._before], statuses, links)
+        self._before = [asked]
+        found = reading.shown(*(elements.get(part, "") for part in ("lpn-status", "lpn-matches", "lpn-parts")))
+        return Settled(found, max(heard - self._changed, 0.0))
+
+    def leave(self, how: str) -> None:
+        """Go, with a farewell or without."""
+        if self._talker is not None:
+            self._talker.close() if how == "close" else self._talker.abort()
+            self._talker = None
+
+    def gone(self, seconds: float) -> bool:
+        """Whether the server ends the connection."""
+        return self.talker.gone(seconds)
+
+    def _foreign(self, path: list[Asked], statuses: list[str], links: list[str]) -> None:
+        """Raise FaultError when a state was shown that this client never asked for."""
+        own = {(str(one.query), self._naming.label(one), f"{one.angle:g}") for one in path}
+        lines = [said for said in map(reading.status, statuses) if said.get("seq", "0") != "0"]
+        shown = {(said["query"], said["name"], said["angle"]) for said in lines}
+        if odd := shown - own:
+            raise FaultError("foreign state", f"the page showed {sorted(odd)}; asked for were {sorted(own)}")
+        if said := strange(self._naming, path, links):
+            raise FaultError("foreign state", f"the page's address said {', '.join(said)}, which was not asked for")
+
+    def _await(
+        self, holds: Callable[[], bool], what: str, found: str | None, again: Callable[[], None] = lambda: None
+    ) -> None:
+        """Wait; also when the soak ends meanwhile, or what never comes in a short one would not be noticed."""
+        deadline = time.monotonic() + BOUND
+        while not self.talker.until(holds, 0.5):
+            if self.talker.closed.is_set():
+                if self._stop.is_set():
+                    raise StoppedError
+                raise FaultError("disconnected", f"the server ended the connection while {what} was awaited")
+            if time.monotonic() > deadline:
+                status = reading.status(self.talker.elements.get("lpn-status", ""))
+                shown = found or f"the page shows {self.talker.link} with {status}"
+                raise FaultError("no answer", f"expected {what} within {BOUND:g} s; {shown}")
+            again()
+
+    def _sending(self, act: Callable[[], None]) -> None:
+        try:
+            act()
+        except (OSError, ConnectionError) as error:
+            raise FaultError("disconnected", f"{type(error).__name__}: {error}") from error
+        except Exception as error:
+            if self.talker.closed.wait(1):
+                raise FaultError("disconnected", f"{type(error).__name__}: {error}") from error
+            raise
+        self._changed = time.monotonic()

@@ -1,0 +1,243 @@
+"""The direct computation: a model and descriptors of its own, `lpn.retrieval`, and none of the app's code."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from random import Random
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+import lpn
+from lpn import descriptors, retrieval
+from lpn.core import images
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.datasets import Picture, Truth, open_dataset
+from lpn.descriptors.transforms import Change
+from lpn.models.base import FloatArray
+from lpn.models.spec import View, views_of
+from lpn.retrieval import Match, Ranking, scoring
+from tools.soak.asked import Asked, Own
+from tools.soak.reading import Row, Shown
+
+SHOWN = 10
+"""Ranked tiles that a page shows."""
+PRINTED = 0.001
+"""By how much a printed number may differ: half of its last digit of three, and as much for sums in another order, for pictures
+are described one by one here and may be described together there."""
+EQUAL = 1e-4
+"""Scores that differ by less may stand in either order, for the same reason."""
+SIGNS = {True: "✓", False: "✗", None: "?"}
+SAMPLE, NEAR = 8, 0.999
+"""Tiles of a gallery that are described anew, and the least cosine of each part with the one that is on the disk."""
+_KEPT = 5000
+_SIDE = 320
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One direction of retrieval as it lies on the disk."""
+
+    query_view: View
+    queries: list[Picture]
+    gallery: list[Picture]
+    descriptors: FloatArray
+    labels: npt.NDArray[np.int64]
+    truth: list[Truth] | None
+
+    @cached_property
+    def unique(self) -> list[int]:
+        """Queries whose name is theirs alone, and part of no other's, so that it finds them."""
+        names = [entry.name.casefold() for entry in self.queries]
+        return [i for i, name in enumerate(names[:400]) if sum(name in other for other in names) == 1]
+
+
+class Reference:
+    """Computes what a page must show. Used from one thread at a time, but for `label`, `address`, and `own`.
+
+    Queries are described here. The gallery's descriptors are those that lie on the disk, as for everybody; that they are of
+    their pictures is seen in a sample.
+
+    Raises:
+        LPNError: when data set or model cannot be used.
+    """
+
+    def __init__(self, data: Path, model: Path) -> None:
+        opened = lpn.load(model)
+        self._model = opened.for_streams()
+        dataset = open_dataset(data)
+        self.sides: dict[str, Side] = {}
+        for name in dataset.tasks():
+            views = views_of(name)
+            if not set(views) <= set(opened.views):
+                continue
+            gallery = dataset.gallery(views[1])
+            labels = np.array([entry.label for entry in gallery], np.int64)
+            known = descriptors.known_side(opened, gallery, views[1], data, "gallery")
+            truth = dataset.truth(name)
+            self._look_at(gallery, known.descriptors, views[1])
+            self.sides[name] = Side(views[0], dataset.queries(views[0]), gallery, known.descriptors, labels, truth)
+        if not self.sides:
+            raise DataError(f"The model knows none of the views of {data}; give a data set and a model that fit.")
+        self.parts = opened.spec.n_parts
+        self.names = self._part_names()
+        self.reach = opened.spec.input_size[1] // 2, opened.spec.input_size[0] // 2
+        self._picture = lru_cache(maxsize=200)(images.load_picture)
+        self._described: OrderedDict[object, FloatArray] = OrderedDict()
+
+    def _look_at(self, gallery: list[Picture], descriptors: FloatArray, view: View) -> None:
+        """Raise DataError when descriptors are not of their pictures."""
+        for index in sorted({round(at) for at in np.linspace(0, len(gallery) - 1, SAMPLE)}):
+            picture = images.load_picture(gallery[index].path)
+            found = retrieval.describe_picture(self._model, picture, view).descriptor
+            least = float(scoring.part_cosines(found, descriptors[index : index + 1]).min())
+            if not least >= NEAR:
+                raise DataError(
+                    f"The stored descriptor of {gallery[index].name} is not that of its picture: the cosine of a part is "
+                    f"{least:.3f}. Describe the gallery anew."
+                )
+
+    def first(self) -> Asked:
+        """What every page shows that asks for nothing."""
+        return Asked(next(iter(self.sides)), 0, (1.0,) * self.parts, (True,) * self.parts)
+
+    def label(self, asked: Asked) -> str:
+        """The name of what is asked for."""
+        return asked.own.name if asked.own else self.sides[asked.task].queries[asked.query].name
+
+    def address(self, asked: Asked) -> dict[str, str]:
+        """What the page's address must say: a name stands for the first that has it, ~3 for the fourth picture."""
+        side = self.sides[asked.task]
+        said = {**asked.address(), "query": "own" if asked.own else _called(side.queries, asked.query)}
+        if asked.tile is not None:
+            said["with"] = asked.tile if asked.tile == "truth" else _called(side.gallery, asked.tile)
+        return said
+
+    def own(self, rng: Random, name: str) -> Own:
+        """A piece of a query's picture, turned, as a JPEG file."""
+        side = self.sides[rng.choice(list(self.sides))]
+        picture = images.load_picture(rng.choice(side.queries).path)
+        height, width = (max(length * rng.randint(50, 100) // 100, 8) for length in picture.shape[:2])
+        piece = images.shrink(images.rotate(picture[:height, :width], rng.uniform(-180, 180)), _SIDE)
+        done, content = cv2.imencode(".jpg", piece[..., ::-1])
+        assert done
+        return Own(f"{name}.jpg", content.tobytes())
+
+    def ranking(self, asked: Asked) -> Ranking:
+        """The whole gallery ranked for what is asked for."""
+        side = self.sides[asked.task]
+        weights = scoring.part_weights(self.parts, asked.values())
+        cosines = scoring.part_cosines(self._descriptor(asked, side), side.descriptors)
+        label = None if asked.own else side.queries[asked.query].label
+        truth = None if asked.own or side.truth is None else side.truth[asked.query]
+        return retrieval.rank(cosines, weights, side.labels, label, truth)
+
+    def flaws(self, asked: Asked, shown: Shown) -> list[str]:
+        """What is wrong with an answer, in words; nothing where it is right."""
+        try:
+            return list(self._flaws(asked, shown, self.ranking(asked)))
+        except (ValueError, IndexError, StopIteration, KeyError) as error:
+            return [f"what the page shows could not be read ({type(error).__name__}: {error})"]
+
+    def _flaws(self, asked: Asked, shown: Shown, ranking: Ranking) -> list[str]:
+        side, found = self.sides[asked.task], []
+        rows = [row for row in shown.rows if not row.below]
+        expected, truth = ranking.top(SHOWN), ranking.truth()
+        if len(rows) != len(expected):
+            found.append(f"{len(rows)} tiles are shown; expected {len(expected)}")
+        for row, match in zip(rows, expected, strict=False):
+            found += self._row(side, row, self._here(ranking, row, match), match.gap)
+        below = [row for row in shown.rows if row.below]
+        beyond = truth if truth is not None and truth.rank > len(expected) else None
+        if len(below) != (beyond is not None):
+            found.append(f"{len(below)} true tiles are shown below; expected {int(beyond is not None)}")
+        for row, match in zip(below, [beyond] if beyond else [], strict=False):
+            found += self._row(side, row, self._here(ranking, row, match), match.gap)
+        if shown.status.get("top") != str(rows[0].index):
+            found.append(f"the status line says tile {shown.status.get('top')}, the list {rows[0].index}")
+        compared = ranking.find(rows[0].index)
+        if asked.tile == "truth":
+            compared = truth or compared
+        elif asked.tile is not None and ranking.holds(asked.tile):
+            compared = ranking.find(asked.tile)
+        if shown.status.get("chosen") != str(compared.index):
+            found.append(f"tile {shown.status.get('chosen')} is compared; expected {compared.index}")
+        return found + self._pair(shown, ranking, compared)
+
+    def _here(self, ranking: Ranking, row: Row, match: Match) -> Match:
+        """The match that stands in a row: the expected one, or one of an equal score."""
+        if row.index != match.index and ranking.holds(row.index):
+            other = ranking.find(row.index)
+            return other if abs(other.score - match.score) <= EQUAL else match
+        return match
+
+    def _row(self, side: Side, row: Row, match: Match, gap: float | None) -> list[str]:
+        """What is wrong with a row. The gap is of its place: tiles of equal scores have another in the other order."""
+        if row.index != match.index:
+            return [
+                f"rank {match.rank} is tile {row.index} at {row.distance}; expected {match.index} at {match.distance2:.3f}"
+            ]
+        found = []
+        if (
+            abs(row.rank - match.rank) > 1
+            or row.sign != SIGNS[match.true]
+            or row.texts[2] != side.gallery[row.index].name
+        ):
+            expected = f"{match.rank} {SIGNS[match.true]} {side.gallery[row.index].name}"
+            found.append(f"tile {row.index} is called {' '.join(row.texts[:3])}; expected {expected}")
+        numbers = [("distance", row.distance, match.distance2), ("gap", row.gap, gap)]
+        numbers += [(f"share {i + 1}", *pair) for i, pair in enumerate(zip(row.shares, match.shares, strict=True))]
+        for what, here, there in numbers:
+            if (here is None) != (there is None) or (
+                here is not None and there is not None and abs(here - there) > PRINTED
+            ):
+                found.append(f"tile {row.index} has {what} {here}; expected {there}")
+        return found
+
+    def _pair(self, shown: Shown, ranking: Ranking, compared: Match) -> list[str]:
+        """The table of the compared pair, part by part."""
+        found, (_, *lines, total) = [], shown.parts
+        for i, line in enumerate(lines):
+            said = [float(text.rstrip(" %")) for text in line[-3:]]
+            expected = [100 * ranking.weights[i], compared.cosines[i], compared.shares[i]]
+            if line[0] != self.names[i] or any(
+                abs(here - there) > bound
+                for here, there, bound in zip(said, expected, (0.51, PRINTED, PRINTED), strict=True)
+            ):
+                found.append(f"part {line} of the compared pair; expected {[round(float(v), 4) for v in expected]}")
+        if len(lines) != self.parts or abs(float(total[-1]) - compared.distance2) > PRINTED:
+            found.append(
+                f"{len(lines)} parts with sum {total[-1]}; expected {self.parts} with {compared.distance2:.3f}"
+            )
+        return found
+
+    def _descriptor(self, asked: Asked, side: Side) -> FloatArray:
+        change = Change(asked.angle, asked.right, asked.zoom, asked.down).of(side.queries[asked.query])
+        entry = side.queries[asked.query]
+        key = (side.query_view, asked.own.name if asked.own else (entry.path, entry.box), change)
+        if key not in self._described:
+            if asked.own:
+                picture = images.decode_picture(asked.own.content, asked.own.name)
+            else:
+                picture = images.crop(self._picture(entry.path), entry.box, entry.name)
+            self._described[key] = retrieval.describe_picture(self._model, picture, side.query_view, change).descriptor
+            if len(self._described) > _KEPT:
+                self._described.popitem(last=False)
+        return self._described[key]
+
+    def _part_names(self) -> list[str]:
+        spec = self._model.spec
+        names = [spec.partition(view).names() for view in spec.views]
+        return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
+
+
+def _called(entries: list[Picture], index: int) -> str:
+    name = entries[index].name
+    plain = name == printable(name) and name not in ("own", "truth") and name[:1] != "~"
+    first = next(i for i, entry in enumerate(entries) if entry.name == name)
+    return name if plain and first == index else f"~{index}"

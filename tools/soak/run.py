@@ -1,0 +1,190 @@
+"""One soak from the server's start to its end: one client alone, then all, then nobody."""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tools.soak.chromium import Chromium, Tab
+from tools.soak.figures import CALLBACKS, Figures, Memory, bounds
+from tools.soak.hand import FaultError, Socket
+from tools.soak.record import OWN_ERROR, Fault, Record
+from tools.soak.reference import Reference
+from tools.soak.script import Client
+from tools.soak.server import Held, Server
+
+EVERY = 2.0
+"""Seconds between two samples of what the server holds."""
+LEAVING = 30.0
+"""Seconds that the server has to free what clients held."""
+ENDING = 90.0
+"""Seconds that clients have to end, each after the answer that it waits for."""
+STAGGER = 0.2
+"""Seconds between the first visits of two clients."""
+FLOOD, FLOODS = 200, 6
+"""Changes that each of eight connections sends at once, and how often at most, to make viser's threads for callbacks as many as
+they get."""
+
+
+@dataclass
+class Soak:
+    """A run's settings.
+
+    Attributes:
+        data, model: as of `lpn explore`.
+        options: for `lpn explore`, that it takes the same data and model by.
+        alone, together: seconds of one client alone, and of all.
+        say: told what goes on.
+    """
+
+    data: Path
+    model: Path
+    options: list[str]
+    clients: int
+    pages: int
+    seed: int
+    alone: float
+    together: float
+    say: Callable[[str], None] = print
+    _samples: list[Held] = field(default_factory=list)
+    _began: float = field(default_factory=time.monotonic)
+
+    def run(self) -> Figures:
+        """All phases; Ctrl-C ends the one that is on, and what was measured until then is returned.
+
+        Raises:
+            LPNError: when data set or model cannot be used, or the explorer does not start.
+        """
+        self.say("Starting the explorer, and a model and descriptors to check its answers by")
+        reference = Reference(self.data, self.model)
+        with Server(self.options) as server:
+            record = Record(reference)
+            empty, before, together = server.held(0.0, 0), None, 0.0
+            try:
+                self.say(f"One client alone, {self.alone:g} s")
+                self._flood(server, record, reference, empty)
+                self._phase(server, record, reference, self.alone, {"client 0": self._alone})
+                before = self._settled(server, record, None, None)
+                record.phase = "together"
+                self.say(
+                    f"{self.clients} clients and {self.pages} pages, {self.together / 60:.1f} minutes (Ctrl-C ends it)"
+                )
+                self._samples.clear()
+                began = time.monotonic()
+                starts: dict[str, _Start] = {f"client {i + 1}": self._client for i in range(self.clients)}
+                starts |= {f"page {i + 1}": self._page for i in range(self.pages)}
+                try:
+                    self._phase(server, record, reference, self.together, starts)
+                finally:
+                    together = time.monotonic() - began
+            except KeyboardInterrupt:
+                self.say("Stopped early.")
+            during, left = list(self._samples), None
+            with suppress(KeyboardInterrupt):
+                left = self._settled(server, record, empty, before)
+            self.say(f"Checking the last {record.waiting:,} answers")
+            with suppress(KeyboardInterrupt):
+                record.close()
+        if server.killed:
+            record.fault(Fault("server did not end", "", 0, f"it was killed; it said at last: {server.said()[-2000:]}"))
+        memory = Memory.of(empty, before, during if before else [], left)
+        unchecked = record.waiting
+        return Figures(
+            self.seed, self.clients, self.pages, together, record.visits, record.checked, record.wrong, unchecked,
+            record.faults, server.tracebacks(), record.times, memory,
+        )  # fmt: skip
+
+    def _phase(
+        self, server: Server, record: Record, reference: Reference, seconds: float, starts: Mapping[str, _Start]
+    ) -> None:
+        stop = threading.Event()
+
+        def begin(who: str) -> None:
+            try:
+                starts[who](who, server, record, reference, stop)
+            except Exception as error:  # such as no browser; who is not there has no wrong answers
+                if not stop.is_set():
+                    record.fault(Fault(OWN_ERROR, who, 0, "".join(traceback.format_exception(error))))
+
+        threads = [threading.Thread(target=begin, args=(who,), name=who, daemon=True) for who in starts]
+        deadline = time.monotonic() + seconds
+        try:
+            for thread in threads:
+                thread.start()
+                time.sleep(STAGGER if len(threads) > 1 else 0)
+            while time.monotonic() < deadline:
+                time.sleep(min(EVERY, max(deadline - time.monotonic(), 0.01)))
+                if not server.alive:
+                    record.fault(Fault("server ended", "", 0, f"it said at last: {server.said()[-2000:]}"))
+                    break
+                self._sample(server, record)
+        finally:
+            stop.set()
+            until = time.monotonic() + ENDING
+            for thread in threads:
+                if thread.ident is not None:
+                    thread.join(max(until - time.monotonic(), 0))
+                if thread.is_alive():
+                    record.fault(Fault(OWN_ERROR, thread.name, 0, f"it has not ended after {ENDING:g} s"))
+
+    def _alone(self, who: str, server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
+        hand = Socket(server.url, reference, stop)
+        Client(who, self.seed, hand, reference, record, stop, stays=True).run()
+
+    def _client(self, who: str, server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
+        hand = Socket(server.url, reference, stop)
+        Client(who, self.seed, hand, reference, record, stop, stays=False).run()
+
+    def _page(self, who: str, server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
+        with Chromium() as browser:
+            hand = Tab(browser, server.url, reference, stop)
+            Client(who, self.seed, hand, reference, record, stop, stays=False).run()
+
+    def _flood(self, server: Server, record: Record, reference: Reference, empty: Held | None) -> None:
+        """So many changes at once that the threads which viser keeps for good are there before any are counted."""
+        hands = [Socket(server.url, reference, threading.Event()) for _ in range(8)]
+
+        def send(hand: Socket) -> None:
+            for value in range(FLOOD):
+                hand.set("Rotate", value % 180)
+
+        try:
+            for hand in hands:
+                hand.enter("")
+            for _ in range(FLOODS):
+                held = server.held(0.0, 0)
+                if held is None or empty is None or held.threads >= empty.threads + CALLBACKS + 4 * len(hands):
+                    break
+                with ThreadPoolExecutor(len(hands)) as pool:
+                    list(pool.map(send, hands))
+                time.sleep(1.5)
+        except FaultError as fault:
+            record.fault(Fault(fault.kind, "many changes at once", 0, fault.text))
+        finally:
+            for hand in hands:
+                hand.leave("close")
+
+    def _sample(self, server: Server, record: Record) -> Held | None:
+        held = server.held(time.monotonic() - self._began, record.clients)
+        if held is not None:
+            self._samples.append(held)
+        return held
+
+    def _settled(self, server: Server, record: Record, empty: Held | None, before: Held | None) -> Held | None:
+        """What the server holds when nobody is there: as soon as it has given back what it must, else after some time."""
+        deadline = time.monotonic() + (5.0 if before is None else LEAVING)
+        threads, handles = bounds(empty, before)
+        while True:
+            time.sleep(1)
+            held = server.held(time.monotonic() - self._began, record.clients)
+            if held is None or time.monotonic() > deadline or (held.threads <= threads and held.handles <= handles):
+                return held
+
+
+_Start = Callable[[str, Server, Record, Reference, threading.Event], None]
