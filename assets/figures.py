@@ -10,19 +10,18 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 import lpn
 from lpn import descriptors
+from lpn.core.arrays import Float32Array, Int64Array
 from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.retrieval import metrics
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
 
 ANGLES = (15, 45, 90, 180)
-Labels = npt.NDArray[np.int64]
 
 
 def main() -> None:
@@ -80,7 +79,7 @@ def _by_picture(model: Model, dataset: Dataset) -> dict[str, float]:
     return {name: 100 * float(right[names == name].mean()) for name in sorted(set(names))}
 
 
-def _described(model: Model, pictures: list[Picture], view: str) -> tuple[FloatArray, Labels]:
+def _described(model: Model, pictures: list[Picture], view: str) -> tuple[Float32Array, Int64Array]:
     described = descriptors.cached_descriptors(model, pictures, view)  # type: ignore[arg-type]
     return described, np.array([picture.label for picture in pictures])
 

@@ -14,14 +14,13 @@ from explorer.compute.ranking_job import Standing
 from explorer.stage import gallery_geometry
 from explorer.workspace import Exhibit, Task
 from lpn import descriptors
+from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets import Dataset, geo, open_dataset
-from lpn.datasets import Picture as Entry
+from lpn.datasets import Dataset, Picture, geo, open_dataset
 from lpn.datasets.city_model import CityModel, city_model
 from lpn.descriptors import Side
 from lpn.models.spec import Layout, ModelSpec, View, views_of
-from lpn.retrieval import metrics
 from lpn.retrieval.published_results import Saved
 from lpn.retrieval.ranking_cache import Sides
 
@@ -96,11 +95,11 @@ def _task(
     dataset: Dataset,
     where: geo.Positions | None,
     views: tuple[View, View],
-    queries: list[Entry],
-    gallery: list[Entry],
+    queries: list[Picture],
+    gallery: list[Picture],
     asked: Side,
     tiles: Side,
-    given: tuple[metrics.IntArray, metrics.IntArray] | None = None,
+    given: tuple[Int64Array, Int64Array] | None = None,
 ) -> Task:
     """Everything about one direction; labels are the pictures' own unless others are given."""
     name = "-to-".join(views)

@@ -11,14 +11,15 @@ from explorer.workspace import Answer, Exhibit, Task
 from lpn import report
 from lpn.analysis import notes
 from lpn.analysis.task import Study
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 
 Work = Callable[[Progress, Model | None], tuple[str, bytes]]
 """Makes a report with a model: its file's name and contents."""
 
 
-def study_of(exhibit: Exhibit, task: Task, model: Model | None, weights: FloatArray | None = None) -> Study:
+def study_of(exhibit: Exhibit, task: Task, model: Model | None, weights: Float32Array | None = None) -> Study:
     """A task of the exhibit as reports take it, with the tags and notes beside the data.
 
     Args:

@@ -10,10 +10,9 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from lpn.core.images import Picture
+from lpn.core.arrays import Int64Array, UInt8Array
 from lpn.descriptors.transforms import Change
 from lpn.drawing.overlays import DARK, LIGHT, Palette
-from lpn.retrieval.metrics import IntArray
 
 MAX_WEIGHT = 2.0
 TRUTH: Final = "truth"
@@ -26,7 +25,7 @@ class Upload:
     """A picture of the user's own, kept in memory for this browser only."""
 
     name: str
-    picture: Picture
+    picture: UInt8Array
 
 
 @dataclass(frozen=True)
@@ -183,7 +182,7 @@ def step(state: State, by: int, queries: int) -> State:
     return choose(state, (state.query + by) % queries, queries)
 
 
-def walk(state: State, by: int, order: IntArray, queries: int) -> State:
+def walk(state: State, by: int, order: Int64Array, queries: int) -> State:
     """The next or previous query in an order, around the end; from outside of it, its first or its last."""
     if not len(order):
         return state

@@ -9,7 +9,6 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
-import numpy.typing as npt
 
 from explorer import session_state
 from explorer.compute.cache import Kept
@@ -22,17 +21,16 @@ from explorer.stage.gallery_geometry import Places
 from explorer.stage.layout import layout_for
 from lpn import explain, retrieval
 from lpn.core import images
+from lpn.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import InputError
-from lpn.core.images import Picture
-from lpn.datasets import Picture as Entry
-from lpn.datasets import Truth, geo
+from lpn.datasets import Picture as Picture
+from lpn.datasets import Truth
 from lpn.datasets.city_model import CityModel
 from lpn.drawing import overlays
 from lpn.explain import Evidence, Mates
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.spec import ModelSpec, View
 from lpn.retrieval import Described, Match, Ranking, scoring
-from lpn.retrieval.metrics import IntArray
 
 TILES = 48
 """Described tiles that are kept: with their feature maps, a large network's are 4 MB each."""
@@ -58,13 +56,13 @@ class Task:
     name: str
     query_view: View
     gallery_view: View
-    queries: list[Entry]
-    gallery: list[Entry]
-    query_labels: npt.NDArray[np.int64]
-    labels: npt.NDArray[np.int64]
+    queries: list[Picture]
+    gallery: list[Picture]
+    query_labels: Int64Array
+    labels: Int64Array
     truth: list[Truth] | None
-    asked: FloatArray
-    descriptors: FloatArray
+    asked: Float32Array
+    descriptors: Float32Array
     places: Places | None
     standing: Standing
 
@@ -74,7 +72,7 @@ class Task:
         return self.standing.found
 
     @property
-    def ranks(self) -> IntArray:
+    def ranks(self) -> Int64Array:
         """0-based rank of the first true match of each query, -1 when it has none, (Q,); only where it is known."""
         assert self.found is not None
         return self.found.ranking.first
@@ -91,7 +89,7 @@ class Task:
         return [entry.name for entry in self.queries]
 
     def rank(
-        self, query: int | None, cosines: FloatArray, weights: FloatArray, lengths: FloatArray | None = None
+        self, query: int | None, cosines: Float32Array, weights: Float32Array, lengths: Float32Array | None = None
     ) -> Ranking:
         """Rank the gallery by its cosines (G, n) with a query, None for one whose place is not known."""
         label = None if query is None else int(self.query_labels[query])
@@ -140,7 +138,7 @@ class Exhibit:
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self.masks = lru_cache(maxsize=8)(self._make_masks)
-        self._mosaics: dict[str, Picture] = {}
+        self._mosaics: dict[str, UInt8Array] = {}
         self._mosaic_lock = Lock()
         self.layout = layout_for(self.spec.input_size)
         self.entry_picture = lru_cache(maxsize=64)(images.load_picture)
@@ -176,19 +174,19 @@ class Exhibit:
         """A 64-pixel JPEG of a picture file as an html address."""
         return self._thumbnail(path)
 
-    def cut(self, picture: Picture, view: View) -> Picture:
+    def cut(self, picture: UInt8Array, view: View) -> UInt8Array:
         """A picture as its parts are cut from it: unrolled where the network sees it so (SAFA), else as it is."""
         return picture if self.model is None else self.model.cut(picture, view)
 
-    def card(self, task: Task, index: int) -> Picture:
+    def card(self, task: Task, index: int) -> UInt8Array:
         """A gallery picture as small as a card shows it, its parts not drawn; not to be changed."""
         return self._card(task.name, index)
 
-    def _make_masks(self, view: View) -> npt.NDArray[np.int64]:
+    def _make_masks(self, view: View) -> Int64Array:
         """The part of each pixel of a large picture."""
         return overlays.part_masks(self.spec.partition(view), self.map_sizes[view], self.layout.pixels)
 
-    def mosaic(self, task: Task) -> Picture:
+    def mosaic(self, task: Task) -> UInt8Array:
         """The task's tiles at their places as one picture, made once for all browsers; the task must have places."""
         assert task.places is not None
         with self._mosaic_lock:
@@ -207,7 +205,7 @@ class Exhibit:
             return Described(picture, task.descriptors[index], None, None)
         return retrieval.describe_picture(model, picture, task.gallery_view)
 
-    def _make_card(self, name: str, index: int) -> Picture:
+    def _make_card(self, name: str, index: int) -> UInt8Array:
         task = self.tasks[name]
         picture = self.entry_picture(task.gallery[index].path)
         return images.resize(self.cut(picture, task.gallery_view), *self.layout.card_pixels)
@@ -242,9 +240,9 @@ class Answer:
     chosen: Match
     tile: Described
     truth: Match | None
-    off: geo.FloatArray | None
+    off: Float64Array | None
     """Metres from what the query shows to each tile, (G,); None where that is not known."""
-    source: Picture
+    source: UInt8Array
     """The query's picture before it is turned, shifted, or zoomed."""
     reasons: Reasons | None
     """Of the compared pair; None where nobody looks at them, or no network is at hand."""
@@ -264,12 +262,12 @@ class Analyst:
             None if self._model is None else self._model.replaceable()
         )  # unlike tiles, which others wait for, too
         self._picture_key: object = None
-        self._picture: Picture
+        self._picture: UInt8Array
         self._query_key: object = None
         self._query: Described
         self._searched_key: object = None
-        self._lengths: FloatArray | None = None
-        self._cosines: FloatArray
+        self._lengths: Float32Array | None = None
+        self._cosines: Float32Array
         self._ranking: Ranking | None = None
         self._ranking_key: object = None
 
@@ -321,7 +319,7 @@ class Analyst:
             state, task, name, self._query, ranking, matches, chosen, tile, truth, off, self._picture, reasons, seconds
         )
 
-    def _searched(self, state: State, weights: FloatArray) -> FloatArray:
+    def _searched(self, state: State, weights: Float32Array) -> Float32Array:
         """What is searched by: the query's descriptor, or that of its painted cells alone."""
         trace = self._query.trace
         if not state.region or trace is None:
@@ -330,14 +328,14 @@ class Analyst:
         painted[[cell for cell in state.region if cell < len(painted)]] = True
         return trace.region(painted.reshape(trace.size), weights)
 
-    def _reasons(self, state: State, weights: FloatArray, tile: Described) -> Reasons | None:
+    def _reasons(self, state: State, weights: Float32Array, tile: Described) -> Reasons | None:
         one, other = self._query.trace, tile.trace
         if one is None or other is None or not (state.why or (state.heat and state.heat_kind == "evidence")):
             return None
         mates = explain.counterparts(one, other, weights) if state.why else None
         return Reasons(explain.evidence(one, other, weights), mates)
 
-    def _shown(self, entry: Entry) -> Picture:
+    def _shown(self, entry: Picture) -> UInt8Array:
         """What is meant of a query's picture."""
         picture = self._exhibit.entry_picture(entry.path)
         return images.crop(picture, entry.box, entry.name)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
-from lpn.models.base import FloatArray, Model, Pass
+from lpn.models.base import Model, Pass
 from lpn.models.spec import View
 
 if TYPE_CHECKING:
@@ -25,7 +26,14 @@ class Request:
     """Pictures (B, 3, H, W) of one view that wait for their pass."""
 
     def __init__(
-        self, asker: Asker, model: Model, images: FloatArray, view: View, patient: bool, replaceable: bool, since: float
+        self,
+        asker: Asker,
+        model: Model,
+        images: Float32Array,
+        view: View,
+        patient: bool,
+        replaceable: bool,
+        since: float,
     ) -> None:
         self.asker, self.model, self.images, self.view, self.patient = asker, model, images, view, patient
         self.replaceable, self.since = replaceable, since
@@ -105,6 +113,6 @@ def joined(passes: list[Pass]) -> Pass:
         return passes[0]
     columns = zip(*passes, strict=True)
     parts, features, attention = (
-        None if c[0] is None else np.concatenate(cast("list[FloatArray]", c)) for c in columns
+        None if c[0] is None else np.concatenate(cast("list[Float32Array]", c)) for c in columns
     )
-    return Pass(cast(FloatArray, parts), cast(FloatArray, features), attention)
+    return Pass(cast(Float32Array, parts), cast(Float32Array, features), attention)

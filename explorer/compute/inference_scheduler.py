@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING
 
 from explorer.compute.background_jobs import GivenUpError
 from explorer.compute.batching import MovedError, Request, compute, together, told
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
-from lpn.models.base import FloatArray, Heads, Model, Pass
+from lpn.models.base import Heads, Model, Pass
 from lpn.models.spec import View
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ class Inference:
         self,
         asker: Asker,
         model: Model,
-        images: FloatArray,
+        images: Float32Array,
         view: View,
         patient: bool = False,
         replaceable: bool = False,

@@ -7,7 +7,8 @@ from typing import TypeVar
 
 from explorer.compute.batching import MovedError, joined
 from explorer.compute.inference_scheduler import Inference
-from lpn.models.base import FloatArray, Heads, Model, Pass
+from lpn.core.arrays import Float32Array
+from lpn.models.base import Heads, Model, Pass
 from lpn.models.spec import View
 
 T = TypeVar("T")
@@ -84,7 +85,7 @@ class Shared(Model):
         """The same for passes that are of one state alone: MovedError where another is wanted meanwhile, see `Asker.newest`."""
         return Shared(self.own, self._inference, self._asker, self._patient, replaceable=True)
 
-    def run(self, images: FloatArray, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> Pass:
         """One pass of pictures (B, 3, H, W), waited for; more pictures than one pass has are several.
 
         Raises:

@@ -12,11 +12,10 @@ from explorer.web.bridge import send
 from explorer.web.style import part_ink
 from explorer.workspace import Answer, Exhibit
 from lpn.core import images
+from lpn.core.arrays import Float32Array, Float64Array
 from lpn.drawing import overlays, verdicts
 from lpn.explain import Evidence, Mates
-from lpn.models.base import FloatArray
 from lpn.models.spec import View
-from lpn.models.trace import Exact
 from lpn.retrieval import Described
 
 HINT = "Move over a cell to see what it adds and which cell of the other picture it agrees with; click to keep it."
@@ -28,7 +27,7 @@ NOTE = (
 _HEIGHT = 300
 
 
-def maps(found: Evidence, part: int | None) -> tuple[tuple[Exact, Exact], float]:
+def maps(found: Evidence, part: int | None) -> tuple[tuple[Float64Array, Float64Array], float]:
     """What each cell of the query and of the tile adds to the score, all parts or one, and the end of the colour scale."""
     if part is None:
         shown = (found.query.total(found.weights), found.tile.total(found.weights))
@@ -70,7 +69,7 @@ def page(answer: Answer, exhibit: Exhibit) -> str:
 
 
 def _map(
-    exhibit: Exhibit, described: Described, cells: Exact, limit: float, view: View, mates: Mates, name: str
+    exhibit: Exhibit, described: Described, cells: Float64Array, limit: float, view: View, mates: Mates, name: str
 ) -> str:
     rows, columns = cells.shape
     width = round(_HEIGHT * exhibit.layout.picture[0] / exhibit.layout.picture[1])
@@ -91,7 +90,7 @@ def _map(
     )
 
 
-def _rounded(values: Exact | FloatArray) -> list[float]:
+def _rounded(values: Float64Array | Float32Array) -> list[float]:
     return [round(float(value), 5) for value in np.asarray(values).reshape(-1)]
 
 

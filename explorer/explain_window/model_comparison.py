@@ -14,9 +14,9 @@ from explorer.session_state import State
 from explorer.web.bridge import send
 from explorer.workspace import Analyst, Answer, Exhibit, Task
 from lpn.core import images
+from lpn.core.arrays import Int64Array
 from lpn.drawing import overlays
 from lpn.drawing.verdicts import ordinal
-from lpn.retrieval.metrics import IntArray
 
 _SHOWN, _LISTED, _HEIGHT = 5, 8, 240
 
@@ -107,7 +107,7 @@ def _changes(task: Task, theirs: Task, names: tuple[str, str], exhibit: Exhibit)
     )
 
 
-def _rows(task: Task, theirs: Task, rows: IntArray, exhibit: Exhibit) -> str:
+def _rows(task: Task, theirs: Task, rows: Int64Array, exhibit: Exhibit) -> str:
     if not len(rows):
         return "<div class='dim'>none</div>"
     return "".join(

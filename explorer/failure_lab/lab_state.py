@@ -10,9 +10,9 @@ import numpy as np
 from explorer.failure_lab.service import Findings, MapKind
 from lpn.analysis import breakdown, query_outcomes
 from lpn.analysis.breakdown import Rate
+from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table
-from lpn.retrieval.metrics import IntArray
 
 Tab = Literal["table", "breakdown", "maps"]
 Outcome = Literal["all", "failed", "found"]
@@ -37,7 +37,7 @@ class Pick:
 
     kind: str
     words: str
-    rows: IntArray
+    rows: Int64Array
 
     def same(self, other: Pick) -> bool:
         """Whether another choice is this one; a value may be called as what is not known is."""
@@ -136,7 +136,7 @@ def extra_columns(lab: LabState, table: Table) -> list[str]:
     return [name for name in _FIRST if name in table.columns and table.columns[name].known.any()]
 
 
-def select(found: Findings, lab: LabState, without: str = "", whatever: bool = False) -> IntArray:
+def select(found: Findings, lab: LabState, without: str = "", whatever: bool = False) -> Int64Array:
     """The chosen queries, ascending.
 
     Args:
@@ -153,7 +153,7 @@ def select(found: Findings, lab: LabState, without: str = "", whatever: bool = F
     return table.search(rows, lab.find) if lab.find.strip() else rows
 
 
-def order(found: Findings, lab: LabState, rows: IntArray) -> IntArray:
+def order(found: Findings, lab: LabState, rows: Int64Array) -> Int64Array:
     """Chosen queries in the table's order."""
     return found.table.sort(rows, _sorted_by(found, lab), lab.descending)
 

@@ -6,17 +6,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from explorer.failure_lab.service import Points
 from lpn.analysis import embedding_map
-from lpn.core.images import Picture
-from lpn.datasets.geo import FloatArray
+from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from lpn.drawing import overlays
-from lpn.retrieval.metrics import IntArray
 
 Bounds = tuple[float, float, float, float]
-BoolArray = npt.NDArray[np.bool_]
 NEAR = 9.0
 """Pixels of the page within which a point is meant by the mouse."""
 _SHARP = 2
@@ -41,10 +37,10 @@ class Drawn:
         chosen: which of them are chosen, (Q,).
     """
 
-    picture: Picture
+    picture: UInt8Array
     bounds: Bounds
     size: tuple[int, int]
-    points: FloatArray
+    points: Float64Array
     chosen: BoolArray
 
     def place(self, x: float, y: float) -> tuple[float, float]:
@@ -52,11 +48,11 @@ class Drawn:
         west, south, east, north = self.bounds
         return west + x * (east - west), north - y * (north - south)
 
-    def inside(self, one: tuple[float, float], other: tuple[float, float]) -> IntArray:
+    def inside(self, one: tuple[float, float], other: tuple[float, float]) -> Int64Array:
         """The queries in a rectangle between two points of the picture, ascending."""
         return embedding_map.inside(self.points, self.place(*one), self.place(*other))
 
-    def near(self, x: float, y: float) -> IntArray:
+    def near(self, x: float, y: float) -> Int64Array:
         """The queries at the place nearest to a point of the picture, chosen ones alone where there are; none far away."""
         apart = (_fractions(self.points, self.bounds) - (x, y)) * self.size
         distance = np.hypot(apart[:, 0], apart[:, 1])
@@ -71,7 +67,7 @@ def draw(
     points: Points,
     failed: BoolArray,
     chosen: BoolArray,
-    answers: IntArray,
+    answers: Int64Array,
     size: tuple[int, int],
     fit: bool,
     query: int | None = None,
@@ -114,7 +110,7 @@ def draw(
     return Drawn(canvas, bounds, size, points.queries, chosen)
 
 
-def _mark(canvas: Picture, points: Points, place: IntArray, tiles: IntArray, answer: int, truth: int) -> None:
+def _mark(canvas: UInt8Array, points: Points, place: Int64Array, tiles: Int64Array, answer: int, truth: int) -> None:
     """Ring the current query and join it with its truth and its answer; on the ground, the truth is where the query is."""
     shown = [(answer, overlays.FALSE_COLOUR)] if answer != truth else []
     if points.ground is None:
@@ -129,7 +125,7 @@ def _mark(canvas: Picture, points: Points, place: IntArray, tiles: IntArray, ans
     _stamp(canvas, place[None], _ring(radius, 4), (255, 255, 255))
 
 
-def _pies(canvas: Picture, places: IntArray, failed: BoolArray, chosen: BoolArray) -> BoolArray:
+def _pies(canvas: UInt8Array, places: Int64Array, failed: BoolArray, chosen: BoolArray) -> BoolArray:
     """Draw chosen queries that share a pixel as one disc whose blue part is the share that failed; which are left, (Q,)."""
     rows = np.flatnonzero(chosen)
     spots, which, counts = np.unique(places[rows], axis=0, return_inverse=True, return_counts=True)
@@ -168,18 +164,18 @@ def _bounds(points: Points, chosen: BoolArray | None, size: tuple[int, int]) -> 
     )
 
 
-def _fractions(points: FloatArray, bounds: Bounds) -> FloatArray:
+def _fractions(points: Float64Array, bounds: Bounds) -> Float64Array:
     """Where points are on the picture, from its left and its top border: (N, 2)."""
     west, south, east, north = bounds
     return np.column_stack([(points[:, 0] - west) / (east - west), (north - points[:, 1]) / (north - south)])
 
 
-def _pixels(points: FloatArray, bounds: Bounds, size: tuple[int, int]) -> IntArray:
+def _pixels(points: Float64Array, bounds: Bounds, size: tuple[int, int]) -> Int64Array:
     far = np.clip(_fractions(points, bounds), -2, 3)
     return np.rint(far * size).astype(np.int64)
 
 
-def _ground(points: Points, bounds: Bounds, size: tuple[int, int]) -> Picture:
+def _ground(points: Points, bounds: Bounds, size: tuple[int, int]) -> UInt8Array:
     """The canvas: the ground, dimmed so that points stand out, or a plain one."""
     width, height = size
     canvas = np.empty((height, width, 3), np.uint8)
@@ -195,7 +191,7 @@ def _ground(points: Points, bounds: Bounds, size: tuple[int, int]) -> Picture:
     return canvas
 
 
-def _stamp(canvas: Picture, places: IntArray, shape: IntArray, colour: overlays.Colour) -> None:
+def _stamp(canvas: UInt8Array, places: Int64Array, shape: Int64Array, colour: overlays.Colour) -> None:
     """Paint a shape, offsets (K, 2) from its middle, at each of some pixels (N, 2)."""
     height, width = canvas.shape[:2]
     for right, down in shape:
@@ -204,35 +200,35 @@ def _stamp(canvas: Picture, places: IntArray, shape: IntArray, colour: overlays.
         canvas[y[on], x[on]] = colour
 
 
-def _line(canvas: Picture, one: IntArray, other: IntArray, colour: overlays.Colour, thickness: int) -> None:
+def _line(canvas: UInt8Array, one: Int64Array, other: Int64Array, colour: overlays.Colour, thickness: int) -> None:
     ends = [tuple(int(v) for v in end) for end in (one, other)]
     cv2.line(canvas, ends[0], ends[1], colour, thickness, cv2.LINE_AA)
 
 
-def _grid(radius: int) -> tuple[IntArray, IntArray]:
+def _grid(radius: int) -> tuple[Int64Array, Int64Array]:
     across, down = np.meshgrid(np.arange(-radius, radius + 1), np.arange(-radius, radius + 1))
     return across.ravel(), down.ravel()
 
 
-def _of(radius: int, inside: npt.NDArray[np.bool_]) -> IntArray:
+def _of(radius: int, inside: BoolArray) -> Int64Array:
     return np.column_stack(_grid(radius))[inside]
 
 
-def _disc(radius: int) -> IntArray:
+def _disc(radius: int) -> Int64Array:
     x, y = _grid(radius)
     return _of(radius, np.hypot(x, y) <= radius)
 
 
-def _ring(radius: int, thickness: float) -> IntArray:
+def _ring(radius: int, thickness: float) -> Int64Array:
     x, y = _grid(radius)
     return _of(radius, np.abs(np.hypot(x, y) - radius + thickness / 2) <= thickness / 2)
 
 
-def _square(radius: int) -> IntArray:
+def _square(radius: int) -> Int64Array:
     x, y = _grid(radius)
     return _of(radius, (np.abs(x) <= radius) & (np.abs(y) <= radius))
 
 
-def _cross(radius: int, half: float) -> IntArray:
+def _cross(radius: int, half: float) -> Int64Array:
     x, y = _grid(radius)
     return _of(radius, (np.minimum(np.abs(x - y), np.abs(x + y)) <= half * 1.3) & (np.hypot(x, y) <= radius + 1))

@@ -10,7 +10,7 @@ from explorer.failure_lab import lab_state
 from explorer.failure_lab.lab_state import MAPS, OUTCOMES, TABS, LabState, Pick
 from explorer.failure_lab.map_drawing import Drawn
 from explorer.failure_lab.service import Findings
-from lpn.retrieval.metrics import IntArray
+from lpn.core.arrays import Int64Array
 
 Changed = LabState | None
 
@@ -101,7 +101,7 @@ def rectangle(lab: LabState, value: Any, drawn: Drawn | None) -> Changed:
     if one is None or other is None:
         return None
     words = "rectangle on the ground" if lab.map == "ground" else f"rectangle in the {lab.map.upper()}"
-    rows: IntArray = drawn.inside(one, other)
+    rows: Int64Array = drawn.inside(one, other)
     return lab_state.picked(lab, Pick(f"in {lab.map}", words, rows))
 
 

@@ -14,11 +14,10 @@ from explorer.workspace import Exhibit, Task
 from lpn.analysis import embedding_map, notes, query_outcomes
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import Outcomes
+from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import LPNError
-from lpn.core.images import Picture
 from lpn.core.tables import Table
 from lpn.datasets import geo
-from lpn.datasets.geo import FloatArray
 from lpn.datasets.metadata import NOTE, TAGS
 
 MapKind = Literal["pca", "umap", "ground"]
@@ -54,10 +53,10 @@ class Points:
         ground: a picture of what lies under them and its west, south, east, and north border; None for embeddings.
     """
 
-    queries: FloatArray
-    tiles: FloatArray
+    queries: Float64Array
+    tiles: Float64Array
     axes: str = ""
-    ground: tuple[Picture, tuple[float, float, float, float]] | None = None
+    ground: tuple[UInt8Array, tuple[float, float, float, float]] | None = None
 
 
 class Laboratory:

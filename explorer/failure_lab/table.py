@@ -15,9 +15,9 @@ from explorer.web.bridge import send
 from explorer.web.style import verdict_ink
 from explorer.workspace import Exhibit
 from lpn.analysis.notes import Note
+from lpn.core.arrays import Int64Array
 from lpn.core.tables import Column
 from lpn.drawing import overlays
-from lpn.retrieval.metrics import IntArray
 
 _HINTS = {
     "rank": "Rank of the first true tile",
@@ -64,7 +64,7 @@ def boxes(found: Findings, lab: LabState) -> str:
     )
 
 
-def said(found: Findings, lab: LabState, rows: IntArray, page: tuple[int, int]) -> str:
+def said(found: Findings, lab: LabState, rows: Int64Array, page: tuple[int, int]) -> str:
     """How many queries are chosen and by what, and what is wrong with the filter.
 
     Args:
@@ -107,7 +107,7 @@ def columns(found: Findings, lab: LabState) -> str:
     return f"<div class='lpn'><div class='lab-chips' id='lpn-lab-columns'>Columns {chips}</div></div>"
 
 
-def table(found: Findings, lab: LabState, exhibit: Exhibit, shown: IntArray, query: int | None) -> str:
+def table(found: Findings, lab: LabState, exhibit: Exhibit, shown: Int64Array, query: int | None) -> str:
     """One page of the table."""
     if not len(shown):
         return (
@@ -169,7 +169,7 @@ def waiting(job: Job[Any] | None, what: str, cancelled: bool, key: str) -> str:
     return f"<div class='lpn lab-empty' id='lpn-lab-waiting'>{body}</div>"
 
 
-def tip(found: Findings, exhibit: Exhibit, rows: IntArray, count: int) -> str:
+def tip(found: Findings, exhibit: Exhibit, rows: Int64Array, count: int) -> str:
     """What is shown beside the mouse over queries on a map, the first of them; the page puts it there when its picture has come.
 
     Args:

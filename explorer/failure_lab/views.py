@@ -13,8 +13,8 @@ from explorer.failure_lab.map_drawing import Drawn
 from explorer.failure_lab.service import Findings, Laboratory
 from explorer.web.html import Html
 from lpn.analysis.notes import Note
+from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
-from lpn.retrieval.metrics import IntArray
 
 
 class MapView:
@@ -26,7 +26,7 @@ class MapView:
         self.drawn: Drawn | None = None
 
     def page(
-        self, found: Findings, lab: LabState, query: int | None, rows: IntArray, window: tuple[int, int]
+        self, found: Findings, lab: LabState, query: int | None, rows: Int64Array, window: tuple[int, int]
     ) -> tuple[str, bool]:
         """The html, and whether it is all there: otherwise it is to be asked for again at once.
 
@@ -55,7 +55,7 @@ class MapView:
             self._key, self._rows = key, rows
         return charts.map_page(found, lab, self.drawn, points.axes, self._shared.umap), True
 
-    def at(self, found: Findings, lab: LabState, value: Any) -> IntArray | None:
+    def at(self, found: Findings, lab: LabState, value: Any) -> Int64Array | None:
         """The queries at a point of the map that is shown, [map, fractions], the lowest margin first; None without any."""
         drawn = self.drawn
         if drawn is None or not isinstance(value, list) or len(value) != 2 or value[0] != lab.map:

@@ -23,8 +23,8 @@ from explorer.reports import Reporter
 from explorer.session_state import State
 from explorer.web.html import Html
 from explorer.workspace import Answer, Exhibit
+from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
-from lpn.retrieval.metrics import IntArray
 
 _UPPER = 0.49
 """Share of the stage, from its top, that the compared pair takes."""
@@ -59,7 +59,7 @@ class Lab:
         task = next(iter(exhibit.tasks))
         self._lab, self._view = LabState(task), View(task, None, False)
         self._seen: int | None = None
-        self._selection: tuple[object, IntArray] = ((), np.zeros(0, np.int64))
+        self._selection: tuple[object, Int64Array] = ((), np.zeros(0, np.int64))
         self._placed: bool | None = None
         self._size = (760, 400)
         self._tips = 0
@@ -108,7 +108,7 @@ class Lab:
             self._view = View(state.task, query, state.lab)
         self._worker.wake()
 
-    def order(self, state: State) -> IntArray | None:
+    def order(self, state: State) -> Int64Array | None:
         """The queries that next and previous go through while the window is open: the chosen ones in the table's order."""
         with self._lock:
             found = self._shared.findings(state.task)
@@ -137,7 +137,7 @@ class Lab:
             self._lab = changed
         self._worker.wake()
 
-    def _rows(self, found: Findings, lab: LabState) -> IntArray:
+    def _rows(self, found: Findings, lab: LabState) -> Int64Array:
         """The chosen queries in the table's order; kept for turning pages."""
         key = (found, lab.outcome, lab.where, lab.find, lab.picks, lab.sort, lab.descending)
         with self._lock:
@@ -204,7 +204,7 @@ class Lab:
         if job is not None and job.flaw is None:
             self._worker.wake()
 
-    def _paged(self, lab: LabState, view: View, rows: IntArray) -> LabState:
+    def _paged(self, lab: LabState, view: View, rows: Int64Array) -> LabState:
         """The table's page: that of the query when another one has been taken, and none beyond the last."""
         page = min(max(lab.page, 0), max(-(-len(rows) // self._count) - 1, 0))
         if view.query != self._seen:

@@ -18,8 +18,8 @@ from explorer.session_state import State
 from explorer.stage.cards import SHOWN
 from explorer.web.html import Html
 from explorer.workspace import Answer, Exhibit, Task
+from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
-from lpn.retrieval.metrics import IntArray
 
 THUMBS = 12
 LEFT, RIGHT, NARROW = 290, 370, 330
@@ -43,7 +43,7 @@ class Panels:
         self._shown: list[int] = []
         self._shown_of: tuple[str, str] | None = None
         self._answer: Answer | None = None
-        self.order: Callable[[State], IntArray | None] = lambda _: None
+        self.order: Callable[[State], Int64Array | None] = lambda _: None
         """The queries that next and previous go through; None for all of them."""
         self._writer: int | None = None
         self._watched: list[Any] = []

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from explorer.stage.image_planes import Rotation
+from lpn.core.arrays import AnyArray, Float64Array
 
 AT = np.array([60.0, 0.0, 0.0])
 """The map lies this far from the compared pair, in stage units, so that neither is in the other's picture."""
@@ -46,7 +45,7 @@ class Viewpoint:
         return self.side / SIDE
 
     @property
-    def above(self) -> npt.NDArray[np.float64]:
+    def above(self) -> Float64Array:
         """Unit vector of what is up in the browser's picture."""
         return np.array([0.0, math.cos(self.tilt), math.sin(self.tilt)])
 
@@ -56,7 +55,7 @@ class Viewpoint:
         half = (self.tilt + math.pi) / 2
         return math.cos(half), math.sin(half), 0.0, 0.0
 
-    def sign(self, x: float, aspect: float) -> npt.NDArray[np.float64]:
+    def sign(self, x: float, aspect: float) -> Float64Array:
         """Where the middle of a picture is that is `x` to the right on the sign, in units of the whole map."""
         if self.floating:
             start, up = self._target, self._height(aspect) - PICTURE / 2 - 0.1
@@ -64,18 +63,18 @@ class Viewpoint:
             start, up = self._ground + np.array([0.0, self.depth / 2, 0.0]), PICTURE / 2 + 0.15
         return np.asarray(start + self.ratio * (np.array([x, 0.0, 0.0]) + up * self.above), np.float64)
 
-    def camera(self, aspect: float, fov: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    def camera(self, aspect: float, fov: float) -> tuple[AnyArray, AnyArray]:
         """Where the browser's camera stands and looks to have the part and the sign in view."""
         distance = self.ratio * self._height(aspect) / math.tan(fov / 2)
         target = self._target
         return target + distance * np.array([0.0, -math.sin(self.tilt), math.cos(self.tilt)]), target
 
     @property
-    def _ground(self) -> npt.NDArray[np.float64]:
+    def _ground(self) -> Float64Array:
         return np.asarray(AT + np.array([*self.middle, 0.0]), np.float64)
 
     @property
-    def _target(self) -> npt.NDArray[np.float64]:
+    def _target(self) -> Float64Array:
         """What the camera looks at: between the part and the sign above it."""
         return np.asarray(self._ground + self.ratio * 0.5 * (PICTURE + 0.2) * self.above, np.float64)
 
@@ -84,7 +83,7 @@ class Viewpoint:
         return max((SIDE * math.cos(self.tilt) + PICTURE) / 2 + 1.0, 4.7 / aspect)
 
 
-def over(points: npt.NDArray[np.float64], least: float) -> Viewpoint:
+def over(points: Float64Array, least: float) -> Viewpoint:
     """An oblique view that has all of some points (n, 3) in it, in stage units from the map's middle.
 
     Args:

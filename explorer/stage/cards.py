@@ -13,7 +13,7 @@ from explorer.session_state import State
 from explorer.stage.image_planes import UPRIGHT, Plane
 from explorer.stage.layout import Layout
 from explorer.workspace import Answer, Exhibit
-from lpn.core.images import Picture
+from lpn.core.arrays import UInt8Array
 from lpn.drawing import overlays
 from lpn.drawing.overlays import Colour, Palette
 from lpn.retrieval import Match
@@ -90,7 +90,7 @@ class Cards:
             self._marker.handle.position = (x, y, 0.02)
             self._marker.show(_frame(self._layout, answer.state.palette.text))
 
-    def _photo(self, answer: Answer, match: Match) -> Picture:
+    def _photo(self, answer: Answer, match: Match) -> UInt8Array:
         task, exhibit = answer.task, self._exhibit
         picture = exhibit.card(task, match.index)
         if answer.state.rings:
@@ -98,7 +98,7 @@ class Cards:
             picture = overlays.with_rings(picture, partition, cells, 1)
         return overlays.framed(picture, overlays.verdict_colour(match.true), 7)
 
-    def _label(self, answer: Answer, match: Match, full: float) -> Picture:
+    def _label(self, answer: Answer, match: Match, full: float) -> UInt8Array:
         return _card_label(self._layout, match, answer.task.gallery[match.index].name, full, answer.state.palette)
 
     def _clicked(self, slot: int) -> Callable[[Any], None]:
@@ -110,7 +110,7 @@ class Cards:
         return clicked
 
 
-def _beside(pictures: Sequence[Picture], columns: int, gap: float, ground: Colour) -> Picture:
+def _beside(pictures: Sequence[UInt8Array], columns: int, gap: float, ground: Colour) -> UInt8Array:
     """Pictures of one size in a row with room for `columns` of them, `gap` of a picture's width between two."""
     height, width = pictures[0].shape[:2]
     step = width * (1 + gap)
@@ -130,7 +130,7 @@ def _frame(layout: Layout, colour: Colour) -> np.ndarray[Any, np.dtype[np.uint8]
     return drawn
 
 
-def _card_label(layout: Layout, match: Match, name: str, full: float, palette: Palette) -> Picture:
+def _card_label(layout: Layout, match: Match, name: str, full: float, palette: Palette) -> UInt8Array:
     width = round(_LABEL * layout.card[0] / layout.card[2])
     image, draw = overlays.caption(width, _LABEL, palette)
     draw.text((2, 20), str(match.rank), palette.text, overlays.font(26), anchor="lm")

@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 
 from lpn.core import images
-from lpn.core.images import Picture
+from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
 from lpn.drawing import overlays
-from lpn.retrieval.metrics import IntArray
 
 LARGEST = 1536
 """Pixels of the longer side of the picture of all tiles."""
@@ -40,20 +38,20 @@ class Places:
     queries: list[Position]
     tiles: list[Position]
     origin: Position
-    ground: geo.FloatArray
+    ground: Float64Array
     width: float
 
-    def off(self, query: int) -> geo.FloatArray:
+    def off(self, query: int) -> Float64Array:
         """Metres from what a query shows to the centre of each tile: (G,)."""
         return geo.metres_between(geo.radians([self.queries[query]]), self._radians)
 
-    def errors(self, found: IntArray) -> geo.FloatArray:
+    def errors(self, found: Int64Array) -> Float64Array:
         """Metres from what each query shows to the tile that was found for it; infinite where none was, -1: (Q,)."""
         metres = geo.metres_between(geo.radians(self.queries), self._radians[found])
         return np.where(found < 0, np.inf, metres)
 
     @cached_property
-    def _radians(self) -> geo.FloatArray:
+    def _radians(self) -> Float64Array:
         return geo.radians(self.tiles)
 
     def bounds(self) -> tuple[float, float, float, float]:
@@ -72,7 +70,7 @@ def places(queries: list[Position], tiles: list[Position]) -> Places:
     return Places(queries, tiles, origin, ground, width)
 
 
-def mosaic(laid: Places, files: Sequence[Path]) -> Picture:
+def mosaic(laid: Places, files: Sequence[Path]) -> UInt8Array:
     """The world seen from above, as far as tiles show it: north up, at most LARGEST pixels a side."""
     west, south, east, north = laid.bounds()
     scale = LARGEST / max(east - west, north - south)
@@ -88,7 +86,7 @@ def mosaic(laid: Places, files: Sequence[Path]) -> Picture:
     return canvas
 
 
-def _paste(canvas: Picture, tile: Picture, left: int, top: int) -> None:
+def _paste(canvas: UInt8Array, tile: UInt8Array, left: int, top: int) -> None:
     height, width = canvas.shape[:2]
     x0, y0 = max(left, 0), max(top, 0)
     x1, y1 = min(left + tile.shape[1], width), min(top + tile.shape[0], height)
@@ -96,11 +94,11 @@ def _paste(canvas: Picture, tile: Picture, left: int, top: int) -> None:
         canvas[y0:y1, x0:x1] = tile[y0 - top : y1 - top, x0 - left : x1 - left]
 
 
-def _usual_distance(ground: geo.FloatArray) -> float:
+def _usual_distance(ground: Float64Array) -> float:
     """Median distance to the nearest neighbour, from an even choice of tiles; 100 m for one tile alone."""
     if len(ground) < 2:
         return 100.0
     some = ground[:: max(1, len(ground) // 500)]
     gaps = np.linalg.norm(some[:, None] - ground[None], axis=2)
     nearest = np.partition(gaps, 1, axis=1)[:, 1]
-    return max(float(np.median(cast(npt.NDArray[np.float64], nearest))), 1.0)
+    return max(float(np.median(cast(Float64Array, nearest))), 1.0)

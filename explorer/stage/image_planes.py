@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import viser
 
-from lpn.core.images import Picture
+from lpn.core.arrays import UInt8Array
 from lpn.drawing import overlays
 from lpn.drawing.overlays import Palette
 
@@ -30,7 +29,7 @@ class Plane:
         encoding: Literal["jpeg", "png"] = "jpeg",
     ) -> None:
         blank = np.full((2, 2, 3), overlays.BACKGROUND, np.uint8)
-        self._shown: npt.NDArray[np.uint8] = blank
+        self._shown: UInt8Array = blank
         self.handle = scene.add_image(
             name,
             blank,
@@ -44,14 +43,14 @@ class Plane:
             position=position,
         )
 
-    def show(self, picture: npt.NDArray[np.uint8]) -> None:
+    def show(self, picture: UInt8Array) -> None:
         """Put a picture on the plane."""
         if self._shown.shape != picture.shape or not np.array_equal(self._shown, picture):
             self._shown = picture
             self.handle.image = picture
 
 
-def title(headline: str, text: str, true: bool | None, palette: Palette, distance2: float | None = None) -> Picture:
+def title(headline: str, text: str, true: bool | None, palette: Palette, distance2: float | None = None) -> UInt8Array:
     """A caption: headline, sign, a text shortened to fit, and on the right a distance."""
     image, draw = overlays.caption(528, 58, palette)
     draw.text((2, 29), headline, palette.text, overlays.font(26), anchor="lm")

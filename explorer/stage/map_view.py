@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import viser
 
 from explorer.session_state import State
@@ -15,6 +14,7 @@ from explorer.stage.camera import AT, PICTURE, SIDE, Viewpoint, over
 from explorer.stage.gallery_geometry import Places
 from explorer.stage.image_planes import Plane, Rotation
 from explorer.workspace import Answer, Exhibit
+from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
 from lpn.datasets import geo
 from lpn.drawing import overlays
 
@@ -114,7 +114,7 @@ class GalleryMap:
         _, south, _, north = places.bounds()
         return Viewpoint(depth=(north - south) * self._scale)
 
-    def _over_city(self, answer: Answer, places: Places, camera: npt.NDArray[np.float64] | None) -> Viewpoint:
+    def _over_city(self, answer: Answer, places: Places, camera: Float64Array | None) -> Viewpoint:
         """A view in which the drone, the compared tile, and the true one are."""
         half = 0.6 * places.width
         tiles = [answer.chosen.index, *([answer.truth.index] if answer.truth is not None else [])]
@@ -136,7 +136,7 @@ class GalleryMap:
             plane.handle.position = viewpoint.sign(x, aspect)
             plane.handle.wxyz = viewpoint.towards
 
-    def _place(self, ground: npt.NDArray[np.float64], up: float, lift: float = 0.0) -> npt.NDArray[np.float64]:
+    def _place(self, ground: Float64Array, up: float, lift: float = 0.0) -> Float64Array:
         """A place (east, north) and height in metres on the stage, raised by some stage units more."""
         x, y = (ground - self._middle) * self._scale
         return np.asarray(AT + np.array([x, y, up * self._scale + lift]), np.float64)
@@ -162,7 +162,7 @@ class GalleryMap:
             height = (0.001 if city else 0.012) * (len(self._tiles) - slot)
             plane.handle.position = self._place(places.ground[match.index], 0.0, lift + height)
 
-    def _show_camera(self, answer: Answer, places: Places) -> npt.NDArray[np.float64] | None:
+    def _show_camera(self, answer: Answer, places: Places) -> Float64Array | None:
         """The frustum at the query's pose; None when it is not known."""
         place = None if answer.state.upload else places.queries[answer.state.query]
         stands = None if place is None else geo.camera(place, places.origin)
@@ -181,9 +181,9 @@ class GalleryMap:
         self._camera.image = overlays.square(answer.query.picture, 128)
         return at
 
-    def _show_lines(self, answer: Answer, places: Places, camera: npt.NDArray[np.float64] | None, lift: float) -> None:
+    def _show_lines(self, answer: Answer, places: Places, camera: Float64Array | None, lift: float) -> None:
         """From the camera, or from the true place, to the compared tile; a frame around the true tile."""
-        segments: list[tuple[npt.NDArray[Any], npt.NDArray[Any], overlays.Colour]] = []
+        segments: list[tuple[AnyArray, AnyArray, overlays.Colour]] = []
         chosen = self._place(places.ground[answer.chosen.index], 0.0, lift)
         truth = None
         if answer.truth is not None:
@@ -202,7 +202,7 @@ class GalleryMap:
             self._lines.points = np.array([(a, b) for a, b, _ in segments], np.float32)
             self._lines.colors = np.array([(c, c) for *_, c in segments], np.uint8)
 
-    def _words(self, answer: Answer) -> npt.NDArray[np.uint8]:
+    def _words(self, answer: Answer) -> UInt8Array:
         """What the two pictures above the map are, and how far apart they lie."""
         chosen = answer.chosen
         name = answer.task.gallery[chosen.index].name
@@ -242,7 +242,7 @@ def _point(x: float, y: float, z: float) -> tuple[float, float, float]:
     return float(AT[0] + x), float(AT[1] + y), float(AT[2] + z)
 
 
-def _quaternion(rotation: npt.NDArray[np.float64]) -> Rotation:
+def _quaternion(rotation: Float64Array) -> Rotation:
     """(w, x, y, z) of a rotation matrix (3, 3)."""
     w = math.sqrt(max(0.0, 1.0 + float(np.trace(rotation)))) / 2
     x, y, z = (

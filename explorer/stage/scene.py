@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from threading import RLock
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import viser
 from PIL.ImageDraw import ImageDraw
 
@@ -21,7 +19,7 @@ from explorer.stage.layout import CAPTION, Layout, Point
 from explorer.stage.map_view import GalleryMap
 from explorer.workspace import Answer, Exhibit
 from lpn.core import images
-from lpn.core.images import Picture
+from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.drawing import overlays
 from lpn.drawing.overlays import Palette
 from lpn.explain import Evidence
@@ -52,7 +50,7 @@ class Exhibited:
         self._flat = Plane(scene, f"/{name}/flat", *size, (0.0, 0.0, 0.0))
         self._caption = Plane(scene, f"/{name}_caption", *CAPTION, (*caption, 0.0))
         self._layers: list[viser.ImageHandle] = []
-        self._layer_pictures: list[Picture | None] = [None] * n_parts
+        self._layer_pictures: list[UInt8Array | None] = [None] * n_parts
         for part in range(n_parts):
             layer = scene.add_image(
                 f"/{name}/layer{part}",
@@ -66,7 +64,7 @@ class Exhibited:
             )
             self._layers.append(layer)
 
-    def show(self, picture: Picture, caption: Picture, view: View, exploded: bool, towards: float) -> None:
+    def show(self, picture: UInt8Array, caption: UInt8Array, view: View, exploded: bool, towards: float) -> None:
         """Draw the picture; `towards` is the side, -1 or 1, an exploded stack opens to."""
         self._caption.show(caption)
         self._flat.handle.visible = not exploded
@@ -139,7 +137,7 @@ class Stage:
         self._cards = Cards(scene, exhibit, on_select)
         self._aspect, self._on_select = 0.0, on_select
         self._framing = RLock()
-        self._drawn: list[tuple[Described, Evidence | None, View, object, Picture] | None] = [None, None]
+        self._drawn: list[tuple[Described, Evidence | None, View, object, UInt8Array] | None] = [None, None]
         self._viewpoint: Viewpoint | None = None
         self._map: GalleryMap | None = None
         client.camera.on_update(lambda _: self.fit())
@@ -196,7 +194,7 @@ class Stage:
             self._links.colors = _link_colours(answer.ranking.weights, state.palette)
             self._cards.show(answer)
 
-    def _decorated(self, answer: Answer, side: int, described: Described, view: View) -> Picture:
+    def _decorated(self, answer: Answer, side: int, described: Described, view: View) -> UInt8Array:
         """A side's large picture under its heatmap and rings, drawn again only when one of them changed."""
         state = answer.state
         evidence = answer.reasons.evidence if answer.reasons is not None and state.heat_kind == "evidence" else None
@@ -206,7 +204,7 @@ class Stage:
             before = self._drawn[side] = (described, evidence, view, look, self._draw(answer, side, described, view))
         return before[4]
 
-    def _draw(self, answer: Answer, side: int, described: Described, view: View) -> Picture:
+    def _draw(self, answer: Answer, side: int, described: Described, view: View) -> UInt8Array:
         state = answer.state
         picture = images.resize(self._exhibit.cut(described.picture, view), *self._layout.pixels)
         if state.heat and state.heat_kind == "evidence" and answer.reasons is not None:
@@ -220,18 +218,18 @@ class Stage:
             picture = overlays.with_rings(picture, self._exhibit.spec.partition(view), self._exhibit.map_sizes[view], 3)
         return picture
 
-    def _query_caption(self, answer: Answer) -> Picture:
+    def _query_caption(self, answer: Answer) -> UInt8Array:
         changed = answer.state.change.describe()
         source = "your picture" if answer.state.upload else answer.task.query_view
         return title("QUERY", f"{source} {answer.name}{', ' if changed else ''}{changed}", None, answer.state.palette)
 
-    def _tile_caption(self, answer: Answer) -> Picture:
+    def _tile_caption(self, answer: Answer) -> UInt8Array:
         chosen = answer.chosen
         name = answer.task.gallery[chosen.index].name
         text, palette = f"{answer.task.gallery_view} {name}", answer.state.palette
         return title(f"RANK {chosen.rank}", text, chosen.true, palette, chosen.distance2)
 
-    def _gutter_picture(self, chosen: Match, palette: Palette) -> Picture:
+    def _gutter_picture(self, chosen: Match, palette: Palette) -> UInt8Array:
         """For each part: its name, cosine, and share of the distance as a bar."""
         image, draw = overlays.caption(260, 660, palette)
         rows = _row_heights(self._layout, self._n)
@@ -241,7 +239,7 @@ class Stage:
             self._draw_part(draw, palette, chosen, part, (10, 250), y, (size, size - 6))
         return np.asarray(image)
 
-    def _gutter_row(self, chosen: Match, palette: Palette) -> Picture:
+    def _gutter_row(self, chosen: Match, palette: Palette) -> UInt8Array:
         """The same one beside the other, each below the query's strip and above the tile's."""
         width, height = self._layout.gutter[1]
         image, draw = overlays.caption(1280, round(1280 * height / width), palette)
@@ -281,7 +279,7 @@ class Stage:
             draw.text((left, below), cosine, palette.dim, overlays.font(small), anchor="lm")
             overlays.draw_squared(draw, right, below, f"{chosen.shares[part]:.3f}", small, palette.dim)
 
-    def _link_points(self, answer: Answer) -> npt.NDArray[np.float32]:
+    def _link_points(self, answer: Answer) -> Float32Array:
         """Two segments per part: query ring to its place in the gutter, and from there to the tile's ring."""
         state, task = answer.state, answer.task
         points = np.zeros((2 * self._n, 2, 3), np.float32)
@@ -303,7 +301,7 @@ def _row_heights(layout: Layout, n: int) -> list[float]:
     return [(0.5 - (part + 0.5) / n) * layout.picture[1] for part in range(n)]
 
 
-def _link_colours(weights: npt.NDArray[Any], palette: Palette) -> npt.NDArray[np.uint8]:
+def _link_colours(weights: AnyArray, palette: Palette) -> UInt8Array:
     """Each part's links in its colour, nearly that of the ground where the part counts nothing."""
     colours = [overlays.part_colour(part) if weight > 0 else palette.off for part, weight in enumerate(weights)]
     return np.repeat(np.array(colours, np.uint8), 2, axis=0)[:, None].repeat(2, axis=1)

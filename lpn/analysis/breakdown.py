@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from lpn.analysis.query_outcomes import Outcomes
+from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column
-from lpn.datasets.geo import FloatArray
-from lpn.retrieval.metrics import IntArray
 
 _NORMAL_95 = 1.959963984540054
 """Two-sided 95 % of the normal distribution."""
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +27,7 @@ class Confusion:
 
     place: int
     answered: int
-    queries: IntArray
+    queries: Int64Array
     tile: int
 
     @property
@@ -69,7 +66,7 @@ class Rate:
 
 
 def confusions(
-    outcomes: Outcomes, query_labels: IntArray, labels: IntArray, rows: IntArray | None = None
+    outcomes: Outcomes, query_labels: Int64Array, labels: Int64Array, rows: Int64Array | None = None
 ) -> list[Confusion]:
     """Which places are taken for which, most often first; equals in order of their labels.
 
@@ -89,14 +86,14 @@ def confusions(
     return sorted(found, key=lambda one: -one.count)
 
 
-def blame(outcomes: Outcomes, rows: IntArray | None = None) -> IntArray:
+def blame(outcomes: Outcomes, rows: Int64Array | None = None) -> Int64Array:
     """How many failures each part decided, (n,); those without a margin count for none."""
     rows = _rows(outcomes, rows)
     decided = outcomes.decides[rows][outcomes.failed[rows]]
     return np.bincount(decided[decided >= 0], minlength=outcomes.parts.shape[1]).astype(np.int64)
 
 
-def rates(failed: BoolArray, column: Column, bins: int = 5, rows: IntArray | None = None) -> list[Rate]:
+def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | None = None) -> list[Rate]:
     """Failure rate against a column: of numbers in quantile bins, of texts by value.
 
     Bins are ascending and as equal in number of queries as equal values, which are never parted, allow. Texts come with
@@ -157,16 +154,16 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
     return 0.0 if hits == 0 else low, 1.0 if hits == of else high
 
 
-def _rows(outcomes: Outcomes, rows: IntArray | None) -> IntArray:
+def _rows(outcomes: Outcomes, rows: Int64Array | None) -> Int64Array:
     return np.arange(len(outcomes)) if rows is None else rows
 
 
-def _quantile_bins(which: IntArray, bins: int) -> IntArray:
+def _quantile_bins(which: Int64Array, bins: int) -> Int64Array:
     """The bin of each value, from the place of its value among the distinct ones: where the middle of its equals lies."""
     counts = np.bincount(which)
     if len(counts) <= bins:
         return which
-    middles: FloatArray = (np.cumsum(counts) - counts / 2) / len(which)
+    middles: Float64Array = (np.cumsum(counts) - counts / 2) / len(which)
     _, compact = np.unique((middles * bins).astype(np.int64), return_inverse=True)
     return compact[which].astype(np.int64)
 

@@ -8,9 +8,9 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.errors import InputError, MissingPackageError
-from lpn.datasets.geo import FloatArray
-from lpn.retrieval.metrics import IntArray, flat_sides
+from lpn.retrieval.metrics import flat_sides
 
 SAMPLE = 2000
 """Pictures that the axes are found from, at most."""
@@ -26,9 +26,9 @@ class Projection:
         variance: share of the variance that each axis shows, 0 .. 1, (2,); None where that means nothing (UMAP).
     """
 
-    queries: FloatArray
-    tiles: FloatArray
-    variance: FloatArray | None
+    queries: Float64Array
+    tiles: Float64Array
+    variance: Float64Array | None
 
 
 def pca(queries: npt.ArrayLike, gallery: npt.ArrayLike, sample: int = SAMPLE) -> Projection:
@@ -95,11 +95,11 @@ def umap(queries: npt.ArrayLike, gallery: npt.ArrayLike, neighbours: int = 15, s
         ) from error
     # One thread: with a seed, umap-learn uses no more, and says so in a warning unless told.
     reducer = UMAP(n_neighbors=neighbours, metric="cosine", random_state=seed, n_jobs=1)
-    points = cast(FloatArray, reducer.fit_transform(np.concatenate(sides)).astype(np.float64))
+    points = cast(Float64Array, reducer.fit_transform(np.concatenate(sides)).astype(np.float64))
     return Projection(points[: len(sides[0])], points[len(sides[0]) :], None)
 
 
-def inside(points: FloatArray, corner: tuple[float, float], opposite: tuple[float, float]) -> IntArray:
+def inside(points: Float64Array, corner: tuple[float, float], opposite: tuple[float, float]) -> Int64Array:
     """Which points (N, 2) lie in a rectangle, its edges included: (M,), ascending. Corners are any two opposite ones."""
     low, high = np.minimum(corner, opposite), np.maximum(corner, opposite)
     return np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))

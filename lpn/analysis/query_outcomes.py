@@ -16,14 +16,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table, number_column, text_column
 from lpn.datasets import Picture, Truth, geo, metadata
-from lpn.datasets.geo import FloatArray
 from lpn.datasets.metadata import NOTE, TAGS
-from lpn.models.base import FloatArray as Descriptors
 from lpn.retrieval import metrics, scoring
-from lpn.retrieval.metrics import IntArray, Retrieval
+from lpn.retrieval.metrics import Retrieval
 
 _CHUNK_BYTES = 64_000_000
 OUTCOME = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance")
@@ -47,17 +46,17 @@ class Outcomes:
         weights: the part weights, summing to one, (n,).
     """
 
-    rank: IntArray
-    first: IntArray
-    true: IntArray
-    false: IntArray
-    parts: FloatArray
-    margin: FloatArray
-    decides: IntArray
-    weights: FloatArray
+    rank: Int64Array
+    first: Int64Array
+    true: Int64Array
+    false: Int64Array
+    parts: Float64Array
+    margin: Float64Array
+    decides: Int64Array
+    weights: Float64Array
 
     @property
-    def failed(self) -> npt.NDArray[np.bool_]:
+    def failed(self) -> BoolArray:
         """Which queries missed, those without a true match included, as Recall@1 counts them, (Q,)."""
         return np.asarray(self.rank != 0)
 
@@ -66,8 +65,8 @@ class Outcomes:
 
 
 def build(
-    queries: Descriptors,
-    gallery: Descriptors,
+    queries: Float32Array,
+    gallery: Float32Array,
     query_labels: npt.ArrayLike | None,
     labels: npt.ArrayLike | None,
     truth: Sequence[Truth] | None = None,
@@ -102,7 +101,7 @@ def build(
 
 
 def outcomes_of(
-    found: Retrieval, queries: Descriptors, gallery: Descriptors, weights: npt.ArrayLike | None = None
+    found: Retrieval, queries: Float32Array, gallery: Float32Array, weights: npt.ArrayLike | None = None
 ) -> Outcomes:
     """The outcomes of queries (Q, n, D) that have been ranked already, under the same part weights (n,)."""
     used = scoring.part_weights(queries.shape[1], weights).astype(np.float64)
@@ -165,7 +164,7 @@ def described_by(table: Table) -> list[Column]:
     ]
 
 
-def labels_of(pictures: Sequence[Picture]) -> IntArray:
+def labels_of(pictures: Sequence[Picture]) -> Int64Array:
     """The label of each picture, (N,)."""
     return np.array([picture.label for picture in pictures], np.int64)
 
@@ -180,8 +179,8 @@ def _distance(root: Path, queries: Sequence[Picture], gallery: Sequence[Picture]
 
 
 def _part_margins(
-    queries: Descriptors, gallery: Descriptors, true: IntArray, false: IntArray, factors: FloatArray
-) -> FloatArray:
+    queries: Float32Array, gallery: Float32Array, true: Int64Array, false: Int64Array, factors: Float64Array
+) -> Float64Array:
     """Each part's n w_i <q_i, t_i - f_i>: (Q, n), NaN where one of the tiles is -1."""
     terms = np.full(queries.shape[:2], np.nan)
     pairs = np.flatnonzero((true >= 0) & (false >= 0))

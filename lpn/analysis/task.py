@@ -13,15 +13,15 @@ from lpn import descriptors, retrieval
 from lpn.analysis import notes, query_outcomes
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import Outcomes
+from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Table
 from lpn.datasets import Dataset, Picture, Truth
 from lpn.explain import counterfactual
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.spec import ModelSpec, View, views_of
 from lpn.retrieval import Ranking, metrics, scoring
-from lpn.retrieval.metrics import IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +52,11 @@ class Study:
     map_sizes: Mapping[View, tuple[int, int]]
     queries: Sequence[Picture]
     gallery: Sequence[Picture]
-    query_labels: IntArray
-    labels: IntArray
+    query_labels: Int64Array
+    labels: Int64Array
     truth: Sequence[Truth] | None
-    asked: FloatArray
-    tiles: FloatArray
+    asked: Float32Array
+    tiles: Float32Array
     weights: npt.ArrayLike | None = None
     notes: Mapping[str, Note] = field(default_factory=dict)
 
@@ -71,7 +71,7 @@ class Study:
         return self.spec.partition(self.views[0]).names()
 
     @cached_property
-    def used(self) -> FloatArray:
+    def used(self) -> Float32Array:
         """The part weights, summing to one, (n,)."""
         return scoring.part_weights(self.spec.n_parts, self.weights)
 
@@ -94,7 +94,7 @@ class Study:
         asked = self.asked if self.weights is None else counterfactual.folded(self.asked, self.weights)
         return metrics.evaluate(asked, self.query_labels, self.tiles, self.labels, self.truth)
 
-    def rank(self, descriptor: FloatArray, query: int | None) -> Ranking:
+    def rank(self, descriptor: Float32Array, query: int | None) -> Ranking:
         """Rank the gallery for a descriptor (n, D) of a query; None for a picture whose place is not known."""
         cosines = scoring.part_cosines(descriptor, self.tiles)
         label = None if query is None else int(self.query_labels[query])

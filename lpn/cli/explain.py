@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import lpn
 from lpn.cli.using import ViewName
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.explain import Evidence
-    from lpn.models.base import FloatArray, Model
+    from lpn.models.base import Model
     from lpn.retrieval import Described
 
 
@@ -96,7 +97,7 @@ def part_values(text: str | None) -> list[float] | None:
         raise InputError(f"The weights are {text!r}; expected a number for each part, such as 1,1,0,1.") from error
 
 
-def _losses(model: Model, query: Described, view: ViewName, tile: Described, console: Console) -> FloatArray:
+def _losses(model: Model, query: Described, view: ViewName, tile: Described, console: Console) -> Float32Array:
     """What each part's cosine loses where a square is covered, measured to the end."""
     from rich.progress import Progress
 

@@ -11,6 +11,7 @@ from rich.text import Text
 
 import lpn
 from lpn.cli.using import TaskName
+from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from lpn.analysis.breakdown import Rate
     from lpn.analysis.task import Study
     from lpn.core.tables import Table
-    from lpn.retrieval.metrics import IntArray
 
 
 @dataclass
@@ -70,7 +70,7 @@ class Failures:
             write_whole(self.csv, made.to_csv(rows))
 
 
-def _print(console: Console, table: Table, rows: IntArray, names: list[str], top: int) -> None:
+def _print(console: Console, table: Table, rows: Int64Array, names: list[str], top: int) -> None:
     """The first rows, with those of some columns in which anything is known."""
     columns = [table.columns[name] for name in names if name in table.columns]
     columns = [column for column in columns if column.name != "false" and column.known[rows].any()]
@@ -83,7 +83,7 @@ def _print(console: Console, table: Table, rows: IntArray, names: list[str], top
     console.print(printed, f"{len(rows)} of {len(table)} queries, {min(top, len(rows))} listed.")
 
 
-def _print_breakdown(console: Console, study: Study, rows: IntArray, top: int) -> None:
+def _print_breakdown(console: Console, study: Study, rows: Int64Array, top: int) -> None:
     """What the failures among some rows have in common."""
     from lpn.analysis import breakdown
     from lpn.analysis.query_outcomes import described_by

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import lpn
 from lpn.cli.explain import part_values
 from lpn.cli.using import ViewName
+from lpn.core.arrays import Float32Array
 from lpn.core.files import printable
 
 if TYPE_CHECKING:
     from lpn.index import Found
-    from lpn.models.base import FloatArray, Model
+    from lpn.models.base import Model
 
 
 @dataclass
@@ -139,7 +140,7 @@ class Search:
 
 
 def _matches(
-    found: Found, query: FloatArray, weights: FloatArray, top: int, model: Model, view: ViewName
+    found: Found, query: Float32Array, weights: Float32Array, top: int, model: Model, view: ViewName
 ) -> list[dict[str, Any]]:
     """What is told of each tile."""
     import numpy as np

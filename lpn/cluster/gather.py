@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -31,11 +30,11 @@ from lpn.cluster.shards import (
     shard_name,
 )
 from lpn.cluster.storage import Storage
+from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import StoreError
 from lpn.descriptors import Manifest, Store
 from lpn.descriptors.partial_store import Unfinished
 from lpn.descriptors.writer import write_store
-from lpn.models.base import FloatArray
 
 
 class Tiles(NamedTuple):
@@ -47,7 +46,7 @@ class Tiles(NamedTuple):
     """
 
     names: list[str]
-    positions: npt.NDArray[np.float64]
+    positions: Float64Array
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class Shards:
         except DAMAGED as error:
             raise self._damaged(partition) from error
 
-    def descriptors(self, partition: int, names: Sequence[str]) -> FloatArray:
+    def descriptors(self, partition: int, names: Sequence[str]) -> Float32Array:
         """A partition's descriptors, (B, n, D) float32.
 
         Args:

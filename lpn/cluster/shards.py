@@ -26,15 +26,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, NamedTuple, TypeVar, cast
 
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lpn.cluster.storage import Storage
+from lpn.core.arrays import AnyArray, Float32Array
 from lpn.core.errors import StoreError
 from lpn.core.formats import is_newer, newer
 from lpn.descriptors import Row
-from lpn.models.base import FloatArray
 
 FORMAT = "lpn-shards/2"
 BEFORE = "lpn-shards/1"
@@ -179,7 +178,7 @@ def write_shard(
     plan: Plan,
     partition: int,
     items: Sequence[Item],
-    descriptors: FloatArray,
+    descriptors: Float32Array,
     broken: Sequence[Broken] = (),
 ) -> None:
     """Write a partition: the items that were described, with descriptors (B, n, D) float32, and those that could not be.
@@ -215,7 +214,7 @@ class Contents(NamedTuple):
     """A shard as it was written; descriptors (B, n, D) in its precision."""
 
     items: list[Item]
-    descriptors: npt.NDArray[Any]
+    descriptors: AnyArray
     notes: Notes
 
 

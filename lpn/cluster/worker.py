@@ -14,12 +14,12 @@ import numpy as np
 from lpn.cluster.shards import Broken, Item, Plan, read_shard, unpacked, write_shard
 from lpn.cluster.storage import Storage
 from lpn.core import images
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError, PictureError
 from lpn.datasets.integrity import DAMAGED, flaw_within
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.descriptors.writer import prepared
-from lpn.models.base import FloatArray
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import View
 
@@ -107,7 +107,7 @@ class Worker:
         write_shard(self.out, plan, partition, kept, numbers, broken)
         return computed, len(kept), len(broken)
 
-    def _prepare(self, item: Item) -> FloatArray:
+    def _prepare(self, item: Item) -> Float32Array:
         try:
             data = self.images.read(item.row.file)
         except OSError as error:

@@ -13,13 +13,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tokenize import TokenError
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from lpn.core.arrays import AnyArray
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.shutdown import finishing
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
+    pass
 
 try:
     import fcntl
@@ -70,7 +71,7 @@ def write_whole(path: Path, data: bytes) -> None:
             _clear(path)
 
 
-def mapped(path: Path) -> npt.NDArray[Any]:
+def mapped(path: Path) -> AnyArray:
     """The array of a `.npy` file, memory-mapped, read-only.
 
     Raises:
@@ -81,7 +82,7 @@ def mapped(path: Path) -> npt.NDArray[Any]:
     import numpy as np
 
     try:
-        found: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
+        found: AnyArray = np.lib.format.open_memmap(path, mode="r")
     # What NumPy raises where a header is neither of today nor of Python 2.
     except (EOFError, SyntaxError, TokenError, TypeError, OverflowError, MemoryError) as error:
         raise ValueError("no array") from error

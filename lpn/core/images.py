@@ -6,13 +6,13 @@ import io
 import struct
 import warnings
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import BinaryIO, cast
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
+from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
 from lpn.core.resources import usable_cores
@@ -23,8 +23,6 @@ if hasattr(cv2, "setLogLevel"):  # OpenCV 4
 else:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
-Picture = npt.NDArray[np.uint8]
-"""An RGB picture, (H, W, 3) uint8."""
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 MAX_PIXELS = 50_000_000
@@ -39,7 +37,7 @@ OFFSET = (-_MEAN / _STD).astype(np.float32)
 """ImageNet normalisation of a value 0 .. 255 of each channel: value * SCALE + OFFSET."""
 
 
-def load_picture(path: str | Path) -> Picture:
+def load_picture(path: str | Path) -> UInt8Array:
     """Read a picture file as RGB, turned upright where its EXIF data say so: (H, W, 3) uint8.
 
     Raises:
@@ -55,7 +53,7 @@ def load_picture(path: str | Path) -> Picture:
     return decode_picture(data, printable(str(path)))
 
 
-def decode_picture(data: bytes, name: str) -> Picture:
+def decode_picture(data: bytes, name: str) -> UInt8Array:
     """Decode the bytes of a JPEG, PNG, WebP, or other common picture file; `name` is used in messages only.
 
     Raises:
@@ -71,7 +69,7 @@ def decode_picture(data: bytes, name: str) -> Picture:
         decoded = None
     if decoded is None or decoded.ndim != 3 or decoded[..., 0].size > MAX_PIXELS:
         raise PictureError(f"{name} is not a picture that can be read; expected a JPEG, PNG, or WebP file.")
-    return cast(Picture, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
+    return cast(UInt8Array, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
 
 
 def header_flaw(file: BinaryIO) -> str | None:
@@ -136,21 +134,21 @@ def use_all_cores() -> None:
     cv2.setNumThreads(cores + 1 if cores > 1 else 1)
 
 
-def rotate(picture: Picture, degrees: float) -> Picture:
+def rotate(picture: UInt8Array, degrees: float) -> UInt8Array:
     """Turn a picture about its centre on its own canvas, counter-clockwise, corners black, bicubic (Table IV)."""
     if degrees % 360 == 0:
         return picture
     height, width = picture.shape[:2]
     matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), degrees, 1.0)
-    return cast(Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC))
+    return cast(UInt8Array, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC))
 
 
-def roll(panorama: Picture, degrees: float) -> Picture:
+def roll(panorama: UInt8Array, degrees: float) -> UInt8Array:
     """Turn a panorama of the full circle counter-clockwise: its columns move to the left and come back at the right."""
     return np.roll(panorama, -round(degrees / 360 * panorama.shape[1]), axis=1)
 
 
-def zoom(picture: Picture, scale: float) -> Picture:
+def zoom(picture: UInt8Array, scale: float) -> UInt8Array:
     """Zoom about a picture's centre on its own canvas, bicubic with anti-aliasing: (H, W, 3) to the same shape.
 
     Above 1 its middle fills the canvas; below 1 it is smaller by a whole number of pixels on either side, black around it.
@@ -168,7 +166,7 @@ def zoom(picture: Picture, scale: float) -> Picture:
     return canvas
 
 
-def shift(picture: Picture, right: int, down: int = 0) -> Picture:
+def shift(picture: UInt8Array, right: int, down: int = 0) -> UInt8Array:
     """Move a picture to the right and down (to the left and up when negative) on its own canvas, black where it was: same
     shape."""
     if right == 0 and down == 0:
@@ -181,7 +179,7 @@ def shift(picture: Picture, right: int, down: int = 0) -> Picture:
     return moved
 
 
-def crop(picture: Picture, box: tuple[float, float, float, float] | None, name: str = "the picture") -> Picture:
+def crop(picture: UInt8Array, box: tuple[float, float, float, float] | None, name: str = "the picture") -> UInt8Array:
     """The part of a picture within (left, top, right, bottom), rounded to whole pixels and cut at its borders; all without one.
 
     `name` is used in the message only.
@@ -202,14 +200,14 @@ def crop(picture: Picture, box: tuple[float, float, float, float] | None, name: 
     return np.ascontiguousarray(cut)
 
 
-def resize(picture: Picture, height: int, width: int) -> Picture:
+def resize(picture: UInt8Array, height: int, width: int) -> UInt8Array:
     """Bicubic resize with anti-aliasing to (height, width, 3), without crop, as the published code does."""
     if picture.shape[:2] == (height, width):
         return picture
     return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BICUBIC))
 
 
-def polar(picture: Picture, height: int, width: int) -> Picture:
+def polar(picture: UInt8Array, height: int, width: int) -> UInt8Array:
     """Unroll a north-up square tile around its centre, as SAFA does, into a panorama's shape: (height, width, 3).
 
     Row i of column j shows what lies S/2 (height - 1 - i) / height pixels from the centre of a tile of side S, in the
@@ -223,24 +221,24 @@ def polar(picture: Picture, height: int, width: int) -> Picture:
     shown = cv2.remap(
         picture, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    return cast(Picture, shown)
+    return cast(UInt8Array, shown)
 
 
-def enlarge(cells: npt.NDArray[Any], height: int, width: int) -> npt.NDArray[Any]:
+def enlarge(cells: AnyArray, height: int, width: int) -> AnyArray:
     """Cells (rows, columns) as pixels (height, width), each taking its cell's value."""
     rows = np.arange(height) * cells.shape[0] // height
     columns = np.arange(width) * cells.shape[1] // width
-    return cast("npt.NDArray[Any]", cells[rows[:, None], columns[None, :]])
+    return cast(AnyArray, cells[rows[:, None], columns[None, :]])
 
 
-def shrink(picture: Picture, side: int) -> Picture:
+def shrink(picture: UInt8Array, side: int) -> UInt8Array:
     """Resize a picture, keeping its proportions, so that no side is longer than `side` pixels."""
     height, width = picture.shape[:2]
     factor = side / max(height, width)
     return picture if factor >= 1 else resize(picture, max(round(height * factor), 1), max(round(width * factor), 1))
 
 
-def normalise(picture: Picture) -> npt.NDArray[np.float32]:
+def normalise(picture: UInt8Array) -> Float32Array:
     """ImageNet normalisation: (H, W, 3) uint8 to (3, H, W) float32."""
     planes = np.empty((3, *picture.shape[:2]), np.float32)
     for channel, plane in enumerate(planes):
@@ -249,6 +247,6 @@ def normalise(picture: Picture) -> npt.NDArray[np.float32]:
     return planes
 
 
-def prepare(picture: Picture, size: tuple[int, int]) -> npt.NDArray[np.float32]:
+def prepare(picture: UInt8Array, size: tuple[int, int]) -> Float32Array:
     """Resize to (height, width) and normalise: (3, height, width) float32, ready for a model."""
     return normalise(resize(picture, *size))

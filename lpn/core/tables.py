@@ -22,9 +22,9 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import AnyArray, BoolArray, Float64Array, Int64Array, ObjectArray
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.retrieval.metrics import IntArray
 
 _COMPARED: dict[str, Callable[[Any, Any], Any]] = {
     "=": operator.eq,
@@ -58,7 +58,7 @@ class Column:
 
     name: str
     kind: Kind
-    values: npt.NDArray[Any]
+    values: AnyArray
     unit: str = ""
 
     def text(self, row: int) -> str:
@@ -69,17 +69,17 @@ class Column:
         return "" if np.isnan(value) else f"{value:.4f}".rstrip("0").rstrip(".")
 
     @cached_property
-    def known(self) -> npt.NDArray[np.bool_]:
+    def known(self) -> BoolArray:
         """Which values are known, (N,)."""
         return np.asarray(~np.isnan(self.values) if self.kind == "number" else self.values != "", bool)
 
     @cached_property
-    def folded(self) -> npt.NDArray[np.object_]:
+    def folded(self) -> ObjectArray:
         """Texts as they are compared, (N,)."""
         return np.array([value.casefold() for value in self.values], object)
 
     @cached_property
-    def keys(self) -> npt.NDArray[np.float64]:
+    def keys(self) -> Float64Array:
         """Numbers in the order of the values, NaN for what is unknown, (N,)."""
         if self.kind == "number":
             return self.values
@@ -121,7 +121,7 @@ class Table:
         """This table with more columns, in place of those of the same name."""
         return Table(self.paths, list((self.columns | {column.name: column for column in columns}).values()))
 
-    def rows(self) -> IntArray:
+    def rows(self) -> Int64Array:
         """All rows, (N,)."""
         return np.arange(len(self))
 
@@ -136,13 +136,13 @@ class Table:
                 return column
         raise InputError(f"There is no column {name.strip()!r}; the columns are {', '.join(self.columns)}.")
 
-    def sort(self, rows: IntArray, column: str, descending: bool = False) -> IntArray:
+    def sort(self, rows: Int64Array, column: str, descending: bool = False) -> Int64Array:
         """Rows in the order of a column; equal ones stay in their order, and what is unknown comes last either way."""
         keys = self.column(column).keys[rows]
-        sorted_rows: IntArray = rows[np.argsort(-keys if descending else keys, kind="stable")]
+        sorted_rows: Int64Array = rows[np.argsort(-keys if descending else keys, kind="stable")]
         return sorted_rows
 
-    def filter(self, rows: IntArray, where: str) -> IntArray:
+    def filter(self, rows: Int64Array, where: str) -> Int64Array:
         """Those of some rows that fulfil a filter, in their order; all for an empty one.
 
         Raises:
@@ -161,19 +161,19 @@ class Table:
             rows = rows[_fulfilled(self.column(name), sign, value)[rows]]
         return rows
 
-    def search(self, rows: IntArray, text: str) -> IntArray:
+    def search(self, rows: Int64Array, text: str) -> Int64Array:
         """Those of some rows whose name contains a text, case ignored."""
         wanted = text.strip().casefold()
         folded = self.columns["name"].folded
-        found: IntArray = rows[np.array([wanted in folded[row] for row in rows], bool)]
+        found: Int64Array = rows[np.array([wanted in folded[row] for row in rows], bool)]
         return found
 
-    def page(self, rows: IntArray, start: int, count: int) -> IntArray:
+    def page(self, rows: Int64Array, start: int, count: int) -> Int64Array:
         """At most `count` of some rows from position `start` on; the last full page where there are not so many."""
         start = max(0, min(start, len(rows) - count))
         return rows[start : start + max(count, 0)]
 
-    def to_csv(self, rows: IntArray) -> bytes:
+    def to_csv(self, rows: Int64Array) -> bytes:
         """Some rows as comma-separated values in UTF-8: path and all columns, numbers in full, unknown ones empty.
 
         A text that a spreadsheet would take for a formula (it begins with =, +, -, @, or a control character) gets an
@@ -224,7 +224,7 @@ def _parted(condition: str) -> tuple[str, str, str] | None:
     return name, sign[0], value
 
 
-def _fulfilled(column: Column, sign: str, value: str) -> npt.NDArray[np.bool_]:
+def _fulfilled(column: Column, sign: str, value: str) -> BoolArray:
     """Which rows fulfil one condition, (N,)."""
     quoted, wanted = value.startswith('"'), value.strip('"').strip()
     if not wanted:
@@ -242,11 +242,11 @@ def _fulfilled(column: Column, sign: str, value: str) -> npt.NDArray[np.bool_]:
             f"{column.name} holds numbers, and {sign} {printable(wanted)} does not fit them; expected one of "
             f"{' '.join(_COMPARED)} and a number, or = none."
         )
-    fulfilled: npt.NDArray[np.bool_] = _COMPARED[sign](column.values, number) & column.known
+    fulfilled: BoolArray = _COMPARED[sign](column.values, number) & column.known
     return fulfilled
 
 
-def _text_fulfilled(column: Column, sign: str, wanted: str) -> npt.NDArray[np.bool_]:
+def _text_fulfilled(column: Column, sign: str, wanted: str) -> BoolArray:
     if sign in ("=", "!="):
         return np.asarray((column.folded == wanted) == (sign == "="), bool)
     if sign in ("~", "!~"):

@@ -11,9 +11,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-import numpy as np
-import numpy.typing as npt
-
+from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.images import SUFFIXES
@@ -65,8 +63,8 @@ class Truth:
         junk: pictures that are taken out of the ranking before it is scored, (J,).
     """
 
-    good: npt.NDArray[np.int64]
-    junk: npt.NDArray[np.int64]
+    good: Int64Array
+    junk: Int64Array
 
 
 @dataclass(frozen=True)

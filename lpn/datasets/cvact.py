@@ -12,8 +12,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import matlab
@@ -77,7 +77,7 @@ def _find(there: Names, view: str, name: str) -> str | None:
     return next((file for file in files if file in there), None)
 
 
-def _read(path: Path) -> tuple[list[str], dict[str, npt.NDArray[np.int64]]]:
+def _read(path: Path) -> tuple[list[str], dict[str, Int64Array]]:
     """The ids of all panoramas, and the 1-based rows of the pairs to train on and to test with."""
     expected = "a MATLAB 5 file with panoIds, trainSet.trainInd, and valSet.valInd"
     values = matlab.load(path, ["panoIds", "trainSet", "valSet"], expected)

@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.datasets import Picture
@@ -49,8 +49,6 @@ _LIMITS = {
 
 _SHOWN = 200
 """Letters of a value that a message shows."""
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -131,7 +129,7 @@ def positions(root: Path) -> Positions | None:
     return Positions(root) if (root / NAME).is_file() else None
 
 
-def metres(a: Sequence[Position], b: Sequence[Position]) -> FloatArray:
+def metres(a: Sequence[Position], b: Sequence[Position]) -> Float64Array:
     """Distance in metres between each position of `a` and its counterpart in `b`: (N,) float64.
 
     On a sphere of the mean radius, which differs from the ellipsoid of `on_plane` by up to 0.6 %.
@@ -139,14 +137,14 @@ def metres(a: Sequence[Position], b: Sequence[Position]) -> FloatArray:
     return metres_between(radians(a), radians(b))
 
 
-def metres_between(a: FloatArray, b: FloatArray) -> FloatArray:
+def metres_between(a: Float64Array, b: Float64Array) -> Float64Array:
     """The same for latitudes and longitudes in radians, (N, 2), or (1, 2) for one place against many."""
     lat_a, lon_a, lat_b, lon_b = a[:, 0], a[:, 1], b[:, 0], b[:, 1]
     square = np.sin((lat_b - lat_a) / 2) ** 2 + np.cos(lat_a) * np.cos(lat_b) * np.sin((lon_b - lon_a) / 2) ** 2
-    return cast(FloatArray, 2 * EARTH_RADIUS * np.arcsin(np.sqrt(np.minimum(square, 1.0))))
+    return cast(Float64Array, 2 * EARTH_RADIUS * np.arcsin(np.sqrt(np.minimum(square, 1.0))))
 
 
-def on_plane(places: Sequence[Position], origin: Position) -> FloatArray:
+def on_plane(places: Sequence[Position], origin: Position) -> Float64Array:
     """Metres east and north of an origin, on a plane that touches the WGS 84 ellipsoid there: (N, 2) float64.
 
     Within 50 km of the origin, below 45 degrees of latitude, distances on it are wrong by less than 1 %.
@@ -166,7 +164,7 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
     return float(np.radians(north)), float(np.radians(east))
 
 
-def camera(place: Position, origin: Position) -> FloatArray | None:
+def camera(place: Position, origin: Position) -> Float64Array | None:
     """Where a picture was taken from: metres east, north, and up from an origin, (3,); None without an altitude.
 
     The camera stands behind what it shows, as far as its height and tilt say.
@@ -180,10 +178,10 @@ def camera(place: Position, origin: Position) -> FloatArray | None:
     return np.array([east - away * math.sin(heading), north - away * math.cos(heading), place.altitude])
 
 
-def radians(places: Sequence[Position]) -> FloatArray:
+def radians(places: Sequence[Position]) -> Float64Array:
     """Latitude and longitude of each place in radians, (N, 2)."""
     degrees = np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
-    return cast(FloatArray, np.radians(degrees))
+    return cast(Float64Array, np.radians(degrees))
 
 
 def read_positions(data: bytes, said: str = NAME) -> dict[str, Position]:

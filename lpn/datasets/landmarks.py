@@ -14,8 +14,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, files_below, read_lines, say_left_out
@@ -167,5 +167,5 @@ def _name(text: str, where: str, line: int) -> str:
     return name
 
 
-def _positions(names: list[str], position: dict[str, int]) -> npt.NDArray[np.int64]:
+def _positions(names: list[str], position: dict[str, int]) -> Int64Array:
     return np.array(sorted(position[name] for name in names if name in position), dtype=np.int64)

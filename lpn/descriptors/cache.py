@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import printable
 from lpn.datasets import Picture
@@ -20,14 +21,14 @@ from lpn.descriptors.partial_store import complete
 from lpn.descriptors.store import Box, Manifest, open_store, row_of
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.descriptors.writer import describe
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.spec import View
 
 STORES = "descriptors"
 """Folder of a data set in which stores of its test split may come along: `query_drone`, `gallery_satellite`, ..."""
 
 Role = Literal["query", "gallery"]
-Reader = Callable[[Model, Sequence[Picture], View, Change], FloatArray]
+Reader = Callable[[Model, Sequence[Picture], View, Change], Float32Array]
 """Where descriptors (N, n, D) of changed pictures come from, such as `cached_descriptors`."""
 
 
@@ -35,11 +36,13 @@ Reader = Callable[[Model, Sequence[Picture], View, Change], FloatArray]
 class Side:
     """Descriptors (N, n, D) of one side of a test split, and a text that no other descriptors have."""
 
-    descriptors: FloatArray
+    descriptors: Float32Array
     identity: str
 
 
-def cached_descriptors(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> FloatArray:
+def cached_descriptors(
+    model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED
+) -> Float32Array:
     """Descriptors (N, n, D) of pictures within their boxes, from the user's cache where they were described before.
 
     The cache is `$LPN_CACHE`, else `lpn-explorer` in `$XDG_CACHE_HOME` or `~/.cache`; it may be deleted at any time.
@@ -89,7 +92,7 @@ def _resolved(pictures: Sequence[Picture]) -> list[Path]:
 
 def shipped_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False
-) -> FloatArray | None:
+) -> Float32Array | None:
     """Descriptors (N, n, D) from a store that came with the pictures, or None where it is not of this model and these.
 
     Files are compared by name and size: a copy of a data set has other times than its original.
@@ -122,7 +125,7 @@ def known_side(model: Model, pictures: Sequence[Picture], view: View, root: Path
     return _cached(model, pictures, view, UNCHANGED) if found is None else found
 
 
-def known_descriptors(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> FloatArray:
+def known_descriptors(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> Float32Array:
     """The descriptors (N, n, D) of `known_side` alone."""
     return known_side(model, pictures, view, root, role).descriptors
 
@@ -133,7 +136,7 @@ def reader(root: Path) -> Reader:
     Only stores in float32 are taken, so that figures do not depend on how a data set was packed.
     """
 
-    def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> FloatArray:
+    def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> Float32Array:
         for store in [] if change else sorted((root / STORES).glob(f"*_{view}")):
             found = shipped_descriptors(model, pictures, view, store, exact=True)
             if found is not None:
@@ -145,7 +148,7 @@ def reader(root: Path) -> Reader:
 
 def passing_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED
-) -> FloatArray:
+) -> Float32Array:
     """The same for a model that will soon be another, such as one in training: nothing is kept on disk."""
     files, boxes = [picture.path for picture in pictures], [picture.box for picture in pictures]
     with TemporaryDirectory(prefix="lpn-") as folder:

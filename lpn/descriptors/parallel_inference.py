@@ -17,9 +17,10 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import PictureError
 from lpn.core.resources import usable_cores
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.spec import View
 
 T = TypeVar("T")
@@ -38,12 +39,12 @@ class Described(NamedTuple):
     """
 
     items: list[int]
-    descriptors: FloatArray
+    descriptors: Float32Array
     broken: list[tuple[int, PictureError]]
 
 
 def describe_each(
-    model: Model, items: Sequence[T], prepare: Callable[[T], FloatArray], view: View, streams: int | None = None
+    model: Model, items: Sequence[T], prepare: Callable[[T], Float32Array], view: View, streams: int | None = None
 ) -> Iterator[Described]:
     """Descriptors of all items, mirror included, a few at a time, in the order in which they are done.
 

@@ -18,20 +18,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import AnyArray, BoolArray, Float32Array
 from lpn.core.errors import LPNError, NewerStoreError, StoreError
 from lpn.core.files import mapped, write_whole
 from lpn.descriptors.store import FORMAT, Manifest, Store, stored, with_array
-from lpn.models.base import FloatArray
 
 _SECONDS = 1.0
 """What is computed between two saves, and so what a kill costs."""
 
 _NAMES = ("descriptors.part", "planned.json", "progress.json")
 """In the order in which new files take the place of old ones."""
-
-Mask = npt.NDArray[np.bool_]
 
 
 class Unfinished:
@@ -63,7 +60,7 @@ class Unfinished:
             _take_place(out)
         self.save()
 
-    def put(self, rows: Sequence[int], descriptors: FloatArray) -> None:
+    def put(self, rows: Sequence[int], descriptors: Float32Array) -> None:
         """Set rows from descriptors (B, n, D) float32; saved about once a second."""
         self._array[rows] = stored(descriptors, self._precision)
         self.good[rows] = True
@@ -80,7 +77,7 @@ class Unfinished:
         edges = np.flatnonzero(np.diff(self.good, prepend=False, append=False))
         return json.dumps({"done": edges.reshape(-1, 2).tolist()}).encode()
 
-    def _take(self, known: dict[int, npt.NDArray[Any]]) -> None:
+    def _take(self, known: dict[int, AnyArray]) -> None:
         for i, row in known.items():
             if not self.good[i]:
                 self._array[i] = row
@@ -167,7 +164,7 @@ def complete(folder: Path) -> Store | None:
 
 def _interrupted(
     manifest: Manifest, part: Path, planned: Path, progress: Path
-) -> tuple[Manifest, npt.NDArray[Any], Mask] | None:
+) -> tuple[Manifest, AnyArray, BoolArray] | None:
     """What an interrupted run with this model, view, and change left: the manifest it planned, the rows, and which are good."""
     try:
         plan = Manifest.from_json(planned.read_bytes(), planned.name)
@@ -191,8 +188,8 @@ def _interrupted(
 
 
 def _known(
-    manifest: Manifest, other: Manifest, descriptors: npt.NDArray[Any], good: Mask | None = None
-) -> dict[int, npt.NDArray[Any]]:
+    manifest: Manifest, other: Manifest, descriptors: AnyArray, good: BoolArray | None = None
+) -> dict[int, AnyArray]:
     """Rows of the same files that another manifest's descriptors have, all of them or the good ones."""
     if not manifest.comparable(other):
         return {}

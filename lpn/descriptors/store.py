@@ -18,14 +18,14 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import AnyArray, BoolArray, Float16Array, Float32Array, Int8Array, IntegerArray
 from lpn.core.checksums import Checksums, crc_of_blocks, crc_of_values
 from lpn.core.errors import InputError, NewerStoreError, PictureError, StoreError
 from lpn.core.files import mapped, unreadable
 from lpn.core.formats import is_newer, newer
 from lpn.descriptors.transforms import Change
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.spec import View
 
 FORMAT = "lpn-descriptors/2"
@@ -172,11 +172,11 @@ class Store:
     """
 
     manifest: Manifest
-    descriptors: FloatArray | npt.NDArray[np.float16] | npt.NDArray[np.int8]
+    descriptors: Float32Array | Float16Array | Int8Array
     identity: str = ""
     file: Path | None = None
 
-    def damaged(self) -> npt.NDArray[np.bool_]:
+    def damaged(self) -> BoolArray:
         """Which rows lie in blocks that differ from what their checksums were made of, (N,) bool; reads the whole array.
 
         None where the store has no checksums.
@@ -198,11 +198,11 @@ class Store:
         return found
 
     @property
-    def float32(self) -> FloatArray:
+    def float32(self) -> Float32Array:
         """The descriptors (N, n, D) in float32: memory-mapped where they are stored so, else a copy."""
         return self.rows(slice(None))
 
-    def rows(self, rows: slice | npt.NDArray[np.integer]) -> FloatArray:
+    def rows(self, rows: slice | IntegerArray) -> Float32Array:
         """Some of them in float32, without reading the others."""
         values = self.descriptors[rows].astype(np.float32, copy=False)
         if self.manifest.precision == "int8":
@@ -246,11 +246,11 @@ def with_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
     return Store(manifest, descriptors, hashlib.sha256(written + told).hexdigest(), folder / "descriptors.npy")
 
 
-def stored(descriptors: FloatArray, precision: Precision) -> npt.NDArray[Any]:
+def stored(descriptors: Float32Array, precision: Precision) -> AnyArray:
     """Descriptors as they are kept on disk, see the top of this module."""
     if precision == "int8":
         largest = np.abs(descriptors).max(axis=2, keepdims=True)
-        directions: npt.NDArray[np.int8] = np.round(descriptors * (127 / np.maximum(largest, 1e-12))).astype(np.int8)
+        directions: Int8Array = np.round(descriptors * (127 / np.maximum(largest, 1e-12))).astype(np.int8)
         return directions
     return descriptors.astype(precision, copy=False)
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lpn.core import images
+from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
-from lpn.core.images import Picture
-from lpn.datasets import Picture as Entry
+from lpn.datasets import Picture as Picture
 
 MAX_SCALE = 16.0
 
@@ -56,22 +56,22 @@ class Change:
         """Whether anything is changed."""
         return bool(self.rotate or self.shift or self.scale != 1 or self.down)
 
-    def apply(self, picture: Picture) -> Picture:
+    def apply(self, picture: UInt8Array) -> UInt8Array:
         """Turn and zoom a picture at its own resolution: (H, W, 3) uint8 to the same shape."""
         turned = images.roll(picture, self.rotate) if self.around else images.rotate(picture, self.rotate)
         return images.zoom(turned, self.scale)
 
-    def of(self, entry: Entry) -> Change:
+    def of(self, entry: Picture) -> Change:
         """The same as it is done to that picture, which may be a panorama."""
         return replace(self, around=entry.panorama)
 
-    def move(self, shaped: Picture) -> Picture:
+    def move(self, shaped: UInt8Array) -> UInt8Array:
         """Shift a picture that has the network's input size: (height, width, 3) uint8 to the same shape; see `check`."""
         height, width = shaped.shape[:2]
         self.check((height, width))
         return images.shift(shaped, self.shift, self.down)
 
-    def show(self, applied: Picture, size: tuple[int, int]) -> Picture:
+    def show(self, applied: UInt8Array, size: tuple[int, int]) -> UInt8Array:
         """Shift a picture of any resolution by as much of its sides as `move` shifts one of the network's (height, width)."""
         height, width = applied.shape[:2]
         return images.shift(applied, round(self.shift * width / size[1]), round(self.down * height / size[0]))

@@ -10,6 +10,7 @@ from typing import cast
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn.core import images
+from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import DataError, StoreError
 from lpn.core.files import alone, printable, write_whole
 from lpn.datasets import files_below
@@ -18,7 +19,7 @@ from lpn.descriptors.parallel_inference import describe_each
 from lpn.descriptors.partial_store import Unfinished, renamed_only, usable
 from lpn.descriptors.store import Box, Manifest, Precision, Row, Store, open_store, row_of
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.spec import View
 
 
@@ -117,7 +118,7 @@ def _fill(model: Model, files: Sequence[Path], manifest: Manifest, unfinished: U
     missing = [i for i, good in enumerate(unfinished.good) if not good]
     view = cast(View, manifest.view)
 
-    def prepare(i: int) -> FloatArray:
+    def prepare(i: int) -> Float32Array:
         return prepared(model, images.load_picture(files[i]), manifest.rows[i], manifest.change, view)
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -131,7 +132,7 @@ def _fill(model: Model, files: Sequence[Path], manifest: Manifest, unfinished: U
             bar.advance(task, len(some.items))
 
 
-def prepared(model: Model, picture: images.Picture, row: Row, change: Change, view: View) -> FloatArray:
+def prepared(model: Model, picture: UInt8Array, row: Row, change: Change, view: View) -> Float32Array:
     """A picture (H, W, 3) as the model takes it, (3, H, W): cropped, turned and zoomed, brought to size, shifted, normalised."""
     cut = images.crop(picture, row.box, printable(row.file))
     return images.normalise(change.move(model.shape(change.apply(cut), view)))

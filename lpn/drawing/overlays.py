@@ -9,12 +9,10 @@ from typing import cast
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from lpn.core import images
-from lpn.core.images import Picture
-from lpn.models.base import FloatArray
+from lpn.core.arrays import Float32Array, FloatingArray, Int64Array, UInt8Array
 from lpn.models.partition import Partition
 
 Colour = tuple[int, int, int]
@@ -105,19 +103,19 @@ def css(colour: Colour) -> str:
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
-def square(picture: Picture, size: int) -> Picture:
+def square(picture: UInt8Array, size: int) -> UInt8Array:
     """A picture at display size, as the network sees it: the whole of it, resized to a square."""
     return images.resize(picture, size, size)
 
 
-def part_masks(partition: Partition, map_size: tuple[int, int], size: tuple[int, int]) -> npt.NDArray[np.int64]:
+def part_masks(partition: Partition, map_size: tuple[int, int], size: tuple[int, int]) -> Int64Array:
     """The part of each pixel of a picture of size (height, width), from the model's own cells: (height, width)."""
-    return cast(npt.NDArray[np.int64], images.enlarge(partition.labels(*map_size), *size))
+    return cast(Int64Array, images.enlarge(partition.labels(*map_size), *size))
 
 
 def with_heat(
-    picture: Picture, activation: FloatArray, masks: npt.NDArray[np.int64], part: int | None, opacity: float
-) -> Picture:
+    picture: UInt8Array, activation: Float32Array, masks: Int64Array, part: int | None, opacity: float
+) -> UInt8Array:
     """Lay a heatmap over a picture; weak cells stay transparent, so that the picture remains readable.
 
     With `part`, the scale is that part's own and the rest of the picture is darkened.
@@ -136,15 +134,15 @@ def with_heat(
     if part is not None:
         shade = np.where(masks == part, 1.0, 1.0 - 0.55 * opacity).astype(np.float32)
         blended = cv2.blendLinear(blended, np.zeros_like(blended), shade, 1 - shade)
-    return cast(Picture, blended)
+    return cast(UInt8Array, blended)
 
 
-def evidence_alpha(values: npt.NDArray[np.floating], limit: float) -> npt.NDArray[np.float32]:
+def evidence_alpha(values: FloatingArray, limit: float) -> Float32Array:
     """How thickly a cell of evidence is painted: 0 at zero, 1 at the limit, raised in between to be seen."""
-    return cast(npt.NDArray[np.float32], np.clip(np.abs(values) / max(limit, 1e-12), 0, 1).astype(np.float32) ** 0.7)
+    return cast(Float32Array, np.clip(np.abs(values) / max(limit, 1e-12), 0, 1).astype(np.float32) ** 0.7)
 
 
-def with_evidence(picture: Picture, cells: npt.NDArray[np.floating], limit: float, opacity: float = 0.85) -> Picture:
+def with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float, opacity: float = 0.85) -> UInt8Array:
     """Paint each cell (h, w) in the colour for or against over a greyed picture, as thickly as it weighs."""
     values = images.enlarge(cells, *picture.shape[:2])
     grey = cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
@@ -154,13 +152,13 @@ def with_evidence(picture: Picture, cells: npt.NDArray[np.floating], limit: floa
     return np.asarray(ground * (1 - alpha) + colours * alpha, np.uint8)
 
 
-def evidence_scale(width: int, height: int) -> Picture:
+def evidence_scale(width: int, height: int) -> UInt8Array:
     """The scale of `with_evidence` from the limit against, by zero in the middle, to the limit for."""
     values = np.broadcast_to(np.linspace(-1, 1, width), (height, width))
     return with_evidence(np.full((height, width, 3), 40, np.uint8), values, 1.0)
 
 
-def with_rings(picture: Picture, partition: Partition, map_size: tuple[int, int], thickness: int = 2) -> Picture:
+def with_rings(picture: UInt8Array, partition: Partition, map_size: tuple[int, int], thickness: int = 2) -> UInt8Array:
     """Draw the true boundary of each part in its colour, on a dark hairline that shows on bright ground."""
     height, width = picture.shape[:2]
     drawn = np.ascontiguousarray(picture).copy()
@@ -173,13 +171,13 @@ def with_rings(picture: Picture, partition: Partition, map_size: tuple[int, int]
     return drawn
 
 
-def ring_layer(picture: Picture, masks: npt.NDArray[np.int64], part: int) -> npt.NDArray[np.uint8]:
+def ring_layer(picture: UInt8Array, masks: Int64Array, part: int) -> UInt8Array:
     """One part of a picture alone, the rest transparent: (height, width, 4) RGBA."""
     alpha = np.where(masks == part, 255, 0).astype(np.uint8)
     return np.dstack([picture, alpha])
 
 
-def framed(picture: Picture, colour: Colour, width: int) -> Picture:
+def framed(picture: UInt8Array, colour: Colour, width: int) -> UInt8Array:
     """Draw a frame over the border of a picture."""
     drawn = np.ascontiguousarray(picture).copy()
     drawn[:width] = drawn[-width:] = colour
@@ -187,7 +185,7 @@ def framed(picture: Picture, colour: Colour, width: int) -> Picture:
     return drawn
 
 
-def outlined(size: int, colour: Colour, width: int, tint: float) -> npt.NDArray[np.uint8]:
+def outlined(size: int, colour: Colour, width: int, tint: float) -> UInt8Array:
     """A see-through square with a frame, its inside covered with the colour by a share: (size, size, 4) RGBA."""
     drawn = np.empty((size, size, 4), np.uint8)
     drawn[..., :3] = colour
@@ -196,7 +194,7 @@ def outlined(size: int, colour: Colour, width: int, tint: float) -> npt.NDArray[
     return drawn
 
 
-def numbered(picture: npt.NDArray[np.uint8], number: int) -> npt.NDArray[np.uint8]:
+def numbered(picture: UInt8Array, number: int) -> UInt8Array:
     """Write a number on a dark patch in the top left corner of an RGB or RGBA picture."""
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
@@ -248,7 +246,7 @@ def draw_squared(draw: ImageDraw.ImageDraw, right: float, middle: float, text: s
 def draw_shares(
     draw: ImageDraw.ImageDraw,
     box: tuple[float, float, float, float],
-    shares: FloatArray,
+    shares: Float32Array,
     full: float,
     palette: Palette = DARK,
 ) -> None:
@@ -269,7 +267,7 @@ def caption(width: int, height: int, palette: Palette = DARK) -> tuple[Image.Ima
     return image, ImageDraw.Draw(image)
 
 
-def data_uri(picture: Picture, quality: int = 80) -> str:
+def data_uri(picture: UInt8Array, quality: int = 80) -> str:
     """A JPEG of a picture as an address for an html image."""
     encoded = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()

@@ -7,11 +7,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from lpn.core import images
-from lpn.core.images import Picture
+from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.drawing import overlays, verdicts
 from lpn.drawing.overlays import AGAINST, BACKGROUND, DIM, FOR, TEXT, font
 from lpn.explain import Evidence
-from lpn.models.base import FloatArray
 from lpn.models.spec import ModelSpec, View
 
 _WIDTH, _MARGIN, _ROW = 1200, 24, 46
@@ -21,12 +20,12 @@ COVERED = "Approximate: what the score loses where a square of the query is blur
 
 def draw(
     found: Evidence,
-    pictures: tuple[Picture, Picture],
+    pictures: tuple[UInt8Array, UInt8Array],
     titles: tuple[str, str],
     views: tuple[View, View],
     spec: ModelSpec,
-    losses: FloatArray | None = None,
-) -> Picture:
+    losses: Float32Array | None = None,
+) -> UInt8Array:
     """The whole figure, (H, 1200, 3) uint8.
 
     Args:
@@ -100,6 +99,6 @@ def _legend(image: Image.Image, pen: ImageDraw.ImageDraw, limit: float, y: int) 
         x += 62 + round(pen.textlength(said, font=font(17)))
 
 
-def encode(picture: Picture) -> bytes:
+def encode(picture: UInt8Array) -> bytes:
     """A picture as a PNG file."""
     return cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1].tobytes()

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lpn.core.arrays import Float64Array
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, Reweighting, Without
 from lpn.explain.sweeps import Profile
 from lpn.models.spec import View
-from lpn.models.trace import Exact
 from lpn.retrieval import Match
 
 _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")
@@ -25,7 +25,7 @@ def ordinal(rank: int) -> str:
     return f"{rank}{suffix}"
 
 
-def where(cells: Exact, view: View) -> str:
+def where(cells: Float64Array, view: View) -> str:
     """Where in a picture the cells (h, w) above zero lie: "upper right" or, on a satellite tile, "north-east".
 
     "all around" where they lie on no side more than on others. A tile that is unrolled, so wide, has no north at its top.

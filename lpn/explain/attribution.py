@@ -22,11 +22,11 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray, Int64Array
 from lpn.core.errors import InputError
-from lpn.models.base import FloatArray, normalise
-from lpn.models.trace import Exact, Trace
+from lpn.models.base import normalise
+from lpn.models.trace import Trace
 from lpn.retrieval.scoring import part_weights
 
 
@@ -39,12 +39,12 @@ class Side:
         constants: what comes from no cell, (n,).
     """
 
-    cells: Exact
-    constants: Exact
+    cells: Float64Array
+    constants: Float64Array
 
-    def total(self, weights: FloatArray) -> Exact:
+    def total(self, weights: Float32Array) -> Float64Array:
         """Each cell's share of the score under part weights, (h, w)."""
-        return cast(Exact, np.tensordot(weights.astype(np.float64), self.cells, 1))
+        return cast(Float64Array, np.tensordot(weights.astype(np.float64), self.cells, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,18 +56,18 @@ class Evidence:
         weights: part weights that sum to one, (n,).
     """
 
-    cosines: Exact
-    weights: FloatArray
+    cosines: Float64Array
+    weights: Float32Array
     query: Side
     tile: Side
 
     @property
-    def contributions(self) -> Exact:
+    def contributions(self) -> Float64Array:
         """What each part adds to the score, (n,)."""
         return self.cosines * self.weights
 
     @property
-    def sums(self) -> tuple[Exact, Exact, Exact]:
+    def sums(self) -> tuple[Float64Array, Float64Array, Float64Array]:
         """What each part's cells add to the score, what they take from it, and its constant, on the query's side: (n,) each."""
         cells = self.query.cells
         gains, losses = (side(cells, 0.0).sum(axis=(1, 2)) * self.weights for side in (np.maximum, np.minimum))
@@ -104,7 +104,7 @@ class Evidence:
         return {"exact": True, "score": self.score, "distance2": self.distance2, "parts": parts}
 
 
-def side(trace: Trace, other: npt.NDArray[np.floating]) -> Side:
+def side(trace: Trace, other: FloatingArray) -> Side:
     """A picture's cells, each with its share in the cosines with another picture's descriptor or embedding (n, D)."""
     units = other / np.maximum(np.linalg.norm(other, axis=1, keepdims=True), 1e-12)
     norms = np.maximum(np.linalg.norm(trace.embedding.astype(np.float64), axis=1), 1e-12)
@@ -112,7 +112,7 @@ def side(trace: Trace, other: npt.NDArray[np.floating]) -> Side:
     return Side(cells / norms[:, None, None], constants / norms)
 
 
-def evidence(query: Trace, tile: Trace, weights: FloatArray | None = None) -> Evidence:
+def evidence(query: Trace, tile: Trace, weights: Float32Array | None = None) -> Evidence:
     """Account for the score of a pair, cell by cell, on both sides.
 
     Args:
@@ -132,13 +132,13 @@ def evidence(query: Trace, tile: Trace, weights: FloatArray | None = None) -> Ev
     return Evidence(n * (first * second).sum(axis=1), weights, side(query, tile.embedding), side(tile, query.embedding))
 
 
-def links(query: Trace, tile: Trace, part: int) -> FloatArray:
+def links(query: Trace, tile: Trace, part: int) -> Float32Array:
     """How much of a part's cosine each cell of the query shares with each of the tile: (h w, h' w'), both row by row.
 
     A row's sum, and what the query's cell shares with the tile's constant, is that cell's share in `Evidence.query`.
     """
     norms = float(np.linalg.norm(query.embedding[part]) * np.linalg.norm(tile.embedding[part]))
-    return cast(FloatArray, query.vectors(part) @ tile.vectors(part).T / np.float32(max(norms, 1e-12)))
+    return cast(Float32Array, query.vectors(part) @ tile.vectors(part).T / np.float32(max(norms, 1e-12)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,11 +150,11 @@ class Mates:
         shares: what the two add to the score together, (h w,).
     """
 
-    cells: npt.NDArray[np.int64]
-    shares: FloatArray
+    cells: Int64Array
+    shares: Float32Array
 
 
-def counterparts(query: Trace, tile: Trace, weights: FloatArray) -> tuple[Mates, Mates]:
+def counterparts(query: Trace, tile: Trace, weights: Float32Array) -> tuple[Mates, Mates]:
     """The mates of the query's cells and those of the tile's, among cells of the same part.
 
     Args:
@@ -182,5 +182,5 @@ def _no_mates(trace: Trace) -> Mates:
     return Mates(np.full(cells, -1, np.int64), np.zeros(cells, np.float32))
 
 
-def _within(trace: Trace, part: int) -> npt.NDArray[np.bool_]:
-    return cast("npt.NDArray[np.bool_]", (trace.cells[:, part] != 0).any(axis=(0, 1)).reshape(-1))
+def _within(trace: Trace, part: int) -> BoolArray:
+    return cast(BoolArray, (trace.cells[:, part] != 0).any(axis=(0, 1)).reshape(-1))

@@ -14,14 +14,11 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, Int64Array
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.explain.least_distance import shortest
-from lpn.models.base import FloatArray
 from lpn.retrieval import Ranking, metrics, scoring
-from lpn.retrieval.metrics import IntArray
-
-Exact = npt.NDArray[np.float64]
 
 LEAD = 1e-5
 """Score by which `smallest_change` puts a tile before all others: more than single precision blurs, less than anyone can see."""
@@ -38,7 +35,7 @@ class Margin:
 
     true: int
     wrong: int
-    parts: Exact
+    parts: Float64Array
 
     @property
     def score(self) -> float:
@@ -46,7 +43,7 @@ class Margin:
         return float(self.parts.sum())
 
     @property
-    def distance2(self) -> Exact:
+    def distance2(self) -> Float64Array:
         """Each part's share of distance^2(wrong) - distance^2(true), (n,): twice `parts`, with the same sign."""
         return 2.0 * self.parts
 
@@ -125,7 +122,7 @@ def without(ranking: Ranking, tile: int | None = None) -> Without | None:
     n = len(ranking.weights)
     sees = np.ones(n, bool) if ranking.lengths is None else ranking.lengths > 0
 
-    def by(values: npt.NDArray[np.floating]) -> Standing | None:
+    def by(values: FloatingArray) -> Standing | None:
         # Parts that see nothing have the same score for every tile: a rank by them would be the gallery's order.
         known = bool((values[sees] > 0).any())
         return _standing(ranking, scoring.part_weights(n, values), wanted, rivals) if known else None
@@ -146,8 +143,8 @@ class Reweighting:
         tile: gallery position of the tile that is first under them.
     """
 
-    weights: FloatArray
-    change: FloatArray
+    weights: Float32Array
+    change: Float32Array
     distance: float
     tile: int
 
@@ -209,8 +206,8 @@ class Effect:
 
     before: float
     after: float
-    gained: IntArray
-    lost: IntArray
+    gained: Int64Array
+    lost: Int64Array
     queries: int
 
     @property
@@ -220,14 +217,14 @@ class Effect:
 
 
 def effect(
-    query: FloatArray,
-    gallery: FloatArray,
+    query: Float32Array,
+    gallery: Float32Array,
     before: npt.ArrayLike | None,
     after: npt.ArrayLike,
     query_labels: npt.ArrayLike | None = None,
     gallery_labels: npt.ArrayLike | None = None,
     truth: Sequence[Truth] | None = None,
-    first: IntArray | None = None,
+    first: Int64Array | None = None,
 ) -> Effect:
     """Whether other part weights help or harm over all queries of a task.
 
@@ -251,13 +248,13 @@ def effect(
     return Effect(shares[0], shares[1], np.flatnonzero(new & ~old), np.flatnonzero(old & ~new), len(then))
 
 
-def folded(query: FloatArray, weights: npt.ArrayLike | None) -> FloatArray:
+def folded(query: Float32Array, weights: npt.ArrayLike | None) -> Float32Array:
     """Queries (..., n, D) whose inner product with a descriptor is the score under part weights: each part times w_i n."""
     n = query.shape[-2]
-    return cast(FloatArray, query * (n * scoring.part_weights(n, weights))[:, None])
+    return cast(Float32Array, query * (n * scoring.part_weights(n, weights))[:, None])
 
 
-def _sides(ranking: Ranking, tile: int | None) -> tuple[IntArray, IntArray]:
+def _sides(ranking: Ranking, tile: int | None) -> tuple[Int64Array, Int64Array]:
     """Ranked tiles of which one shall be first, and ranked tiles that must come after it, both in gallery order."""
     ranked = np.sort(ranking.order)
     if tile is not None:
@@ -270,7 +267,7 @@ def _sides(ranking: Ranking, tile: int | None) -> tuple[IntArray, IntArray]:
     return ranked[true], ranked[~true]
 
 
-def _standing(ranking: Ranking, weights: FloatArray, wanted: IntArray, rivals: IntArray) -> Standing:
+def _standing(ranking: Ranking, weights: Float32Array, wanted: Int64Array, rivals: Int64Array) -> Standing:
     """As `retrieval.rank` would have it: in single precision, equal scores in gallery order."""
     scores = ranking.cosines @ weights
     index = wanted[int(np.argmax(scores[wanted]))]

@@ -12,15 +12,14 @@ from __future__ import annotations
 from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 
-Exact = npt.NDArray[np.float64]
+from lpn.core.arrays import Float64Array
 
 _TOLERANCE = 1e-12
 _STEPS = 1000
 
 
-def shortest(rows: Exact, least: Exact, limit: float) -> Exact | None:
+def shortest(rows: Float64Array, least: Float64Array, limit: float) -> Float64Array | None:
     """The shortest x (d,) with rows (m, d) @ x >= least (m,), or None when there is none of length `limit` or less.
 
     Every u >= 0 proves a bound: |x|^2 >= 1 / |r|^2 - 1 for all x that fulfil the rows. Without such x it grows beyond any
@@ -44,13 +43,15 @@ def shortest(rows: Exact, least: Exact, limit: float) -> Exact | None:
         previous, residual = residual, target - columns[:, active] @ shares
         if residual @ residual >= previous @ previous:  # rounding: nothing more is to be gained
             break
-    return cast(Exact, -residual[:-1] / residual[-1])
+    return cast(Float64Array, -residual[:-1] / residual[-1])
 
 
-def _enter(columns: Exact, target: Exact, active: list[int], shares: Exact) -> tuple[list[int], Exact]:
+def _enter(
+    columns: Float64Array, target: Float64Array, active: list[int], shares: Float64Array
+) -> tuple[list[int], Float64Array]:
     """Least squares over the active columns, giving up those whose share would not stay above zero."""
     while active:
-        wanted = cast(Exact, np.linalg.lstsq(columns[:, active], target, rcond=None)[0])
+        wanted = cast(Float64Array, np.linalg.lstsq(columns[:, active], target, rcond=None)[0])
         falling = wanted <= 0
         if not falling.any():
             return active, wanted

@@ -11,12 +11,11 @@ from typing import Any, cast
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from lpn.core import images
-from lpn.core.images import Picture
+from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
 from lpn.explain import Evidence
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.spec import View
 from lpn.retrieval import scoring
 
@@ -26,8 +25,8 @@ _AT_ONCE = 8
 
 
 def covered(
-    model: Model, picture: Picture, view: View, other: FloatArray, rows: int = SQUARES, columns: int = SQUARES
-) -> Iterator[tuple[int, FloatArray]]:
+    model: Model, picture: UInt8Array, view: View, other: Float32Array, rows: int = SQUARES, columns: int = SQUARES
+) -> Iterator[tuple[int, Float32Array]]:
     """Cover one square of a picture after the other, and measure what each part's cosine with another picture loses.
 
     Args:
@@ -56,7 +55,7 @@ def covered(
         yield start + len(some), losses
 
 
-def to_dict(found: Evidence, losses: FloatArray, names: Sequence[str]) -> dict[str, Any]:
+def to_dict(found: Evidence, losses: Float32Array, names: Sequence[str]) -> dict[str, Any]:
     """The losses (n, rows, columns) of a pair as a JSON file has them; they add up to nothing."""
     parts = [
         {
@@ -73,15 +72,15 @@ def to_dict(found: Evidence, losses: FloatArray, names: Sequence[str]) -> dict[s
 
 def curve(
     model: Model,
-    picture: Picture,
+    picture: UInt8Array,
     view: View,
-    other: FloatArray,
-    weights: FloatArray,
+    other: Float32Array,
+    weights: Float32Array,
     order: Sequence[int],
     size: tuple[int, int],
     steps: int = 10,
     insert: bool = False,
-) -> FloatArray:
+) -> Float32Array:
     """The score as more and more cells of a picture are blurred, or, with `insert`, as they come back in a blurred one.
 
     Args:
@@ -98,7 +97,7 @@ def curve(
         gone = np.zeros(size[0] * size[1], bool)
         gone[list(order[: round(step * len(order) / steps)])] = True
         pictures.append(mixed(shaped, blurred, (~gone if insert else gone).reshape(size)))
-    return cast(FloatArray, _cosines(model, pictures, view, other) @ weights)
+    return cast(Float32Array, _cosines(model, pictures, view, other) @ weights)
 
 
 def centre_first(size: tuple[int, int]) -> list[int]:
@@ -107,12 +106,12 @@ def centre_first(size: tuple[int, int]) -> list[int]:
     return [int(cell) for cell in np.argsort(np.hypot(down[:, None], across).reshape(-1), kind="stable")]
 
 
-def blur(picture: Picture) -> Picture:
+def blur(picture: UInt8Array) -> UInt8Array:
     """A picture without its detail: blurred over an eighth of its shorter side."""
-    return cast(Picture, cv2.GaussianBlur(picture, (0, 0), min(picture.shape[:2]) / 8))
+    return cast(UInt8Array, cv2.GaussianBlur(picture, (0, 0), min(picture.shape[:2]) / 8))
 
 
-def mixed(picture: Picture, blurred: Picture, gone: npt.NDArray[np.bool_]) -> Picture:
+def mixed(picture: UInt8Array, blurred: UInt8Array, gone: BoolArray) -> UInt8Array:
     """A picture with its squares (rows, columns) that are gone taken from the blurred one.
 
     One fades into the other between the middles of neighbours: sharp borders would be something new to see.
@@ -122,7 +121,7 @@ def mixed(picture: Picture, blurred: Picture, gone: npt.NDArray[np.bool_]) -> Pi
     return np.asarray(np.round(picture * (1 - share) + blurred * share), np.uint8)
 
 
-def _cosines(model: Model, pictures: Sequence[Picture], view: View, other: FloatArray) -> FloatArray:
+def _cosines(model: Model, pictures: Sequence[UInt8Array], view: View, other: Float32Array) -> Float32Array:
     """Each part's cosine of each picture, (B, n)."""
     batch = np.stack([images.normalise(picture) for picture in pictures])
     return scoring.part_cosines(other, model.descriptors(batch, view))

@@ -19,14 +19,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from lpn import retrieval
+from lpn.core.arrays import Float32Array, Int64Array, UInt8Array
 from lpn.core.errors import InputError
-from lpn.core.images import Picture
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.spec import View
 from lpn.retrieval import scoring
-from lpn.retrieval.metrics import IntArray
 
 Over = Literal["rotation", "shift", "shift-down", "zoom"]
 """What is changed: degrees counter-clockwise, pixels of the network's input to the right or down, or a factor."""
@@ -57,19 +56,19 @@ class Point:
     true: bool | None
     score: float
     rank: int
-    cosines: FloatArray
+    cosines: Float32Array
     top: int
     top_score: float
 
 
 def profile(
     model: Model,
-    picture: Picture,
+    picture: UInt8Array,
     view: View,
-    gallery: FloatArray,
-    weights: FloatArray,
+    gallery: Float32Array,
+    weights: Float32Array,
     changes: Iterable[Change],
-    labels: IntArray | None = None,
+    labels: Int64Array | None = None,
     label: int | None = None,
     truth: Truth | None = None,
     follow: int | None = None,

@@ -20,12 +20,11 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray, Int64Array
 from lpn.core.errors import InputError, StoreError
 from lpn.core.files import printable
-from lpn.models.base import FloatArray
 from lpn.retrieval import scoring
 
-Exact = npt.NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """South, west, north, east in degrees; west beyond east is across the antimeridian."""
 
@@ -54,7 +53,7 @@ class Kind:
         """Of one descriptor, n D."""
         return self.n_parts * self.embedding
 
-    def rescaled(self, query: npt.ArrayLike, weights: npt.ArrayLike | None) -> Exact:
+    def rescaled(self, query: npt.ArrayLike, weights: npt.ArrayLike | None) -> Float64Array:
         """The vector w_i n q_i whose inner product with a descriptor is its score: (n D,) float64.
 
         Raises:
@@ -68,7 +67,7 @@ class Kind:
         share = scoring.part_weights(self.n_parts, weights).astype(np.float64)
         return (share[:, None] * self.n_parts * values).reshape(-1)
 
-    def checked(self, descriptors: npt.ArrayLike) -> FloatArray:
+    def checked(self, descriptors: npt.ArrayLike) -> Float32Array:
         """Descriptors as they are added, (B, n D) float32.
 
         Raises:
@@ -102,9 +101,9 @@ class Found:
     """
 
     ids: list[str]
-    scores: Exact
-    vectors: FloatArray
-    positions: Exact
+    scores: Float64Array
+    vectors: Float32Array
+    positions: Float64Array
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -123,7 +122,10 @@ class Index(ABC):
 
     @abstractmethod
     def add(
-        self, ids: Sequence[str], descriptors: npt.ArrayLike, positions: Sequence[Sequence[float]] | Exact | None = None
+        self,
+        ids: Sequence[str],
+        descriptors: npt.ArrayLike,
+        positions: Sequence[Sequence[float]] | Float64Array | None = None,
     ) -> None:
         """Add tiles; one that is there already is replaced, so that an add may be repeated.
 
@@ -152,7 +154,7 @@ class Index(ABC):
         """
 
     @abstractmethod
-    def holds(self, ids: Sequence[str]) -> npt.NDArray[np.bool_]:
+    def holds(self, ids: Sequence[str]) -> BoolArray:
         """Which names are there, (B,)."""
 
     @abstractmethod
@@ -180,7 +182,7 @@ class Index(ABC):
         self.close()
 
 
-def scores_of(vectors: npt.NDArray[np.floating], wanted: Exact) -> Exact:
+def scores_of(vectors: FloatingArray, wanted: Float64Array) -> Float64Array:
     """Scores of vectors (B, n D) under a rescaled query (n D,): (B,) float64.
 
     Each row is summed by itself and in the same order: a matrix product would sum a row by where it lies in a block.
@@ -191,7 +193,7 @@ def scores_of(vectors: npt.NDArray[np.floating], wanted: Exact) -> Exact:
     return found
 
 
-def best(scores: Exact, order: npt.NDArray[np.int64], k: int) -> npt.NDArray[np.int64]:
+def best(scores: Float64Array, order: Int64Array, k: int) -> Int64Array:
     """Positions of the k highest scores; of equal ones, those of the lower `order` first."""
     return np.lexsort((order, -scores))[:k]
 
@@ -216,7 +218,7 @@ def check_names(ids: Sequence[str], rows: int) -> list[str]:
     return list(ids)
 
 
-def check_positions(positions: Sequence[Sequence[float]] | Exact | None, rows: int) -> Exact:
+def check_positions(positions: Sequence[Sequence[float]] | Float64Array | None, rows: int) -> Float64Array:
     """Positions of tiles to add, (rows, 2), NaN where there is none; InputError when one is not on the globe."""
     if positions is None:
         return np.full((rows, 2), np.nan)
@@ -272,7 +274,7 @@ def covers(box: Box, extent: Box) -> bool:
     return south <= extent[0] and extent[2] <= north and (all(both) if west <= east else any(both))
 
 
-def within(positions: npt.NDArray[np.float64], box: Box) -> npt.NDArray[np.bool_]:
+def within(positions: Float64Array, box: Box) -> BoolArray:
     """Which positions (N, 2) are in a box, (N,); a tile without one is in none."""
     south, west, north, east = box
     latitude, longitude = positions[:, 0], positions[:, 1]

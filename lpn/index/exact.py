@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from lpn.index.base import Box, Exact, Found, Kind, check_box, check_count
+from lpn.core.arrays import Float64Array, Int64Array
+from lpn.index.base import Box, Found, Kind, check_box, check_count
 from lpn.index.folder import Candidates, FolderIndex, Manifest, create
 from lpn.index.scan import Precision, Scan
 from lpn.index.segments import Segment
@@ -81,10 +82,12 @@ class ExactIndex(FolderIndex):
     def _finish(self, folder: Path, rows: int) -> None:
         pass
 
-    def _bounds(self, segments: list[Segment], wanted: Exact, box: Box | None) -> tuple[npt.NDArray[np.int64], Exact]:
+    def _bounds(
+        self, segments: list[Segment], wanted: Float64Array, box: Box | None
+    ) -> tuple[Int64Array, Float64Array]:
         """Places of the tiles that are searched, and an upper bound on the score of each."""
-        places: list[npt.NDArray[np.int64]] = []
-        bounds: list[Exact] = []
+        places: list[Int64Array] = []
+        bounds: list[Float64Array] = []
         start = 0
         for segment in segments:
             rows = segment.chosen(box)
@@ -100,7 +103,7 @@ class ExactIndex(FolderIndex):
             start += segment.rows
         return np.concatenate([np.zeros(0, np.int64), *places]), np.concatenate([np.zeros(0), *bounds])
 
-    def _picked(self, segment: Segment, rows: npt.NDArray[np.int64], wanted: Exact) -> Exact:
+    def _picked(self, segment: Segment, rows: Int64Array, wanted: Float64Array) -> Float64Array:
         scales = None if segment.scales is None else segment.scales[rows]
         errors = None if segment.errors is None else segment.errors[rows]
         return self._scan.bounds(wanted, segment.small[rows], scales, errors)

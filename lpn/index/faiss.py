@@ -21,6 +21,7 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError, StoreError
 from lpn.core.files import unreadable
 from lpn.index.base import Box, Found, Kind, check_box, check_count
@@ -113,9 +114,9 @@ class FaissIndex(FolderIndex):
     def _lists(self) -> bool:
         return self.codes != "flat"
 
-    def _places(self, state: State, wanted: npt.NDArray[np.float32], k: int, box: Box | None) -> npt.NDArray[np.int64]:
+    def _places(self, state: State, wanted: Float32Array, k: int, box: Box | None) -> Int64Array:
         """Places, among the rows of all segments, of the tiles that are to be scored."""
-        proposed: list[npt.NDArray[np.int64]] = [np.zeros(0, np.int64)]
+        proposed: list[Int64Array] = [np.zeros(0, np.int64)]
         start = 0
         for segment in state.segments:
             proposed.append(self._proposed(state, segment, wanted, segment.chosen(box), k) + start)
@@ -126,10 +127,10 @@ class FaissIndex(FolderIndex):
         self,
         state: State,
         segment: Segment,
-        wanted: npt.NDArray[np.float32],
-        rows: npt.NDArray[np.int64] | None,
+        wanted: Float32Array,
+        rows: Int64Array | None,
         k: int,
-    ) -> npt.NDArray[np.int64]:
+    ) -> Int64Array:
         """Rows of a segment that may be among the k best of those that are searched."""
         size = segment.rows if rows is None else len(rows)
         depth = min(size, max(k * self.depth, k))
@@ -146,10 +147,10 @@ class FaissIndex(FolderIndex):
             found = found[found >= 0]
             # A box can leave the lists that were looked through with fewer tiles than are asked for.
             if len(found) >= min(k, size) or nprobe == lists:
-                return cast("npt.NDArray[np.int64]", found)
+                return cast(Int64Array, found)
             nprobe = min(2 * nprobe, lists)
 
-    def _parameters(self, segment: Segment, rows: npt.NDArray[np.int64] | None, nprobe: int) -> Any:
+    def _parameters(self, segment: Segment, rows: Int64Array | None, nprobe: int) -> Any:
         selector = None
         if rows is not None:
             mask = np.zeros(segment.rows, np.uint8)

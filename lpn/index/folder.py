@@ -30,14 +30,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import allow_many_files, alone, printable, unreadable, write_whole
 from lpn.core.formats import is_newer, newer
-from lpn.index.base import Exact, Found, Index, Kind, best, check_names, check_positions, scores_of
+from lpn.index.base import Found, Index, Kind, best, check_names, check_positions, scores_of
 from lpn.index.scan import PRECISIONS, Precision
 from lpn.index.segment_checksums import NAME, changed, write_sums
-from lpn.index.segments import DEAD, FILES, Batch, Mask, Segment, identity_of, keys_of, write_segment
+from lpn.index.segments import DEAD, FILES, Batch, Segment, identity_of, keys_of, write_segment
 
 FORMAT = "lpn-index/1"
 MANIFEST = "index.json"
@@ -200,7 +201,10 @@ class FolderIndex(Index):
             )
 
     def add(
-        self, ids: Sequence[str], descriptors: npt.ArrayLike, positions: Sequence[Sequence[float]] | Exact | None = None
+        self,
+        ids: Sequence[str],
+        descriptors: npt.ArrayLike,
+        positions: Sequence[Sequence[float]] | Float64Array | None = None,
     ) -> None:
         """See `Index.add`; whole or not at all, whenever the process is killed."""
         vectors = self.kind.checked(descriptors)
@@ -218,7 +222,7 @@ class FolderIndex(Index):
         except (OSError, OutputError) as error:
             raise _unwritable(self.folder, error) from error
 
-    def holds(self, ids: Sequence[str]) -> Mask:
+    def holds(self, ids: Sequence[str]) -> BoolArray:
         """See `Index.holds`."""
         found = np.zeros(len(ids), np.bool_)
         keys = keys_of(ids)
@@ -304,7 +308,7 @@ class FolderIndex(Index):
         """Everything an add needs on disk, and the manifest that makes it count."""
         manifest, segments = self._state.manifest, self._state.segments
         keys = keys_of(batch.names)
-        masks: list[Mask | None] = []
+        masks: list[BoolArray | None] = []
         for segment in segments:
             rows = segment.find(batch.names, keys)
             alive = segment.alive
@@ -398,11 +402,11 @@ class FolderIndex(Index):
 class Candidates:
     """Tiles by their place among the rows of all segments, (C,), and their scores, (C,)."""
 
-    places: npt.NDArray[np.int64]
-    scores: Exact
+    places: Int64Array
+    scores: Float64Array
 
     @classmethod
-    def of(cls, segments: list[Segment], places: npt.NDArray[np.int64], wanted: Exact) -> Candidates:
+    def of(cls, segments: list[Segment], places: Int64Array, wanted: Float64Array) -> Candidates:
         """Read vectors and score them."""
         places = np.sort(places)  # in the order in which they lie on disk
         scores = np.empty(len(places))
@@ -418,7 +422,7 @@ class Candidates:
         return Candidates(places[chosen], scores[chosen])
 
 
-def gather(arrays: Sequence[npt.NDArray[Any]], places: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
+def gather(arrays: Sequence[AnyArray], places: Int64Array) -> AnyArray:
     """Rows of arrays that lie one after the other, by their place in the whole."""
     if len(arrays) == 1:
         return np.asarray(arrays[0][places])

@@ -34,13 +34,13 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.errors import InputError, StoreError
 from lpn.core.files import printable
 from lpn.core.formats import is_newer, newer
 from lpn.index.base import (
     ID_LENGTH,
     Box,
-    Exact,
     Found,
     Index,
     Kind,
@@ -149,7 +149,10 @@ class MilvusIndex(Index):
         return index
 
     def add(
-        self, ids: Sequence[str], descriptors: npt.ArrayLike, positions: Sequence[Sequence[float]] | Exact | None = None
+        self,
+        ids: Sequence[str],
+        descriptors: npt.ArrayLike,
+        positions: Sequence[Sequence[float]] | Float64Array | None = None,
     ) -> None:
         """See `Index.add`; in messages that are each whole, so that after an error some of the tiles can be there."""
         vectors = self.kind.checked(descriptors)
@@ -188,7 +191,7 @@ class MilvusIndex(Index):
         shaped = vectors[chosen].reshape(len(chosen), self.kind.n_parts, self.kind.embedding)
         return Found([names[i] for i in chosen], scores[chosen], shaped, places[chosen])
 
-    def holds(self, ids: Sequence[str]) -> npt.NDArray[np.bool_]:
+    def holds(self, ids: Sequence[str]) -> BoolArray:
         """See `Index.holds`."""
         there: set[str] = set()
         keys = [key_of(name) for name in ids]
@@ -272,7 +275,7 @@ class MilvusIndex(Index):
         found = client.query(self._name, filter=within, output_fields=["count(*)"], **_now(level))
         return int(found[0]["count(*)"])
 
-    def _found(self, wanted: Exact, k: int, box: Box | None, client: Any) -> list[dict[str, Any]]:
+    def _found(self, wanted: Float64Array, k: int, box: Box | None, client: Any) -> list[dict[str, Any]]:
         """The fields of k tiles or more, fewer only where there are fewer."""
         level: _Level = "Strong" if time.monotonic() - self._written < _RECENT else "Bounded"
         within = "" if box is None else expression(box)
@@ -295,7 +298,7 @@ class MilvusIndex(Index):
         return min(_LISTS, -(-lists * self._counted(client, "", "Bounded") // inside))
 
     def _searched(
-        self, client: Any, wanted: Exact, k: int, within: str, lists: int, level: _Level
+        self, client: Any, wanted: Float64Array, k: int, within: str, lists: int, level: _Level
     ) -> list[dict[str, Any]]:
         effort = {"flat": {}, "ivf": {"nprobe": lists}, "hnsw": {"ef": max(self._effort, k)}}[self.structure]
         whole = k <= self._step
@@ -318,7 +321,7 @@ class MilvusIndex(Index):
         found = client.query(self._name, ids=keys, output_fields=list(_FIELDS), **_now(level))
         return [dict(row) for row in found]
 
-    def _all(self, client: Any, wanted: Exact, k: int, within: str, level: _Level) -> list[dict[str, Any]]:
+    def _all(self, client: Any, wanted: Float64Array, k: int, within: str, level: _Level) -> list[dict[str, Any]]:
         """The k best of all tiles within, each of them read: for as few as an index does not find k of."""
         keys: list[str] = []
         while True:  # a page begins where the one before ended: an offset reaches 16,384 at most

@@ -22,18 +22,16 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib import import_module
 from types import ModuleType
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import AnyArray, Float32Array, Float64Array
 from lpn.core.resources import usable_cores
-from lpn.index.base import LONGEST, Exact, Kind
-from lpn.models.base import FloatArray
+from lpn.index.base import LONGEST, Kind
 
 Precision = Literal["float32", "float16", "int8"]
 PRECISIONS: tuple[Precision, ...] = ("float32", "float16", "int8")
-Rows = npt.NDArray[Any]
 
 _STEPS = 127
 _FINER = 2 * _STEPS
@@ -46,7 +44,7 @@ _BLOCK = 1 << 22
 _NUMPY_BLOCK = 1 << 20
 
 
-def small_copy(vectors: FloatArray, kind: Kind, precision: Precision) -> tuple[Rows, FloatArray, FloatArray]:
+def small_copy(vectors: Float32Array, kind: Kind, precision: Precision) -> tuple[AnyArray, Float32Array, Float32Array]:
     """What a scan reads in place of vectors (B, n D).
 
     Returns:
@@ -55,7 +53,7 @@ def small_copy(vectors: FloatArray, kind: Kind, precision: Precision) -> tuple[R
     """
     if precision == "float16":
         scales = np.ones(len(vectors), np.float32)
-        copy: Rows = vectors.astype(np.float16)
+        copy: AnyArray = vectors.astype(np.float16)
     else:
         scales = np.abs(vectors).max(axis=1, initial=0.0) / np.float32(_STEPS)
         copy = np.round(vectors / np.maximum(scales, np.float32(1e-30))[:, None]).clip(-_STEPS, _STEPS).astype(np.int8)
@@ -82,7 +80,9 @@ class Scan:
             self._pool.shutdown()
             self._pool = None
 
-    def bounds(self, wanted: Exact, rows: Rows, scales: FloatArray | None, errors: FloatArray | None) -> Exact:
+    def bounds(
+        self, wanted: Float64Array, rows: AnyArray, scales: Float32Array | None, errors: Float32Array | None
+    ) -> Float64Array:
         """At least the score of each row under a rescaled query (n D,): (N,) float64.
 
         Args:
@@ -92,7 +92,7 @@ class Scan:
         longest = LONGEST * self._kind.n_parts**-0.5
         if scales is None or errors is None:
             used = wanted.astype(np.float32)
-            upper: Exact = (rows @ used).astype(np.float64)
+            upper: Float64Array = (rows @ used).astype(np.float64)
             return upper + self._missed(wanted - used, longest) + self._rounding(wanted, longest) + _ROUNDING
         # What a row's small copy can be longer than the row: half a step in every number.
         longest *= 1 + self._kind.embedding**0.5 / (2 * _STEPS)
@@ -120,16 +120,16 @@ class Scan:
         upper += missed + _ROUNDING
         return upper
 
-    def _missed(self, difference: Exact, longest: float) -> float:
+    def _missed(self, difference: Float64Array, longest: float) -> float:
         """The most that a tile's score can differ for what the query was rounded by."""
         return float(np.linalg.norm(difference.reshape(self._kind.n_parts, -1), axis=1).sum()) * longest
 
-    def _rounding(self, wanted: Exact, longest: float) -> float:
+    def _rounding(self, wanted: Float64Array, longest: float) -> float:
         share = self._kind.numbers * _UNIT
         norm = 1.001 * float(np.linalg.norm(wanted)) * longest * self._kind.n_parts**0.5
         return float(share / (1 - share) * norm)
 
-    def _products(self, kernel: ModuleType, queries: Rows, rows: Rows) -> Exact:
+    def _products(self, kernel: ModuleType, queries: AnyArray, rows: AnyArray) -> Float64Array:
         """Inner products of queries (Q, n D) with rows (N, n D): (Q, N)."""
         found = np.empty((len(queries), len(rows)))
         size = min(max(1, _BLOCK // self._kind.numbers), max(1, -(-len(rows) // self._threads)))

@@ -19,24 +19,21 @@ from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt64Array
 from lpn.core.errors import StoreError
 from lpn.core.files import mapped, unreadable
-from lpn.index.base import Box, Exact, Kind, covers, overlaps, within
-from lpn.index.scan import Precision, Rows, small_copy
-from lpn.models.base import FloatArray
+from lpn.index.base import Box, Kind, covers, overlaps, within
+from lpn.index.scan import Precision, small_copy
 
 DEAD = re.compile(r"dead-\d{7,}\.npy")
 FILES = re.compile(rf"(vectors|small|scales|errors|positions|ends|keys|rows)\.npy|names\.bin|{DEAD.pattern}")
 """The names above."""
 _BLOCK = 2048
 """Rows copied at once."""
-Keys = npt.NDArray[np.uint64]
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +41,8 @@ class Batch:
     """Tiles on their way to disk: names, vectors (B, n D) float32, positions (B, 2)."""
 
     names: list[str]
-    vectors: FloatArray
-    positions: Exact
+    vectors: Float32Array
+    positions: Float64Array
 
 
 class Segment:
@@ -67,18 +64,18 @@ class Segment:
     def __init__(self, folder: Path, kind: Kind, precision: Precision, rows: int, dead: str | None) -> None:
         self.folder, self.rows, self.dead = folder, rows, dead
         self.identity = identity_of(folder)
-        self.vectors: FloatArray = self._mapped("vectors", (rows, kind.numbers), np.float32)
-        self.small: Rows = self.vectors
-        self.scales: FloatArray | None = None
-        self.errors: FloatArray | None = None
+        self.vectors: Float32Array = self._mapped("vectors", (rows, kind.numbers), np.float32)
+        self.small: AnyArray = self.vectors
+        self.scales: Float32Array | None = None
+        self.errors: Float32Array | None = None
         if precision != "float32":
             self.small = self._mapped("small", (rows, kind.numbers), precision)
             self.scales = self._mapped("scales", (rows,), np.float32)
             self.errors = self._mapped("errors", (rows, kind.n_parts), np.float32)
-        self.positions: Exact = self._mapped("positions", (rows, 2), np.float64)
-        self._ends: npt.NDArray[np.int64] = self._mapped("ends", (rows,), np.int64)
-        self._keys: Keys = self._mapped("keys", (rows,), np.uint64)
-        self._by_key: npt.NDArray[np.int64] = self._mapped("rows", (rows,), np.int64)
+        self.positions: Float64Array = self._mapped("positions", (rows, 2), np.float64)
+        self._ends: Int64Array = self._mapped("ends", (rows,), np.int64)
+        self._keys: UInt64Array = self._mapped("keys", (rows,), np.uint64)
+        self._by_key: Int64Array = self._mapped("rows", (rows,), np.int64)
         try:
             self._text = memoryview(np.memmap(folder / "names.bin", np.uint8, "r").data)
         except FileNotFoundError:
@@ -89,13 +86,13 @@ class Segment:
             raise self._damaged("names.bin") from error
         if len(self._text) != self._ends[-1]:
             raise self._damaged("names.bin")
-        self.alive: Mask | None = None
+        self.alive: BoolArray | None = None
         if dead is not None:
             self.alive = ~self._mapped(dead.removesuffix(".npy"), (rows,), np.bool_)
         self.size = rows if self.alive is None else int(self.alive.sum())
         """Tiles that were not replaced."""
 
-    def chosen(self, box: Box | None) -> npt.NDArray[np.int64] | None:
+    def chosen(self, box: Box | None) -> Int64Array | None:
         """Rows of the tiles that are searched, ascending; None for all."""
         if box is not None and not overlaps(self._extent[0], box):
             return np.zeros(0, np.int64)
@@ -104,7 +101,7 @@ class Segment:
         inside = within(self.positions, box)
         return np.flatnonzero(inside if self.alive is None else inside & self.alive)
 
-    def names(self, rows: npt.NDArray[np.int64]) -> list[str]:
+    def names(self, rows: Int64Array) -> list[str]:
         """Names of tiles."""
         starts = np.where(rows > 0, self._ends[rows - 1], 0)
         try:
@@ -114,7 +111,7 @@ class Segment:
         except UnicodeDecodeError as error:
             raise self._damaged("names.bin") from error
 
-    def find(self, names: Sequence[str], keys: Keys) -> npt.NDArray[np.int64]:
+    def find(self, names: Sequence[str], keys: UInt64Array) -> Int64Array:
         """The row of each name, -1 where it is not there or was replaced.
 
         Args:
@@ -131,7 +128,7 @@ class Segment:
                     found[position] = row
         return found
 
-    def batches(self, alive: Mask | None) -> Iterator[Batch]:
+    def batches(self, alive: BoolArray | None) -> Iterator[Batch]:
         """The tiles that a mask leaves, block by block."""
         for start in range(0, self.rows, _BLOCK):
             rows = np.arange(start, min(start + _BLOCK, self.rows))
@@ -147,7 +144,7 @@ class Segment:
         (south, west), (north, east) = (how.reduce(self.positions, axis=0).tolist() for how in (np.fmin, np.fmax))
         return (south, west, north, east), not np.isnan(self.positions).any()
 
-    def _mapped(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    def _mapped(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> AnyArray:
         try:
             found = mapped(self.folder / f"{name}.npy")
         except FileNotFoundError:
@@ -196,7 +193,7 @@ def write_segment(folder: Path, kind: Kind, precision: Precision, batches: Itera
         shapes["scales"] = (rows,), np.float32
         shapes["errors"] = (rows, kind.n_parts), np.float32
     lengths: list[int] = []
-    keys: list[Keys] = []
+    keys: list[UInt64Array] = []
     with ExitStack() as files:
         arrays = {name: files.enter_context(_Array(folder / f"{name}.npy", *what)) for name, what in shapes.items()}
         text = files.enter_context((folder / "names.bin").open("wb"))
@@ -219,7 +216,7 @@ def write_segment(folder: Path, kind: Kind, precision: Precision, batches: Itera
     np.save(folder / "rows.npy", order.astype(np.int64))
 
 
-def keys_of(names: Sequence[str]) -> Keys:
+def keys_of(names: Sequence[str]) -> UInt64Array:
     """64 bits of each name's digest."""
     digests = b"".join(hashlib.blake2b(name.encode(), digest_size=8).digest() for name in names)
     return np.frombuffer(digests, np.dtype("<u8")).astype(np.uint64)
@@ -235,7 +232,7 @@ class _Array(AbstractContextManager["_Array"]):
         descr = np.lib.format.dtype_to_descr(self._dtype)
         write(self._file, {"descr": descr, "fortran_order": False, "shape": shape})
 
-    def write(self, rows: npt.NDArray[Any]) -> None:
+    def write(self, rows: AnyArray) -> None:
         self._file.write(np.ascontiguousarray(rows, dtype=self._dtype).data)
 
     def __exit__(self, *_: object) -> None:

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from lpn import descriptors
+from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.index.base import Exact, Kind, check_names
-from lpn.models.base import FloatArray
-
-Numbers = npt.NDArray[np.int64]
+from lpn.index.base import Kind, check_names
 
 _LOT_BYTES = 64 << 20
 """Of descriptors added at once: what a killed run does over again."""
@@ -35,8 +32,8 @@ class Lot:
     """
 
     names: list[str]
-    positions: Exact | None
-    rows: Callable[[Numbers], FloatArray]
+    positions: Float64Array | None
+    rows: Callable[[Int64Array], Float32Array]
 
 
 @dataclass(frozen=True)
@@ -104,7 +101,7 @@ def _of_shards(where: str, data: Path | None) -> Tiles:
         return check_names(names, len(names))
 
     partitions = range(shards.plan.partitions)
-    positions: Exact | None = None
+    positions: Float64Array | None = None
     if data is None:
         seen = list(each(lambda partition: _told(checked(partition)), partitions))
     else:
@@ -125,7 +122,7 @@ def _of_shards(where: str, data: Path | None) -> Tiles:
         own = np.concatenate([part.positions for part in tiles])
         places = own if positions is None else positions[first : first + len(names)]
 
-        def rows(at: Numbers) -> FloatArray:
+        def rows(at: Int64Array) -> Float32Array:
             owners = np.searchsorted(starts, first + at, "right") - 1
             read = [
                 shards.descriptors(int(p), tiles[p - group.start].names)[(first + at)[owners == p] - starts[p]]
@@ -153,7 +150,7 @@ def _step(kind: Kind) -> int:
     return max(1, _LOT_BYTES // (4 * kind.numbers))
 
 
-def _positions(root: Path, names: list[str]) -> Exact:
+def _positions(root: Path, names: list[str]) -> Float64Array:
     known = geo.positions(root)
     if known is None:
         raise DataError(f"{root} has no {geo.NAME}; leave --data out, or write one (docs/data.md).")

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from lpn.core import images as pictures
+from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.core.errors import InputError, ModelFileError
-from lpn.core.images import Picture
 from lpn.models.spec import ModelSpec, View
-
-FloatArray = npt.NDArray[np.float32]
 
 _CHUNK = 16
 
@@ -29,9 +26,9 @@ class Heads:
         cells: the partition's cell weights, (n, h, w) float32.
     """
 
-    weight: FloatArray
-    bias: FloatArray
-    cells: FloatArray
+    weight: Float32Array
+    bias: Float32Array
+    cells: Float32Array
 
 
 class Pass(NamedTuple):
@@ -43,9 +40,9 @@ class Pass(NamedTuple):
         attention: SAFA's weights of each picture's cells, (B, n, M, h, w); None where all pictures' cells weigh alike.
     """
 
-    parts: FloatArray
-    features: FloatArray
-    attention: FloatArray | None
+    parts: Float32Array
+    features: Float32Array
+    attention: Float32Array | None
 
 
 class Model(ABC):
@@ -84,7 +81,7 @@ class Model(ABC):
         return self.spec.views
 
     @abstractmethod
-    def run(self, images: FloatArray, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> Pass:
         """One forward pass of pictures (B, 3, H, W)."""
 
     @abstractmethod
@@ -99,21 +96,21 @@ class Model(ABC):
     def map_size(self, view: View) -> tuple[int, int]:
         """(h, w) of the feature map of a picture of the model's input size."""
 
-    def shape(self, picture: Picture, view: View) -> Picture:
+    def shape(self, picture: UInt8Array, view: View) -> UInt8Array:
         """A picture as the network gets it, before normalisation: (height, width, 3) uint8 of the input size."""
         if self.spec.unrolled(view):
             return pictures.polar(picture, *self.input_size)
         return pictures.resize(picture, *self.input_size)
 
-    def cut(self, picture: Picture, view: View) -> Picture:
+    def cut(self, picture: UInt8Array, view: View) -> UInt8Array:
         """A picture as its parts are cut from it: unrolled where the network sees it so (SAFA), else as it is."""
         return self.shape(picture, view) if self.spec.unrolled(view) else picture
 
-    def prepare(self, picture: Picture, view: View) -> FloatArray:
+    def prepare(self, picture: UInt8Array, view: View) -> Float32Array:
         """A picture ready for the model: (3, height, width) float32, in the published order."""
         return pictures.normalise(self.shape(picture, view))
 
-    def part_embeddings(self, images: Any, view: View) -> FloatArray:
+    def part_embeddings(self, images: Any, view: View) -> Float32Array:
         """Raw head outputs of one forward pass, (B, n, D) float32, in the checkpoint's classifier order.
 
         Raises:
@@ -124,7 +121,7 @@ class Model(ABC):
         chunks = [self._parts(batch[i : i + size], view) for i in range(0, len(batch), size)]
         return np.concatenate(chunks) if chunks else np.zeros((0, self.n_parts, self.spec.embedding), np.float32)
 
-    def descriptors(self, images: Any, view: View, mirror: bool = True) -> FloatArray:
+    def descriptors(self, images: Any, view: View, mirror: bool = True) -> Float32Array:
         """Descriptors for retrieval, (B, n, D) float32, each part of norm 1/sqrt(n).
 
         With `mirror`, the head outputs of the picture and of its horizontal mirror are added first, as published for LPN;
@@ -155,21 +152,21 @@ class Model(ABC):
                 "This model is SAFA: it weighs the cells of each picture anew and has no heads that hold for all of them."
             )
 
-    def _parts(self, images: FloatArray, view: View) -> FloatArray:
+    def _parts(self, images: Float32Array, view: View) -> Float32Array:
         """The part embeddings of one chunk; for models that can leave the feature map out."""
         return self.run(images, view).parts
 
-    def _batch(self, images: Any, view: View) -> FloatArray:
+    def _batch(self, images: Any, view: View) -> Float32Array:
         self.check_view(view)
         batch = as_array(images)
         if batch.ndim != 4 or batch.shape[1] != 3 or not np.issubdtype(batch.dtype, np.floating):
             raise InputError(
                 f"The images are {batch.dtype} of shape {batch.shape}; expected float32 (B, 3, H, W), ImageNet-normalised."
             )
-        return cast(FloatArray, np.ascontiguousarray(batch, dtype=np.float32))
+        return cast(Float32Array, np.ascontiguousarray(batch, dtype=np.float32))
 
 
-def as_array(values: Any) -> npt.NDArray[Any]:
+def as_array(values: Any) -> AnyArray:
     """A NumPy array of what was given: an array, nested lists, or a torch tensor wherever it lies.
 
     Raises:
@@ -184,7 +181,7 @@ def as_array(values: Any) -> npt.NDArray[Any]:
         raise InputError("An array was expected, and rows of unequal lengths were found; make them equal.") from error
 
 
-def normalise(raw: FloatArray) -> FloatArray:
+def normalise(raw: Float32Array) -> Float32Array:
     """Scale each part of (..., n, D) head outputs to norm 1/sqrt(n), so that the whole has norm 1.
 
     Raises:
@@ -195,4 +192,4 @@ def normalise(raw: FloatArray) -> FloatArray:
             "The model gives values that are not finite, so its weights are damaged or its training diverged; take another."
         )
     norms = np.linalg.norm(raw, axis=-1, keepdims=True) * np.sqrt(raw.shape[-2])
-    return cast(FloatArray, (raw / np.maximum(norms, 1e-12)).astype(np.float32))
+    return cast(Float32Array, (raw / np.maximum(norms, 1e-12)).astype(np.float32))

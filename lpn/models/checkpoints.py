@@ -15,11 +15,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
+from lpn.core.arrays import Float32Array
 from lpn.core.checksums import BLANK, SEAL, check_entries, check_seal, check_unpacked, sealed
 from lpn.core.errors import ModelFileError
 from lpn.core.files import fingerprint, write_whole
 from lpn.core.formats import is_newer, newer
-from lpn.models.base import FloatArray, Heads, Model, Pass
+from lpn.models.base import Heads, Model, Pass
 from lpn.models.network import LPN, map_size
 from lpn.models.published_checkpoints import State, infer_backbone, infer_spec, read_options
 from lpn.models.spec import BRANCH, ModelSpec, View
@@ -39,7 +40,7 @@ class TorchModel(Model):
         self.fingerprint = fingerprint
         self.batch = 64 if next(network.parameters()).device.type == "cuda" else 8
 
-    def run(self, images: FloatArray, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> Pass:
         """One forward pass of pictures (B, 3, H, W)."""
         device = next(self.network.parameters()).device
         # Left to itself, cuDNN convolves in TF32, whose ten-bit mantissa moves descriptors by more than 1e-4.
@@ -47,7 +48,7 @@ class TorchModel(Model):
         with torch.inference_mode(), precise:
             found = self.network.embed(torch.tensor(images, device=device), view)
         parts, features, attention = (None if tensor is None else tensor.cpu().numpy() for tensor in found)
-        return Pass(cast(FloatArray, parts), cast(FloatArray, features), attention)
+        return Pass(cast(Float32Array, parts), cast(Float32Array, features), attention)
 
     def map_size(self, view: View) -> tuple[int, int]:
         """(h, w) of the feature map of a picture of the model's input size."""

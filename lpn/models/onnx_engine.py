@@ -13,12 +13,13 @@ from typing import Any, cast
 import numpy as np
 import onnxruntime as ort
 
+from lpn.core.arrays import Float32Array
 from lpn.core.checksums import SEAL, check_seal
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import fingerprint
 from lpn.core.formats import is_newer, newer
 from lpn.core.resources import usable_cores
-from lpn.models.base import FloatArray, Heads, Model, Pass
+from lpn.models.base import Heads, Model, Pass
 from lpn.models.onnx_check import check_self_contained
 from lpn.models.spec import ModelSpec, View
 
@@ -70,14 +71,14 @@ class Engine(Model):
             self._sessions.update(dict.fromkeys(group, session))
         self.fingerprint = fingerprint(*files)
 
-    def run(self, images: FloatArray, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> Pass:
         """One forward pass of pictures (B, 3, H, W) of the model's input size."""
         self._check_size(images, view)
         names = [*OUTPUTS, *(SAFA_OUTPUTS if self.spec.pooling == "safa" else ())]
         found = self._outputs(names, images, view)
         return Pass(found[0], found[1], found[2] if len(found) > 2 else None)
 
-    def _parts(self, images: FloatArray, view: View) -> FloatArray:
+    def _parts(self, images: Float32Array, view: View) -> Float32Array:
         self._check_size(images, view)
         return self._outputs(["parts"], images, view)[0]
 
@@ -100,11 +101,11 @@ class Engine(Model):
             self._heads[view] = Heads(*self._outputs(list(HEAD_OUTPUTS), blank, view))
         return self._heads[view]
 
-    def _outputs(self, names: list[str], images: FloatArray, view: View) -> list[FloatArray]:
+    def _outputs(self, names: list[str], images: Float32Array, view: View) -> list[Float32Array]:
         """What the graph yields; ModelFileError when it fails, or yields other shapes than it says."""
         session = self._sessions[view]
         try:
-            found = cast("list[FloatArray]", session.run(names, {"images": images}))
+            found = cast("list[Float32Array]", session.run(names, {"images": images}))
         except Exception as error:  # see `_open`
             raise ModelFileError(f"{self._path.name} cannot be computed, so it is damaged; {_AGAIN}.") from error
         told = {output.name: output.shape for output in session.get_outputs()}
@@ -112,7 +113,7 @@ class Engine(Model):
             raise ModelFileError(f"{self._path.name} yields other shapes than it says, so it is damaged; {_AGAIN}.")
         return found
 
-    def _check_size(self, images: FloatArray, view: View) -> None:
+    def _check_size(self, images: Float32Array, view: View) -> None:
         self.check_view(view)
         if images.shape[2:] != self.input_size:
             raise InputError(

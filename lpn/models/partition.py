@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 
 Kind = Literal["rings", "rows", "columns", "windows", "whole"]
@@ -76,7 +76,7 @@ class Partition:
             return height, max(width, self.n)
         return height, width
 
-    def labels(self, height: int, width: int) -> npt.NDArray[np.int64]:
+    def labels(self, height: int, width: int) -> Int64Array:
         """The part of each grid cell: (rows, columns) of `grid`, values 0 .. n-1, each present at least once.
 
         Where strips do not divide the map, adjacent strips share a row or column (adaptive pooling); its label is
@@ -93,7 +93,7 @@ class Partition:
             labels[top:bottom, left:right] = ring
         return self.n - 1 - labels if self.outside_in else labels
 
-    def weights(self, height: int, width: int) -> npt.NDArray[np.float32]:
+    def weights(self, height: int, width: int) -> Float32Array:
         """The weight of each feature map cell in each part's pooling: (n, height, width) float32.
 
         `einsum("nhw,chw->nc", weights, map)` is the pooled map. The bilinear resize of a small map is folded in, so
@@ -165,7 +165,7 @@ class Partition:
             return part * step, part * step + length - (self.n - 1) * step
         return part * length // self.n, -(-(part + 1) * length // self.n)
 
-    def _strip_weights(self, height: int, width: int) -> npt.NDArray[np.float32]:
+    def _strip_weights(self, height: int, width: int) -> Float32Array:
         weights = np.zeros((self.n, height, width), dtype=np.float32)
         for part in range(self.n):
             begin, end = self.strip(part, height if self.kind == "rows" else width)
@@ -174,7 +174,7 @@ class Partition:
         return weights
 
 
-def _bilinear(source: int, target: int, align_corners: bool) -> npt.NDArray[np.float64]:
+def _bilinear(source: int, target: int, align_corners: bool) -> Float64Array:
     """The (target, source) matrix of a bilinear resize along one side."""
     if align_corners:
         position = np.arange(target) * ((source - 1) / max(target - 1, 1))

@@ -19,12 +19,12 @@ import onnx
 from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
 from lpn.core import images
+from lpn.core.arrays import Float32Array
 from lpn.core.checksums import BLANK, SEAL, sealed
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import check_writable, printable, write_whole
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import check_whole
-from lpn.models.base import FloatArray
 from lpn.models.onnx_engine import COMPUTE, Engine, graph_files
 from lpn.models.spec import View
 
@@ -106,7 +106,7 @@ def _pictures(dataset: Dataset, view: View) -> list[Picture]:
     return []
 
 
-def _inputs(engine: Engine, view: View, picture: Picture) -> FloatArray:
+def _inputs(engine: Engine, view: View, picture: Picture) -> Float32Array:
     """What the network sees of a picture: (1, 3, H, W), or with its mirror (2, 3, H, W)."""
     prepared = engine.prepare(images.crop(images.load_picture(picture.path), picture.box, picture.name), view)
     batch = [prepared, prepared[..., ::-1]] if engine.spec.mirrored else [prepared]
@@ -119,7 +119,7 @@ class _Reader(CalibrationDataReader):  # type: ignore[misc]
     def __init__(self, engine: Engine, pictures: Sequence[tuple[View, Picture]]) -> None:
         self._left = iter([(engine, *pair) for pair in pictures])
 
-    def get_next(self) -> dict[str, FloatArray] | None:
+    def get_next(self) -> dict[str, Float32Array] | None:
         found = next(self._left, None)
         return None if found is None else {"images": _inputs(*found)}
 

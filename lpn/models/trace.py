@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray
 from lpn.core.errors import InputError
-from lpn.models.base import FloatArray, Heads, Model, Pass
+from lpn.models.base import Heads, Model, Pass
 from lpn.models.spec import View
-
-Exact = npt.NDArray[np.float64]
 
 LEAK = 0.1
 """Slope of a head's LeakyReLU below zero."""
@@ -30,11 +28,11 @@ class Trace:
         slopes: of a head's LeakyReLU for each number of each pass's embedding, (P, n, D); None without one.
     """
 
-    embedding: FloatArray
-    features: FloatArray
-    cells: FloatArray
+    embedding: Float32Array
+    features: Float32Array
+    cells: Float32Array
     heads: Heads | None
-    slopes: FloatArray | None
+    slopes: Float32Array | None
 
     @classmethod
     def of(cls, model: Model, found: Pass, view: View) -> Trace:
@@ -42,7 +40,7 @@ class Trace:
         attention = found.attention
         heads = None if attention is not None else model.heads(view)
         if heads is None:
-            cells = cast(FloatArray, attention)
+            cells = cast(Float32Array, attention)
         else:
             # A model in PyTorch takes pictures of other sizes than it was trained on; then the cells are others.
             size = found.features.shape[2:]
@@ -50,7 +48,7 @@ class Trace:
             cells = np.broadcast_to(weights[None, :, None], (len(found.parts), len(weights), 1, *size))
         leaky = heads is not None and model.spec.activation == "leaky_relu"
         slopes = np.where(found.parts > 0, np.float32(1), np.float32(LEAK)) if leaky else None
-        embedding = cast(FloatArray, found.parts.sum(axis=0))
+        embedding = cast(Float32Array, found.parts.sum(axis=0))
         return cls(embedding, _upright(found.features), _upright(cells), heads, slopes)
 
     @property
@@ -58,7 +56,7 @@ class Trace:
         """(h, w) of the feature map."""
         return self.features.shape[2], self.features.shape[3]
 
-    def along(self, direction: npt.NDArray[np.floating]) -> tuple[Exact, Exact]:
+    def along(self, direction: FloatingArray) -> tuple[Float64Array, Float64Array]:
         """The inner product of the embedding with a direction (n, D), part by part, as cells (n, h, w) and constants (n,)."""
         passes, channels = self.features.shape[:2]
         parts, maps = self.cells.shape[1:3]
@@ -75,14 +73,14 @@ class Trace:
         shares = responses.reshape(self.cells.shape) * self.cells
         return shares.sum(axis=(0, 2), dtype=np.float64), constants
 
-    def vectors(self, part: int, only: npt.NDArray[np.bool_] | None = None) -> FloatArray:
+    def vectors(self, part: int, only: BoolArray | None = None) -> Float32Array:
         """What each cell adds to a part's embedding, (h * w, D), row by row; their sum and the constant are the embedding.
 
         Args:
             only: cells (h, w) to sum over, which gives (D,) in place of one row for each cell.
         """
         flat = self.features.reshape(*self.features.shape[:2], -1)
-        found: FloatArray | None = None
+        found: Float32Array | None = None
         for number, (features, cells) in enumerate(zip(flat, self.cells[:, part], strict=True)):
             weights = cells.reshape(len(cells), -1)
             if only is None:
@@ -98,7 +96,7 @@ class Trace:
         assert found is not None
         return found.T if only is None else found[:, 0]
 
-    def region(self, cells: npt.NDArray[np.bool_], weights: FloatArray) -> FloatArray:
+    def region(self, cells: BoolArray, weights: Float32Array) -> Float32Array:
         """A query of some cells alone, (n, D): its scores order a gallery by what these cells add to the whole query's.
 
         Parts without such a cell are zero; the constants, which come from no cell, are left out. It is scaled to
@@ -118,9 +116,9 @@ class Trace:
         norm = float(np.sqrt(len(parts) * (weights * (parts**2).sum(axis=1)).sum()))
         if norm < 1e-12:
             raise InputError("No cell of a part that counts is painted; paint some of the query, and search again.")
-        return cast(FloatArray, parts / np.float32(norm))
+        return cast(Float32Array, parts / np.float32(norm))
 
 
-def _upright(values: FloatArray) -> FloatArray:
+def _upright(values: Float32Array) -> Float32Array:
     """The second of two passes is of the mirrored picture: turn its columns back."""
     return values if len(values) == 1 else np.concatenate([values[:1], values[1:, ..., ::-1]])

@@ -12,9 +12,9 @@ from lpn import explain, retrieval
 from lpn.analysis.query_outcomes import described_by
 from lpn.analysis.task import Study
 from lpn.core import images
+from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
-from lpn.core.images import Picture
-from lpn.datasets import Picture as Entry
+from lpn.datasets import Picture as Picture
 from lpn.datasets import geo
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.descriptors.transforms import UNCHANGED, Change
@@ -60,7 +60,7 @@ class Own:
     """
 
     name: str
-    picture: Picture
+    picture: UInt8Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class Pair:
     """
 
     match: Match
-    picture: Picture
+    picture: UInt8Array
     evidence: Evidence | None
 
 
@@ -103,7 +103,7 @@ class Case:
     name: str
     known: bool
     facts: list[tuple[str, str]]
-    picture: Picture
+    picture: UInt8Array
     ranking: Ranking
     matches: list[Match]
     metres: list[float] | None
@@ -184,7 +184,7 @@ class Cases:
         tick()
         return case
 
-    def _opened(self, query: int | Own) -> tuple[str, Picture]:
+    def _opened(self, query: int | Own) -> tuple[str, UInt8Array]:
         if isinstance(query, Own):
             return query.name, query.picture
         if not 0 <= query < len(self._study.queries):
@@ -192,7 +192,7 @@ class Cases:
         entry = self._study.queries[query]
         return entry.name, shown(entry)
 
-    def _described(self, picture: Picture, index: int | None) -> Described:
+    def _described(self, picture: UInt8Array, index: int | None) -> Described:
         study = self._study
         if study.model is None:
             if index is None:
@@ -210,7 +210,7 @@ class Cases:
             return Described(picture, study.tiles[index], None, None)
         return retrieval.describe_picture(study.model, picture, study.views[1])
 
-    def _cut(self, picture: Picture, side: int) -> Picture:
+    def _cut(self, picture: UInt8Array, side: int) -> UInt8Array:
         study = self._study
         return picture if study.model is None else study.model.cut(picture, study.views[side])
 
@@ -253,7 +253,9 @@ class Cases:
             study.outcomes.rank,
         )
 
-    def _profile(self, picture: Picture, index: int | None, first: Match, tick: Callable[[], None]) -> Profile | None:
+    def _profile(
+        self, picture: UInt8Array, index: int | None, first: Match, tick: Callable[[], None]
+    ) -> Profile | None:
         study, options = self._study, self._options
         if not self.turns or study.model is None:
             return None
@@ -280,7 +282,7 @@ def nearest_false(ranking: Ranking) -> Match | None:
     return ranking.match(int(false[0])) if len(false) else None
 
 
-def shown(entry: Entry) -> Picture:
+def shown(entry: Picture) -> UInt8Array:
     """What is meant of a picture file."""
     picture = images.load_picture(entry.path)
     return images.crop(picture, entry.box, entry.name)

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from html import escape
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import FloatingArray
 from lpn.core.files import printable
 from lpn.drawing import overlays
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Margin
 from lpn.explain.sweeps import Profile
-
-Numbers = npt.NDArray[np.floating]
 
 FOR, AGAINST = overlays.css(overlays.FOR), overlays.css(overlays.AGAINST)
 
@@ -29,7 +27,7 @@ def colour(part: int) -> str:
     return overlays.css(overlays.part_colour(part))
 
 
-def shares(values: Numbers, full: float, names: Sequence[str]) -> str:
+def shares(values: FloatingArray, full: float, names: Sequence[str]) -> str:
     """A bar of the parts' shares of a squared distance, from 0 to `full`, with each share written where it fits."""
     width, at, drawn = 400.0, 0.0, []
     for part, value in enumerate(values):

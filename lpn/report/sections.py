@@ -8,7 +8,7 @@ import numpy as np
 
 from lpn.analysis.task import Study
 from lpn.core import images
-from lpn.core.images import Picture
+from lpn.core.arrays import FloatingArray, UInt8Array
 from lpn.drawing import overlays, verdicts
 from lpn.report import figures
 from lpn.report.cases import Case, Pair
@@ -52,7 +52,7 @@ def sign(true: bool | None) -> str:
     return f'<span class="sign {KINDS[true]}" role="img" aria-label="{spoken}">{SIGNS[true]}</span>'
 
 
-def thumbnail(picture: Picture, kind: str = "") -> str:
+def thumbnail(picture: UInt8Array, kind: str = "") -> str:
     """A small square picture."""
     uri = overlays.data_uri(overlays.square(picture, _SMALL), 72)
     return f'<img src="{uri}" class="{kind}" alt="">'
@@ -112,7 +112,7 @@ def _role(case: Case, pair: Pair) -> str:
     return "Best wrong tile" if case.rival is not None and match.index == case.rival.index else "A wrong tile"
 
 
-def _ringed(picture: Picture, study: Study, side: int) -> str:
+def _ringed(picture: UInt8Array, study: Study, side: int) -> str:
     view = study.views[side]
     shown = images.resize(picture, *_size(study, _LARGE))
     shown = overlays.with_rings(shown, study.spec.partition(view), study.map_sizes[view])
@@ -185,7 +185,7 @@ def _evidence(case: Case, study: Study) -> str:
     )
 
 
-def _mapped(picture: Picture, cells: figures.Numbers, limit: float, study: Study, side: int) -> str:
+def _mapped(picture: UInt8Array, cells: FloatingArray, limit: float, study: Study, side: int) -> str:
     shown = overlays.with_evidence(images.resize(picture, *_size(study, _MAP)), cells, limit)
     view = study.views[side]
     return overlays.data_uri(overlays.with_rings(shown, study.spec.partition(view), cells.shape), 66)

@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 
 from lpn import descriptors
+from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.datasets import Dataset, Picture, Truth, geo
-from lpn.datasets.geo import FloatArray
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.models.base import FloatArray as Descriptors
 from lpn.models.base import Model
 from lpn.models.spec import View, views_of
 from lpn.retrieval import metrics
-from lpn.retrieval.metrics import IntArray
 from lpn.retrieval.protocol import Protocol, averaged, sentence
 from lpn.retrieval.published_results import Saved
 
@@ -60,7 +58,7 @@ class Result:
     listed: bool
     said: str
     seconds: float
-    errors: FloatArray | None = None
+    errors: Float64Array | None = None
 
     def distances(self) -> dict[str, float]:
         """See `error_shares`; empty without positions."""
@@ -89,7 +87,7 @@ class Result:
         }
 
 
-def error_shares(errors: FloatArray) -> dict[str, float]:
+def error_shares(errors: Float64Array) -> dict[str, float]:
     """`median error m` of errors in metres, and the percentage `within 25 m`, `within 50 m`, `within 100 m`."""
     within = {f"within {limit} m": 100.0 * float(np.mean(errors <= limit)) for limit in WITHIN}
     return {"median error m": float(np.median(errors)), **within}
@@ -205,10 +203,10 @@ def evaluate_saved(saved: Saved, protocol: Protocol | None = None) -> Result:
 
 
 def _measure(
-    query: Descriptors,
-    query_labels: IntArray,
-    gallery: Descriptors,
-    gallery_labels: IntArray,
+    query: Float32Array,
+    query_labels: Int64Array,
+    gallery: Float32Array,
+    gallery_labels: Int64Array,
     truth: Sequence[Truth] | None,
     task: str,
     protocol: Protocol,

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from lpn.core import images
-from lpn.core.images import Picture
+from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.models.base import FloatArray, Model, normalise
+from lpn.models.base import Model, normalise
 from lpn.models.spec import View
 from lpn.models.trace import Trace
 from lpn.retrieval import scoring
@@ -30,9 +29,9 @@ class Described:
         trace: what accounts for the descriptor cell by cell; None where no network was at hand.
     """
 
-    picture: Picture
-    descriptor: FloatArray
-    activation: FloatArray | None
+    picture: UInt8Array
+    descriptor: Float32Array
+    activation: Float32Array | None
     trace: Trace | None
 
 
@@ -56,8 +55,8 @@ class Match:
     score: float
     distance2: float
     gap: float | None
-    cosines: FloatArray
-    shares: FloatArray
+    cosines: Float32Array
+    shares: Float32Array
     true: bool | None
 
 
@@ -75,12 +74,12 @@ class Ranking:
             products, n times.
     """
 
-    cosines: FloatArray
-    weights: FloatArray
-    scores: FloatArray
-    order: npt.NDArray[np.int64]
-    relevant: npt.NDArray[np.bool_] | None
-    lengths: FloatArray | None = None
+    cosines: Float32Array
+    weights: Float32Array
+    scores: Float32Array
+    order: Int64Array
+    relevant: BoolArray | None
+    lengths: Float32Array | None = None
 
     def match(self, position: int) -> Match:
         """The match at a 0-based position of the order."""
@@ -116,7 +115,7 @@ class Ranking:
         return self.match(int(np.argmax(self.relevant[self.order])))
 
 
-def describe_picture(model: Model, picture: Picture, view: View, change: Change | float = UNCHANGED) -> Described:
+def describe_picture(model: Model, picture: UInt8Array, view: View, change: Change | float = UNCHANGED) -> Described:
     """Change a picture and describe it, with its mirror in one batch of two.
 
     Args:
@@ -135,12 +134,12 @@ def describe_picture(model: Model, picture: Picture, view: View, change: Change 
 
 
 def rank(
-    cosines: FloatArray,
-    weights: FloatArray,
-    labels: npt.NDArray[np.int64] | None = None,
+    cosines: Float32Array,
+    weights: Float32Array,
+    labels: Int64Array | None = None,
     label: int | None = None,
     truth: Truth | None = None,
-    lengths: FloatArray | None = None,
+    lengths: Float32Array | None = None,
 ) -> Ranking:
     """Rank a gallery by weighted part cosines; ties keep gallery order, and junk is left out.
 

@@ -14,14 +14,10 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-Single = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
+from lpn.core.arrays import AnyArray, Float32Array, Float64Array, Int64Array
 
 _BLOCK_BYTES = 160_000_000
 _ROWS = 1024
@@ -43,10 +39,10 @@ class Scores:
 
     def __init__(
         self,
-        queries: npt.NDArray[Any],
-        tiles: npt.NDArray[Any],
-        norms: tuple[FloatArray, FloatArray],
-        factors: FloatArray | None = None,
+        queries: AnyArray,
+        tiles: AnyArray,
+        norms: tuple[Float64Array, Float64Array],
+        factors: Float64Array | None = None,
     ) -> None:
         self._queries, self._tiles, self._factors = queries, tiles, factors
         self._single = _to_single(tiles)
@@ -60,7 +56,7 @@ class Scores:
             self._errors += length * 2.0**-120 * (1 + reach) * (1 + longest)
             self._errors[~(reach * longest < 1e37)] = np.inf
 
-    def blocks(self) -> Iterator[tuple[slice, Single, FloatArray]]:
+    def blocks(self) -> Iterator[tuple[slice, Float32Array, Float64Array]]:
         """Block after block of queries, each of 160 MB at most: its rows, their products (B, G), which are the caller's to
         change, and the most that those of each row can be off, (B,); infinite where they mean nothing."""
         block = max(1, min(_ROWS, _BLOCK_BYTES // (4 * max(len(self._tiles), 1))))
@@ -70,11 +66,11 @@ class Scores:
                 found = self._products(_to_single(self._asked(rows)))
             yield rows, found, self._errors[rows]
 
-    def exact(self, query: int, tiles: IntArray) -> FloatArray:
+    def exact(self, query: int, tiles: Int64Array) -> Float64Array:
         """Products of one query with some tiles in double precision, equal for equal tiles, (P,)."""
         return self.pairs(np.full(len(tiles), query), tiles)
 
-    def pairs(self, queries: IntArray, tiles: IntArray) -> FloatArray:
+    def pairs(self, queries: Int64Array, tiles: Int64Array) -> Float64Array:
         """Products of pairs in double precision, (P,)."""
         found = np.empty(len(queries))
         for start in range(0, len(queries), _PAIRS):
@@ -85,7 +81,7 @@ class Scores:
             found[some] = (asked * self._tiles[tiles[some]]).sum(axis=1)
         return found
 
-    def double(self, queries: IntArray) -> Iterator[tuple[int, FloatArray]]:
+    def double(self, queries: Int64Array) -> Iterator[tuple[int, Float64Array]]:
         """Some queries, and the products of each with all tiles in double precision, equal for equal tiles, (G,)."""
         group = max(1, _BLOCK_BYTES // (8 * max(len(self._tiles), 1)))
         for start in range(0, len(queries), group):
@@ -98,7 +94,7 @@ class Scores:
             yield from zip(some.tolist(), found[:, self._twins], strict=True)
 
     @cached_property
-    def _twins(self) -> IntArray:
+    def _twins(self) -> Int64Array:
         """For each tile the first that is equal: a matrix product may sum the columns at its edge in another order."""
         sums = self._tiles.sum(axis=1)  # equal for equal tiles, and rarely for others
         found = np.arange(len(sums))
@@ -109,11 +105,11 @@ class Scores:
             found[tile] = first.setdefault(key, tile)
         return found
 
-    def _asked(self, rows: slice | IntArray) -> npt.NDArray[Any]:
+    def _asked(self, rows: slice | Int64Array) -> AnyArray:
         asked = self._queries[rows]
         return asked if self._factors is None else asked.astype(np.float64) * self._factors
 
-    def _products(self, asked: Single) -> Single:
+    def _products(self, asked: Float32Array) -> Float32Array:
         found = np.empty((len(asked), len(self._single)), np.float32)
         apart = np.empty((len(asked), min(_COLUMNS, len(self._single))), np.float32)
         for begin in range(0, len(self._single), _COLUMNS):
@@ -126,7 +122,7 @@ class Scores:
         return found
 
 
-def norms(rows: npt.NDArray[Any]) -> FloatArray:
+def norms(rows: AnyArray) -> Float64Array:
     """Upper bounds on the norms of rows (N, F), a thousandth too long at most; not finite where a number is not, (N,)."""
     found = np.empty(len(rows))
     length = rows.shape[1]
@@ -143,6 +139,6 @@ def norms(rows: npt.NDArray[Any]) -> FloatArray:
     return found
 
 
-def _to_single(values: npt.NDArray[Any]) -> Single:
+def _to_single(values: AnyArray) -> Float32Array:
     with np.errstate(over="ignore"):
         return values.astype(np.float32, copy=False)

@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import AnyArray, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.models.base import as_array
 from lpn.retrieval import ranks
-from lpn.retrieval.inner_products import FloatArray, IntArray, Scores, norms
+from lpn.retrieval.inner_products import Scores, norms
 from lpn.retrieval.ranks import JUNK, Marks, Ranked
 
-__all__ = ["JUNK", "IntArray", "Retrieval", "check_truth", "checked_labels", "evaluate", "flat_sides", "retrieve"]
+__all__ = ["JUNK", "Retrieval", "check_truth", "checked_labels", "evaluate", "flat_sides", "retrieve"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class Retrieval(Ranked):
     gallery: int
 
     @property
-    def best(self) -> IntArray:
+    def best(self) -> Int64Array:
         """Gallery position of each query's nearest picture that is not junk, the first of equals; -1 where all is, (Q,)."""
         return np.where(self.first == 0, self.true, self.false)
 
@@ -87,7 +88,7 @@ def retrieve(
     gallery: npt.ArrayLike,
     gallery_labels: npt.ArrayLike | None,
     truth: Sequence[Truth] | None = None,
-    factors: FloatArray | None = None,
+    factors: Float64Array | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Retrieval:
     """Rank the gallery for every query; arguments and errors as for `evaluate`.
@@ -138,14 +139,14 @@ def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
             )
 
 
-def flat_sides(query: npt.ArrayLike, gallery: npt.ArrayLike) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+def flat_sides(query: npt.ArrayLike, gallery: npt.ArrayLike) -> tuple[AnyArray, AnyArray]:
     """Descriptors of both sides as (Q, F) and (G, F); InputError when they are not what `evaluate` takes."""
     return _sides(query, gallery)[0]
 
 
 def _sides(
     query: npt.ArrayLike, gallery: npt.ArrayLike
-) -> tuple[tuple[npt.NDArray[Any], npt.NDArray[Any]], tuple[FloatArray, FloatArray]]:
+) -> tuple[tuple[AnyArray, AnyArray], tuple[Float64Array, Float64Array]]:
     """The same, and bounds on the norms of their rows."""
     (queries, of_query), (tiles, of_tile) = _flat(query, "query"), _flat(gallery, "gallery")
     if queries.shape[1] != tiles.shape[1]:
@@ -156,7 +157,7 @@ def _sides(
     return (queries, tiles), (of_query, of_tile)
 
 
-def _flat(values: Any, side: str) -> tuple[npt.NDArray[Any], FloatArray]:
+def _flat(values: Any, side: str) -> tuple[AnyArray, Float64Array]:
     array = as_array(values)
     if array.ndim not in (2, 3) or len(array) == 0 or not np.issubdtype(array.dtype, np.floating):
         raise InputError(
@@ -172,7 +173,7 @@ def _flat(values: Any, side: str) -> tuple[npt.NDArray[Any], FloatArray]:
     return flat, lengths
 
 
-def checked_labels(values: Any, rows: npt.NDArray[Any], side: str) -> IntArray:
+def checked_labels(values: Any, rows: AnyArray, side: str) -> Int64Array:
     """Labels as int64, one for each row of descriptors; InputError when they are something else."""
     labels = as_array(values)
     if labels.shape != (len(rows),) or not np.issubdtype(labels.dtype, np.integer):

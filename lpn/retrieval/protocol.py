@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.models.base import FloatArray, normalise
+from lpn.models.base import normalise
 from lpn.models.spec import View
-from lpn.retrieval.metrics import IntArray
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Protocol:
             raise InputError(f"The parts are {', '.join(map(str, chosen)) or 'none'}; there are parts 1 to {n_parts}.")
         return chosen
 
-    def select(self, descriptors: FloatArray) -> FloatArray:
+    def select(self, descriptors: Float32Array) -> Float32Array:
         """The parts used of descriptors (N, n, D): (N, m, D); as given when all are used."""
         chosen = self.chosen(descriptors.shape[1])
         if chosen == tuple(range(1, descriptors.shape[1] + 1)):
@@ -51,7 +51,7 @@ class Protocol:
         return descriptors[:, np.array(chosen) - 1]
 
 
-def averaged(descriptors: FloatArray, labels: IntArray) -> tuple[FloatArray, IntArray]:
+def averaged(descriptors: Float32Array, labels: Int64Array) -> tuple[Float32Array, Int64Array]:
     """One query per place: the descriptors of its pictures summed and each part normalised.
 
     Args:

@@ -13,14 +13,12 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import AnyArray, Float32Array, Int64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.datasets import Dataset, Picture, matlab
-from lpn.models.base import FloatArray
 from lpn.models.spec import VIEWS, View, views_of
-from lpn.retrieval.metrics import IntArray
 
 _NORM_TOLERANCE = 0.01
 
@@ -37,10 +35,10 @@ class Saved:
     """
 
     name: str
-    query: FloatArray
-    query_labels: IntArray
-    gallery: FloatArray
-    gallery_labels: IntArray
+    query: Float32Array
+    query_labels: Int64Array
+    gallery: Float32Array
+    gallery_labels: Int64Array
     query_paths: tuple[str, ...] | None
     gallery_paths: tuple[str, ...] | None
 
@@ -156,8 +154,8 @@ def _start(path: Path) -> bytes:
         return file.read(10)
 
 
-def _descriptors(values: Any, side: str, name: str, n_parts: int) -> FloatArray:
-    array: npt.NDArray[Any] = np.asarray(values)
+def _descriptors(values: Any, side: str, name: str, n_parts: int) -> Float32Array:
+    array: AnyArray = np.asarray(values)
     if array.ndim != 2 or not array.size or not np.issubdtype(array.dtype, np.floating):
         raise DataError(
             f"{side}_f in {name} is {array.dtype} of shape {array.shape}; expected floats, one row for each picture."
@@ -170,11 +168,11 @@ def _descriptors(values: Any, side: str, name: str, n_parts: int) -> FloatArray:
     if not np.isfinite(array).all():
         raise DataError(f"{side}_f in {name} holds values that are not finite; save the result again.")
     parts = array.astype(np.float32, copy=False).reshape(count, length // n_parts, n_parts).transpose(0, 2, 1)
-    return cast(FloatArray, np.ascontiguousarray(parts))
+    return cast(Float32Array, np.ascontiguousarray(parts))
 
 
-def _labels(values: Any, count: int, side: str, name: str) -> IntArray:
-    array: npt.NDArray[Any] = np.asarray(values).ravel()
+def _labels(values: Any, count: int, side: str, name: str) -> Int64Array:
+    array: AnyArray = np.asarray(values).ravel()
     # MATLAB itself would have made doubles of them.
     whole = np.issubdtype(array.dtype, np.number) and bool((array == np.round(array)).all())
     if not whole or len(array) != count:
@@ -188,7 +186,7 @@ def _labels(values: Any, count: int, side: str, name: str) -> IntArray:
 def _paths(values: Any, count: int, side: str, name: str) -> tuple[str, ...] | None:
     if values is None:
         return None
-    array: npt.NDArray[Any] = np.asarray(values).ravel()
+    array: AnyArray = np.asarray(values).ravel()
     if len(array) != count:
         raise DataError(
             f"{side}_path in {name} has {len(array)} entries; expected one for each of {count} descriptors."
@@ -198,7 +196,7 @@ def _paths(values: Any, count: int, side: str, name: str) -> tuple[str, ...] | N
     return tuple(text.rstrip().replace("\\", "/") for text in texts)
 
 
-def _behind(paths: tuple[str, ...] | None, labels: IntArray, pictures: list[Picture]) -> list[Picture] | None:
+def _behind(paths: tuple[str, ...] | None, labels: Int64Array, pictures: list[Picture]) -> list[Picture] | None:
     """The picture of each row, or None when these are not the pictures of the rows."""
     if paths is None:
         same = len(pictures) == len(labels) and all(p.label == label for p, label in zip(pictures, labels, strict=True))

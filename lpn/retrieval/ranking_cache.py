@@ -20,13 +20,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import OutputError
 from lpn.core.files import write_whole
 from lpn.datasets import Truth
 from lpn.descriptors import cache_folder
-from lpn.models.base import FloatArray
 from lpn.retrieval import metrics
-from lpn.retrieval.metrics import IntArray, Retrieval
+from lpn.retrieval.metrics import Retrieval
 from lpn.retrieval.ranks import Ranked
 
 log = logging.getLogger(__name__)
@@ -48,10 +48,10 @@ class Sides:
         identity: a text that only these descriptors have; empty where nobody can say, and then nothing is kept.
     """
 
-    asked: FloatArray
-    tiles: FloatArray
-    query_labels: IntArray
-    labels: IntArray
+    asked: Float32Array
+    tiles: Float32Array
+    query_labels: Int64Array
+    labels: Int64Array
     truth: Sequence[Truth] | None = None
     identity: str = ""
 

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.datasets import Truth
-from lpn.retrieval.inner_products import FloatArray, IntArray, Scores, Single
+from lpn.retrieval.inner_products import Scores
 
 JUNK = -1
 """Label of gallery pictures that are ignored."""
@@ -31,18 +30,18 @@ _SHARE = 1 / 16
 class Lists:
     """A list of tiles for each query, one after the other: `tiles[begin[i] : end[i]]` is the query i's, ascending."""
 
-    tiles: IntArray
-    begin: IntArray
-    end: IntArray
+    tiles: Int64Array
+    begin: Int64Array
+    end: Int64Array
 
     @classmethod
-    def of(cls, lists: Sequence[IntArray]) -> Lists:
+    def of(cls, lists: Sequence[Int64Array]) -> Lists:
         """From a list of lists."""
         end = np.cumsum([len(one) for one in lists], dtype=np.int64)
         tiles = [np.sort(one) for one in lists]
         return cls(np.concatenate([_NONE, *tiles]).astype(np.int64), np.concatenate([[0], end[:-1]]), end)
 
-    def cells(self, rows: slice) -> tuple[IntArray, IntArray]:
+    def cells(self, rows: slice) -> tuple[Int64Array, Int64Array]:
         """Row, counted from the first of these, and tile of every entry of some queries' lists."""
         begin, counts = self.begin[rows], self.end[rows] - self.begin[rows]
         before = np.cumsum(counts) - counts
@@ -57,10 +56,10 @@ class Marks:
 
     true: Lists
     junk: Lists
-    never: IntArray
+    never: Int64Array
 
     @classmethod
-    def by_labels(cls, of_query: IntArray, of_tile: IntArray) -> Marks:
+    def by_labels(cls, of_query: Int64Array, of_tile: Int64Array) -> Marks:
         """True are the tiles of a query's label, unless that is junk's."""
         by_label = np.argsort(of_tile, kind="stable")
         in_order = of_tile[by_label]
@@ -86,13 +85,13 @@ class Ranked:
         precision: its average precision, 0 .. 1, (B,).
     """
 
-    first: IntArray
-    true: IntArray
-    false: IntArray
-    precision: FloatArray
+    first: Int64Array
+    true: Int64Array
+    false: Int64Array
+    precision: Float64Array
 
 
-def rank(scores: Scores, marks: Marks, rows: slice, block: Single, errors: FloatArray) -> Ranked:
+def rank(scores: Scores, marks: Marks, rows: slice, block: Float32Array, errors: Float64Array) -> Ranked:
     """Rank the gallery for the queries of a block of `Scores.blocks`, which is written into."""
     with np.errstate(over="ignore", invalid="ignore"):  # where errors are infinite, nothing of the block is used
         return _Block(scores, marks, rows, block, errors).ranked()
@@ -101,7 +100,7 @@ def rank(scores: Scores, marks: Marks, rows: slice, block: Single, errors: Float
 class _Block:
     """A block while it is settled: `_block` holds the false tiles' scores, -inf for the others."""
 
-    def __init__(self, scores: Scores, marks: Marks, rows: slice, block: Single, errors: FloatArray) -> None:
+    def __init__(self, scores: Scores, marks: Marks, rows: slice, block: Float32Array, errors: Float64Array) -> None:
         self._scores, self._start, self._block = scores, rows.start, block
         self._gap = 2 * errors
         self._marks, self._rows = marks, rows
@@ -141,7 +140,7 @@ class _Block:
             close = np.flatnonzero(self._block[row] >= floor[row])
             self._false[row] = close[np.argmax(self._exact(row, close))]
 
-    def _single(self, entries: IntArray) -> None:
+    def _single(self, entries: Int64Array) -> None:
         """Queries with one true match, at their entries."""
         rows, tiles, score = self._row[entries], self._tile[entries], self._true[entries].astype(np.float64)
         above, between = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.int64)
@@ -214,14 +213,14 @@ class _Block:
                 self._take(row, np.sort(len(held) - stop + before) + np.arange(len(tiles)))
                 self._nearest[row] = tiles[np.argmax(true)]
 
-    def _take(self, row: int, ranks: IntArray) -> None:
+    def _take(self, row: int, ranks: Int64Array) -> None:
         self._first[row], self._precision[row] = ranks[0], average_precision(ranks)
 
-    def _exact(self, row: int, tiles: IntArray) -> FloatArray:
+    def _exact(self, row: int, tiles: Int64Array) -> Float64Array:
         return self._scores.exact(self._start + row, tiles)
 
 
-def average_precision(ranks: IntArray) -> float:
+def average_precision(ranks: Int64Array) -> float:
     """Of the 0-based ranks of all true matches, ascending, at least one: trapezoids under the precision-recall curve."""
     hits = np.arange(len(ranks))
     after = (hits + 1) / (ranks + 1)
@@ -229,23 +228,21 @@ def average_precision(ranks: IntArray) -> float:
     return float(((after + before) / 2).mean())
 
 
-def _ahead(
-    score: float | FloatArray, tile: int | IntArray, others: FloatArray, tiles: IntArray
-) -> npt.NDArray[np.bool_]:
+def _ahead(score: float | Float64Array, tile: int | Int64Array, others: Float64Array, tiles: Int64Array) -> BoolArray:
     """Which of some tiles come before one, equal scores in gallery order."""
     return np.asarray((others > score) | ((others == score) & (tiles < tile)))
 
 
-def _count(mask: npt.NDArray[np.bool_]) -> IntArray:
+def _count(mask: BoolArray) -> Int64Array:
     """Trues in each row; many times quicker than `count_nonzero` along an axis."""
-    total: npt.NDArray[Any] = mask.view(np.uint8).sum(axis=1, dtype=np.uint16 if mask.shape[1] < 2**16 else np.uint32)
+    total: AnyArray = mask.view(np.uint8).sum(axis=1, dtype=np.uint16 if mask.shape[1] < 2**16 else np.uint32)
     return total.astype(np.int64)
 
 
-def _below(values: FloatArray) -> Single:
+def _below(values: Float64Array) -> Float32Array:
     """The same in single precision, or a little less."""
     return np.nextafter(values.astype(np.float32), np.float32(-np.inf))
 
 
-def _over(values: FloatArray) -> Single:
+def _over(values: Float64Array) -> Float32Array:
     return np.nextafter(values.astype(np.float32), np.float32(np.inf))

@@ -12,11 +12,11 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
-from lpn.models.base import FloatArray
 
 
-def part_weights(n: int, values: npt.ArrayLike | None = None) -> FloatArray:
+def part_weights(n: int, values: npt.ArrayLike | None = None) -> Float32Array:
     """Part weights that sum to one: (n,) float32; equal when `values` is not given.
 
     Raises:
@@ -25,17 +25,17 @@ def part_weights(n: int, values: npt.ArrayLike | None = None) -> FloatArray:
     weights = np.ones(n) if values is None else np.asarray(values, dtype=np.float64)
     if weights.shape != (n,) or not np.isfinite(weights).all() or (weights < 0).any() or weights.sum() <= 0:
         raise InputError(f"The part weights are {weights.tolist()}; expected {n} numbers of 0 or more, not all 0.")
-    return cast(FloatArray, (weights / weights.sum()).astype(np.float32))
+    return cast(Float32Array, (weights / weights.sum()).astype(np.float32))
 
 
-def part_cosines(query: FloatArray, gallery: FloatArray) -> FloatArray:
+def part_cosines(query: Float32Array, gallery: Float32Array) -> Float32Array:
     """Cosine of each part of a query (n, D) with that part of each gallery descriptor (G, n, D): (G, n) float32."""
     n = query.shape[0]
     # One batched product per part: NumPy's einsum would fall back to a slow loop here.
-    return cast(FloatArray, n * np.matmul(gallery.transpose(1, 0, 2), query[:, :, None])[..., 0].T)
+    return cast(Float32Array, n * np.matmul(gallery.transpose(1, 0, 2), query[:, :, None])[..., 0].T)
 
 
-def contributions(cosines: FloatArray, weights: FloatArray, lengths: FloatArray | None = None) -> FloatArray:
+def contributions(cosines: Float32Array, weights: Float32Array, lengths: Float32Array | None = None) -> Float32Array:
     """Each part's exact share 2 w_i (1 - cos_i) of the squared distance: (..., n), summing to it.
 
     Args:
@@ -43,14 +43,14 @@ def contributions(cosines: FloatArray, weights: FloatArray, lengths: FloatArray 
             w_i (1 + n |q_i|^2 - 2 n q_i . g_i), with n q_i . g_i in place of the cosine.
     """
     own = np.float32(1) if lengths is None else lengths
-    return cast(FloatArray, weights * (1.0 + own - 2.0 * cosines))
+    return cast(Float32Array, weights * (1.0 + own - 2.0 * cosines))
 
 
-def activation(features: FloatArray) -> FloatArray:
+def activation(features: Float32Array) -> Float32Array:
     """What the network responds to: channel sum of a feature map (C, h, w), scaled to 0 .. 1 (Figure 7).
 
     It belongs to one picture and is not specific to a pair.
     """
     total = features.sum(axis=0)
     low, high = float(total.min()), float(total.max())
-    return cast(FloatArray, ((total - low) / max(high - low, 1e-12)).astype(np.float32))
+    return cast(Float32Array, ((total - low) / max(high - low, 1e-12)).astype(np.float32))

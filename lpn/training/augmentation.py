@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from lpn.core import images
-from lpn.core.images import Picture
+from lpn.core.arrays import UInt8Array
 from lpn.models.spec import View
 from lpn.training.recipes import Recipe
 
@@ -20,14 +20,14 @@ def place_draw(recipe: Recipe, rng: np.random.Generator) -> tuple[float, bool]:
 
 
 def augment(
-    picture: Picture,
+    picture: UInt8Array,
     recipe: Recipe,
     rng: np.random.Generator,
     angle: float,
     mirror: bool,
     view: View,
     panorama: bool = False,
-) -> Picture:
+) -> UInt8Array:
     """One random version of a picture at the recipe's input size: (height, width, 3) uint8.
 
     Args:
@@ -40,7 +40,7 @@ def augment(
     if recipe.compression and rng.random() < recipe.compression:
         picture = _compressed(picture, int(rng.integers(40, 96)))
     if mirror or (recipe.flip == "picture" and rng.random() < 0.5):
-        picture = cast(Picture, np.ascontiguousarray(picture[:, ::-1]))
+        picture = cast(UInt8Array, np.ascontiguousarray(picture[:, ::-1]))
     if panorama:
         picture = images.resize(images.roll(picture, angle), height, width)
     else:
@@ -55,7 +55,7 @@ def augment(
     return _recolour(picture, recipe.colour, rng) if recipe.colour else picture
 
 
-def _warped(picture: Picture, angle: float, recipe: Recipe, rng: np.random.Generator) -> Picture:
+def _warped(picture: UInt8Array, angle: float, recipe: Recipe, rng: np.random.Generator) -> UInt8Array:
     """Turned, scaled, and shifted in one step."""
     scale = math.exp(float(rng.uniform(-1, 1)) * recipe.scale)
     height, width = picture.shape[:2]
@@ -64,16 +64,16 @@ def _warped(picture: Picture, angle: float, recipe: Recipe, rng: np.random.Gener
     black = rng.random() < recipe.black_corners
     turned = cv2.BORDER_CONSTANT if black else cv2.BORDER_REFLECT_101
     border = turned if angle else cv2.BORDER_REPLICATE
-    return cast(Picture, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=border))
+    return cast(UInt8Array, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=border))
 
 
-def _compressed(picture: Picture, quality: int) -> Picture:
+def _compressed(picture: UInt8Array, quality: int) -> UInt8Array:
     """What is left of a picture after JPEG; a network that has seen only one quality leans on its traces."""
     _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return cast(Picture, cv2.cvtColor(cast(Picture, cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB))
+    return cast(UInt8Array, cv2.cvtColor(cast(UInt8Array, cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB))
 
 
-def _recolour(picture: Picture, strength: float, rng: np.random.Generator) -> Picture:
+def _recolour(picture: UInt8Array, strength: float, rng: np.random.Generator) -> UInt8Array:
     """Brightness, colour cast, contrast, and now and then grey."""
     values = picture.astype(np.float32)
     gain = (1 + 0.3 * strength * rng.uniform(-1, 1)) * (1 + 0.15 * strength * rng.uniform(-1, 1, 3))
@@ -82,4 +82,4 @@ def _recolour(picture: Picture, strength: float, rng: np.random.Generator) -> Pi
     values = mean + (values - mean) * np.float32(1 + 0.3 * strength * rng.uniform(-1, 1))
     if rng.random() < 0.2 * strength:
         values[:] = values.mean(axis=2, keepdims=True)
-    return cast(Picture, np.clip(values, 0, 255).astype(np.uint8))
+    return cast(UInt8Array, np.clip(values, 0, 255).astype(np.uint8))

@@ -12,20 +12,17 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from lpn.core import images
+from lpn.core.arrays import Int64Array, UInt8Array
 from lpn.core.errors import InputError
-from lpn.core.images import Picture
 from lpn.core.resources import usable_cores
 from lpn.models.spec import branch_of
 from lpn.training.augmentation import augment, place_draw
 from lpn.training.recipes import Recipe
 from lpn.training.training_set import Places
-
-Chunk = npt.NDArray[np.int64]
 
 _AHEAD = 2
 """Batches in preparation while one is computed with; more for batches so small that they would leave workers idle."""
@@ -100,7 +97,7 @@ class Loader:
             PictureError: when a picture cannot be read.
         """
         pool = ThreadPoolExecutor(self.workers, "lpn-loader")
-        ahead: deque[tuple[Chunk, list[Future[dict[str, Picture]]]]] = deque()
+        ahead: deque[tuple[Int64Array, list[Future[dict[str, UInt8Array]]]]] = deque()
         try:
             for epoch in range(first, end):
                 for chunk in self._chunks(epoch):
@@ -112,11 +109,11 @@ class Loader:
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
-    def _chunks(self, epoch: int) -> list[Chunk]:
+    def _chunks(self, epoch: int) -> list[Int64Array]:
         order = np.random.default_rng([self.recipe.seed, epoch]).permutation(len(self.places))
         return [order[i * self.recipe.batch : (i + 1) * self.recipe.batch] for i in range(self.steps)]
 
-    def _place(self, place: int, epoch: int) -> dict[str, Picture]:
+    def _place(self, place: int, epoch: int) -> dict[str, UInt8Array]:
         """One picture of each set, (H, W, 3) uint8: a worker's task."""
         rng = np.random.default_rng([self.recipe.seed, epoch, place])
         angle, mirror = place_draw(self.recipe, rng)
@@ -128,12 +125,12 @@ class Loader:
             drawn[name] = augment(picture, self.recipe, rng, angle, mirror, branch_of(name), panorama)
         return drawn
 
-    def _batch(self, chunk: Chunk, tasks: Sequence[Future[dict[str, Picture]]]) -> Batch:
+    def _batch(self, chunk: Int64Array, tasks: Sequence[Future[dict[str, UInt8Array]]]) -> Batch:
         drawn = [task.result() for task in tasks]
         sets = {name: self._network_input([pictures[name] for pictures in drawn]) for name in drawn[0]}
         return Batch(sets, torch.from_numpy(chunk).to(self.device))
 
-    def _network_input(self, pictures: Sequence[Picture]) -> Tensor:
+    def _network_input(self, pictures: Sequence[UInt8Array]) -> Tensor:
         """Pictures to the device as bytes, and normalised there."""
         cuda = self.device.type == "cuda"
         raw = torch.empty((len(pictures), *pictures[0].shape), dtype=torch.uint8, pin_memory=cuda)

@@ -10,9 +10,10 @@ import numpy as np
 from rich.console import Console
 
 from lpn import descriptors
+from lpn.core.arrays import Float32Array
 from lpn.datasets import Dataset, Picture
 from lpn.descriptors.transforms import Change
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.spec import View
 from lpn.retrieval import metrics
 from lpn.retrieval.evaluate import check_test_split, evaluate
@@ -52,9 +53,9 @@ class TestSplit:
     def measure(self, model: Model, console: Console | None = None) -> Row:
         """Recall@1 and AP of every task, and where a console is given, what Recall@5 and the others are too."""
         row: Row = {}
-        seen: dict[object, FloatArray] = {}
+        seen: dict[object, Float32Array] = {}
 
-        def once(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> FloatArray:
+        def once(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
             key = (view, change, tuple(picture.path for picture in pictures))
             if key not in seen:
                 seen[key] = descriptors.passing_descriptors(model, pictures, view, change)

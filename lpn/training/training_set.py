@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from lpn.core import images
+from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import flaws, naming
@@ -59,7 +60,7 @@ class Places:
         self.files = {name: [places[label] for label in self.labels] for name, places in by_place.items()}
         self.views: tuple[View, ...] = tuple(view for view in VIEWS if view in by_place)
         self.panoramas = dataset.panoramas
-        self._kept: dict[Path, images.Picture] = {}
+        self._kept: dict[Path, UInt8Array] = {}
         self._kept_bytes = 0
         self._lock = threading.Lock()
 
@@ -95,7 +96,7 @@ class Places:
         self.files = {name: [places[i] for i in kept] for name, places in self.files.items()}
         return held
 
-    def picture(self, path: Path) -> images.Picture:
+    def picture(self, path: Path) -> UInt8Array:
         """A decoded picture, kept in memory as long as there is room for it; for any thread."""
         kept = self._kept.get(path)
         if kept is not None:

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from lpn.world.geometry import Points
+from lpn.core.arrays import Float64Array
 
 Colour = tuple[float, float, float]
 Corner = tuple[float, float]
@@ -93,7 +93,7 @@ class Architecture:
         return max(part.eaves + part.rise for part in self.parts)
 
     @property
-    def ring(self) -> Points:
+    def ring(self) -> Float64Array:
         """The outline as an array (n, 2)."""
         return np.array(self.outline)
 
@@ -163,7 +163,7 @@ def _dress(
     rng: np.random.Generator,
     walls: tuple[tuple[str, Colour], ...],
     covers: tuple[tuple[str, Colour], ...],
-    weights: Points | None = None,
+    weights: Float64Array | None = None,
 ) -> Dress:
     wall, wall_tint = walls[rng.integers(len(walls))]
     cover, cover_tint = covers[rng.choice(len(covers), p=weights)]

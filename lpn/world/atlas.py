@@ -17,11 +17,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lpn.core.arrays import Float64Array
 from lpn.core.formats import WORLD
 from lpn.world import cvusa
 from lpn.world.cameras import Panorama, Pose, Site, Tile, drone_poses, tile_around
 from lpn.world.city import City, Target
-from lpn.world.geometry import Points
 from lpn.world.ground_level import Outdoors, panoramas, street_poses
 from lpn.world.plan import plan_city
 
@@ -94,7 +94,7 @@ class Sector:
         """All its pictures."""
         return *self.tiles, *self.frames, *self.walks
 
-    def covers(self, places: Points) -> NDArray[np.bool_]:
+    def covers(self, places: Float64Array) -> NDArray[np.bool_]:
         """Which places (n, 2) the satellite's picture covers with a tile to the north around them."""
         return _covers(self.x, self.y, self.reach, places)
 
@@ -225,7 +225,7 @@ def make_atlas(settings: Settings) -> Atlas:
         x, y = ((low + high) / 2).tolist()
         squares[district] = x, y, float((high - low).max() / 2)
 
-    def covered(target: Target, places: Points) -> NDArray[np.bool_]:
+    def covered(target: Target, places: Float64Array) -> NDArray[np.bool_]:
         return _covers(*squares[city.buildings[target.building].district], places)
 
     outdoors = Outdoors(city)
@@ -248,7 +248,7 @@ def make_atlas(settings: Settings) -> Atlas:
     return Atlas(settings, Site(), city, tuple(sectors))
 
 
-def _covers(x: float, y: float, reach: float, places: Points) -> NDArray[np.bool_]:
+def _covers(x: float, y: float, reach: float, places: Float64Array) -> NDArray[np.bool_]:
     inside: NDArray[np.bool_] = np.abs(places - (x, y)).max(axis=1) < reach + SPARE - 1
     return inside
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lpn.core.arrays import Float64Array
 from lpn.datasets.geo import metres_per_degree
-from lpn.world.geometry import Points
 
 TILE = 160.0  # metres a satellite tile shows
 HIGHEST, LOWEST, ROUNDS = 256.0, 121.5, 3  # of the spiral (University-1652, section 3)
@@ -48,7 +48,7 @@ class Pose:
     tilt: float
     fov: float
 
-    def axes(self) -> Points:
+    def axes(self) -> Float64Array:
         """Unit vectors (3, 3): right, up, and forward of the picture, as rows."""
         h, t = np.radians(self.heading), np.radians(self.tilt)
         ahead = np.array([np.sin(h), np.cos(h), 0.0])
@@ -56,7 +56,7 @@ class Pose:
         right = np.array([np.cos(h), -np.sin(h), 0.0])
         return np.stack([right, np.cross(right, forward), forward])
 
-    def project(self, points: Points) -> Points:
+    def project(self, points: Float64Array) -> Float64Array:
         """Places (n, 2) of points (n, 3) in the picture: x right and y down from -1 to 1, 0 at the centre."""
         right, up, forward = ((points - (self.x, self.y, self.z)) @ self.axes().T).T
         scale = 1 / np.tan(np.radians(self.fov / 2))
@@ -83,7 +83,7 @@ class Panorama:
         height = 2 * round(pixels * 7 / 32)
         return round(height * 5.5), height
 
-    def project(self, points: Points) -> Points:
+    def project(self, points: Float64Array) -> Float64Array:
         """Places (n, 2) of points (n, 3) in the picture: x right and y down from -1 to 1, 0 at the centre."""
         dx, dy, dz = (points - (self.x, self.y, self.z)).T
         up = np.degrees(np.arctan2(dz, np.hypot(dx, dy)))
@@ -143,7 +143,7 @@ class Sweep:
     lean: float
     bearing: float
 
-    def axes(self) -> Points:
+    def axes(self) -> Float64Array:
         """Unit vectors (3, 3): right, up, and forward of the picture, as rows; up is as near to north as can be."""
         lean, bearing = np.radians(self.lean), np.radians(self.bearing)
         forward = -np.array([np.sin(lean) * np.sin(bearing), np.sin(lean) * np.cos(bearing), np.cos(lean)])
@@ -151,13 +151,13 @@ class Sweep:
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(right, forward), forward])
 
-    def project(self, points: Points) -> Points:
+    def project(self, points: Float64Array) -> Float64Array:
         """Pixels (n, 2), column and row, of points (n, 3)."""
         right, up, _ = self.axes()
         local = (points - (self.x, self.y, self.z)) / (self.size / self.pixels)
         return np.stack([local @ right, -(local @ up)], axis=1) + self.pixels / 2
 
-    def corners(self, tile: Tile) -> Points:
+    def corners(self, tile: Tile) -> Float64Array:
         """Pixels (4, 2) of a tile's corners: top left, top right, bottom right, bottom left."""
         h = np.radians(tile.heading)
         right, up = np.array([np.cos(h), -np.sin(h)]), np.array([np.sin(h), np.cos(h)])

@@ -8,22 +8,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lpn.core.arrays import Float32Array, Float64Array
 from lpn.world.architecture import Colour
-from lpn.world.geometry import Points
 
-Image = NDArray[np.float32]
 _PERIOD = 1024
 
 
 @lru_cache(maxsize=8)
-def noise(scale: float) -> Image:
+def noise(scale: float) -> Float32Array:
     """A periodic field (1024, 1024) of mean 0 and deviation 1 whose blobs are about `scale` pixels wide."""
     rng = np.random.default_rng(int(scale * 97))
     frequency = np.fft.fftfreq(_PERIOD)
     squared = frequency[:, None] ** 2 + frequency[None] ** 2
     keep = np.exp(-squared * (scale * 1.8) ** 2)
     field = np.fft.ifft2(np.fft.fft2(rng.normal(size=(_PERIOD, _PERIOD))) * keep).real
-    scaled: Image = ((field - field.mean()) / field.std()).astype(np.float32)
+    scaled: Float32Array = ((field - field.mean()) / field.std()).astype(np.float32)
     return scaled
 
 
@@ -41,21 +40,21 @@ class Canvas:
         self.colour = np.zeros((*self.shape, 3), np.float32)
         self.water = np.zeros(self.shape, np.float32)
 
-    def pixels(self, points: Points) -> Points:
+    def pixels(self, points: Float64Array) -> Float64Array:
         """Columns and rows of points (n, 2)."""
         return np.stack([points[:, 0] - self.west, self.north - points[:, 1]], axis=1) / self.scale
 
-    def field(self, metres: float, rows: slice, columns: slice) -> Image:
+    def field(self, metres: float, rows: slice, columns: slice) -> Float32Array:
         """Noise with blobs of that size, the same at one place of the city in every window."""
         pixels = metres / self.scale
         shrink = max(1, int(pixels // 24))
         y0, x0 = round(-self.north / self.scale), round(self.west / self.scale)
         at = (np.arange(rows.start, rows.stop) + y0) // shrink % _PERIOD
         along = (np.arange(columns.start, columns.stop) + x0) // shrink % _PERIOD
-        values: Image = noise(pixels / shrink)[np.ix_(at, along)]
+        values: Float32Array = noise(pixels / shrink)[np.ix_(at, along)]
         return np.asarray(cv2.blur(values, (shrink, shrink)), np.float32) if shrink > 1 else values
 
-    def masked(self, points: Points, grow: float) -> tuple[slice, slice, Points] | None:
+    def masked(self, points: Float64Array, grow: float) -> tuple[slice, slice, Float64Array] | None:
         at = self.pixels(points)
         low = np.floor(at.min(axis=0) - grow - 2).astype(int)
         high = np.ceil(at.max(axis=0) + grow + 3).astype(int)
@@ -65,7 +64,7 @@ class Canvas:
             return None
         return slice(int(y0), int(y1)), slice(int(x0), int(x1)), (at - (x0, y0)) * 16
 
-    def fill(self, polygon: Points, colour: Colour, grain: float = 0.1, blotch: float = 0.1, strength: float = 1.0,
+    def fill(self, polygon: Float64Array, colour: Colour, grain: float = 0.1, blotch: float = 0.1, strength: float = 1.0,
              water: float = 0.0, soft: float = 0.0) -> None:  # fmt: skip
         """A polygon in a colour that varies finely (`grain`) and in large blotches; `soft` metres blur its edge."""
         crop = self.masked(polygon, soft / self.scale * 2)
@@ -76,7 +75,7 @@ class Canvas:
         cv2.fillPoly(mask, [at.astype(np.int32)], 255, cv2.LINE_AA, 4)
         self._blend(rows, columns, mask, colour, grain, blotch, strength, water, soft)
 
-    def line(self, line: Points, width: float, colour: Colour, grain: float = 0.05, strength: float = 1.0,
+    def line(self, line: Float64Array, width: float, colour: Colour, grain: float = 0.05, strength: float = 1.0,
              blotch: float = 0.0, soft: float = 0.0) -> None:  # fmt: skip
         """A line `width` metres wide."""
         crop = self.masked(line, width / self.scale)

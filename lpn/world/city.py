@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
+from lpn.core.arrays import Float64Array
 from lpn.world.architecture import Architecture
-from lpn.world.geometry import Points, Waves, turned
+from lpn.world.geometry import Waves, turned
 
 Split = Literal["train", "test", ""]
 Character = Literal["university", "housing", "industry", "old town", "centre", "sports", "park", "countryside", "river"]
@@ -34,14 +35,14 @@ class District:
     name: str
     character: Character
     split: Split
-    polygon: Points
+    polygon: Float64Array
 
 
 @dataclass(frozen=True)
 class Street:
     """A street along a line (n, 2), its carriageway `width` wide, with pavements of `pavement` on both sides."""
 
-    line: Points
+    line: Float64Array
     width: float
     kind: StreetKind
     pavement: float
@@ -51,7 +52,7 @@ class Street:
 class Block:
     """Ground between streets: a convex polygon and what covers it where nothing else does."""
 
-    polygon: Points
+    polygon: Float64Array
     district: int
     surface: Surface
 
@@ -80,7 +81,7 @@ class Patch:
     """Ground of one use, a convex polygon; `angle` gives markings and furrows their direction, `shade` varies it."""
 
     surface: Surface
-    polygon: Points
+    polygon: Float64Array
     angle: float
     length: float
     width: float
@@ -91,7 +92,7 @@ class Patch:
 class Path:
     """A footpath or driveway along a line (n, 2)."""
 
-    line: Points
+    line: Float64Array
     width: float
     surface: Surface
 
@@ -111,7 +112,7 @@ class Bridge:
 class River:
     """Water along a line (n, 2), `width` wide, whose surface lies at height `level`."""
 
-    line: Points
+    line: Float64Array
     width: float
     level: float
 
@@ -140,7 +141,7 @@ class Terrain:
     waves: Waves
     river: River
 
-    def bank(self, points: Points) -> Points:
+    def bank(self, points: Float64Array) -> Float64Array:
         """Distance (...,) from the river's edge, negative on the water."""
         flat = points.reshape(-1, 2)
         # The river runs from south to north, so its middle is a function of y.
@@ -148,16 +149,16 @@ class Terrain:
         middle = np.interp(flat[:, 1], line[:, 1], line[:, 0])
         slope = np.gradient(line[:, 0], line[:, 1])
         lean = np.interp(flat[:, 1], line[:, 1], slope)
-        distance: Points = (np.abs(flat[:, 0] - middle) / np.sqrt(1 + lean**2)).reshape(points.shape[:-1])
+        distance: Float64Array = (np.abs(flat[:, 0] - middle) / np.sqrt(1 + lean**2)).reshape(points.shape[:-1])
         return distance - self.river.width / 2
 
-    def __call__(self, points: Points) -> Points:
+    def __call__(self, points: Float64Array) -> Float64Array:
         """Heights (...,) at points (..., 2)."""
         bank = self.bank(points)
         rising = np.clip((bank - 30) / 220, 0, 1)
         land = self.waves(points) * rising**2 * (3 - 2 * rising)
         cut = np.clip((bank + 1.0) / 3.5, 0, 1)
-        height: Points = self.river.level + (land - self.river.level) * cut
+        height: Float64Array = self.river.level + (land - self.river.level) * cut
         return height
 
 
@@ -165,22 +166,22 @@ class Terrain:
 class Trees:
     """Trees as arrays (n,): x, y, index into SPECIES, height in metres, and a number in [0, 1) that varies the look."""
 
-    x: Points
-    y: Points
-    species: Points
-    height: Points
-    look: Points
+    x: Float64Array
+    y: Float64Array
+    species: Float64Array
+    height: Float64Array
+    look: Float64Array
 
 
 @dataclass(frozen=True)
 class Stalls:
     """Places of vehicles as arrays (n,): x, y, angle, index into VEHICLES, and how often one stands there."""
 
-    x: Points
-    y: Points
-    angle: Points
-    vehicle: Points
-    chance: Points
+    x: Float64Array
+    y: Float64Array
+    angle: Float64Array
+    vehicle: Float64Array
+    chance: Float64Array
 
 
 @dataclass(frozen=True)
@@ -195,17 +196,17 @@ class City:
     buildings: tuple[Building, ...]
     patches: tuple[Patch, ...]
     paths: tuple[Path, ...]
-    hedges: tuple[Points, ...]
+    hedges: tuple[Float64Array, ...]
     bridges: tuple[Bridge, ...]
     terrain: Terrain
     trees: Trees
     stalls: Stalls
     targets: tuple[Target, ...]
 
-    def footprint(self, building: Building) -> Points:
+    def footprint(self, building: Building) -> Float64Array:
         """The building's outline on the ground (n, 2)."""
         ring = self.architectures[building.architecture].ring
-        outline: Points = turned(ring, building.angle) + np.array([building.x, building.y])
+        outline: Float64Array = turned(ring, building.angle) + np.array([building.x, building.y])
         return outline
 
     def height(self, x: float, y: float) -> float:
@@ -221,6 +222,6 @@ class Draft:
     buildings: list[Building] = field(default_factory=list)
     patches: list[Patch] = field(default_factory=list)
     paths: list[Path] = field(default_factory=list)
-    hedges: list[Points] = field(default_factory=list)
+    hedges: list[Float64Array] = field(default_factory=list)
     trees: list[tuple[float, float, int, float, float]] = field(default_factory=list)
     stalls: list[tuple[float, float, float, int, float]] = field(default_factory=list)

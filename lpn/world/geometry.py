@@ -7,24 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Points = NDArray[np.float64]
+from lpn.core.arrays import Float64Array
 
 
-def rectangle(x: float, y: float, length: float, width: float, angle: float) -> Points:
+def rectangle(x: float, y: float, length: float, width: float, angle: float) -> Float64Array:
     """Corners (4, 2) of a rectangle around (x, y); `angle` is that of its length, in radians from east."""
     half = np.array([[-length, -width], [length, -width], [length, width], [-length, width]]) / 2
-    corners: Points = turned(half, angle) + np.array([x, y])
+    corners: Float64Array = turned(half, angle) + np.array([x, y])
     return corners
 
 
-def turned(points: Points, angle: float) -> Points:
+def turned(points: Float64Array, angle: float) -> Float64Array:
     """Points (n, 2) turned counter-clockwise about the origin."""
     c, s = np.cos(angle), np.sin(angle)
-    result: Points = points @ np.array([[c, s], [-s, c]])
+    result: Float64Array = points @ np.array([[c, s], [-s, c]])
     return result
 
 
-def overlap(a: Points, b: Points, margin: float = 0.0) -> bool:
+def overlap(a: Float64Array, b: Float64Array, margin: float = 0.0) -> bool:
     """Whether two convex polygons come nearer than `margin` along every axis of separation."""
     for one, other in ((a, b), (b, a)):
         edges = np.roll(one, -1, axis=0) - one
@@ -35,7 +35,7 @@ def overlap(a: Points, b: Points, margin: float = 0.0) -> bool:
     return True
 
 
-def within(points: Points, polygon: Points, margin: float = 0.0) -> NDArray[np.bool_]:
+def within(points: Float64Array, polygon: Float64Array, margin: float = 0.0) -> NDArray[np.bool_]:
     """Which of the points (n, 2) lie in a convex polygon, at least `margin` from its edges; a negative one widens it."""
     edges = np.roll(polygon, -1, axis=0) - polygon
     normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1)[:, None]
@@ -44,7 +44,7 @@ def within(points: Points, polygon: Points, margin: float = 0.0) -> NDArray[np.b
     return inside
 
 
-def inset(polygon: Points, distances: Points) -> Points:
+def inset(polygon: Float64Array, distances: Float64Array) -> Float64Array:
     """A convex polygon with edge i moved inwards by `distances[i]`; its corners stay in order."""
     edges = np.roll(polygon, -1, axis=0) - polygon
     normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1)[:, None]
@@ -56,25 +56,25 @@ def inset(polygon: Points, distances: Points) -> Points:
     return np.array(corners)
 
 
-def area(polygon: Points) -> float:
+def area(polygon: Float64Array) -> float:
     """Area in square metres, positive when counter-clockwise."""
     x, y = polygon[:, 0], polygon[:, 1]
     return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2)
 
 
-def ellipse(x: float, y: float, length: float, width: float, angle: float, corners: int = 28) -> Points:
+def ellipse(x: float, y: float, length: float, width: float, angle: float, corners: int = 28) -> Float64Array:
     """A polygon (corners, 2) on an ellipse of these diameters."""
     around = np.arange(corners) * 2 * np.pi / corners
     ring = np.stack([np.cos(around) * length / 2, np.sin(around) * width / 2], axis=1)
-    moved: Points = turned(ring, angle) + np.array([x, y])
+    moved: Float64Array = turned(ring, angle) + np.array([x, y])
     return moved
 
 
-def segment_distance(points: Points, start: Points, end: Points) -> Points:
+def segment_distance(points: Float64Array, start: Float64Array, end: Float64Array) -> Float64Array:
     """Distances (n,) of points (n, 2) to the segment from `start` to `end`."""
     along = end - start
     share = np.clip((points - start) @ along / max(float(along @ along), 1e-9), 0.0, 1.0)
-    distance: Points = np.linalg.norm(points - start - share[:, None] * along, axis=1)
+    distance: Float64Array = np.linalg.norm(points - start - share[:, None] * along, axis=1)
     return distance
 
 
@@ -88,9 +88,9 @@ class Waves:
         heights: (k,) amplitudes in metres.
     """
 
-    vectors: Points
-    phases: Points
-    heights: Points
+    vectors: Float64Array
+    phases: Float64Array
+    heights: Float64Array
 
     @classmethod
     def draw(cls, rng: np.random.Generator, height: float, shortest: float, longest: float, count: int = 6) -> Waves:
@@ -101,7 +101,7 @@ class Waves:
         weights = lengths / lengths.sum()
         return cls(vectors, rng.uniform(0, 2 * np.pi, count), height * weights * 1.6)
 
-    def __call__(self, points: Points) -> Points:
+    def __call__(self, points: Float64Array) -> Float64Array:
         """Values (...,) at points (..., 2)."""
-        value: Points = np.sin(points @ self.vectors.T + self.phases) @ self.heights
+        value: Float64Array = np.sin(points @ self.vectors.T + self.phases) @ self.heights
         return value

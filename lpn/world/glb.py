@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lpn.world.geometry import Points
+from lpn.core.arrays import Float64Array
 
 MOST_VERTICES = 65_535
 """Vertices of one primitive; the index after them has a meaning of its own."""
@@ -37,10 +37,10 @@ class Primitive:
     """
 
     name: str
-    vertices: Points
+    vertices: Float64Array
     faces: NDArray[np.int64]
     colours: NDArray[np.uint8] | None = None
-    uv: Points | None = None
+    uv: Float64Array | None = None
     picture: bytes | None = None
 
 

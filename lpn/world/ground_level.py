@@ -13,10 +13,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 from lpn.world.cameras import TILE, Panorama, Pose
 from lpn.world.city import SPECIES, City, Target
-from lpn.world.geometry import Points, segment_distance
+from lpn.world.geometry import segment_distance
 from lpn.world.meshes import CROWNS, VEHICLE_SIZES
 from lpn.world.streets import beside, densified
 from lpn.world.surroundings import Things, distances
@@ -45,11 +46,11 @@ class Stands:
         aims: (n, 2) middle of what is seen of them.
     """
 
-    places: Points
+    places: Float64Array
     kind: _Kind
-    away: Points
-    seen: Points
-    aims: Points
+    away: Float64Array
+    seen: Float64Array
+    aims: Float64Array
 
 
 class Outdoors:
@@ -79,7 +80,7 @@ class Outdoors:
         self._water = tuple(patch.polygon for patch in city.patches if patch.surface in ("water", "pool"))
         self._hedges = np.array(city.hedges).reshape(-1, 2, 2)
 
-    def open(self, places: Points) -> NDArray[np.bool_]:
+    def open(self, places: Float64Array) -> NDArray[np.bool_]:
         """Which places (n, 2) somebody can stand at, on dry ground and with nothing overhead."""
         dry: NDArray[np.bool_] = self._city.terrain.bank(places) > 4
         return dry & self._things(places.min(axis=0), places.max(axis=0)).room(places)
@@ -105,7 +106,7 @@ class Outdoors:
             raise InputError(f"There is nowhere to stand around place {target.number} of this world; try another seed.")
         return found
 
-    def _things(self, low: Points, high: Points) -> Things:
+    def _things(self, low: Float64Array, high: Float64Array) -> Things:
         """What stands in a box, or reaches into it."""
         numbers = _inside(self._bodies[:, :2], low - 60, high + 60)
         trees = self._trees[_inside(self._trees[:, :2], low - 15, high + 15)]
@@ -115,7 +116,7 @@ class Outdoors:
         return Things(numbers, self._bodies[numbers], trees, hedges, self._vehicles[near], self._tall[near], water)
 
     def _judged(
-        self, target: Target, things: Things, places: Points, kinds: _Kind, reach: tuple[float, float], most: int
+        self, target: Target, things: Things, places: Float64Array, kinds: _Kind, reach: tuple[float, float], most: int
     ) -> Stands:
         city, building = self._city, self._city.buildings[target.building]
         corners = city.footprint(building)
@@ -132,7 +133,9 @@ class Outdoors:
         return Stands(places[keep], kinds[keep], away[keep], seen, aims)
 
 
-def _view(things: Things, own: int, line: Points, height: float, place: Points) -> tuple[float, Points]:
+def _view(
+    things: Things, own: int, line: Float64Array, height: float, place: Float64Array
+) -> tuple[float, Float64Array]:
     """The share of the walls along a ring (n, 2) facing a place that can be seen from there, and their middle (2,)."""
     steps, middles = np.diff(line, axis=0), (line[1:] + line[:-1]) / 2
     outward = np.stack([steps[:, 1], -steps[:, 0]], axis=1)
@@ -142,7 +145,7 @@ def _view(things: Things, own: int, line: Points, height: float, place: Points) 
     facing = facing[:: max(1, len(facing) // 8)]
     tops = np.full(len(facing), min(0.7 * height, 14.0))
     clear = things.clear(np.broadcast_to(place, facing.shape), facing, tops, own)
-    aim: Points = facing[clear].mean(axis=0) if clear.any() else facing.mean(axis=0)
+    aim: Float64Array = facing[clear].mean(axis=0) if clear.any() else facing.mean(axis=0)
     return float(clear.mean()), aim
 
 
@@ -183,7 +186,7 @@ def street_poses(outdoors: Outdoors, city: City, target: Target, count: int) -> 
 
 
 def panoramas(
-    outdoors: Outdoors, city: City, count: int, covered: Callable[[Target, Points], NDArray[np.bool_]]
+    outdoors: Outdoors, city: City, count: int, covered: Callable[[Target, Float64Array], NDArray[np.bool_]]
 ) -> dict[int, list[Panorama]]:
     """Cameras of `count` panoramas near each target, by its number; the first ones do not depend on `count`.
 
@@ -221,9 +224,9 @@ def panoramas(
     return found
 
 
-def _ways(city: City) -> tuple[Points, _Kind]:
+def _ways(city: City) -> tuple[Float64Array, _Kind]:
     """Places (n, 2) along streets and paths, and what they are on (n,)."""
-    pieces: list[tuple[Points, int]] = []
+    pieces: list[tuple[Float64Array, int]] = []
     for street in city.streets:
         line = densified(street.line, _SPACING)
         lane = 1.9 if street.kind == "arterial" else 1.5
@@ -235,9 +238,9 @@ def _ways(city: City) -> tuple[Points, _Kind]:
     return np.concatenate([p for p, _ in pieces]), np.concatenate([np.full(len(p), kind) for p, kind in pieces])
 
 
-def _inside(points: Points, low: Points, high: Points) -> NDArray[np.int_]:
+def _inside(points: Float64Array, low: Float64Array, high: Float64Array) -> NDArray[np.int_]:
     return np.flatnonzero(((points > low) & (points < high)).all(axis=1))
 
 
-def _columns(stands: Stands) -> tuple[Points, _Kind, Points, Points, Points]:
+def _columns(stands: Stands) -> tuple[Float64Array, _Kind, Float64Array, Float64Array, Float64Array]:
     return stands.places, stands.kind, stands.away, stands.seen, stands.aims

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lpn.core.arrays import Float32Array, Float64Array
 from lpn.world import photo
-from lpn.world.canvas import Image
 from lpn.world.city import City
-from lpn.world.geometry import Points, turned
+from lpn.world.geometry import turned
 
 DAY = replace(photo.DRONE, haze=0.0, blur=0.0, noise=0.0)
 _SUN = 1.5 * np.array([1.0, 0.94, 0.86])  # light of a white surface that faces it
@@ -19,22 +19,22 @@ _SKY = 0.36 * np.array([0.86, 0.95, 1.1])  # light of a white surface that faces
 _SOFT = 1.2  # metres over which a shadow's edge fades
 
 
-def towards_sun() -> Points:
+def towards_sun() -> Float64Array:
     """Unit vector (3,): x east, y north, z up."""
     elevation, bearing = np.radians(DAY.sun)
     level = np.cos(elevation)
     return np.array([level * np.sin(bearing), level * np.cos(bearing), np.sin(elevation)])
 
 
-def reflected(tints: Points, normals: Points) -> Points:
+def reflected(tints: Float64Array, normals: Float64Array) -> Float64Array:
     """Light (n, 3) that surfaces of linear reflectance (n, 3) send out; `normals` (n, 3) are unit vectors."""
     sun = np.clip(normals @ towards_sun(), 0, None)[:, None]
     sky = (0.62 + 0.38 * normals[:, 2])[:, None]
-    light: Points = tints * (sun * _SUN + sky * _SKY)
+    light: Float64Array = tints * (sun * _SUN + sky * _SKY)
     return light
 
 
-def displayed(light: Points) -> NDArray[np.uint8]:
+def displayed(light: Float64Array) -> NDArray[np.uint8]:
     """Colours (..., 3) in sRGB of light (..., 3), with the exposure and tones of the drone's camera."""
     picture = light.reshape(-1, 1, 3).astype(np.float32)
     return np.asarray(photo.develop(picture, DAY, np.random.default_rng(0)).reshape(light.shape), np.uint8)
@@ -47,7 +47,7 @@ def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(np.rint(steps), np.uint8)
 
 
-def sunshine(city: City, west: float, north: float, shape: tuple[int, int], scale: float) -> Image:
+def sunshine(city: City, west: float, north: float, shape: tuple[int, int], scale: float) -> Float32Array:
     """Share of the sun (h, w) that reaches the ground past buildings and trees, `scale` metres a pixel, north up."""
     height, width = shape
     mask = np.zeros(shape, np.uint8)
@@ -55,7 +55,7 @@ def sunshine(city: City, west: float, north: float, shape: tuple[int, int], scal
     drift = -sun[:2] / sun[2]  # of a shadow, for each metre of height
     corner = np.array([west, north])
 
-    def fill(ring: Points) -> None:
+    def fill(ring: Float64Array) -> None:
         at = (ring - corner) * (1, -1) / scale * 16
         if (at.max(axis=0) > 0).all() and (at.min(axis=0) < (16 * width, 16 * height)).all():
             cv2.fillConvexPoly(mask, cv2.convexHull(at.astype(np.int32)), 255, cv2.LINE_AA, 4)
@@ -74,7 +74,7 @@ def sunshine(city: City, west: float, north: float, shape: tuple[int, int], scal
     return np.asarray(1 - soft.astype(np.float32) / 255)
 
 
-def ground(colour: Image, water: Image, sunshine: Image) -> NDArray[np.uint8]:
+def ground(colour: Float32Array, water: Float32Array, sunshine: Float32Array) -> NDArray[np.uint8]:
     """The lit ground (h, w, 3) in sRGB, from its reflectance (h, w, 3), share of water, and share of the sun."""
     light = colour * (sunshine[..., None] * towards_sun()[2] * _SUN + _SKY)
     light += water[..., None] * np.array([0.03, 0.055, 0.075])  # the sky on it

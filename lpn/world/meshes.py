@@ -8,8 +8,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lpn.core.arrays import Float64Array
 from lpn.world.architecture import Architecture, Colour, Item, Part
-from lpn.world.geometry import Points, area, rectangle
+from lpn.world.geometry import area, rectangle
 
 BAYS, STOREYS = 16, 8  # of a wall's texture
 COVER = 32.0  # metres across a roof's texture
@@ -33,13 +34,13 @@ class Mesh:
         tints: linear reflectance of each polygon.
     """
 
-    vertices: list[Points] = field(default_factory=list)
-    uv: list[Points] = field(default_factory=list)
+    vertices: list[Float64Array] = field(default_factory=list)
+    uv: list[Float64Array] = field(default_factory=list)
     sizes: list[int] = field(default_factory=list)
     materials: list[str] = field(default_factory=list)
     tints: list[Colour] = field(default_factory=list)
 
-    def add(self, corners: Points, material: str, tint: Colour, uv: Points | None = None) -> None:
+    def add(self, corners: Float64Array, material: str, tint: Colour, uv: Float64Array | None = None) -> None:
         """One polygon (k, 3)."""
         self.vertices.append(corners)
         self.uv.append(corners[:, :2] / COVER if uv is None else uv)
@@ -47,7 +48,7 @@ class Mesh:
         self.materials.append(material)
         self.tints.append(tint)
 
-    def quads(self, corners: Points, material: str, tints: Points) -> None:
+    def quads(self, corners: Float64Array, material: str, tints: Float64Array) -> None:
         """Many quadrilaterals (n, 4, 3) at once, with tints (n, 3)."""
         self.vertices.append(corners.reshape(-1, 3))
         self.uv.append(corners.reshape(-1, 3)[:, :2] / COVER)
@@ -55,7 +56,7 @@ class Mesh:
         self.materials.extend([material] * len(corners))
         self.tints.extend((r, g, b) for r, g, b in tints.tolist())
 
-    def wall(self, a: Points, b: Points, low: float, high: float, part: Part, start: float = 0.0) -> None:
+    def wall(self, a: Float64Array, b: Float64Array, low: float, high: float, part: Part, start: float = 0.0) -> None:
         """A wall from a to b, outside to the right, with whole window units."""
         length = float(np.linalg.norm(b - a))
         bays = max(1, round(length / part.bay))
@@ -69,13 +70,13 @@ class Mesh:
         """A box without its underside."""
         self.prism(rectangle(x, y, length, width, angle), z, z + height, material, tint)
 
-    def prism(self, ring: Points, low: float, high: float, material: str, tint: Colour) -> None:
+    def prism(self, ring: Float64Array, low: float, high: float, material: str, tint: Colour) -> None:
         """An upright prism without its underside."""
         for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True):
             self.add(np.array([[*a, low], [*b, low], [*b, high], [*a, high]]), material, tint)
         self.add(np.column_stack([ring, np.full(len(ring), high)]), material, tint)
 
-    def arrays(self) -> tuple[Points, Points, NDArray[np.int32], Points]:
+    def arrays(self) -> tuple[Float64Array, Float64Array, NDArray[np.int32], Float64Array]:
         """Vertices (n, 3), uv (n, 2), sizes (p,), and tints (p, 3)."""
         tints = np.array(self.tints, dtype=np.float64)
         return np.concatenate(self.vertices), np.concatenate(self.uv), np.array(self.sizes, np.int32), tints
@@ -111,7 +112,7 @@ def _part(mesh: Mesh, part: Part, start: float) -> None:
         _pitched(mesh, part, ring, cover)
 
 
-def _flat(mesh: Mesh, part: Part, ring: Points, rim: float, cover: str) -> None:
+def _flat(mesh: Mesh, part: Part, ring: Float64Array, rim: float, cover: str) -> None:
     inner = _shrunk(ring, 0.4) if rim else ring
     mesh.add(np.column_stack([inner, np.full(len(inner), part.eaves)]), cover, part.cover_tint)
     if rim:
@@ -123,18 +124,18 @@ def _flat(mesh: Mesh, part: Part, ring: Points, rim: float, cover: str) -> None:
             mesh.add(np.array([[*d, part.eaves], [*d, top], [*c, top], [*c, part.eaves]]), "plain", light)
 
 
-def _shrunk(ring: Points, by: float) -> Points:
+def _shrunk(ring: Float64Array, by: float) -> Float64Array:
     """A ring moved inwards; corners may point inwards too."""
     ahead = np.roll(ring, -1, axis=0) - ring
     ahead /= np.linalg.norm(ahead, axis=1)[:, None]
     normal = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
     before = np.roll(normal, 1, axis=0)
     middle = normal + before
-    shrunk: Points = ring + by * middle * (2 / (middle**2).sum(axis=1))[:, None]
+    shrunk: Float64Array = ring + by * middle * (2 / (middle**2).sum(axis=1))[:, None]
     return shrunk
 
 
-def _pitched(mesh: Mesh, part: Part, ring: Points, cover: str) -> None:
+def _pitched(mesh: Mesh, part: Part, ring: Float64Array, cover: str) -> None:
     """Gable, hip, or barrel over a rectangle whose first edge runs along the ridge."""
     a, b, _, d = ring[:4]
     along = (b - a) / np.linalg.norm(b - a)
@@ -154,7 +155,7 @@ def _pitched(mesh: Mesh, part: Part, ring: Points, cover: str) -> None:
     length = float(np.linalg.norm(b - a))
     end = min(end, length / 2 - 0.1)
 
-    def at(x: float, y: float, height: float) -> Points:
+    def at(x: float, y: float, height: float) -> Float64Array:
         return np.array([*(a + along * x + across * y), height])
 
     travelled = 0.0
@@ -180,7 +181,7 @@ def _pitched(mesh: Mesh, part: Part, ring: Points, cover: str) -> None:
                               + [at(x, depth, z), at(x, 0, z)]), "plain", part.wall_tint)  # fmt: skip
 
 
-def _round(mesh: Mesh, part: Part, ring: Points, cover: str) -> None:
+def _round(mesh: Mesh, part: Part, ring: Float64Array, cover: str) -> None:
     middle = ring.mean(axis=0)
     levels = np.linspace(0, np.pi / 2, 7) if part.roof == "dome" else np.array([0.0, np.pi / 2])
     reach = np.cos(levels) if part.roof == "dome" else np.array([1.03, 0.0])
@@ -192,7 +193,7 @@ def _round(mesh: Mesh, part: Part, ring: Points, cover: str) -> None:
             mesh.add(np.array([low[i], low[j], high[j], high[i]]), cover, part.cover_tint)
 
 
-def _sawtooth(mesh: Mesh, part: Part, ring: Points, cover: str) -> None:
+def _sawtooth(mesh: Mesh, part: Part, ring: Float64Array, cover: str) -> None:
     a, b, _, d = ring[:4]
     length = float(np.linalg.norm(b - a))
     along, across = (b - a) / length, d - a

@@ -13,14 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import InputError
 from lpn.datasets.city_model import LARGEST
 from lpn.world import light, paint, photo, solids, textures
 from lpn.world.atlas import Atlas
 from lpn.world.cameras import TILE, Site, Tile
-from lpn.world.canvas import Image
 from lpn.world.city import City
-from lpn.world.geometry import Points
 from lpn.world.glb import MOST_VERTICES, Primitive, glb
 from lpn.world.meshes import BAYS, STOREYS
 from lpn.world.solids import PLAIN, TREE_BYTES, Solid, Solids
@@ -136,7 +135,7 @@ def _built(city: City, window: Window, detail: Detail) -> Solids:
     return built
 
 
-def _within(window: Window, x: Points, y: Points) -> NDArray[np.int_]:
+def _within(window: Window, x: Float64Array, y: Float64Array) -> NDArray[np.int_]:
     west, south, east, north = window
     return np.flatnonzero((x > west) & (x < east) & (y > south) & (y < north))
 
@@ -194,7 +193,7 @@ def _painted(city: City, window: Window, pixel: float) -> NDArray[np.uint8]:
     return picture
 
 
-def _halved(layer: Image, side: int) -> Image:
+def _halved(layer: Float32Array, side: int) -> Float32Array:
     return np.asarray(cv2.resize(layer, (side, side), interpolation=cv2.INTER_AREA), np.float32)
 
 

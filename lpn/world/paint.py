@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from lpn.core.arrays import Float32Array, Float64Array
 from lpn.world.architecture import Colour
-from lpn.world.canvas import Canvas, Image
+from lpn.world.canvas import Canvas
 from lpn.world.city import City, Patch, Street
-from lpn.world.geometry import Points, turned, within
+from lpn.world.geometry import turned, within
 from lpn.world.plot import parking_rows
 from lpn.world.streets import beside
 
@@ -56,12 +57,14 @@ _FIELDS: tuple[Colour, ...] = (
 )
 
 
-def ground(city: City, west: float, north: float, size: float, scale: float, season: Season) -> tuple[Image, Image]:
+def ground(
+    city: City, west: float, north: float, size: float, scale: float, season: Season
+) -> tuple[Float32Array, Float32Array]:
     """The ground of a square window: colour (h, w, 3) and share of water (h, w), `scale` metres a pixel."""
     canvas = Canvas(west, north, size, size, scale)
     window = np.array([[west, north - size], [west + size, north - size], [west + size, north], [west, north]])
 
-    def seen(points: Points, reach: float = 10.0) -> bool:
+    def seen(points: Float64Array, reach: float = 10.0) -> bool:
         return bool(((points.max(axis=0) > window[0] - reach) & (points.min(axis=0) < window[2] + reach)).all())
 
     _grass(canvas, window, season, 0.5, 1.0)
@@ -85,14 +88,14 @@ def ground(city: City, west: float, north: float, size: float, scale: float, sea
     return np.clip(canvas.colour, 0.005, 0.85), np.clip(canvas.water, 0, 1)
 
 
-def _grown(ring: Points, by: float) -> Points:
+def _grown(ring: Float64Array, by: float) -> Float64Array:
     middle = (ring.max(axis=0) + ring.min(axis=0)) / 2
     extent = np.ptp(ring, axis=0)
-    grown: Points = middle + (ring - middle) * (1 + 2 * by / extent.max())
+    grown: Float64Array = middle + (ring - middle) * (1 + 2 * by / extent.max())
     return grown
 
 
-def _grass(canvas: Canvas, polygon: Points, season: Season, shade: float, worn: float) -> None:
+def _grass(canvas: Canvas, polygon: Float64Array, season: Season, shade: float, worn: float) -> None:
     green, dry = np.array(season.grass), np.array(season.dry)
     share = np.clip(season.dryness * (0.5 + shade) * worn, 0, 1)
     base = tuple((green + (dry - green) * share).tolist())
@@ -111,7 +114,7 @@ def _grass(canvas: Canvas, polygon: Points, season: Season, shade: float, worn: 
     canvas.colour[rows, columns] += weight * (np.array(season.dry, np.float32) - canvas.colour[rows, columns])
 
 
-def _surface(canvas: Canvas, polygon: Points, surface: str, season: Season, shade: float) -> None:
+def _surface(canvas: Canvas, polygon: Float64Array, surface: str, season: Season, shade: float) -> None:
     if surface in ("lawn", "meadow", "garden", "wood", "field"):
         _grass(canvas, polygon, season, shade, {"lawn": 0.8, "meadow": 1.3}.get(surface, 1.1))
         if surface == "wood":
@@ -123,7 +126,7 @@ def _surface(canvas: Canvas, polygon: Points, surface: str, season: Season, shad
         _stains(canvas, polygon)
 
 
-def _stains(canvas: Canvas, polygon: Points, count: float = 0.004) -> None:
+def _stains(canvas: Canvas, polygon: Float64Array, count: float = 0.004) -> None:
     """Repairs, oil, and dirt on hard ground."""
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     rng = np.random.default_rng(int(abs(low.sum()) * 10))
@@ -141,8 +144,8 @@ def _stains(canvas: Canvas, polygon: Points, count: float = 0.004) -> None:
 def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     middle = patch.polygon.mean(axis=0)
 
-    def local(points: list[tuple[float, float]]) -> Points:
-        moved: Points = turned(np.array(points), patch.angle) + middle
+    def local(points: list[tuple[float, float]]) -> Float64Array:
+        moved: Float64Array = turned(np.array(points), patch.angle) + middle
         return moved
 
     def marked(points: list[tuple[float, float]], width: float = 0.14, strength: float = 0.85) -> None:
@@ -242,21 +245,21 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
             )
 
 
-def _clipped(line: Points, polygon: Points) -> Points:
+def _clipped(line: Float64Array, polygon: Float64Array) -> Float64Array:
     """The part of a straight line inside a convex polygon."""
     places = line[0] + (line[1] - line[0]) * np.linspace(0, 1, 120)[:, None]
     inside = places[within(places, polygon, 0.3)]
-    ends: Points = inside[[0, -1]] if len(inside) else places[:1]
+    ends: Float64Array = inside[[0, -1]] if len(inside) else places[:1]
     return ends
 
 
 def _track(canvas: Canvas, patch: Patch, season: Season) -> None:
     middle = patch.polygon.mean(axis=0)
 
-    def oval(radius: float, straight: float) -> Points:
+    def oval(radius: float, straight: float) -> Float64Array:
         around = np.linspace(-np.pi / 2, np.pi / 2, 20)
         right = np.stack([np.cos(around) * radius + straight / 2, np.sin(around) * radius], axis=1)
-        ring: Points = turned(np.concatenate([right, -right]), patch.angle) + middle
+        ring: Float64Array = turned(np.concatenate([right, -right]), patch.angle) + middle
         return ring
 
     straight = patch.length - patch.width
@@ -307,7 +310,7 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
         _crossings(canvas, street)
 
 
-def _dashes(canvas: Canvas, line: Points, mark: float, pitch: float) -> None:
+def _dashes(canvas: Canvas, line: Float64Array, mark: float, pitch: float) -> None:
     lengths = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     for start in np.arange(9, lengths[-1] - 9, pitch):
         ends = np.array([start, start + mark])
@@ -329,7 +332,7 @@ def _crossings(canvas: Canvas, street: Street) -> None:
         canvas.line(stop, 0.35, LINE, 0.1, 0.8)
 
 
-def _river(canvas: Canvas, city: City, window: Points) -> None:
+def _river(canvas: Canvas, city: City, window: Float64Array) -> None:
     river = city.terrain.river
     near = river.line[(river.line[:, 1] > window[0, 1] - 60) & (river.line[:, 1] < window[2, 1] + 60)]
     if len(near) < 2 or near[:, 0].min() > window[1, 0] + river.width or near[:, 0].max() < window[0, 0] - river.width:

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lpn.core.arrays import Float32Array
 from lpn.world.architecture import Colour
 from lpn.world.cameras import Pose
-from lpn.world.canvas import Image
 from lpn.world.paint import Season
 
 
@@ -93,7 +93,7 @@ def street_look(seed: int, district: int) -> Look:
     return _varied(STREETS[int(rng.integers(len(STREETS)))], rng)
 
 
-def metered(look: Look, light: Image) -> Look:
+def metered(look: Look, light: Float32Array) -> Look:
     """The look with the exposure a camera on the ground would choose, at least partly, for the lower part of (h, w, 3)."""
     grey = np.maximum(light[len(light) // 3 :].mean(axis=-1), 1e-3)
     middle = float(np.exp(np.log(grey).mean()))
@@ -115,7 +115,7 @@ def _varied(look: Look, rng: np.random.Generator) -> Look:
     )
 
 
-def develop(light: Image, look: Look, rng: np.random.Generator, pose: Pose | None = None) -> NDArray[np.uint8]:
+def develop(light: Float32Array, look: Look, rng: np.random.Generator, pose: Pose | None = None) -> NDArray[np.uint8]:
     """A picture (h, w, 3) uint8 from linear light; `pose` gives the haze its depth, without it all is equally far."""
     value = light * np.float32(look.exposure) * np.array(look.balance, np.float32)
     # A film-like shoulder keeps white roofs from burning out.
@@ -133,14 +133,14 @@ def develop(light: Image, look: Look, rng: np.random.Generator, pose: Pose | Non
     return picture
 
 
-def _distance(pose: Pose, pixels: int) -> Image:
+def _distance(pose: Pose, pixels: int) -> Float32Array:
     """How far the ground is (pixels, pixels) in metres, were it level 0 m below the picture's centre's."""
     at = (np.arange(pixels) + 0.5) / pixels * 2 - 1
     slope = np.tan(np.radians(pose.fov / 2))
     right, up, forward = pose.axes()
     rays = forward + slope * (at[None, :, None] * right - at[:, None, None] * up)
     down = np.maximum(-rays[..., 2], 0.08)
-    distance: Image = (pose.z / down * np.linalg.norm(rays, axis=-1)).astype(np.float32)
+    distance: Float32Array = (pose.z / down * np.linalg.norm(rays, axis=-1)).astype(np.float32)
     return distance
 
 

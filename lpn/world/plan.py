@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 from lpn.world.city import (
     Block,
@@ -26,7 +27,7 @@ from lpn.world.city import (
     Trees,
 )  # fmt: skip
 from lpn.world.districts import develop
-from lpn.world.geometry import Points, Waves, inset
+from lpn.world.geometry import Waves, inset
 from lpn.world.grounds import along_street
 from lpn.world.plot import Plot, Pools
 from lpn.world.streets import ARTERIAL, RIM, SIDE, STRIP, Quad, Warp, densified, divide, margin, street
@@ -154,11 +155,11 @@ def _forget_unused(draft: Draft) -> None:
 
 def _columns(
     rows: list[tuple[float, float, int, float, float]] | list[tuple[float, float, float, int, float]],
-) -> Points:
+) -> Float64Array:
     return np.array(rows, dtype=np.float64).reshape(-1, 5).T
 
 
-def _river(west: Points, east: Points, warp: Warp, rng: np.random.Generator) -> Terrain:
+def _river(west: Float64Array, east: Float64Array, warp: Warp, rng: np.random.Generator) -> Terrain:
     middle = warp(densified((west + east) / 2, 30.0))
     # Every y has one x; smoothed, so that the arterials' corners do not show in the water.
     y = np.arange(middle[0, 1] - 400, middle[-1, 1] + 400, 20.0)
@@ -169,7 +170,7 @@ def _river(west: Points, east: Points, warp: Warp, rng: np.random.Generator) -> 
     return Terrain(Waves.draw(rng, 7, 420, 1500), river)
 
 
-def _arterials(nodes: Points, river: int, warp: Warp) -> list[Street]:
+def _arterials(nodes: Float64Array, river: int, warp: Warp) -> list[Street]:
     """Along the lines of the grid; those that go from west to east stop at the river, where their bridges begin."""
     columns, rows, _ = nodes.shape
     found: list[Street] = []
@@ -180,7 +181,7 @@ def _arterials(nodes: Points, river: int, warp: Warp) -> list[Street]:
     return found
 
 
-def _bridges(nodes: Points, river: int, warp: Warp) -> list[Bridge]:
+def _bridges(nodes: Float64Array, river: int, warp: Warp) -> list[Bridge]:
     bridges = []
     for j in range(nodes.shape[1]):
         a, b = warp(nodes[river, j]), warp(nodes[river + 1, j])

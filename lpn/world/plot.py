@@ -7,10 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from lpn.core.arrays import Float64Array
 from lpn.world.architecture import Architecture
 from lpn.world.buildings import MAKERS
 from lpn.world.city import SPECIES, VEHICLES, Building, District, Draft, Patch, Path, Surface, Terrain
-from lpn.world.geometry import Points, area, ellipse, overlap, rectangle, segment_distance, turned, within
+from lpn.world.geometry import area, ellipse, overlap, rectangle, segment_distance, turned, within
 
 _NOTABLE = 260.0  # square metres a target covers at least
 _PADS: tuple[Surface, ...] = ("concrete", "asphalt", "paved", "asphalt", "lawn", "gravel")
@@ -56,20 +57,20 @@ class Pools:
 class Plot:
     """A block while it is being filled; a convex polygon whose corners run counter-clockwise."""
 
-    polygon: Points
+    polygon: Float64Array
     district: District
     rng: np.random.Generator
     draft: Draft
     pools: Pools
     terrain: Terrain
-    bodies: list[Points] = field(default_factory=list)
-    hard: list[Points] = field(default_factory=list)
+    bodies: list[Float64Array] = field(default_factory=list)
+    hard: list[Float64Array] = field(default_factory=list)
     paths: list[Path] = field(default_factory=list)
-    pads: list[Points] = field(default_factory=list)
-    beds: list[Points] = field(default_factory=list)
+    pads: list[Float64Array] = field(default_factory=list)
+    beds: list[Float64Array] = field(default_factory=list)
     trees: list[tuple[float, float]] = field(default_factory=list)
 
-    def edge(self, i: int) -> tuple[Points, Points, Points, float]:
+    def edge(self, i: int) -> tuple[Float64Array, Float64Array, Float64Array, float]:
         """Start, direction, inward normal, and length of an edge."""
         start, end = self.polygon[i % 4], self.polygon[(i + 1) % 4]
         length = float(np.linalg.norm(end - start))
@@ -82,12 +83,12 @@ class Plot:
         return int(lengths[0] + lengths[2] < lengths[1] + lengths[3])
 
     @property
-    def middle(self) -> Points:
+    def middle(self) -> Float64Array:
         """Mean of the corners."""
-        middle: Points = self.polygon.mean(axis=0)
+        middle: Float64Array = self.polygon.mean(axis=0)
         return middle
 
-    def free(self, shape: Points, gap: float = 1.0, border: float = 0.5) -> bool:
+    def free(self, shape: Float64Array, gap: float = 1.0, border: float = 0.5) -> bool:
         """Whether a shape lies in the block and clear of buildings and hard ground."""
         return bool(within(shape, self.polygon, border).all()) and not any(
             overlap(shape, other, gap) for other in (*self.bodies, *self.hard)
@@ -167,13 +168,13 @@ class Plot:
         self.draft.patches.append(Patch(surface, shape, angle, length, width, float(self.rng.random())))
         return True
 
-    def path(self, points: Points, width: float, surface: Surface = "gravel") -> None:
+    def path(self, points: Float64Array, width: float, surface: Surface = "gravel") -> None:
         """A path along a line; buildings stand on it where they are in its way."""
         made = Path(points, width, surface)
         self.paths.append(made)
         self.draft.paths.append(made)
 
-    def hedge(self, start: Points, end: Points) -> None:
+    def hedge(self, start: Float64Array, end: Float64Array) -> None:
         """A hedge or fence."""
         self.draft.hedges.append(np.stack([start, end]))
 
@@ -186,7 +187,9 @@ class Plot:
             places = groves[self.rng.integers(len(groves), size=count)] + self.rng.normal(0, clump, (count, 2))
         self.plant_at(places, species, height)
 
-    def plant_at(self, places: Points, species: tuple[int, ...], height: tuple[float, float], gap: float = 2.4) -> None:
+    def plant_at(
+        self, places: Float64Array, species: tuple[int, ...], height: tuple[float, float], gap: float = 2.4
+    ) -> None:
         """Trees at given places where there is room for them."""
         keep = within(places, self.polygon, 0.8)
         for body in self.bodies:

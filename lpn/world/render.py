@@ -16,11 +16,10 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
+from lpn.core.arrays import Float32Array, Float64Array
 from lpn.world import closeup, meshes, paint, textures
 from lpn.world.cameras import Panorama, Pose, Sweep
-from lpn.world.canvas import Image
 from lpn.world.city import SPECIES, VEHICLES, City
-from lpn.world.geometry import Points
 from lpn.world.photo import Look
 
 SCALE = 0.25  # metres a pixel of the ground's texture
@@ -60,7 +59,7 @@ class Scene:
         self._hedges()
         self._bridges()
 
-    def frame(self, pose: Pose, pixels: int) -> Image:
+    def frame(self, pose: Pose, pixels: int) -> Float32Array:
         """The drone's picture: (pixels, pixels, 3) linear light."""
         data = self._camera.data
         data.type = "PERSP"
@@ -69,7 +68,7 @@ class Scene:
         self._aim(pose.axes(), (pose.x, pose.y, pose.z))
         return self._render(pixels, pixels)
 
-    def panorama(self, panorama: Panorama, pixels: int) -> Image:
+    def panorama(self, panorama: Panorama, pixels: int) -> Float32Array:
         """All around from the ground: (h, w, 3) linear light, of `panorama.size(pixels)`."""
         data = self._camera.data
         data.type = "PANO"
@@ -87,7 +86,7 @@ class Scene:
         closeup.refine(self._materials.items())
         self._scene.cycles.transparent_max_bounces = 6
 
-    def sweep(self, sweep: Sweep) -> Image:
+    def sweep(self, sweep: Sweep) -> Float32Array:
         """The satellite's picture: (pixels, pixels, 3) linear light."""
         axes = sweep.axes()
         data = self._camera.data
@@ -96,14 +95,14 @@ class Scene:
         self._aim(axes, tuple(np.array([sweep.x, sweep.y, sweep.z]) - axes[2] * 600))
         return self._render(sweep.pixels, sweep.pixels)
 
-    def _aim(self, axes: Points, place: tuple[float, float, float]) -> None:
+    def _aim(self, axes: Float64Array, place: tuple[float, float, float]) -> None:
         right, up, forward = axes
         matrix = np.eye(4)
         matrix[:3, :3] = np.stack([right, up, -forward], axis=1)
         matrix[:3, 3] = place
         self._camera.matrix_world = Matrix(matrix.tolist())
 
-    def _render(self, width: int, height: int) -> Image:
+    def _render(self, width: int, height: int) -> Float32Array:
         render = self._scene.render
         render.resolution_x, render.resolution_y = width, height
         file = self._folder / f"frame-{os.getpid()}.png"
@@ -172,7 +171,7 @@ class Scene:
         sun.matrix_world = Matrix(matrix.tolist())
         self._scene.collection.objects.link(sun)
 
-    def _seen(self, x: Points, y: Points, reach: float = 0.0) -> NDArray[np.int_]:
+    def _seen(self, x: Float64Array, y: Float64Array, reach: float = 0.0) -> NDArray[np.int_]:
         west, south, east, north = self._window
         inside = (x > west - reach) & (x < east + reach) & (y > south - reach) & (y < north + reach)
         return np.flatnonzero(inside)
@@ -307,7 +306,7 @@ class Scene:
             self._materials[name] = _material(name, kind, image)
         return self._materials[name]
 
-    def _image(self, name: str, colour: Image, alpha: Image | None) -> Any:
+    def _image(self, name: str, colour: Float32Array, alpha: Float32Array | None) -> Any:
         """An sRGB image of linear colours in [0, 1], with a channel of its own."""
         shown = np.where(colour < 0.0031308, 12.92 * colour, 1.055 * np.maximum(colour, 1e-6) ** (1 / 2.4) - 0.055)
         channels = [shown[..., ::-1]] if alpha is None else [shown[..., ::-1], alpha[..., None]]
@@ -321,7 +320,7 @@ class Scene:
         return image
 
 
-def _fill(mesh: Any, vertices: Points, sizes: NDArray[np.int32], corners: NDArray[np.int32]) -> None:
+def _fill(mesh: Any, vertices: Float64Array, sizes: NDArray[np.int32], corners: NDArray[np.int32]) -> None:
     """Give an empty Blender mesh its polygons: `sizes` corners each, `corners` their vertices one after the other."""
     mesh.vertices.add(len(vertices))
     mesh.vertices.foreach_set("co", vertices.reshape(-1).astype(np.float32))

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lpn.core.arrays import Float64Array
 from lpn.world import light, meshes
 from lpn.world.architecture import Architecture
 from lpn.world.city import SPECIES, City
-from lpn.world.geometry import Points, turned
+from lpn.world.geometry import turned
 
 PLAIN = ""
 """The material of what has no windows."""
@@ -30,10 +31,10 @@ class Solid:
         uv: (n, 2) place in a texture of the material, zeros where it has none.
     """
 
-    vertices: Points
+    vertices: Float64Array
     faces: NDArray[np.int64]
     colours: NDArray[np.uint8]
-    uv: Points
+    uv: Float64Array
 
 
 @dataclass
@@ -146,13 +147,13 @@ _CROWNS = {  # half the crown's width, its lowest and its widest point, as share
 class Polygons:
     """Convex polygons of one material in a building's own frame: triangles, with a normal and a tint each."""
 
-    vertices: Points
+    vertices: Float64Array
     faces: NDArray[np.int64]
-    normals: Points
-    tints: Points
-    uv: Points
+    normals: Float64Array
+    tints: Float64Array
+    uv: Float64Array
 
-    def placed(self, angle: float, place: Points) -> Solid:
+    def placed(self, angle: float, place: Float64Array) -> Solid:
         """The polygons turned, moved, and lit."""
         vertices = np.column_stack([turned(self.vertices[:, :2], angle), self.vertices[:, 2]]) + place
         normals = np.column_stack([turned(self.normals[:, :2], angle), self.normals[:, 2]])
@@ -197,9 +198,9 @@ def _has_windows(material: str) -> bool:
     return material.startswith("wall ") and material != "wall plain"
 
 
-def _cross(ring: Points) -> Points:
+def _cross(ring: Float64Array) -> Float64Array:
     """Normal (3,) of a polygon (k, 3), as long as twice its area."""
-    cross: Points = np.cross(ring - ring[0], np.roll(ring, -1, axis=0) - ring[0]).sum(axis=0)
+    cross: Float64Array = np.cross(ring - ring[0], np.roll(ring, -1, axis=0) - ring[0]).sum(axis=0)
     return cross
 
 

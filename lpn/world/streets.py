@@ -7,8 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from lpn.core.arrays import Float64Array
 from lpn.world.city import Street, StreetKind
-from lpn.world.geometry import Points, Waves
+from lpn.world.geometry import Waves
 
 SIDE = 560.0  # of a district
 RIM = 420.0  # of the countryside around the city
@@ -24,7 +25,7 @@ class Warp:
     east: Waves
     north: Waves
 
-    def __call__(self, points: Points) -> Points:
+    def __call__(self, points: Float64Array) -> Float64Array:
         """The points' places in the city."""
         return points + np.stack([self.east(points), self.north(points)], axis=-1)
 
@@ -33,16 +34,16 @@ class Warp:
 class Quad:
     """Four corners (4, 2) in the grid's plane, counter-clockwise, and for each edge half the width of its street."""
 
-    corners: Points
+    corners: Float64Array
     margins: tuple[float, float, float, float]
 
-    def lengths(self) -> Points:
+    def lengths(self) -> Float64Array:
         """Length of each edge."""
-        lengths: Points = np.linalg.norm(np.roll(self.corners, -1, axis=0) - self.corners, axis=1)
+        lengths: Float64Array = np.linalg.norm(np.roll(self.corners, -1, axis=0) - self.corners, axis=1)
         return lengths
 
 
-def densified(line: Points, step: float = 12.0) -> Points:
+def densified(line: Float64Array, step: float = 12.0) -> Float64Array:
     """A line (n, 2) with points no more than `step` apart."""
     pieces = [
         a + (b - a) * np.arange(n := max(1, int(np.ceil(np.linalg.norm(b - a) / step))))[:, None] / n
@@ -51,15 +52,15 @@ def densified(line: Points, step: float = 12.0) -> Points:
     return np.concatenate([*pieces, line[-1:]])
 
 
-def beside(line: Points, offset: float) -> Points:
+def beside(line: Float64Array, offset: float) -> Float64Array:
     """A line (n, 2) moved `offset` metres to its left."""
     step = np.gradient(line, axis=0)
     step /= np.linalg.norm(step, axis=1)[:, None]
-    moved: Points = line + offset * np.stack([-step[:, 1], step[:, 0]], axis=1)
+    moved: Float64Array = line + offset * np.stack([-step[:, 1], step[:, 0]], axis=1)
     return moved
 
 
-def street(line: Points, kind: StreetKind, warp: Warp, rural: bool = False) -> Street:
+def street(line: Float64Array, kind: StreetKind, warp: Warp, rural: bool = False) -> Street:
     """A street along a straight line of the grid; without pavements in the countryside."""
     width = {"arterial": ARTERIAL, "local": LOCAL, "lane": LANE}[kind]
     return Street(warp(densified(line)), width, kind, 0.3 if rural else _PAVEMENT[kind])

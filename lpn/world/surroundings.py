@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lpn.world.geometry import Points, segment_distance, within
+from lpn.core.arrays import Float64Array
+from lpn.world.geometry import segment_distance, within
 
 _HEDGE = 2.4  # metres high
 
@@ -27,14 +28,14 @@ class Things:
     """
 
     numbers: NDArray[np.int_]
-    bodies: Points
-    trees: Points
-    hedges: Points
-    vehicles: Points
+    bodies: Float64Array
+    trees: Float64Array
+    hedges: Float64Array
+    vehicles: Float64Array
     tall: NDArray[np.bool_]
-    water: tuple[Points, ...]
+    water: tuple[Float64Array, ...]
 
-    def room(self, places: Points) -> NDArray[np.bool_]:
+    def room(self, places: Float64Array) -> NDArray[np.bool_]:
         """At which places (n, 2) somebody can stand and see more than a crown's leaves or a car's door."""
         built = self._within(places, self.bodies, np.full((len(self.bodies), 2), 1.2))
         parked = self._within(places, self.vehicles, np.where(self.tall[:, None], (3.0, 1.8), (1.5, 0.9)))
@@ -47,18 +48,18 @@ class Things:
         return np.asarray(free, bool)
 
     @staticmethod
-    def _within(places: Points, boxes: Points, more: Points) -> NDArray[np.bool_]:
+    def _within(places: Float64Array, boxes: Float64Array, more: Float64Array) -> NDArray[np.bool_]:
         """Which places (n, 2) lie in which boxes, larger by `more` (m, 2) on each side: (n, m)."""
         local = np.abs(_turned_back(places[:, None] - boxes[:, :2], boxes[:, 4]))
         return np.asarray((local < boxes[:, 2:4] + more).all(axis=2))
 
-    def clear(self, starts: Points, ends: Points, tops: Points, own: int) -> NDArray[np.bool_]:
+    def clear(self, starts: Float64Array, ends: Float64Array, tops: Float64Array, own: int) -> NDArray[np.bool_]:
         """Which lines of sight (n, 2) to (n, 2), from 2 m above the ground to `tops` (n,), meet nothing but building `own`."""
         ways = ends - starts
         low, high = 0.04, 0.95  # shares of a line that count
 
-        def heights(share: Points) -> Points:
-            risen: Points = 2.0 + share * (tops[:, None] - 2.0)
+        def heights(share: Float64Array) -> Float64Array:
+            risen: Float64Array = 2.0 + share * (tops[:, None] - 2.0)
             return risen
 
         to = self.trees[:, :2] - starts[:, None]
@@ -86,18 +87,18 @@ class Things:
         return np.asarray(~hidden, bool)
 
 
-def distances(a: Points, b: Points) -> Points:
+def distances(a: Float64Array, b: Float64Array) -> Float64Array:
     """Distances (n, m) between points (n, 2) and (m, 2)."""
-    result: Points = np.hypot(a[:, None, 0] - b[:, 0], a[:, None, 1] - b[:, 1])
+    result: Float64Array = np.hypot(a[:, None, 0] - b[:, 0], a[:, None, 1] - b[:, 1])
     return result
 
 
-def _cross(a: Points, b: Points) -> Points:
-    product: Points = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+def _cross(a: Float64Array, b: Float64Array) -> Float64Array:
+    product: Float64Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return product
 
 
-def _turned_back(points: Points, angles: Points) -> Points:
+def _turned_back(points: Float64Array, angles: Float64Array) -> Float64Array:
     """Points (n, m, 2) turned clockwise by `angles` (m,)."""
     c, s = np.cos(angles), np.sin(angles)
     x, y = points[..., 0], points[..., 1]

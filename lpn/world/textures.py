@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from lpn.world.canvas import Image, noise
+from lpn.core.arrays import Float32Array
+from lpn.world.canvas import noise
 
 
-def wall_texture(style: str) -> Image:
+def wall_texture(style: str) -> Float32Array:
     """A wall of 16 by 8 window units, 32 pixels each: (256, 512, 3), bottom row last."""
     rng = np.random.default_rng([hash_of(style), 1])
     unit = 32
@@ -40,7 +41,7 @@ def wall_texture(style: str) -> Image:
     return np.clip(image, 0.02, 1.2)
 
 
-def roof_texture(style: str) -> Image:
+def roof_texture(style: str) -> Float32Array:
     """A roof of 32 m by 32 m: (512, 512, 3), of mean about 1."""
     rng = np.random.default_rng([hash_of(style), 2])
     size = 512

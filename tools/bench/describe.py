@@ -30,9 +30,10 @@ from torch.utils.data import DataLoader, Dataset
 
 from lpn import descriptors
 from lpn.core import images
+from lpn.core.arrays import Float32Array
 from lpn.core.resources import usable_cores
 from lpn.datasets import open_dataset
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.checkpoints import TorchModel, load_torch, save
 from lpn.models.export import export
 from lpn.models.network import LPN
@@ -66,7 +67,7 @@ class Files(Dataset[torch.Tensor]):
         return torch.from_numpy(images.normalise(np.asarray(picture)))
 
 
-def published(network: TorchModel, files: Sequence[Path], workers: int) -> FloatArray:
+def published(network: TorchModel, files: Sequence[Path], workers: int) -> Float32Array:
     """The published loop's descriptors, (N, n D)."""
     rows = []
     with torch.inference_mode():
@@ -79,7 +80,7 @@ def published(network: TorchModel, files: Sequence[Path], workers: int) -> Float
     return torch.cat(rows).numpy()  # type: ignore[no-any-return]
 
 
-def ours(model: Model, files: Sequence[Path], root: Path) -> FloatArray:
+def ours(model: Model, files: Sequence[Path], root: Path) -> Float32Array:
     """A store's descriptors, made anew, (N, n D)."""
     with tempfile.TemporaryDirectory() as out, redirect_stdout(io.StringIO()):
         store = descriptors.describe(model, files, "drone", out, root=root)
@@ -117,7 +118,7 @@ def with_ray(model: Path, files: Sequence[Path], root: Path, folder: Path) -> li
     return [Figure(what, (len(files) - few) / more, "pictures/s", more=True)] if more > 0 else []
 
 
-def agreement(a: FloatArray, b: FloatArray) -> float:
+def agreement(a: Float32Array, b: Float32Array) -> float:
     """Mean cosine between descriptors of the same pictures."""
     return float((a * b).sum(1).mean())
 

@@ -18,15 +18,13 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from lpn.core.arrays import Float32Array, Int64Array
 from lpn.retrieval import metrics
 from tools.bench.figures import Figure, below, show, within
 
 LENGTH, PARTS, LATENT, NOISE = 2048, 4, 96, 1.2
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
-Array = npt.NDArray[np.float32]
-Labels = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,7 @@ class Size:
 SIZES = (Size("drone to satellite", 37_855, 951, 1), Size("satellite to drone", 701, 51_355, 54))
 
 
-def draw(size: Size, share: float) -> tuple[Array, Labels, Array, Labels]:
+def draw(size: Size, share: float) -> tuple[Float32Array, Int64Array, Float32Array, Int64Array]:
     """Descriptors and labels of both sides."""
     rng = np.random.default_rng(0)
     count, tiles = (max(round(share * number), 20) for number in (size.queries, size.gallery))
@@ -51,7 +49,7 @@ def draw(size: Size, share: float) -> tuple[Array, Labels, Array, Labels]:
     centres = rng.standard_normal((int(labels[-1]) + 1, LATENT), dtype=np.float32)
     spread = rng.standard_normal((LATENT, LENGTH), dtype=np.float32) / np.float32(np.sqrt(LATENT))
 
-    def side(of: Labels) -> Array:
+    def side(of: Int64Array) -> Float32Array:
         made = np.empty((len(of), LENGTH), np.float32)
         for start in range(0, len(of), 4096):
             some = of[start : start + 4096]
@@ -65,7 +63,9 @@ def draw(size: Size, share: float) -> tuple[Array, Labels, Array, Labels]:
     return side(asked), asked, side(labels), labels
 
 
-def published(query: Array, query_labels: Labels, gallery: Array, labels: Labels) -> dict[str, float]:
+def published(
+    query: Float32Array, query_labels: Int64Array, gallery: Float32Array, labels: Int64Array
+) -> dict[str, float]:
     """The figures as the published evaluation comes to them."""
     curve, total = np.zeros(len(gallery)), 0.0
     for descriptor, label in zip(query, query_labels, strict=True):

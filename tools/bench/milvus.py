@@ -29,9 +29,9 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
+from lpn.core.arrays import Float32Array
 from lpn.index import Box
 from lpn.index.milvus import MilvusIndex, Structure
-from lpn.models.base import FloatArray
 from tools.bench.figures import machine
 from tools.bench.search import KIND, drawn, medians, nearest, queries, resident
 from tools.fixtures.milvus_server import Server, indexed, milvus_python
@@ -120,7 +120,7 @@ def measure(structure: Structure, count: int, place: Path, rounds: int) -> tuple
 
 
 def searched(
-    index: MilvusIndex, effort: int, asked: FloatArray, truths: dict[Box | None, list[set[str]]], rounds: int
+    index: MilvusIndex, effort: int, asked: Float32Array, truths: dict[Box | None, list[set[str]]], rounds: int
 ) -> list[str]:
     """Effort, and of all tiles and in the box the recall and the median milliseconds."""
     index._effort = effort
@@ -134,7 +134,7 @@ def searched(
     return row
 
 
-def after_writes(index: MilvusIndex, asked: FloatArray, block: FloatArray, at: Any) -> float:
+def after_writes(index: MilvusIndex, asked: Float32Array, block: Float32Array, at: Any) -> float:
     """Median milliseconds of a search that a write of one tile went before, in place of itself."""
     times = []
     for query in asked[:WRITES]:

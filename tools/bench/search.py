@@ -33,10 +33,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from lpn.core.arrays import Float32Array
 from lpn.core.resources import usable_cores
 from lpn.index import Box, ExactIndex, Kind, base
 from lpn.index.scan import PRECISIONS
-from lpn.models.base import FloatArray, normalise
+from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.bench import figures as measuring
 from tools.bench.figures import Figure, below, machine, show, within
@@ -57,7 +58,7 @@ QUERIES = 20
 Task = Callable[[int], object]
 
 
-def drawn(count: int, seed: int = 0) -> Iterator[tuple[int, FloatArray]]:
+def drawn(count: int, seed: int = 0) -> Iterator[tuple[int, Float32Array]]:
     """Descriptors in blocks, each with the number of its first: 20 tiles about each centre, and centres about one mean."""
     for start in range(0, count, BLOCK):
         rng = np.random.default_rng([seed, start])
@@ -73,7 +74,7 @@ def places(start: int, count: int) -> base.Exact:
     return np.random.default_rng([2, start]).uniform(*CORNERS, (count, 2))
 
 
-def queries(gallery: FloatArray) -> FloatArray:
+def queries(gallery: Float32Array) -> Float32Array:
     """Tiles seen otherwise: some of them with noise of their own, (Q, n, D)."""
     rng = np.random.default_rng(1)
     chosen = gallery[rng.integers(0, len(gallery), QUERIES)]
@@ -88,7 +89,7 @@ def medians(tasks: dict[str, Task], rounds: int) -> dict[str, float]:
     return measuring.medians(each, rounds)
 
 
-def readers(rows: FloatArray) -> dict[str, Task]:
+def readers(rows: Float32Array) -> dict[str, Task]:
     """Ways to read every number once, shared by threads."""
     # As integers, of which a sum waits for none before it.
     numbers = rows.reshape(-1).view(np.int32)
@@ -100,14 +101,14 @@ def readers(rows: FloatArray) -> dict[str, Task]:
     }
 
 
-def top(scores: FloatArray) -> Any:
+def top(scores: Float32Array) -> Any:
     """Positions of the highest scores, in order."""
     k = min(TOP, len(scores))
     found = np.argpartition(scores, len(scores) - k)[len(scores) - k :]
     return found[np.argsort(-scores[found])]
 
 
-def peers(gallery: FloatArray, asked: FloatArray, weights: FloatArray) -> dict[str, Task]:
+def peers(gallery: Float32Array, asked: Float32Array, weights: Float32Array) -> dict[str, Task]:
     """NumPy, and faiss where it is installed; both give positions, scores, and vectors."""
     flat = gallery.reshape(len(gallery), KIND.numbers)
     positions = np.concatenate([places(start, min(BLOCK, len(flat) - start)) for start in range(0, len(flat), BLOCK)])
@@ -273,7 +274,7 @@ class Peak(AbstractContextManager["Peak"]):
             self.most = max(self.most, anonymous())
 
 
-def nearest(count: int, asked: FloatArray, k: int, among: Any = None) -> list[set[str]]:
+def nearest(count: int, asked: Float32Array, k: int, among: Any = None) -> list[set[str]]:
     """The true k nearest of each query, by drawing the gallery once more; of the tiles `among` them, (count,), k or more."""
     vectors = np.stack([KIND.rescaled(query, None).astype(np.float32) for query in asked])
     best = np.full((len(asked), k), -np.inf, np.float32)
@@ -298,7 +299,7 @@ def recall(count: int, folder: Path, rounds: int, every: Sequence[Any], console:
 
 
 def recall_of(
-    codes: Any, count: int, asked: FloatArray, truth: list[set[str]], folder: Path, rounds: int, console: Console
+    codes: Any, count: int, asked: Float32Array, truth: list[set[str]], folder: Path, rounds: int, console: Console
 ) -> None:
     """One of these tables."""
     from lpn.index.faiss import FaissIndex

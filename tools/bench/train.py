@@ -29,6 +29,7 @@ from PIL import Image
 from rich.console import Console
 
 from lpn.core import images
+from lpn.core.arrays import UInt8Array
 from lpn.datasets import open_dataset
 from lpn.models.network import LPN
 from lpn.training.recipes import RECIPES, Recipe
@@ -90,7 +91,7 @@ class PlainLoop:
 class Unkept(Places):
     """Places whose pictures are decoded every time, as in a training's first pass."""
 
-    def picture(self, path: Path) -> images.Picture:
+    def picture(self, path: Path) -> UInt8Array:
         return images.load_picture(path)
 
 

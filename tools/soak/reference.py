@@ -10,16 +10,15 @@ from random import Random
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 import lpn
 from lpn import descriptors, retrieval
 from lpn.core import images
+from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import Picture, Truth, open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.models.base import FloatArray
 from lpn.models.spec import View, views_of
 from lpn.retrieval import Match, Ranking, scoring
 from tools.soak.asked import Asked, Own
@@ -46,8 +45,8 @@ class Side:
     query_view: View
     queries: list[Picture]
     gallery: list[Picture]
-    descriptors: FloatArray
-    labels: npt.NDArray[np.int64]
+    descriptors: Float32Array
+    labels: Int64Array
     truth: list[Truth] | None
 
     @cached_property
@@ -88,9 +87,9 @@ class Reference:
         self.names = self._part_names()
         self.reach = opened.spec.input_size[1] // 2, opened.spec.input_size[0] // 2
         self._picture = lru_cache(maxsize=200)(images.load_picture)
-        self._described: OrderedDict[object, FloatArray] = OrderedDict()
+        self._described: OrderedDict[object, Float32Array] = OrderedDict()
 
-    def _look_at(self, gallery: list[Picture], descriptors: FloatArray, view: View) -> None:
+    def _look_at(self, gallery: list[Picture], descriptors: Float32Array, view: View) -> None:
         """Raise DataError when descriptors are not of their pictures."""
         for index in sorted({round(at) for at in np.linspace(0, len(gallery) - 1, SAMPLE)}):
             picture = images.load_picture(gallery[index].path)
@@ -216,7 +215,7 @@ class Reference:
             )
         return found
 
-    def _descriptor(self, asked: Asked, side: Side) -> FloatArray:
+    def _descriptor(self, asked: Asked, side: Side) -> Float32Array:
         change = Change(asked.angle, asked.right, asked.zoom, asked.down).of(side.queries[asked.query])
         entry = side.queries[asked.query]
         key = (side.query_view, asked.own.name if asked.own else (entry.path, entry.box), change)

@@ -15,8 +15,9 @@ from explorer.compute.cache import Kept
 from explorer.compute.inference_scheduler import KEPT, ROOM, TURN, BusyError, Inference
 from explorer.compute.request_context import STALE, Asker, Shared
 from explorer.compute.worker import Worker
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, LPNError, ModelFileError
-from lpn.models.base import FloatArray, Heads, Model, Pass
+from lpn.models.base import Heads, Model, Pass
 from lpn.models.spec import ModelSpec, View
 
 SPEC = ModelSpec(views=("satellite", "drone"), n_parts=2, embedding=3, input_size=(4, 4))
@@ -34,7 +35,7 @@ class Slow(Model):
         self._began = threading.Semaphore(0)
         self._held = held
 
-    def run(self, images: FloatArray, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> Pass:
         """One pass; a picture of mark 13 is one that cannot be computed, one of mark 14 would end the thread."""
         marks = [round(float(image.flat[0])) for image in images]
         self.passes.append(marks)
@@ -68,7 +69,7 @@ class Slow(Model):
         return (4, 4)
 
 
-def pictures(mark: int, count: int = 1) -> FloatArray:
+def pictures(mark: int, count: int = 1) -> Float32Array:
     return np.full((count, 3, 4, 4), mark, np.float32)
 
 

@@ -40,8 +40,9 @@ from explorer.stage.scene import Stage
 from explorer.workspace import Analyst, Exhibit
 from lpn import retrieval
 from lpn.core import images
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import ModelFileError
-from lpn.models.base import FloatArray, Model, Pass
+from lpn.models.base import Model, Pass
 from lpn.models.spec import View
 from lpn.retrieval import scoring
 from lpn.retrieval.published_results import load_saved
@@ -71,7 +72,7 @@ class Gate:
         self.open.set()
         model.run = self.run  # type: ignore[method-assign]
 
-    def run(self, images: FloatArray, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> Pass:
         """A pass, when the gate is open."""
         self.passes += 1
         self.began.set()

@@ -13,25 +13,26 @@ from lpn import retrieval
 from lpn.analysis import breakdown, notes
 from lpn.analysis.query_outcomes import OUTCOME, Outcomes, build, described_by, labels_of, table
 from lpn.cli import main
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.tables import number_column, text_column
 from lpn.datasets import Picture, Truth, geo, open_dataset
 from lpn.descriptors import cached_descriptors, describe, known_descriptors
-from lpn.models.base import FloatArray, normalise
+from lpn.models.base import normalise
 from lpn.retrieval import inner_products, metrics, scoring
 from tools.fixtures import small_worlds
 
 
-def descriptors(count: int, n: int = 4, size: int = 6, seed: int = 0) -> FloatArray:
+def descriptors(count: int, n: int = 4, size: int = 6, seed: int = 0) -> Float32Array:
     return normalise(np.random.default_rng(seed).standard_normal((count, n, size)).astype(np.float32))
 
 
 def one_by_one(
-    queries: FloatArray,
-    gallery: FloatArray,
+    queries: Float32Array,
+    gallery: Float32Array,
     query_labels: np.ndarray,
     labels: np.ndarray,
-    weights: FloatArray,
+    weights: Float32Array,
     truth: list[Truth] | None = None,
 ) -> list[tuple[int, int, int, int, float, list[float], int]]:
     """The same outcomes from a whole ranking of each query, as the explorer makes it."""

@@ -18,12 +18,13 @@ from lpn.cluster import gather
 from lpn.cluster.gather import open_shards, to_store
 from lpn.cluster.shards import BEFORE, PLAN, Broken, Item, Plan, contents, read_notes, shard_name, write_shard
 from lpn.cluster.storage import Storage
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import StoreError
 from lpn.descriptors import Manifest, Row
 from lpn.descriptors.partial_store import Unfinished
 from lpn.descriptors.writer import write_store
 from lpn.index import open_index
-from lpn.models.base import FloatArray, normalise
+from lpn.models.base import normalise
 
 PARTITIONS = 3
 PLANNED = Plan("f" * 16, "drone", 2, 4, "float32", PARTITIONS)
@@ -36,7 +37,7 @@ RUNS = {
 ANEW = "was written anew while it was read; run this again when lpn describe has ended"
 
 
-def described(items: Sequence[Item]) -> FloatArray:
+def described(items: Sequence[Item]) -> Float32Array:
     """Descriptors that tell pictures, and their states, apart: (B, 2, 4)."""
     raw = [np.random.default_rng([*item.row.file.encode(), item.row.size]).standard_normal((2, 4)) for item in items]
     return normalise(np.array(raw, np.float32).reshape(-1, 2, 4))

@@ -21,10 +21,11 @@ from lpn.cluster.gather import open_shards, to_store
 from lpn.cluster.shards import PLAN, Item, Plan, read_notes, shard_name, write_shard
 from lpn.cluster.storage import Storage
 from lpn.cluster.worker import Task, Worker, _UnreadError
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import PictureError, StoreError
 from lpn.descriptors import Row
 from lpn.descriptors.parallel_inference import Described
-from lpn.models.base import FloatArray, normalise
+from lpn.models.base import normalise
 
 KIND = Plan("f" * 16, "drone", 2, 4, "float32", 1)
 ANOTHER = "Another run of lpn describe wrote to .* meanwhile; run this again when it has ended"
@@ -36,7 +37,7 @@ def pictures(count: int) -> list[Item]:
     return [Item(Row(f"{i:03d}.png", 10, 1), (46.0, 7.0)) for i in range(count)]
 
 
-def described(items: Sequence[Item]) -> FloatArray:
+def described(items: Sequence[Item]) -> Float32Array:
     """Descriptors that tell pictures, and their states, apart: (B, 2, 4)."""
     raw = [np.random.default_rng([*item.row.file.encode(), item.row.size]).standard_normal((2, 4)) for item in items]
     return normalise(np.array(raw, np.float32).reshape(-1, 2, 4))

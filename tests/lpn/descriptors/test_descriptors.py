@@ -17,11 +17,12 @@ import pytest
 import lpn
 from lpn import descriptors
 from lpn.core import images
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, LPNError, PictureError, StoreError
 from lpn.core.files import write_whole
 from lpn.descriptors import writer
 from lpn.descriptors.transforms import Change
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.spec import View
 from tools.fixtures import small_worlds
 
@@ -58,7 +59,7 @@ class Counting:
         self.described, self.die_after = 0, die_after
         original = type(model).descriptors
 
-        def descriptors(of: Model, pictures: FloatArray, view: View, mirror: bool = True) -> FloatArray:
+        def descriptors(of: Model, pictures: Float32Array, view: View, mirror: bool = True) -> Float32Array:
             if self.die_after is not None and self.described >= self.die_after:
                 raise KeyboardInterrupt
             self.described += len(pictures)

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import PictureError
 from lpn.descriptors import parallel_inference
 from lpn.descriptors.parallel_inference import describe_each
-from lpn.models.base import FloatArray
 from lpn.models.onnx_engine import Engine
 
 
 @pytest.fixture
-def pictures() -> FloatArray:
+def pictures() -> Float32Array:
     return np.random.default_rng(0).standard_normal((23, 3, 64, 64)).astype(np.float32)
 
 
-def collected(model: Engine, pictures: FloatArray, count: int) -> FloatArray:
+def collected(model: Engine, pictures: Float32Array, count: int) -> Float32Array:
     found = np.full((len(pictures), model.n_parts, model.spec.embedding), np.nan, np.float32)
     for some in describe_each(model, list(range(len(pictures))), lambda i: pictures[i], "drone", count):
         assert np.isnan(found[some.items]).all()
@@ -29,7 +29,7 @@ def collected(model: Engine, pictures: FloatArray, count: int) -> FloatArray:
 
 @pytest.mark.parametrize("worth", [1, 1000])
 def test_streams_say_what_one_call_says(
-    worth: int, model_file: Path, pictures: FloatArray, monkeypatch: pytest.MonkeyPatch
+    worth: int, model_file: Path, pictures: Float32Array, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whether each stream computes by itself, or all take turns with the model as it was opened."""
     monkeypatch.setattr(parallel_inference, "_WORTH_OPENING", worth)
@@ -38,12 +38,12 @@ def test_streams_say_what_one_call_says(
 
 
 def test_a_network_on_the_cpu_runs_in_several_threads_at_once(
-    model_file: Path, pictures: FloatArray, monkeypatch: pytest.MonkeyPatch
+    model_file: Path, pictures: Float32Array, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     both = threading.Barrier(2, timeout=20)
     original = Engine.descriptors
 
-    def descriptors(self: Engine, images: FloatArray, view: str, mirror: bool = True) -> FloatArray:
+    def descriptors(self: Engine, images: Float32Array, view: str, mirror: bool = True) -> Float32Array:
         both.wait()  # breaks unless two are in here together
         return original(self, images, view, mirror)
 
@@ -54,13 +54,13 @@ def test_a_network_on_the_cpu_runs_in_several_threads_at_once(
 
 
 def test_others_are_computed_one_at_a_time_while_pictures_are_prepared(
-    model_file: Path, pictures: FloatArray, monkeypatch: pytest.MonkeyPatch
+    model_file: Path, pictures: Float32Array, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model = Engine(model_file, threads=2)
     inside, preparing = threading.Lock(), threading.Event()
     original = Engine.descriptors
 
-    def descriptors(self: Engine, images: FloatArray, view: str, mirror: bool = True) -> FloatArray:
+    def descriptors(self: Engine, images: Float32Array, view: str, mirror: bool = True) -> Float32Array:
         assert inside.acquire(blocking=False), "two computed at once"
         try:
             assert preparing.wait(20), "nothing was prepared meanwhile"
@@ -68,7 +68,7 @@ def test_others_are_computed_one_at_a_time_while_pictures_are_prepared(
         finally:
             inside.release()
 
-    def prepare(i: int) -> FloatArray:
+    def prepare(i: int) -> Float32Array:
         until = time.monotonic() + 20
         # The second batch is the other thread's: it is prepared once the first is being computed.
         while i >= model.batch and not preparing.is_set() and time.monotonic() < until:
@@ -82,11 +82,11 @@ def test_others_are_computed_one_at_a_time_while_pictures_are_prepared(
     assert sorted(found) == list(range(23))
 
 
-def test_no_more_is_in_hand_than_the_threads_have(model_file: Path, pictures: FloatArray) -> None:
+def test_no_more_is_in_hand_than_the_threads_have(model_file: Path, pictures: Float32Array) -> None:
     prepared: list[int] = []
     model = Engine(model_file, threads=1)
 
-    def prepare(i: int) -> FloatArray:
+    def prepare(i: int) -> Float32Array:
         prepared.append(i)
         return pictures[i % len(pictures)]
 
@@ -101,11 +101,11 @@ def test_no_more_is_in_hand_than_the_threads_have(model_file: Path, pictures: Fl
 
 
 def test_broken_pictures_stop_no_others_and_an_error_loses_nothing_in_hand(
-    model_file: Path, pictures: FloatArray
+    model_file: Path, pictures: Float32Array
 ) -> None:
     model = Engine(model_file, threads=1)
 
-    def prepare(i: int) -> FloatArray:
+    def prepare(i: int) -> Float32Array:
         if i in (2, 5, 6):
             raise PictureError(f"{i} is broken")
         if i == 9:

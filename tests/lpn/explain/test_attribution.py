@@ -13,6 +13,7 @@ import torch
 from lpn import explain, retrieval
 from lpn.cli.using import DEMO
 from lpn.core import images
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.models.base import Model
@@ -69,7 +70,7 @@ def pair(model: Model, seed: int = 1) -> tuple[Described, Described]:
     )
 
 
-def evidence(one: Described, other: Described, weights: explain.FloatArray | None = None) -> explain.Evidence:
+def evidence(one: Described, other: Described, weights: Float32Array | None = None) -> explain.Evidence:
     assert one.trace is not None
     assert other.trace is not None
     return explain.evidence(one.trace, other.trace, weights)

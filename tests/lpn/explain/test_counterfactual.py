@@ -7,11 +7,12 @@ import pytest
 from scipy.optimize import linprog, minimize
 
 from lpn import retrieval
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.explain import counterfactual
 from lpn.explain.least_distance import shortest
-from lpn.models.base import FloatArray, normalise
+from lpn.models.base import normalise
 from lpn.retrieval import Ranking, inner_products, metrics, scoring
 
 
@@ -42,7 +43,7 @@ def random_case(seed: int) -> tuple[Ranking, np.ndarray]:
     return retrieval.rank(cosines.astype(np.float32), weights, labels, 7), labels
 
 
-def described(seed: int, count: int, n: int) -> FloatArray:
+def described(seed: int, count: int, n: int) -> Float32Array:
     return normalise(np.random.default_rng(seed).standard_normal((count, n, 16)).astype(np.float32))
 
 

@@ -13,13 +13,14 @@ from lpn import descriptors, retrieval
 from lpn.cli import main
 from lpn.cli.using import DEMO
 from lpn.core import images
+from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.datasets import Truth, open_dataset
 from lpn.datasets.geo import Positions
 from lpn.descriptors.transforms import Change
 from lpn.explain import sweeps
 from lpn.explain.sweeps import Point, Profile, changes_over, profile
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
 
@@ -30,7 +31,7 @@ def model(model_file: Path) -> Model:
 
 
 @pytest.fixture(scope="module")
-def tiles(model: Model) -> FloatArray:
+def tiles(model: Model) -> Float32Array:
     """Descriptors of places 0 to 5."""
     prepared = np.stack([model.prepare(small_worlds.place(label), "satellite") for label in range(6)])
     return model.descriptors(prepared, "satellite")
@@ -72,7 +73,7 @@ def test_sweeps_that_mean_nothing_are_refused(given: tuple[object, ...], said: s
         changes_over(*given)  # type: ignore[arg-type]
 
 
-def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: FloatArray) -> None:
+def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float32Array) -> None:
     picture, weights = small_worlds.from_drone(small_worlds.place(2), 3), scoring.part_weights(4, [1, 2, 1, 0])
     labels = np.array([5, 9, 2, 2, -1, 7])
     changes = [Change(rotate=90), Change(shift=9), Change(down=-7), Change(scale=1.5)]
@@ -93,7 +94,7 @@ def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float
         assert point.cosines @ weights == pytest.approx(point.score, abs=1e-6)
 
 
-def test_without_a_truth_a_chosen_tile_or_the_top_match_is_followed(model: Model, tiles: FloatArray) -> None:
+def test_without_a_truth_a_chosen_tile_or_the_top_match_is_followed(model: Model, tiles: Float32Array) -> None:
     given = (model, small_worlds.place(1), "satellite", tiles, scoring.part_weights(4), [Change(), Change(rotate=180)])
     chosen, top = list(profile(*given, follow=3)), list(profile(*given))  # type: ignore[arg-type]
     assert [(point.tile, point.true) for point in chosen] == [(3, None)] * 2
@@ -109,12 +110,12 @@ def test_without_a_truth_a_chosen_tile_or_the_top_match_is_followed(model: Model
 
 
 def test_a_sweep_computes_no_further_than_it_is_asked(
-    model: Model, tiles: FloatArray, monkeypatch: pytest.MonkeyPatch
+    model: Model, tiles: Float32Array, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Change] = []
     describe = retrieval.describe_picture
 
-    def counted(model: Model, picture: images.Picture, view: lpn.View, change: Change) -> retrieval.Described:
+    def counted(model: Model, picture: UInt8Array, view: lpn.View, change: Change) -> retrieval.Described:
         asked.append(change)
         return describe(model, picture, view, change)
 
@@ -158,7 +159,7 @@ def test_a_profile_tells_the_best_change_and_what_it_gains() -> None:
         Profile("shift", ())
 
 
-def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model: Model, tiles: FloatArray) -> None:
+def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model: Model, tiles: Float32Array) -> None:
     # Flying east, what lies east is at the top: the north-up tile is turned counter-clockwise by its heading.
     seen = images.rotate(small_worlds.place(3), 90)
     labels = np.arange(6)

@@ -17,9 +17,10 @@ import pytest
 
 from lpn import descriptors
 from lpn.cli.main import main
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, StoreError
 from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, segment_checksums
-from lpn.models.base import FloatArray, normalise
+from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
 from tools.fixtures.milvus_server import COLLECTION, Client, pretend
@@ -34,7 +35,7 @@ class Tiles:
     """What an index should hold, and the answer by brute force in float64."""
 
     names: list[str]
-    descriptors: FloatArray
+    descriptors: Float32Array
     positions: np.ndarray[Any, Any]
 
     @classmethod
@@ -53,7 +54,7 @@ class Tiles:
             some = slice(i, i + step)
             index.add(self.names[some], self.descriptors[some], self.positions[some])
 
-    def scores(self, query: FloatArray, weights: list[float] | None) -> np.ndarray[Any, Any]:
+    def scores(self, query: Float32Array, weights: list[float] | None) -> np.ndarray[Any, Any]:
         shares = scoring.part_weights(len(query), weights).astype(np.float64)
         cosines = len(query) * (self.descriptors.astype(np.float64) * query).sum(axis=2)
         return np.asarray(cosines @ shares)
@@ -68,7 +69,7 @@ class Tiles:
             (latitude >= south) & (latitude <= north) & ((longitude - west) % 360 <= (east - west) % 360)
         )
 
-    def check(self, found: Found, query: FloatArray, weights: list[float] | None, k: int, box: Box | None) -> None:
+    def check(self, found: Found, query: Float32Array, weights: list[float] | None, k: int, box: Box | None) -> None:
         scores, inside = self.scores(query, weights), self.inside(box)
         order = inside[np.argsort(-scores[inside], kind="stable")][:k]
         rows = np.array([self.names.index(name) for name in found.ids], np.int64)

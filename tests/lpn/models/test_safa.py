@@ -11,8 +11,9 @@ import pytest
 import torch
 
 import lpn
+from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
-from lpn.core.images import Picture, load_picture, polar
+from lpn.core.images import load_picture, polar
 from lpn.datasets import open_dataset
 from lpn.descriptors import describe
 from lpn.models.base import normalise
@@ -154,7 +155,7 @@ def test_too_narrow_a_map_is_refused_in_words() -> None:
         LPN(replace(SPEC, embedding=512))
 
 
-def compass() -> Picture:
+def compass() -> UInt8Array:
     """A tile with a white centre, red in the north, green in the east, blue in the south, and yellow in the west."""
     tile = np.zeros((101, 101, 3), np.uint8)
     middle = (50, 50)

@@ -10,10 +10,11 @@ import pytest
 import lpn
 from lpn import descriptors
 from lpn.core import images
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.datasets import Picture, Truth, University, open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.models.base import FloatArray, Model
+from lpn.models.base import Model
 from lpn.models.checkpoints import save
 from lpn.models.network import LPN
 from lpn.retrieval import metrics
@@ -24,7 +25,7 @@ from tools.fixtures import small_worlds
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
 
 
-def described(model: Model, pictures: list[Picture], view: str, angle: float = 0.0) -> FloatArray:
+def described(model: Model, pictures: list[Picture], view: str, angle: float = 0.0) -> Float32Array:
     turned = [images.rotate(images.load_picture(picture.path), angle) for picture in pictures]
     return model.descriptors(np.stack([images.prepare(p, model.input_size) for p in turned]), view)  # type: ignore[arg-type]
 

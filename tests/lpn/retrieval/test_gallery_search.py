@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from lpn import retrieval
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.models.base import FloatArray, normalise
+from lpn.models.base import normalise
 from lpn.retrieval import scoring
 
 
-def descriptors(seed: int, count: int, n: int) -> FloatArray:
+def descriptors(seed: int, count: int, n: int) -> Float32Array:
     return normalise(np.random.default_rng(seed).standard_normal((count, n, 32)).astype(np.float32))
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from lpn.core import images
-from lpn.core.images import Picture
+from lpn.core.arrays import UInt8Array
 from lpn.training.augmentation import augment
 from lpn.training.recipes import Recipe
 from tools.fixtures import small_worlds
@@ -11,7 +11,7 @@ from tools.fixtures import small_worlds
 STILL = Recipe(backbone="resnet18", size=small_worlds.SIZE, shift=0.0, satellite_rotation=0.0, flip="none")
 
 
-def changed(recipe: Recipe, seed: int) -> Picture:
+def changed(recipe: Recipe, seed: int) -> UInt8Array:
     return augment(small_worlds.place(7), recipe, np.random.default_rng(seed), 0.0, False, "drone")
 
 
@@ -47,5 +47,5 @@ def test_a_turned_place_is_turned_alike_in_its_tile_and_its_panorama() -> None:
     assert difference(0, True, 0, False) > 12
 
 
-def unrolled_shape(tile: Picture, recipe: Recipe) -> tuple[int, ...]:
+def unrolled_shape(tile: UInt8Array, recipe: Recipe) -> tuple[int, ...]:
     return augment(tile, recipe, np.random.default_rng(0), 0.0, False, "satellite").shape
