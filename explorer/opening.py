@@ -17,10 +17,11 @@ from lpn import descriptors
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, geo, open_dataset
 from lpn.datasets.city_model import CityModel, city_model
 from lpn.descriptors import Side
-from lpn.models.spec import Layout, ModelSpec, View, views_of
+from lpn.models.spec import Layout, ModelSpec
 from lpn.retrieval.published_results import Saved
 from lpn.retrieval.ranking_cache import Sides
 

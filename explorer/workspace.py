@@ -23,13 +23,14 @@ from lpn import explain, retrieval
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import InputError
+from lpn.core.views import View
 from lpn.datasets import Picture as Picture
 from lpn.datasets import Truth
 from lpn.datasets.city_model import CityModel
 from lpn.drawing import overlays
 from lpn.explain import Evidence, Mates
 from lpn.models.base import Model
-from lpn.models.spec import ModelSpec, View
+from lpn.models.spec import ModelSpec
 from lpn.retrieval import Described, Match, Ranking, scoring
 
 TILES = 48

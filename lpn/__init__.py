@@ -15,9 +15,10 @@ from lpn.core.errors import LPNError, MissingPackageError
 from lpn.core.version import __version__
 
 if TYPE_CHECKING:
+    from lpn.core.views import View
     from lpn.models.base import Model
     from lpn.models.partition import Partition
-    from lpn.models.spec import ModelSpec, View
+    from lpn.models.spec import ModelSpec
     from lpn.retrieval import metrics
 
 __all__ = ["LPNError", "Model", "ModelSpec", "Partition", "View", "__version__", "load", "metrics"]
@@ -26,7 +27,7 @@ _HOMES = {
     "Model": "lpn.models.base",
     "ModelSpec": "lpn.models.spec",
     "Partition": "lpn.models.partition",
-    "View": "lpn.models.spec",
+    "View": "lpn.core.views",
 }
 
 if not TYPE_CHECKING:

@@ -11,8 +11,8 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
+from lpn.core.views import View
 from lpn.models.base import Model, Pass
-from lpn.models.spec import View
 
 if TYPE_CHECKING:
     from explorer.compute.request_context import Asker

@@ -21,8 +21,8 @@ from explorer.compute.background_jobs import GivenUpError
 from explorer.compute.batching import MovedError, Request, compute, together, told
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
+from lpn.core.views import View
 from lpn.models.base import Heads, Model, Pass
-from lpn.models.spec import View
 
 if TYPE_CHECKING:
     from explorer.compute.request_context import Asker

@@ -8,8 +8,8 @@ from typing import TypeVar
 from explorer.compute.batching import MovedError, joined
 from explorer.compute.inference_scheduler import Inference
 from lpn.core.arrays import Float32Array
+from lpn.core.views import View
 from lpn.models.base import Heads, Model, Pass
-from lpn.models.spec import View
 
 T = TypeVar("T")
 

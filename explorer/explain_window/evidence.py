@@ -13,9 +13,9 @@ from explorer.web.style import part_ink
 from explorer.workspace import Answer, Exhibit
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array
+from lpn.core.views import View
 from lpn.drawing import overlays, verdicts
 from lpn.explain import Evidence, Mates
-from lpn.models.spec import View
 from lpn.retrieval import Described
 
 HINT = "Move over a cell to see what it adds and which cell of the other picture it agrees with; click to keep it."

@@ -20,10 +20,10 @@ from explorer.stage.map_view import GalleryMap
 from explorer.workspace import Answer, Exhibit
 from lpn.core import images
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
+from lpn.core.views import View
 from lpn.drawing import overlays
 from lpn.drawing.overlays import Palette
 from lpn.explain import Evidence
-from lpn.models.spec import View
 from lpn.retrieval import Described, Match
 
 _LIFT = 0.5

@@ -17,10 +17,11 @@ from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Table
+from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth
 from lpn.explain import counterfactual
 from lpn.models.base import Model
-from lpn.models.spec import ModelSpec, View, views_of
+from lpn.models.spec import ModelSpec
 from lpn.retrieval import Ranking, metrics, scoring
 
 

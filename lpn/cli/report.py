@@ -57,9 +57,9 @@ class Report:
         from lpn.analysis.task import open_study, task_of
         from lpn.cli.explain import part_values
         from lpn.core.files import check_writable, write_whole
+        from lpn.core.views import views_of
         from lpn.datasets import open_dataset
         from lpn.descriptors.transforms import Change
-        from lpn.models.spec import views_of
 
         if self.query and (self.failures is not None or self.where):
             raise InputError("Queries are named, and --failures or --where chooses others; leave one of them out.")

@@ -10,15 +10,15 @@ import lpn
 from lpn.cli.explain import part_values
 from lpn.cli.using import TaskName
 from lpn.core.errors import InputError
-from lpn.models.spec import views_of
+from lpn.core.views import views_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from lpn.core.views import View
     from lpn.datasets import Dataset
     from lpn.explain.sweeps import Point, Profile
     from lpn.models.base import Model
-    from lpn.models.spec import View
 
 _BAR = 24
 

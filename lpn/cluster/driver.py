@@ -45,11 +45,11 @@ from lpn.cluster.worker import Task, Worker
 from lpn.core import images
 from lpn.core.errors import DataError, InputError, StoreError
 from lpn.core.files import alone
+from lpn.core.views import View
 from lpn.datasets import geo
 from lpn.descriptors import Box
 from lpn.descriptors.store import box_of
 from lpn.models.onnx_engine import Engine, graph_files
-from lpn.models.spec import View
 
 _SAY_EVERY = 5.0
 """Seconds between two lines of progress."""

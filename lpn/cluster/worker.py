@@ -16,12 +16,12 @@ from lpn.cluster.storage import Storage
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError, PictureError
+from lpn.core.views import View
 from lpn.datasets.integrity import DAMAGED, flaw_within
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.descriptors.writer import prepared
 from lpn.models.onnx_engine import Engine
-from lpn.models.spec import View
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.images import SUFFIXES
-from lpn.models.spec import views_of
+from lpn.core.views import views_of
 
 log = logging.getLogger(__name__)
 

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.views import VIEWS
 from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, below, read_rows, say_left_out
-from lpn.models.spec import VIEWS
 
 NAME = "pairs.csv"
 _MOST = 2**62

@@ -16,13 +16,13 @@ import numpy as np
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import printable
+from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors.partial_store import complete
 from lpn.descriptors.store import Box, Manifest, open_store, row_of
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.descriptors.writer import describe
 from lpn.models.base import Model
-from lpn.models.spec import View
 
 STORES = "descriptors"
 """Folder of a data set in which stores of its test split may come along: `query_drone`, `gallery_satellite`, ..."""

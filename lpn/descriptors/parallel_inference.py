@@ -20,8 +20,8 @@ import numpy as np
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import PictureError
 from lpn.core.resources import usable_cores
+from lpn.core.views import View
 from lpn.models.base import Model
-from lpn.models.spec import View
 
 T = TypeVar("T")
 

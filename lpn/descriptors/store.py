@@ -24,9 +24,9 @@ from lpn.core.checksums import Checksums, crc_of_blocks, crc_of_values
 from lpn.core.errors import InputError, NewerStoreError, PictureError, StoreError
 from lpn.core.files import mapped, unreadable
 from lpn.core.formats import is_newer, newer
+from lpn.core.views import View
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
-from lpn.models.spec import View
 
 FORMAT = "lpn-descriptors/2"
 BEFORE = "lpn-descriptors/1"

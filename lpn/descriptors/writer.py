@@ -13,6 +13,7 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import DataError, StoreError
 from lpn.core.files import alone, printable, write_whole
+from lpn.core.views import View
 from lpn.datasets import files_below
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.parallel_inference import describe_each
@@ -20,7 +21,6 @@ from lpn.descriptors.partial_store import Unfinished, renamed_only, usable
 from lpn.descriptors.store import Box, Manifest, Precision, Row, Store, open_store, row_of
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
-from lpn.models.spec import View
 
 
 def describe(

@@ -14,9 +14,9 @@ from rich.table import Table
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.views import views_of
 from lpn.datasets import Dataset, LeftOut, Picture, geo
 from lpn.datasets.integrity import flaws
-from lpn.models.spec import views_of
 from lpn.training.recipes import RECIPES
 
 _RECIPES = {

@@ -8,10 +8,11 @@ from PIL import Image, ImageDraw
 
 from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
+from lpn.core.views import View
 from lpn.drawing import overlays, verdicts
 from lpn.drawing.overlays import AGAINST, BACKGROUND, DIM, FOR, TEXT, font
 from lpn.explain import Evidence
-from lpn.models.spec import ModelSpec, View
+from lpn.models.spec import ModelSpec
 
 _WIDTH, _MARGIN, _ROW = 1200, 24, 46
 NOTE = "Exact: it accounts for the score; it does not say what the score would be were a cell not there."

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpn.core.arrays import Float64Array
+from lpn.core.views import View
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, Reweighting, Without
 from lpn.explain.sweeps import Profile
-from lpn.models.spec import View
 from lpn.retrieval import Match
 
 _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")

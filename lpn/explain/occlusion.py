@@ -14,9 +14,9 @@ import numpy as np
 
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
+from lpn.core.views import View
 from lpn.explain import Evidence
 from lpn.models.base import Model
-from lpn.models.spec import View
 from lpn.retrieval import scoring
 
 SQUARES = 8

@@ -21,10 +21,10 @@ import numpy as np
 from lpn import retrieval
 from lpn.core.arrays import Float32Array, Int64Array, UInt8Array
 from lpn.core.errors import InputError
+from lpn.core.views import View
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.models.base import Model
-from lpn.models.spec import View
 from lpn.retrieval import scoring
 
 Over = Literal["rotation", "shift", "shift-down", "zoom"]

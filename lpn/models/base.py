@@ -11,7 +11,8 @@ import numpy as np
 from lpn.core import images as pictures
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.core.errors import InputError, ModelFileError
-from lpn.models.spec import ModelSpec, View
+from lpn.core.views import View
+from lpn.models.spec import ModelSpec
 
 _CHUNK = 16
 

@@ -20,10 +20,11 @@ from lpn.core.checksums import BLANK, SEAL, check_entries, check_seal, check_unp
 from lpn.core.errors import ModelFileError
 from lpn.core.files import fingerprint, write_whole
 from lpn.core.formats import is_newer, newer
+from lpn.core.views import BRANCH, View
 from lpn.models.base import Heads, Model, Pass
 from lpn.models.network import LPN, map_size
 from lpn.models.published_checkpoints import State, infer_backbone, infer_spec, read_options
-from lpn.models.spec import BRANCH, ModelSpec, View
+from lpn.models.spec import ModelSpec
 
 log = logging.getLogger(__name__)
 

@@ -18,10 +18,10 @@ from torch import Tensor, nn
 from lpn.core.checksums import BLANK, SEAL, sealed
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, write_whole
+from lpn.core.views import View
 from lpn.models.checkpoints import TorchModel, load_torch
 from lpn.models.network import weigh
 from lpn.models.onnx_engine import FORMAT, OUTPUTS, extra_outputs, graph_files
-from lpn.models.spec import View
 
 Storage = Literal["float32", "float16", "int8"]
 

@@ -15,9 +15,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lpn.core.errors import InputError
+from lpn.core.views import BRANCH, View
 from lpn.models.backbones import BackboneName, LastLayer, build_backbone
 from lpn.models.partition import Partition
-from lpn.models.spec import BRANCH, ModelSpec, View
+from lpn.models.spec import ModelSpec
 
 
 class SpatialAware(nn.Module):

@@ -19,9 +19,10 @@ from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import fingerprint
 from lpn.core.formats import is_newer, newer
 from lpn.core.resources import usable_cores
+from lpn.core.views import View
 from lpn.models.base import Heads, Model, Pass
 from lpn.models.onnx_check import check_self_contained
-from lpn.models.spec import ModelSpec, View
+from lpn.models.spec import ModelSpec
 
 FORMAT = "lpn-explorer-onnx/1"
 COMPUTE = "compute"

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from lpn.core.errors import ModelFileError
 from lpn.core.files import printable
-from lpn.models.spec import BRANCH, ModelSpec, View
+from lpn.core.views import BRANCH, View
+from lpn.models.spec import ModelSpec
 
 log = logging.getLogger(__name__)
 

@@ -23,10 +23,10 @@ from lpn.core.arrays import Float32Array
 from lpn.core.checksums import BLANK, SEAL, sealed
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import check_writable, printable, write_whole
+from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import check_whole
 from lpn.models.onnx_engine import COMPUTE, Engine, graph_files
-from lpn.models.spec import View
 
 PICTURES = 128
 """Calibration pictures for each group of views that share weights."""

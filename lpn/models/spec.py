@@ -9,27 +9,12 @@ from typing import Any, Literal, cast
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import printable
 from lpn.core.formats import UPGRADE
+from lpn.core.views import VIEWS, View
 from lpn.models.partition import WEIGHTINGS, Partition, Weighting
 
-View = Literal["satellite", "street", "drone"]
 Activation = Literal["none", "leaky_relu"]
 Layout = Literal["university", "cvusa", "strips"]
 Pooling = Literal["average", "safa"]
-
-VIEWS: tuple[View, ...] = ("satellite", "street", "drone")
-BRANCH: dict[View, str] = {"satellite": "model_1", "street": "model_2", "drone": "model_3"}
-
-
-def branch_of(pictures: str) -> View:
-    """The view whose branch a set of training pictures goes through: its own, or for "google" the street's."""
-    return "street" if pictures == "google" else cast(View, pictures)
-
-
-def views_of(task: str) -> tuple[View, View]:
-    """The views of a task's queries and of its gallery: of "drone-to-satellite", drone and satellite."""
-    query, gallery = task.split("-to-")
-    return cast(View, query), cast(View, gallery)
-
 
 _ALLOWED: dict[str, tuple[Any, ...]] = {
     "backbone": ("resnet18", "resnet50", "vgg16_bn"),

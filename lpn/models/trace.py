@@ -9,8 +9,8 @@ import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray
 from lpn.core.errors import InputError
+from lpn.core.views import View
 from lpn.models.base import Heads, Model, Pass
-from lpn.models.spec import View
 
 LEAK = 0.1
 """Slope of a head's LeakyReLU below zero."""

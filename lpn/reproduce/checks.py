@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lpn.core.errors import InputError
+from lpn.core.views import View, views_of
 from lpn.models.base import Model
-from lpn.models.spec import View, views_of
 from lpn.reproduce.sources import TASKS
 from lpn.reproduce.tables import Row, Table, Training
 from lpn.reproduce.trainings import Job

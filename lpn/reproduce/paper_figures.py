@@ -9,10 +9,10 @@ import numpy as np
 from lpn import descriptors, retrieval
 from lpn.core import images
 from lpn.core.errors import InputError
+from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.drawing.plots import png, pyplot
 from lpn.models.base import Model
-from lpn.models.spec import View
 from lpn.retrieval import scoring
 
 TRUE, FALSE = "#f2c200", "#2f6fdb"

@@ -13,8 +13,8 @@ from pathlib import Path
 from rich.console import Console
 
 from lpn.core.errors import InputError
+from lpn.core.views import views_of
 from lpn.datasets import Dataset, Picture, open_dataset
-from lpn.models.spec import views_of
 from lpn.reproduce import world
 from lpn.reproduce.tables import Measure, Role
 from lpn.retrieval.evaluate import check_test_split, lists_of

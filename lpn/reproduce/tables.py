@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from lpn.core.errors import InputError
-from lpn.models.spec import View
+from lpn.core.views import View
 from lpn.reproduce import paper_values
 from lpn.training.recipes import RECIPES, Recipe, method
 

@@ -13,11 +13,11 @@ import numpy as np
 from lpn import descriptors
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
+from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
-from lpn.models.spec import View, views_of
 from lpn.retrieval import metrics
 from lpn.retrieval.protocol import Protocol, averaged, sentence
 from lpn.retrieval.published_results import Saved

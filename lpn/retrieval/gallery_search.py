@@ -8,10 +8,10 @@ import numpy as np
 
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
+from lpn.core.views import View
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model, normalise
-from lpn.models.spec import View
 from lpn.models.trace import Trace
 from lpn.retrieval import scoring
 from lpn.retrieval.metrics import JUNK

@@ -9,9 +9,9 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError
+from lpn.core.views import View
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import normalise
-from lpn.models.spec import View
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ import numpy as np
 from lpn.core.arrays import AnyArray, Float32Array, Int64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
+from lpn.core.views import VIEWS, View, views_of
 from lpn.datasets import Dataset, Picture, matlab
-from lpn.models.spec import VIEWS, View, views_of
 
 _NORM_TOLERANCE = 0.01
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
-from lpn.models.spec import View
+from lpn.core.views import View
 from lpn.training.recipes import Recipe
 
 

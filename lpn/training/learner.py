@@ -10,9 +10,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
+from lpn.core.views import branch_of
 from lpn.models import checkpoints
 from lpn.models.network import LPN
-from lpn.models.spec import branch_of
 from lpn.training.loader import Batch
 from lpn.training.losses import total_loss
 from lpn.training.multi_process import Group

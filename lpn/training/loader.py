@@ -19,7 +19,7 @@ from lpn.core import images
 from lpn.core.arrays import Int64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.resources import usable_cores
-from lpn.models.spec import branch_of
+from lpn.core.views import branch_of
 from lpn.training.augmentation import augment, place_draw
 from lpn.training.recipes import Recipe
 from lpn.training.training_set import Places

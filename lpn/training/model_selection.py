@@ -11,10 +11,10 @@ from rich.console import Console
 
 from lpn import descriptors
 from lpn.core.arrays import Float32Array
+from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
-from lpn.models.spec import View
 from lpn.retrieval import metrics
 from lpn.retrieval.evaluate import check_test_split, evaluate
 

@@ -19,11 +19,12 @@ from torch import Tensor
 from lpn.core.errors import DivergedError, InputError, ModelFileError
 from lpn.core.files import check_writable
 from lpn.core.shutdown import finishing
+from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.models import checkpoints
 from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
-from lpn.models.spec import ModelSpec, views_of
+from lpn.models.spec import ModelSpec
 from lpn.training.learner import Learner
 from lpn.training.loader import Batch, Loader
 from lpn.training.model_selection import HeldOut, Judge, Row, TestSplit, best

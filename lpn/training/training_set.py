@@ -13,9 +13,9 @@ from rich.console import Console
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError, InputError
+from lpn.core.views import VIEWS, View
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import flaws, naming
-from lpn.models.spec import VIEWS, View
 
 CACHE_BYTES = 2_000_000_000
 """Pictures are decoded once and kept, as long as those kept take less than this."""

@@ -23,10 +23,10 @@ from playwright.sync_api import Page, sync_playwright
 
 import lpn
 from lpn import datasets
+from lpn.core.views import View
 from lpn.descriptors import STORES, Manifest, Row
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.models.base import Model
-from lpn.models.spec import View
 from tools.bench.evaluate import Size, draw
 from tools.bench.figures import Figure, below, show
 from tools.bench.page import Process, page_seconds

@@ -17,9 +17,9 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.views import View, views_of
 from lpn.datasets import Picture, Truth, open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.models.spec import View, views_of
 from lpn.retrieval import Match, Ranking, scoring
 from tools.soak.asked import Asked, Own
 from tools.soak.reading import Row, Shown

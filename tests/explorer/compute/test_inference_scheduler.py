@@ -17,8 +17,9 @@ from explorer.compute.request_context import STALE, Asker, Shared
 from explorer.compute.worker import Worker
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, LPNError, ModelFileError
+from lpn.core.views import View
 from lpn.models.base import Heads, Model, Pass
-from lpn.models.spec import ModelSpec, View
+from lpn.models.spec import ModelSpec
 
 SPEC = ModelSpec(views=("satellite", "drone"), n_parts=2, embedding=3, input_size=(4, 4))
 

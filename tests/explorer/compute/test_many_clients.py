@@ -42,8 +42,8 @@ from lpn import retrieval
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import ModelFileError
+from lpn.core.views import View
 from lpn.models.base import Model, Pass
-from lpn.models.spec import View
 from lpn.retrieval import scoring
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds

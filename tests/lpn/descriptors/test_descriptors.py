@@ -20,10 +20,10 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, LPNError, PictureError, StoreError
 from lpn.core.files import write_whole
+from lpn.core.views import View
 from lpn.descriptors import writer
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
-from lpn.models.spec import View
 from tools.fixtures import small_worlds
 
 

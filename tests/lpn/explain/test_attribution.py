@@ -15,13 +15,14 @@ from lpn.cli.using import DEMO
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
+from lpn.core.views import View
 from lpn.datasets import open_dataset
 from lpn.models.base import Model
 from lpn.models.checkpoints import TorchModel, save
 from lpn.models.export import export
 from lpn.models.network import LPN
 from lpn.models.onnx_engine import Engine
-from lpn.models.spec import ModelSpec, View
+from lpn.models.spec import ModelSpec
 from lpn.retrieval import Described, scoring
 
 SPECS = {

@@ -1,0 +1,21 @@
+"""The three views of a place, and the tasks between them."""
+
+from __future__ import annotations
+
+from typing import Literal, cast
+
+View = Literal["satellite", "street", "drone"]
+
+VIEWS: tuple[View, ...] = ("satellite", "street", "drone")
+BRANCH: dict[View, str] = {"satellite": "model_1", "street": "model_2", "drone": "model_3"}
+
+
+def branch_of(pictures: str) -> View:
+    """The view whose branch a set of training pictures goes through: its own, or for "google" the street's."""
+    return "street" if pictures == "google" else cast(View, pictures)
+
+
+def views_of(task: str) -> tuple[View, View]:
+    """The views of a task's queries and of its gallery: of "drone-to-satellite", drone and satellite."""
+    query, gallery = task.split("-to-")
+    return cast(View, query), cast(View, gallery)
