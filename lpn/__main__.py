@@ -20,7 +20,7 @@ def run() -> None:
 
 def _without(error: Exception) -> int:
     if sys.argv[1:] == ["doctor"]:
-        from lpn.cli.using import Doctor
+        from lpn.cli.doctor import Doctor
 
         return Doctor().run()
     from lpn.core.requirements import flaw

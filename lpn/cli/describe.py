@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 import lpn
-from lpn.cli.using import ViewName
 from lpn.core.errors import InputError
+from lpn.core.views import View
 
 _FOR_RAY = ("address", "workers", "threads", "shard", "positions")
 
@@ -21,7 +21,7 @@ class Describe:
     """Trained LPN: .onnx, .safetensors, or .pth; with --engine ray an .onnx, which is sent to the workers."""
     images: str
     """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""
-    view: ViewName
+    view: View
     """The view the pictures show."""
     out: str
     """Folder of the store; with --engine ray folder or address of the shards, which every machine must see."""

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import lpn
-from lpn.cli.using import ViewName
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.views import View
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,9 +32,9 @@ class Explain:
     """Picture file of the query."""
     match: Path
     """Picture file of the tile it is compared with."""
-    view_query: ViewName = "drone"
+    view_query: View = "drone"
     """What the query shows: the branch that describes it."""
-    view_match: ViewName = "satellite"
+    view_match: View = "satellite"
     """What the tile shows."""
     rotate: float = 0.0
     """Degrees counter-clockwise the query is turned first."""
@@ -97,7 +97,7 @@ def part_values(text: str | None) -> list[float] | None:
         raise InputError(f"The weights are {text!r}; expected a number for each part, such as 1,1,0,1.") from error
 
 
-def _losses(model: Model, query: Described, view: ViewName, tile: Described, console: Console) -> Float32Array:
+def _losses(model: Model, query: Described, view: View, tile: Described, console: Console) -> Float32Array:
     """What each part's cosine loses where a square is covered, measured to the end."""
     from rich.progress import Progress
 

@@ -10,9 +10,9 @@ from rich.table import Table as Printed
 from rich.text import Text
 
 import lpn
-from lpn.cli.using import TaskName
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError
+from lpn.core.views import TaskName
 
 if TYPE_CHECKING:
     from rich.console import Console

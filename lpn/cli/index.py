@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import lpn
 from lpn.cli.explain import part_values
-from lpn.cli.using import ViewName
 from lpn.core.arrays import Float32Array
 from lpn.core.files import printable
+from lpn.core.views import View
 
 if TYPE_CHECKING:
     from lpn.index import Found
@@ -86,7 +86,7 @@ class Search:
     """Trained LPN whose descriptors the index holds: .onnx (needs no torch), .safetensors, or .pth."""
     picture: Path
     """Picture file to find."""
-    view: ViewName = "drone"
+    view: View = "drone"
     """What the picture shows: the branch that describes it."""
     rotate: float = 0.0
     """Degrees counter-clockwise it is turned first."""
@@ -140,7 +140,7 @@ class Search:
 
 
 def _matches(
-    found: Found, query: Float32Array, weights: Float32Array, top: int, model: Model, view: ViewName
+    found: Found, query: Float32Array, weights: Float32Array, top: int, model: Model, view: View
 ) -> list[dict[str, Any]]:
     """What is told of each tile."""
     import numpy as np

@@ -7,20 +7,25 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from importlib.metadata import entry_points
 from typing import Any
 
 import tyro
 
 import lpn
 from lpn.cli.describe import Describe, Gather
+from lpn.cli.doctor import Doctor
+from lpn.cli.evaluate import Evaluate
 from lpn.cli.explain import Explain
+from lpn.cli.export import Export, Quantize
 from lpn.cli.failures import Failures
 from lpn.cli.index import MakeIndex, Search
-from lpn.cli.making import Export, Quantize, Reproduce, Train, World, parse_train
 from lpn.cli.report import Report
+from lpn.cli.reproduce import Reproduce
 from lpn.cli.sweep import Sweep
-from lpn.cli.using import Doctor, Evaluate, Explore
+from lpn.cli.train import Train, parse_train
 from lpn.cli.verify import Verify
+from lpn.cli.world import World
 from lpn.core import log
 from lpn.core.errors import LPNError, MissingPackageError
 from lpn.core.files import printable
@@ -28,7 +33,6 @@ from lpn.core.requirements import flaw
 from lpn.core.shutdown import WRITING, Stop, finished, leave
 
 COMMANDS: dict[str, type[Any]] = {
-    "explore": Explore,
     "train": Train,
     "evaluate": Evaluate,
     "explain": Explain,
@@ -46,6 +50,11 @@ COMMANDS: dict[str, type[Any]] = {
     "world": World,
     "reproduce": Reproduce,
 }
+
+
+def commands() -> dict[str, type[Any]]:
+    """Return each subcommand by its name: those of other packages (entry points `lpn.commands`), then our own."""
+    return {point.name: point.load() for point in entry_points(group="lpn.commands")} | COMMANDS
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -71,8 +80,8 @@ def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> i
     if given[0] == "--version":
         print(lpn.__version__)
         return 0
-    if given[0] not in COMMANDS:
-        print(f"lpn has no command {given[0]!r}; it has {', '.join(COMMANDS)}.", file=sys.stderr)
+    if given[0] not in commands():
+        print(f"lpn has no command {given[0]!r}; it has {', '.join(commands())}.", file=sys.stderr)
         return 2
     parsed: list[Any] = []
     stop = Stop(lambda number: _stopped(parsed, number))
@@ -94,7 +103,7 @@ def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> i
 def _run(given: list[str], parsed: list[Any]) -> int:
     """Parse a command, put it into `parsed`, and run it."""
     try:
-        parsed.append(_parse(COMMANDS[given[0]], given[1:], f"lpn {given[0]}"))
+        parsed.append(_parse(commands()[given[0]], given[1:], f"lpn {given[0]}"))
         return int(parsed[0].run() or 0)
     except LPNError as error:
         print(f"lpn: {printable(str(error))}", file=sys.stderr)
@@ -114,7 +123,7 @@ def _run(given: list[str], parsed: list[Any]) -> int:
 def _stopped(parsed: list[Any], number: int) -> int:
     """Say that the command was stopped, and how to go on."""
     command = parsed[0] if parsed else None
-    serves = isinstance(command, Explore)  # to stop it is how it ends
+    serves = getattr(command, "SERVES", False)  # a server is ended by stopping it
     with suppress(OSError):  # a closed terminal
         if serves:
             print("Stopped.", flush=True)
@@ -152,7 +161,7 @@ def _missing(error: ModuleNotFoundError) -> MissingPackageError:
 
 
 def _help() -> str:
-    lines = [f"  {name:10} {(command.__doc__ or '').strip()}" for name, command in COMMANDS.items()]
+    lines = [f"  {name:10} {(command.__doc__ or '').strip()}" for name, command in commands().items()]
     return "\n".join(
         [
             "usage: lpn COMMAND [--help]",

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lpn
-from lpn.cli.using import TaskName
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.views import TaskName
 
 if TYPE_CHECKING:
     from lpn.analysis.task import Study

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 import lpn
 from lpn.cli.explain import part_values
-from lpn.cli.using import TaskName
 from lpn.core.errors import InputError
-from lpn.core.views import views_of
+from lpn.core.views import TaskName, views_of
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -5,6 +5,15 @@ from __future__ import annotations
 from typing import Literal, cast
 
 View = Literal["satellite", "street", "drone"]
+TaskName = Literal[
+    "drone-to-satellite",
+    "satellite-to-drone",
+    "street-to-satellite",
+    "satellite-to-street",
+    "drone-to-street",
+    "street-to-drone",
+    "street-to-street",
+]
 
 VIEWS: tuple[View, ...] = ("satellite", "street", "drone")
 BRANCH: dict[View, str] = {"satellite": "model_1", "street": "model_2", "drone": "model_3"}

@@ -97,6 +97,17 @@ class Saved:
 _NEEDED = ("gallery_f", "gallery_label", "query_f", "query_label")
 
 
+def check_n_parts(n_parts: int | None) -> int:
+    """Return the number of parts of a saved result, 1 where it was not given.
+
+    Raises:
+        InputError: when it is below 1.
+    """
+    if n_parts is not None and n_parts < 1:
+        raise InputError(f"The number of parts is {n_parts}; expected 1 or more.")
+    return n_parts or 1
+
+
 def load_saved(path: str | Path, n_parts: int = 1) -> Saved:
     """Read a `pytorch_result.mat`; needs the extra `data`.
 

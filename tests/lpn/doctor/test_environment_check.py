@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 from lpn.cli import main, using
-from lpn.cli.using import DEMO
 from lpn.core import requirements, resources
 from lpn.core.errors import OutputError
+from lpn.datasets.demo import DEMO
 from lpn.descriptors import cache_folder
 from lpn.doctor import environment_check
 from lpn.doctor.environment_check import Finding, healthy

@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from lpn import explain, retrieval
-from lpn.cli.using import DEMO
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import open_dataset
+from lpn.datasets.demo import DEMO
 from lpn.models.base import Model
 from lpn.models.checkpoints import TorchModel, save
 from lpn.models.export import export

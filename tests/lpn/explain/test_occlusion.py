@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lpn import load, retrieval
-from lpn.cli.using import DEMO
 from lpn.core import images
+from lpn.datasets.demo import DEMO
 from lpn.explain import occlusion
 from lpn.retrieval import scoring
 from tools.bench.faithful import curves

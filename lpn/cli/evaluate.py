@@ -1,0 +1,135 @@
+"""The command that measures retrieval on a test split: evaluate."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import lpn
+from lpn.core.errors import InputError
+
+if TYPE_CHECKING:
+    from lpn.retrieval.evaluate import Result
+    from lpn.retrieval.protocol import Protocol
+
+from lpn.core.views import TaskName, View
+from lpn.retrieval.published_results import check_n_parts
+
+
+@dataclass
+class Evaluate:
+    """Recall and AP on the test split, by the published protocol, or of a saved result."""
+
+    data: Path | None = None
+    """Data set; see docs/evaluation.md for the kinds."""
+    model: Path | None = None
+    """Trained LPN: .onnx, .safetensors, or .pth."""
+    saved: Path | None = None
+    """Result of the published test code, pytorch_result.mat, in place of --data and --model."""
+    n_parts: int | None = None
+    """Parts that the descriptors in --saved consist of; needed with --parts and --average-queries, else 1 will do."""
+    task: TaskName | None = None
+    """Which view is the query and which the gallery; by default the first that the data set offers."""
+    rotate: float = 0.0
+    """Degrees counter-clockwise each query is turned first (Table IV)."""
+    shift: int = 0
+    """Pixels of the network's input each query is moved to the right, black at its left; negative: to the left."""
+    scale: float = 1.0
+    """Factor each query is zoomed by about its centre; below 1 with black around it."""
+    parts: str | None = None
+    """Parts to use, from 1, such as 1,2 (Table V); all by default."""
+    branch: View | None = None
+    """Branch of the model that describes both queries and gallery (Table VI); by default each view's own."""
+    average_queries: bool = False
+    """Average all query pictures of a place into one query."""
+    whole: bool = False
+    """Describe queries whole where the data set marks a part of them (Oxford5k, Paris6k)."""
+    json: Path | None = None
+    """File to write the figures to."""
+
+    def run(self) -> None:
+        from lpn.core.files import check_writable, write_whole
+        from lpn.descriptors.transforms import Change
+        from lpn.retrieval.protocol import Protocol
+
+        if self.json is not None:
+            check_writable(self.json)
+        parts = _numbers(self.parts)
+        protocol = Protocol(
+            Change(self.rotate, self.shift, self.scale),
+            None if parts is None else tuple(parts),
+            self.branch,
+            self.average_queries,
+            self.whole,
+        )
+        title, result = self._saved(self.saved, protocol) if self.saved else self._described(protocol)
+        _print_result(title, result)
+        if self.json is not None:
+            write_whole(self.json, (json.dumps(result.to_dict(), indent=1) + "\n").encode())
+
+    def _saved(self, saved: Path, protocol: Protocol) -> tuple[str, Result]:
+        from lpn.retrieval.evaluate import evaluate_saved
+        from lpn.retrieval.published_results import load_saved
+
+        if self.data is not None or self.model is not None or self.task is not None:
+            raise InputError("A saved result is evaluated alone; leave --data, --model, and --task out.")
+        if protocol.average and self.n_parts is None:
+            raise InputError(
+                "Each part of averaged queries is normalised, and a saved result does not say of how many its descriptors "
+                "consist; give their number with --n-parts (1 for a baseline)."
+            )
+        opened = load_saved(saved, check_n_parts(self.n_parts))
+        return opened.name, evaluate_saved(opened, protocol)
+
+    def _described(self, protocol: Protocol) -> tuple[str, Result]:
+        from lpn.datasets import open_dataset
+        from lpn.descriptors import reader
+        from lpn.retrieval.evaluate import evaluate
+
+        _only_saved(self.n_parts)
+        if self.data is None or self.model is None:
+            raise InputError(
+                "There is nothing to evaluate; give --data and --model, or a pytorch_result.mat with --saved."
+            )
+        model, dataset = lpn.load(self.model), open_dataset(self.data)
+        tasks = dataset.tasks()
+        task = self.task or (tasks[0] if tasks else "drone-to-satellite")
+        title = f"{self.model.name} ({model.describe()}) on {self.data.resolve().name}"
+        return title, evaluate(model, dataset, task, protocol, reader(dataset.root))
+
+
+def _print_result(title: str, result: Result) -> None:
+    """A table of the figures, and under it how they were measured."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title)
+    figures = {**{f"recall@{k}": value for k, value in result.recall.items()}, "ap": result.ap}
+    facts = {"task": result.task, "queries": str(result.queries), "gallery": str(result.gallery)}
+    for name in (*facts, *figures):
+        table.add_column(name, justify="right")
+    table.add_row(*facts.values(), *(f"{value:.2f}" for value in figures.values()))
+    console = Console(width=max(120, Console().width))
+    console.print(table)
+    console.print(result.said)
+    if near := result.distances():
+        shares = ", ".join(f"{value:.1f} % {key}" for key, value in near.items() if key.startswith("within"))
+        console.print(f"Error of the top match: median {near['median error m']:.1f} m; {shares} (geo.csv).")
+
+
+def _numbers(text: str | None) -> list[int] | None:
+    if text is None:
+        return None
+    try:
+        return [int(item) for item in text.split(",")]
+    except ValueError as error:
+        raise InputError(f"The parts are {text!r}; expected numbers from 1, such as 1,2.") from error
+
+
+def _only_saved(n_parts: int | None) -> None:
+    if n_parts is not None:
+        raise InputError(
+            "A model knows its number of parts; give --n-parts with --saved only, or choose parts with --parts."
+        )

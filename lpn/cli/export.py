@@ -1,0 +1,46 @@
+"""Commands that write a model for deployment: export, quantize."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass
+class Export:
+    """Write a .pth or .safetensors model as .onnx, which needs no torch."""
+
+    model: Path
+    """Trained LPN: .safetensors or .pth."""
+    out: Path
+    """File to write, ending in .onnx; views with weights of their own get files beside it."""
+    storage: Literal["float32", "float16", "int8"] = "float32"
+    """Of the weights in the file: float16 halves it, int8 takes it to about a third; all compute in float32."""
+
+    def run(self) -> None:
+        files = import_module("lpn.models.export").export(self.model, self.out, self.storage)
+        print(f"Wrote {', '.join(file.name for file in files)} to {self.out.parent}.")
+
+
+@dataclass
+class Quantize:
+    """Write an exported model again so that it computes in 8-bit integers, calibrated on real pictures."""
+
+    model: Path
+    """Model exported with --storage float32 (.onnx)."""
+    data: Path
+    """Data set whose pictures set the ranges of the 8-bit numbers, in any layout of docs/data.md."""
+    out: Path
+    """File to write, ending in .onnx; views with weights of their own get files beside it."""
+    pictures: int = 128
+    """How many pictures, spread evenly over the training split, or over the test split where there is none."""
+
+    def run(self) -> None:
+        dataset = import_module("lpn.datasets").open_dataset(self.data)
+        files, agreement = import_module("lpn.models.quantize").quantize(self.model, dataset, self.out, self.pictures)
+        print(f"Wrote {', '.join(file.name for file in files)} to {self.out.parent}.")
+        said = ", ".join(f"{view} {cosine:.4f}" for view, cosine in agreement.items())
+        print(f"Mean cosine with the float32 descriptors of calibration pictures: {said}.")
+        print("Measure what it costs on your data: lpn evaluate with either model.")

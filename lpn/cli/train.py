@@ -1,0 +1,109 @@
+"""The command that trains: train."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import tyro
+
+from lpn.core.errors import InputError
+from lpn.training.recipes import RECIPES, Recipe, method
+
+MethodName = Literal[
+    "lpn",
+    "instance",
+    "contrastive",
+    "triplet-0.3",
+    "triplet-0.5",
+    "soft-margin",
+    "lpn-cvusa",
+    "lpn-strips",
+    "safa",
+    "safa-lpn",
+]
+
+
+@dataclass
+class Train:
+    """Train an LPN by a named recipe, any number of which can be changed."""
+
+    data: Path
+    """Data set with pictures to train on, in any layout of docs/data.md."""
+    out: Path
+    """Folder of the run: last.safetensors, best.safetensors, log.csv, tensorboard, and what --resume needs."""
+    recipe: Literal["university1652", "cvusa", "safa", "small", "world"] = "university1652"
+    """The paper's recipe for a data set, SAFA's, one for some hundred places, or the latter for pictures of all headings."""
+    method: MethodName | None = None
+    """One of the methods the paper compares, by default what the recipe says: lpn, the instance-loss baseline, the baseline
+    by another loss, strips, or SAFA."""
+    init: Path | None = None
+    """Weights for the backbone (.safetensors or .pth, torchvision's names), loaded as far as they go."""
+    resume: bool = False
+    """Go on with the run in --out."""
+    evaluate_every: int = 0
+    """Test every so many epochs, and keep the best; 0 for the end only."""
+    validate: float = 0.0
+    """Share of the training places held out to choose the best epoch by; at 0 the test split chooses."""
+    workers: int = 0
+    """Threads that prepare pictures; 0 for what suits the machine. They change no result."""
+    settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
+
+    def run(self) -> None:
+        trainer = import_module("lpn.training.trainer").Trainer
+        dataset = import_module("lpn.datasets").open_dataset(self.data)
+        group = import_module("lpn.training.multi_process").join()
+        run = group.together(
+            lambda: trainer(
+                dataset,
+                self.out,
+                self.settings,
+                self.init,
+                self.resume,
+                self.evaluate_every,
+                workers=self.workers,
+                validate=self.validate,
+                group=group,
+            )
+        )
+        run.console.print(f"Recipe {self.recipe}: {self.settings.to_json()}")
+        model = run.run()
+        group.leave()
+        if group.leads:
+            print(f"The model is in {model}.")
+
+    def going_on(self) -> str:
+        """What to do after a stop."""
+        if not (self.out / "state.pt").is_file():
+            return "No epoch was whole yet, so nothing is kept; give the same command again."
+        return f"The whole epochs in {self.out} are kept; go on with the same command{'' if self.resume else ' and --resume'}."
+
+
+def parse_train(arguments: list[str], program: str) -> Train:
+    """The options of a training; the recipe and the method named decide what the other flags default to.
+
+    Raises:
+        InputError: when there is no such recipe or method.
+    """
+    name, chosen = (_given(arguments, flag) for flag in ("--recipe", "--method"))
+    if name is not None and name not in RECIPES:
+        raise InputError(f"There is no recipe {name!r}; choose one of {', '.join(RECIPES)}.")
+    settings = RECIPES[name or "university1652"]
+    if chosen is not None:
+        settings = method(chosen, settings)
+    named = Train(tyro.MISSING, tyro.MISSING, cast(Any, name or "university1652"), cast(Any, chosen), settings=settings)
+    return tyro.cli(Train, args=arguments, prog=program, default=named)
+
+
+def _given(arguments: Sequence[str], flag: str) -> str | None:
+    """The value given to a flag, before the rest is parsed."""
+    value = None
+    for position, argument in enumerate(arguments):
+        if argument.startswith(f"{flag}="):
+            value = argument.partition("=")[2]
+        elif argument == flag and position + 1 < len(arguments):
+            value = arguments[position + 1]
+    return value

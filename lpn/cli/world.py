@@ -1,0 +1,55 @@
+"""The command that renders a world: world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass
+class World:
+    """Plan and render a fictional city as a data set with exact positions; resumable."""
+
+    out: Path
+    """Folder to write, in University-1652's layout, with world.json and geo.csv."""
+    seed: int = 0
+    """The city; the same seed and numbers give the same pictures."""
+    buildings: int = 460
+    """Places to take pictures of, about a third of them for testing."""
+    views: int = 12
+    """Drone pictures of each place, the last from straight above."""
+    pixels: int = 256
+    """Side of a drone picture."""
+    tile_pixels: int = 512
+    """Side of a satellite tile, which shows 160 m."""
+    samples: int = 4
+    """Light paths a pixel; more is slower and finer."""
+    streets: int = 0
+    """Street-level pictures of each place; can be raised in a world that is there."""
+    panoramas: int = 0
+    """Panoramas near each place, in cvusa/ with a tile around each; can be raised in a world that is there."""
+    part: str = "1/1"
+    """Share of the work, as i/k: k processes with the same --out render one world."""
+    threads: int = 0
+    """Processor threads; 0 for all."""
+
+    def run(self) -> None:
+        from lpn.world.atlas import Settings
+        from lpn.world.build import Part, build_world
+
+        settings = Settings(
+            self.seed,
+            self.buildings,
+            self.views,
+            self.pixels,
+            self.tile_pixels,
+            self.samples,
+            self.streets,
+            self.panoramas,
+        )
+        tally = build_world(settings, self.out, Part.parse(self.part), self.threads)
+        print(f"{tally.describe()} The world is in {self.out}.")
+
+    def going_on(self) -> str:
+        """What to do after a stop."""
+        return f"The pictures in {self.out} are kept; the same command goes on."

@@ -1,0 +1,9 @@
+"""The demo: a data set and a model in `assets/demo` of a checkout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+DEMO = Path(__file__).parents[2] / "assets" / "demo"
+DEMO_QUERY = "0394/06"
+"""The query that the explorer opens the demo with."""
