@@ -23,22 +23,22 @@ from explorer.compute.ranking_progress import Follower
 from explorer.compute.request_context import Asker
 from explorer.compute.worker import Patience, Worker
 from explorer.explain_window import comparison, evidence, model_comparison, region, sweep_page
-from explorer.explain_window.window import Reasons
+from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab import lab_style
 from explorer.failure_lab.service import Laboratory
 from explorer.failure_lab.window import Lab
 from explorer.opening import open_model, open_saved
 from explorer.panels import pages, shortcuts, tour
 from explorer.panels.panels import THUMBS, Change, Panels
-from explorer.panels.viewport import Room
+from explorer.panels.viewport import Viewport
 from explorer.reports import Reporter
 from explorer.server import viser_compat
 from explorer.server.auth import Entry, entry, is_loopback
 from explorer.server.gateway import Guard
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.stage.cards import SHOWN
 from explorer.stage.scene import SCENE, Stage
-from explorer.url_state import Links
+from explorer.url_state import UrlState
 from explorer.web import style
 from explorer.web.bridge import Bridge
 from explorer.workspace import Analyst, Answer, Exhibit
@@ -76,7 +76,7 @@ SLOW = 0.5
 class Visitor:
     """One connected browser. Its state belongs to it alone."""
 
-    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: Links) -> None:
+    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: UrlState) -> None:
         self._client, self._exhibit, self._links = client, exhibit, links
         # What is drawn while the browser leaves is lost, which is no reason to warn of it. viser's own context for this takes
         # the buffer's lock when it ends, and a garbage collection may end it in a thread that holds the lock.
@@ -85,15 +85,15 @@ class Visitor:
         self._greeted = self._small = False
         self._sequence = 0
         task = next(iter(exhibit.tasks))
-        state = State(task, exhibit.spec.n_parts, query=exhibit.first, page=exhibit.first // THUMBS)
+        state = SessionState(task, exhibit.spec.n_parts, query=exhibit.first, page=exhibit.first // THUMBS)
         self._state = exhibit.possible(state)
         self._asker = Asker(exhibit.inference)
         self._analyst = Analyst(exhibit, self._asker.of(exhibit.model))
         with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
             self._dress(self._state)
             self._panels = Panels(client, exhibit, self._state, self.change, Random())
-            room, self._reporter = Room(), Reporter(client, self._asker.of(exhibit.model, patient=True))
-            self._reasons = Reasons(client, exhibit, self.change, self._failed, room, self._reporter, self._asker)
+            room, self._reporter = Viewport(), Reporter(client, self._asker.of(exhibit.model, patient=True))
+            self._reasons = ExplainWindow(client, exhibit, self.change, self._failed, room, self._reporter, self._asker)
             self._lab = Lab(client, exhibit, laboratory, self.change, room, self._reporter)
             self._panels.order = self._lab.order
             handlers = {
@@ -130,7 +130,7 @@ class Visitor:
             self._panels.write(changed)
         self._worker.wake()
 
-    def _selected(self, shown: State, index: int) -> None:
+    def _selected(self, shown: SessionState, index: int) -> None:
         self.change(lambda state: session_state.compare(state, shown, index))
 
     def leave(self) -> None:
@@ -165,7 +165,7 @@ class Visitor:
             self._small = small is True
             self._panels.fit(self._small)
 
-    def _dress(self, state: State) -> None:
+    def _dress(self, state: SessionState) -> None:
         self._client.gui.configure_theme(
             dark_mode=state.dark,
             show_logo=False,
@@ -239,7 +239,7 @@ class App:
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False
         self._visitors: dict[int, Visitor] = {}
-        laboratory, links = Laboratory(exhibit), Links(exhibit)
+        laboratory, links = Laboratory(exhibit), UrlState(exhibit)
         self.server.on_client_connect(lambda client: self._connected(client, exhibit, laboratory, links))
         self.server.on_client_disconnect(self._disconnected)
 
@@ -256,7 +256,7 @@ class App:
         if not finished(max(until - time.monotonic(), 0)):
             log.warning("A file is still being written")
 
-    def _connected(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: Links) -> None:
+    def _connected(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: UrlState) -> None:
         log.info("Browser %d connected", client.client_id)
         self._visitors[client.client_id] = Visitor(client, exhibit, laboratory, links)
         if client.client_id not in self.server.get_clients():  # gone while its page was being built

@@ -29,7 +29,7 @@ class Upload:
 
 
 @dataclass(frozen=True)
-class State:
+class SessionState:
     """One browser's choices.
 
     Attributes:
@@ -132,7 +132,7 @@ def painted(value: Any, cells: int) -> tuple[int, ...] | None:
     return None if None in found else tuple(sorted({cell for cell in found if cell is not None}))
 
 
-def taken(state: State, value: Any, size: tuple[int, int]) -> State:
+def taken(state: SessionState, value: Any, size: tuple[int, int]) -> SessionState:
     """The query turned, shifted, and zoomed as a point of a profile says: [degrees, right, down, factor]."""
     if not isinstance(value, list) or len(value) != 4:
         return state
@@ -152,37 +152,37 @@ def wrap(angle: float) -> float:
     return turned - 360.0 if turned > 180.0 else turned
 
 
-def choose(state: State, query: int, queries: int) -> State:
+def choose(state: SessionState, query: int, queries: int) -> SessionState:
     """Take another query: its own picture, not turned, compared with its top match."""
     if not 0 <= query < queries:
         return state
     return replace(upright(state), query=query, upload=None, selected=None)
 
 
-def take_task(state: State, task: str) -> State:
+def take_task(state: SessionState, task: str) -> SessionState:
     """Turn to another task: its first query, compared with its top match."""
     if task == state.task:
         return state
     return replace(state, task=task, query=0, upload=None, selected=None, region=(), page=0)
 
 
-def upright(state: State) -> State:
+def upright(state: SessionState) -> SessionState:
     """The whole query as it was taken: not turned, shifted, or zoomed, and no region painted."""
     return replace(state, angle=0.0, shift=0, down=0, zoom=1.0, region=())
 
 
-def compare(state: State, shown: State, index: int) -> State:
+def compare(state: SessionState, shown: SessionState, index: int) -> SessionState:
     """Compare with a tile chosen from the answer to `shown`, unless another query has been taken since."""
     same = (state.task, state.query, state.upload) == (shown.task, shown.query, shown.upload)
     return replace(state, selected=index) if same else state
 
 
-def step(state: State, by: int, queries: int) -> State:
+def step(state: SessionState, by: int, queries: int) -> SessionState:
     """The next or previous query, around the end."""
     return choose(state, (state.query + by) % queries, queries)
 
 
-def walk(state: State, by: int, order: Int64Array, queries: int) -> State:
+def walk(state: SessionState, by: int, order: Int64Array, queries: int) -> SessionState:
     """The next or previous query in an order, around the end; from outside of it, its first or its last."""
     if not len(order):
         return state
@@ -191,14 +191,14 @@ def walk(state: State, by: int, order: Int64Array, queries: int) -> State:
     return choose(state, int(order[at % len(order)]), queries)
 
 
-def random_query(state: State, queries: int, rng: Random) -> State:
+def random_query(state: SessionState, queries: int, rng: Random) -> SessionState:
     """Any other query."""
     if queries < 2:
         return state
     return choose(state, (state.query + rng.randrange(1, queries)) % queries, queries)
 
 
-def random_failure(state: State, ranks: Sequence[int], rng: Random) -> State | None:
+def random_failure(state: SessionState, ranks: Sequence[int], rng: Random) -> SessionState | None:
     """Any other query whose true match is not first, or None when there is none; -1 ranks have no true match."""
     failures = [i for i, rank in enumerate(ranks) if rank > 0]
     others = [i for i in failures if i != state.query or state.upload is not None]
@@ -206,12 +206,12 @@ def random_failure(state: State, ranks: Sequence[int], rng: Random) -> State | N
     return choose(state, rng.choice(candidates), len(ranks)) if candidates else None
 
 
-def turn(state: State, by: float) -> State:
+def turn(state: SessionState, by: float) -> SessionState:
     """Turn the query further, around the circle."""
     return replace(state, angle=wrap(state.angle + by))
 
 
-def flip_dark(state: State) -> State:
+def flip_dark(state: SessionState) -> SessionState:
     """Light on dark, or dark on light."""
     return replace(state, dark=not state.dark)
 

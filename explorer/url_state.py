@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode
 
 from explorer import session_state
-from explorer.session_state import TRUTH, State
+from explorer.session_state import TRUTH, SessionState
 from explorer.workspace import Exhibit
 from lpn.core.files import printable
 
@@ -29,11 +29,11 @@ class _Kind:
     """One key of the query: how its value is written, None for what needs no mention, and what a value changes."""
 
     key: str
-    write: Callable[[State], str | None]
-    read: Callable[[State, str], State]
+    write: Callable[[SessionState], str | None]
+    read: Callable[[SessionState, str], SessionState]
 
 
-class Links:
+class UrlState:
     """Writes and reads the addresses of one exhibit; made once for all browsers."""
 
     def __init__(self, exhibit: Exhibit) -> None:
@@ -69,12 +69,12 @@ class Links:
         )
         self.keys = tuple(kind.key for kind in self._kinds)
 
-    def write(self, state: State) -> str:
+    def write(self, state: SessionState) -> str:
         """The query (without "?") that brings the state back; what is as it always is is left out."""
         pairs = [(kind.key, value) for kind in self._kinds if (value := kind.write(state)) is not None]
         return urlencode(pairs, quote_via=quote, safe="/,~")
 
-    def read(self, text: str, state: State) -> tuple[State, list[str]]:
+    def read(self, text: str, state: SessionState) -> tuple[SessionState, list[str]]:
         """The state with all choices of a query made that can be, and a sentence about each that cannot.
 
         Args:
@@ -95,17 +95,17 @@ class Links:
                 said.append(f"{kind.key}={printable(value[:60])}: {problem}")
         return state, said
 
-    def _task(self, state: State, value: str) -> State:
+    def _task(self, state: SessionState, value: str) -> SessionState:
         if value not in self._exhibit.tasks:
             raise UnusableError(f"this data set offers {', '.join(self._exhibit.tasks)}.")
         return state if value == state.task else replace(state, task=value, query=0)
 
-    def _written_query(self, state: State) -> str:
+    def _written_query(self, state: SessionState) -> str:
         if state.upload is not None:
             return OWN
         return self._name(state, "query", self._exhibit.tasks[state.task].queries, state.query)
 
-    def _query(self, state: State, value: str) -> State:
+    def _query(self, state: SessionState, value: str) -> SessionState:
         task = self._exhibit.tasks[state.task]
         query = self._position(state, "query", len(task.queries), value)
         if query is None and value == OWN:
@@ -114,12 +114,12 @@ class Links:
             raise UnusableError(f"there is no such query; names are such as {task.queries[0].name}.")
         return replace(state, query=query)
 
-    def _written_tile(self, state: State) -> str | None:
+    def _written_tile(self, state: SessionState) -> str | None:
         if state.selected is None or state.selected == TRUTH:
             return state.selected
         return self._name(state, "gallery", self._exhibit.tasks[state.task].gallery, state.selected)
 
-    def _tile(self, state: State, value: str) -> State:
+    def _tile(self, state: SessionState, value: str) -> SessionState:
         gallery = self._exhibit.tasks[state.task].gallery
         tile = self._position(state, "gallery", len(gallery), value)
         if tile is not None:
@@ -128,18 +128,18 @@ class Links:
             return replace(state, selected=TRUTH)
         raise UnusableError(f"there is no such tile; names are such as {gallery[0].name}.")
 
-    def _name(self, state: State, side: str, entries: Sequence[Any], index: int) -> str:
+    def _name(self, state: SessionState, side: str, entries: Sequence[Any], index: int) -> str:
         """A picture's name, or its position where the name alone would be taken for something else."""
         name = str(entries[index].name)
         plain = name == printable(name) and name not in (OWN, TRUTH) and name[:1] != "~"
         return name if plain and self._first[state.task, side][name] == index else f"~{index}"
 
-    def _position(self, state: State, side: str, count: int, value: str) -> int | None:
+    def _position(self, state: SessionState, side: str, count: int, value: str) -> int | None:
         if re.fullmatch(r"~\d{1,9}", value):
             return int(value[1:]) if int(value[1:]) < count else None
         return None if value in (OWN, TRUTH) else self._first[state.task, side].get(value)
 
-    def _region(self, state: State, value: str) -> State:
+    def _region(self, state: SessionState, value: str) -> SessionState:
         rows, columns = self._exhibit.sizes(self._exhibit.tasks[state.task])
         return replace(state, region=cells(value, rows * columns))
 
@@ -186,16 +186,16 @@ def _parsed(text: str, low: float, high: float) -> float:
     return value
 
 
-def _with(state: State, name: str, value: Any) -> State:
+def _with(state: SessionState, name: str, value: Any) -> SessionState:
     return replace(state, **{name: value})
 
 
 def _default(name: str) -> Any:
-    return State.__dataclass_fields__[name].default
+    return SessionState.__dataclass_fields__[name].default
 
 
 def _number(name: str, low: float, high: float, whole: bool = False) -> _Kind:
-    def read(state: State, text: str) -> State:
+    def read(state: SessionState, text: str) -> SessionState:
         value = _parsed(text, low, high)
         return _with(state, name, round(value) if whole else value)
 
@@ -203,11 +203,11 @@ def _number(name: str, low: float, high: float, whole: bool = False) -> _Kind:
 
 
 def _choice(name: str, values: dict[str, Any], key: str | None = None) -> _Kind:
-    def write(state: State) -> str | None:
+    def write(state: SessionState) -> str | None:
         chosen = getattr(state, name)
         return None if chosen == _default(name) else next(text for text, value in values.items() if value == chosen)
 
-    def read(state: State, text: str) -> State:
+    def read(state: SessionState, text: str) -> SessionState:
         if text not in values:
             raise UnusableError(f"expected {' or '.join(values)}.")
         return _with(state, name, values[text])
@@ -219,25 +219,25 @@ def _switch(name: str, key: str | None = None) -> _Kind:
     return _choice(name, {"0": False, "1": True}, key)
 
 
-def _written_weights(state: State) -> str | None:
+def _written_weights(state: SessionState) -> str | None:
     return None if set(state.weights) == {1.0} else ",".join(map(_shown, state.weights))
 
 
-def _weights(state: State, text: str) -> State:
+def _weights(state: SessionState, text: str) -> SessionState:
     pieces = text.split(",")
     if len(pieces) != state.n_parts:
         raise UnusableError(f"expected {state.n_parts} weights, one for each part.")
     return replace(state, weights=tuple(_parsed(piece, 0, session_state.MAX_WEIGHT) for piece in pieces))
 
 
-def _written_off(state: State) -> str | None:
+def _written_off(state: SessionState) -> str | None:
     return ",".join(str(part + 1) for part, on in enumerate(state.enabled) if not on) or None
 
 
-def _off(state: State, text: str) -> State:
+def _off(state: SessionState, text: str) -> SessionState:
     parts = {round(_parsed(piece, 1, state.n_parts)) for piece in text.split(",")}
     return replace(state, enabled=tuple(part + 1 not in parts for part in range(state.n_parts)))
 
 
-def _heat_part(state: State, text: str) -> State:
+def _heat_part(state: SessionState, text: str) -> SessionState:
     return replace(state, heat_part=round(_parsed(text, 1, state.n_parts)) - 1)

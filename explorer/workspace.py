@@ -15,7 +15,7 @@ from explorer.compute.cache import Kept
 from explorer.compute.inference_scheduler import Inference
 from explorer.compute.ranking_job import Found, Standing
 from explorer.compute.request_context import Asker, Shared
-from explorer.session_state import TRUTH, State
+from explorer.session_state import TRUTH, SessionState
 from explorer.stage import gallery_geometry
 from explorer.stage.gallery_geometry import Places
 from explorer.stage.layout import layout_for
@@ -151,7 +151,7 @@ class Exhibit:
             raise InputError(f"{self.data_name} has no query {query}; its names are such as {names[0]}.")
         self.first = 0 if query is None else names.index(query)
 
-    def possible(self, state: State) -> State:
+    def possible(self, state: SessionState) -> SessionState:
         """The state without what needs a network, where there is none: turning, heatmaps, and pictures of one's own."""
         return (
             state
@@ -232,7 +232,7 @@ class Reasons:
 class Answer:
     """Everything the views draw for one state."""
 
-    state: State
+    state: SessionState
     task: Task
     name: str
     query: Described
@@ -272,7 +272,7 @@ class Analyst:
         self._ranking: Ranking | None = None
         self._ranking_key: object = None
 
-    def answer(self, state: State, k: int) -> Answer:
+    def answer(self, state: SessionState, k: int) -> Answer:
         """Describe, compare, and rank; only what changed since the last state is computed.
 
         Raises:
@@ -320,7 +320,7 @@ class Analyst:
             state, task, name, self._query, ranking, matches, chosen, tile, truth, off, self._picture, reasons, seconds
         )
 
-    def _searched(self, state: State, weights: Float32Array) -> Float32Array:
+    def _searched(self, state: SessionState, weights: Float32Array) -> Float32Array:
         """What is searched by: the query's descriptor, or that of its painted cells alone."""
         trace = self._query.trace
         if not state.region or trace is None:
@@ -329,7 +329,7 @@ class Analyst:
         painted[[cell for cell in state.region if cell < len(painted)]] = True
         return trace.region(painted.reshape(trace.size), weights)
 
-    def _reasons(self, state: State, weights: Float32Array, tile: Described) -> Reasons | None:
+    def _reasons(self, state: SessionState, weights: Float32Array, tile: Described) -> Reasons | None:
         one, other = self._query.trace, tile.trace
         if one is None or other is None or not (state.why or (state.heat and state.heat_kind == "evidence")):
             return None
@@ -341,7 +341,7 @@ class Analyst:
         picture = self._exhibit.entry_picture(entry.path)
         return images.crop(picture, entry.box, entry.name)
 
-    def _described(self, task: Task, state: State) -> Described:
+    def _described(self, task: Task, state: SessionState) -> Described:
         if self._asked is None:
             return Described(self._picture, task.asked[state.query], None, None)
         # A picture of one's own is what the task's queries are.

@@ -17,7 +17,7 @@ import pytest
 
 from explorer.app import App
 from explorer.opening import open_model
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.workspace import Analyst, Answer
 from lpn import descriptors
 from lpn.core.errors import LPNError
@@ -228,7 +228,7 @@ def test_an_answer_computed_for_another_angle_is_noticed(
     client.settle(asked)
     right = Analyst.answer
 
-    def wrong(self: Analyst, state: State, k: int) -> Answer:
+    def wrong(self: Analyst, state: SessionState, k: int) -> Answer:
         return replace(right(self, replace(state, angle=state.angle + 5), k), state=state)
 
     monkeypatch.setattr(Analyst, "answer", wrong)
@@ -247,7 +247,7 @@ def test_anothers_state_is_noticed_even_when_the_right_one_follows(
     visitor = app._visitors[max(app._visitors)]
     right, seen = Analyst.answer, []
 
-    def another(self: Analyst, state: State, k: int) -> Answer:
+    def another(self: Analyst, state: SessionState, k: int) -> Answer:
         seen.append(state)
         if len(seen) == 1:
             visitor._worker.wake()

@@ -19,7 +19,7 @@ from lpn.retrieval import Match
 
 
 @dataclass(frozen=True, eq=False)
-class Contest:
+class Comparison:
     """Two tiles of one ranking.
 
     Attributes:
@@ -35,7 +35,7 @@ class Contest:
     change: Reweighting | None
 
     @classmethod
-    def of(cls, answer: Answer) -> Contest | None:
+    def of(cls, answer: Answer) -> Comparison | None:
         """The contest of an answer; None when the gallery has no two tiles for it."""
         ranking, chosen = answer.ranking, answer.chosen
         ahead = answer.truth or chosen
@@ -52,7 +52,7 @@ class Contest:
         )
 
 
-def page(answer: Answer, exhibit: Exhibit, contest: Contest | None, effect: Effect | None, busy: bool) -> str:
+def page(answer: Answer, exhibit: Exhibit, contest: Comparison | None, effect: Effect | None, busy: bool) -> str:
     """The whole tab.
 
     Args:
@@ -121,7 +121,7 @@ def _waterfall(parts: np.ndarray, names: Sequence[str]) -> str:
     )
 
 
-def _left_out(contest: Contest, names: Sequence[str], ahead: Match) -> str:
+def _left_out(contest: Comparison, names: Sequence[str], ahead: Match) -> str:
     found = contest.without
     if found is None:
         return ""
@@ -141,7 +141,7 @@ def _rank(standing: counterfactual.Standing | None) -> str:
     return "–" if standing is None else ordinal(standing.rank)
 
 
-def _changed(answer: Answer, contest: Contest, names: Sequence[str], effect: Effect | None, busy: bool) -> str:
+def _changed(answer: Answer, contest: Comparison, names: Sequence[str], effect: Effect | None, busy: bool) -> str:
     ahead, change = contest.ahead, contest.change
     if ahead.rank == 1:
         return "<div class='dim'>It is first already, so no weights need to change.</div>"

@@ -10,7 +10,7 @@ import numpy as np
 from explorer.compute.request_context import Asker
 from explorer.explain_window import evidence
 from explorer.panels.pages import SIGNS
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.web.bridge import send
 from explorer.workspace import Analyst, Answer, Exhibit, Task
 from lpn.core import images
@@ -21,7 +21,7 @@ from lpn.drawing.verdicts import ordinal
 _SHOWN, _LISTED, _HEIGHT = 5, 8, 240
 
 
-class Beside:
+class ModelComparison:
     """Answers one browser's states with the second model."""
 
     def __init__(self, other: Exhibit, asker: Asker) -> None:
@@ -45,7 +45,7 @@ class Beside:
         )
 
 
-def _state(state: State, other: Exhibit) -> State:
+def _state(state: SessionState, other: Exhibit) -> SessionState:
     """The same query for a model of other parts; what belongs to parts and cells is left out."""
     return replace(
         state, n_parts=other.spec.n_parts, weights=(), enabled=(), heat_part=None, region=(), selected=None, why=True

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from html import escape
 
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.web.bridge import send
 from explorer.workspace import Answer
 from lpn.drawing import overlays, verdicts
@@ -94,7 +94,7 @@ def _known_heading(answer: Answer) -> str:
     return "" if heading is None or answer.state.upload else f" It is known to be {heading:.0f}°."
 
 
-def _charts(profile: Profile, state: State, names: Sequence[str]) -> str:
+def _charts(profile: Profile, state: SessionState, names: Sequence[str]) -> str:
     over, points = profile.over, list(profile.points)
     numbers = [sweeps.value(over, point.change) for point in points]
     if over == "rotation":

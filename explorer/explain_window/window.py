@@ -13,13 +13,13 @@ from explorer import reports, session_state
 from explorer.compute.request_context import Asker
 from explorer.compute.worker import Worker
 from explorer.explain_window import comparison, evidence, region, sweep_page
-from explorer.explain_window.comparison import Contest
-from explorer.explain_window.model_comparison import Beside
+from explorer.explain_window.comparison import Comparison
+from explorer.explain_window.model_comparison import ModelComparison
 from explorer.explain_window.sweep_request import Sweep
 from explorer.panels.panels import Change
-from explorer.panels.viewport import EDGE, Room
+from explorer.panels.viewport import EDGE, Viewport
 from explorer.reports import Reporter
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.web.bridge import send
 from explorer.web.html import Html
 from explorer.workspace import Answer, Exhibit
@@ -33,7 +33,7 @@ _OFTEN = 0.15
 """Seconds between two drawings of a profile that is being computed."""
 
 
-class Reasons:
+class ExplainWindow:
     """One browser's window; it shows answers while the state says that it is open.
 
     Args:
@@ -50,19 +50,19 @@ class Reasons:
         exhibit: Exhibit,
         change: Callable[[Change], None],
         failed: Callable[[Exception], None],
-        room: Room,
+        room: Viewport,
         reporter: Reporter,
         asker: Asker,
     ) -> None:
         self._client, self._exhibit, self._change, self._room = client, exhibit, change, room
         self._reporter, self._model = reporter, asker.of(exhibit.model, patient=True)
         self._answer: Answer | None = None
-        self._contest: Contest | None = None
+        self._contest: Comparison | None = None
         self._effect: Effect | None = None
         self._argued: tuple[Ranking, int] | None = None
         """What the contest is of: a ranking, and the tile that is compared."""
         self._sweep: Sweep | None = None
-        self._wanted: Contest | None = None
+        self._wanted: Comparison | None = None
         """The contest whose change of weights is to be tried on all queries."""
         self._open = False
         gui = client.gui
@@ -74,7 +74,7 @@ class Reasons:
             ("Turn, shift, zoom", viser.Icon.CHART_LINE),
             ("Search by a region", viser.Icon.BRUSH),
         ]
-        self._other = None if exhibit.beside is None else Beside(exhibit.beside, asker)
+        self._other = None if exhibit.beside is None else ModelComparison(exhibit.beside, asker)
         if self._other is not None:
             tabs.append(("Two models", viser.Icon.COLUMNS_2))
         for name, icon in tabs:
@@ -141,7 +141,7 @@ class Reasons:
             self._sweep = None
         if answer.state.why:
             if self._argued is None or self._argued[0] is not answer.ranking or self._argued[1] != answer.chosen.index:
-                self._contest, self._effect = Contest.of(answer), None
+                self._contest, self._effect = Comparison.of(answer), None
                 self._argued = answer.ranking, answer.chosen.index
             self._draw(answer)
         if answer.state.why != self._open:
@@ -250,7 +250,7 @@ class Reasons:
             self._change(lambda state: session_state.compare(state, answer.state, index))
 
     def _query(self, value: Any) -> None:
-        def chosen(state: State) -> State:
+        def chosen(state: SessionState) -> SessionState:
             queries = len(self._exhibit.tasks[state.task].queries)
             query = session_state.whole(value, 0, queries - 1)
             return state if query is None else session_state.choose(state, query, queries)

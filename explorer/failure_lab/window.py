@@ -18,9 +18,9 @@ from explorer.failure_lab.lab_state import LabState
 from explorer.failure_lab.service import Findings, Laboratory
 from explorer.failure_lab.views import MapView, NoteView
 from explorer.panels.panels import Change
-from explorer.panels.viewport import EDGE, Room
+from explorer.panels.viewport import EDGE, Viewport
 from explorer.reports import Reporter
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.web.html import Html
 from explorer.workspace import Answer, Exhibit
 from lpn.core.arrays import Int64Array
@@ -50,7 +50,7 @@ class Lab:
         exhibit: Exhibit,
         shared: Laboratory,
         change: Callable[[Change], None],
-        room: Room,
+        room: Viewport,
         reporter: Reporter,
     ) -> None:
         self._client, self._exhibit, self._shared, self._change = client, exhibit, shared, change
@@ -108,7 +108,7 @@ class Lab:
             self._view = View(state.task, query, state.lab)
         self._worker.wake()
 
-    def order(self, state: State) -> Int64Array | None:
+    def order(self, state: SessionState) -> Int64Array | None:
         """The queries that next and previous go through while the window is open: the chosen ones in the table's order."""
         with self._lock:
             found = self._shared.findings(state.task)

@@ -1,4 +1,4 @@
-"""The controls of one browser: they read into a `State`, and show an `Answer`. Nothing is computed here."""
+"""The controls of one browser: they read into a `SessionState`, and show an `Answer`. Nothing is computed here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from viser import UploadedFile
 
 from explorer import session_state, uploads
 from explorer.panels import pages
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.stage.cards import SHOWN
 from explorer.web.html import Html
 from explorer.workspace import Answer, Exhibit, Task
@@ -27,7 +27,7 @@ LEFT, RIGHT, NARROW = 290, 370, 330
 ALL_PARTS = "All parts"
 HEAT: dict[str, session_state.HeatKind] = {"Activation": "activation", "Evidence": "evidence"}
 
-Change = Callable[[State], State | None]
+Change = Callable[[SessionState], SessionState | None]
 
 
 class Panels:
@@ -37,17 +37,22 @@ class Panels:
     """
 
     def __init__(
-        self, client: viser.ClientHandle, exhibit: Exhibit, state: State, change: Callable[[Change], None], rng: Random
+        self,
+        client: viser.ClientHandle,
+        exhibit: Exhibit,
+        state: SessionState,
+        change: Callable[[Change], None],
+        rng: Random,
     ) -> None:
         self._client, self._exhibit, self._change, self._rng = client, exhibit, change, rng
         self._shown: list[int] = []
         self._shown_of: tuple[str, str] | None = None
         self._answer: Answer | None = None
-        self.order: Callable[[State], Int64Array | None] = lambda _: None
+        self.order: Callable[[SessionState], Int64Array | None] = lambda _: None
         """The queries that next and previous go through; None for all of them."""
         self._writer: int | None = None
         self._watched: list[Any] = []
-        self._seen: tuple[State | None, dict[int, Any]] = None, {}
+        self._seen: tuple[SessionState | None, dict[int, Any]] = None, {}
         """What was read last and not written back yet, and the controls' values before."""
         self._reading = threading.Lock()
         gui = client.gui
@@ -64,7 +69,7 @@ class Panels:
         self._build_answer(gui)
         self._add_keys(gui)
 
-    def _build_query(self, gui: viser.GuiApi, state: State) -> None:
+    def _build_query(self, gui: viser.GuiApi, state: SessionState) -> None:
         exhibit = self._exhibit
         self._task = gui.add_dropdown(
             "Task", tuple(exhibit.tasks), initial_value=state.task, visible=len(exhibit.tasks) > 1
@@ -120,7 +125,7 @@ class Panels:
         self._watch(self._task, self._angle, self._rings, self._exploded, self._heat, self._heat_part, self._opacity)
         self._watch(self._find, self._map, self._city, self._shift, self._down, self._zoom, self._kind)
 
-    def _build_parts(self, gui: viser.GuiApi, state: State) -> None:
+    def _build_parts(self, gui: viser.GuiApi, state: SessionState) -> None:
         gui.add_html(pages.PARTS_NOTE)
         self._enabled, self._weights = [], []
         for name, on, weight in zip(self._exhibit.part_names, state.enabled, state.weights, strict=True):
@@ -178,14 +183,14 @@ class Panels:
                 self._compare(slot)
             )
 
-    def read(self, state: State) -> State:
+    def read(self, state: SessionState) -> SessionState:
         """The state with every control's value, none of them trusted (a page may send anything)."""
         seen = {id(handle): handle.value for handle in self._watched}
         read = self._read(state)
         self._seen = read, seen
         return read
 
-    def _read(self, state: State) -> State:
+    def _read(self, state: SessionState) -> SessionState:
         task = self._task.value if self._task.value in self._exhibit.tasks else state.task
         names = self._exhibit.part_names
         part = names.index(self._heat_part.value) if self._heat_part.value in names else None
@@ -214,7 +219,7 @@ class Panels:
             read = self._searched(replace(read, find=find, page=0))
         return session_state.take_task(read, task)
 
-    def write(self, state: State) -> None:
+    def write(self, state: SessionState) -> None:
         """Put a state into the controls that differ from it; what the page sent since the state was read stays."""
         (read, seen), self._seen = self._seen, (None, {})
         self._writer = threading.get_ident()  # viser calls back at once, when only some of them are written
@@ -223,7 +228,7 @@ class Panels:
         finally:
             self._writer = None
 
-    def _write(self, state: State, seen: dict[int, Any]) -> None:
+    def _write(self, state: SessionState, seen: dict[int, Any]) -> None:
         pairs: list[tuple[Any, Any]] = [
             (self._task, state.task),
             (self._angle, state.angle),
@@ -294,26 +299,26 @@ class Panels:
         """Show an error as a notification that stays until it is closed."""
         self._client.add_notification(title, text, color="red", auto_close_seconds=None)
 
-    def next(self, state: State) -> State:
+    def next(self, state: SessionState) -> SessionState:
         """The next query."""
         return self._step(state, 1)
 
-    def previous(self, state: State) -> State:
+    def previous(self, state: SessionState) -> SessionState:
         """The previous query."""
         return self._step(state, -1)
 
-    def _step(self, state: State, by: int) -> State:
+    def _step(self, state: SessionState, by: int) -> SessionState:
         order = self.order(state)
         queries = self._queries(state)
         return (
             session_state.step(state, by, queries) if order is None else session_state.walk(state, by, order, queries)
         )
 
-    def random(self, state: State) -> State:
+    def random(self, state: SessionState) -> SessionState:
         """Any other query."""
         return session_state.random_query(state, self._queries(state), self._rng)
 
-    def failure(self, state: State) -> State | None:
+    def failure(self, state: SessionState) -> SessionState | None:
         """Any other query whose true tile is not first."""
         task = self._exhibit.tasks[state.task]
         if task.found is None:
@@ -326,33 +331,33 @@ class Panels:
             self._client.add_notification("No failure", "Every query of this task finds its true tile first.")
         return failed
 
-    def flip_map(self, state: State) -> State:
+    def flip_map(self, state: SessionState) -> SessionState:
         """Map in place of pair, or back, where positions are known."""
         return replace(state, map=not state.map and self._exhibit.tasks[state.task].places is not None)
 
-    def flip_why(self, state: State) -> State:
+    def flip_why(self, state: SessionState) -> SessionState:
         """The window of reasons, open or closed."""
         return replace(state, why=not state.why)
 
-    def flip_lab(self, state: State) -> State:
+    def flip_lab(self, state: SessionState) -> SessionState:
         """The failure laboratory, open or closed."""
         return replace(state, lab=not state.lab)
 
-    def flip_kind(self, state: State) -> State:
+    def flip_kind(self, state: SessionState) -> SessionState:
         """What heatmaps show: one, then the other."""
         return replace(state, heat=True, heat_kind="evidence" if state.heat_kind == "activation" else "activation")
 
-    def flip_city(self, state: State) -> State:
+    def flip_city(self, state: SessionState) -> SessionState:
         """The city in three dimensions or the tiles, where the map is shown and has both."""
         return replace(state, city=not state.city) if self._has_city(state) else state
 
-    def _has_city(self, state: State) -> bool:
+    def _has_city(self, state: SessionState) -> bool:
         return state.map and self._exhibit.city is not None and self._exhibit.tasks[state.task].places is not None
 
-    def _queries(self, state: State) -> int:
+    def _queries(self, state: SessionState) -> int:
         return len(self._exhibit.tasks[state.task].queries)
 
-    def _searched(self, state: State) -> State:
+    def _searched(self, state: SessionState) -> SessionState:
         """A name typed in full is chosen at once."""
         names = self._exhibit.tasks[state.task].names
         hits = session_state.found(names, state.find) if state.find.strip() else []

@@ -10,7 +10,7 @@ import viser
 
 from explorer import session_state
 from explorer.panels.panels import Change, Panels
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.web.bridge import Bridge
 from explorer.workspace import Exhibit
 
@@ -71,7 +71,7 @@ def _task(name: str) -> Change:
 
 
 def _flip_part(part: int) -> Change:
-    def flipped(state: State) -> State:
+    def flipped(state: SessionState) -> SessionState:
         enabled = tuple(on != (i == part) for i, on in enumerate(state.enabled))
         return replace(state, enabled=enabled)
 
@@ -90,7 +90,7 @@ def _zoom(factor: float) -> Change:
 def _shift(exhibit: Exhibit, right: int, down: int) -> Change:
     reach = exhibit.spec.input_size[1] // 2, exhibit.spec.input_size[0] // 2
 
-    def shifted(state: State) -> State:
+    def shifted(state: SessionState) -> SessionState:
         across = min(max(state.shift + right, -reach[0]), reach[0])
         return replace(state, shift=across, down=min(max(state.down + down, -reach[1]), reach[1]))
 

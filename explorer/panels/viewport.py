@@ -11,7 +11,7 @@ EDGE = 6
 _LEAST, _MOST = 320, 10_000
 
 
-class Room:
+class Viewport:
     """The stage's width and height in the page's own pixels, as the page tells them.
 
     The camera's would not do: where drawing is slow, viser renders fewer pixels than the page has.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.stage.image_planes import UPRIGHT, Plane
 from explorer.stage.layout import Layout
 from explorer.workspace import Answer, Exhibit
@@ -28,7 +28,7 @@ _MARGIN = 0.04
 class Cards:
     """One browser's ranked tiles; `on_select` is called with the state shown and the gallery position of a clicked one."""
 
-    def __init__(self, scene: viser.SceneApi, exhibit: Exhibit, on_select: Callable[[State, int], None]) -> None:
+    def __init__(self, scene: viser.SceneApi, exhibit: Exhibit, on_select: Callable[[SessionState, int], None]) -> None:
         self._exhibit, self._on_select = exhibit, on_select
         self._layout = layout = exhibit.layout
         self._shown: Answer | None = None

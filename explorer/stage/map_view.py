@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.stage.camera import AT, PICTURE, SIDE, Viewpoint, over
 from explorer.stage.gallery_geometry import Places
 from explorer.stage.image_planes import Plane, Rotation
@@ -31,7 +31,7 @@ class GalleryMap:
     """One browser's map, built when it is first shown. `on_select` is told the state shown and a clicked tile."""
 
     def __init__(
-        self, client: viser.ClientHandle, exhibit: Exhibit, shown: int, on_select: Callable[[State, int], None]
+        self, client: viser.ClientHandle, exhibit: Exhibit, shown: int, on_select: Callable[[SessionState, int], None]
     ) -> None:
         self._exhibit = exhibit
         self._answer: Answer | None = None
@@ -229,7 +229,7 @@ class GalleryMap:
             draw.text((228, 126), f"{answer.off[chosen.index]:,.0f} m off", colour, overlays.font(40), anchor="mm")
         return np.asarray(image)
 
-    def _clicked(self, slot: int, on_select: Callable[[State, int], None]) -> Callable[[Any], None]:
+    def _clicked(self, slot: int, on_select: Callable[[SessionState, int], None]) -> Callable[[Any], None]:
         def clicked(_: Any) -> None:
             answer = self._answer
             if answer is not None and slot < len(answer.matches):

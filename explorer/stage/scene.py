@@ -11,7 +11,7 @@ import viser
 from PIL.ImageDraw import ImageDraw
 
 from explorer.explain_window import evidence
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.stage.camera import Viewpoint
 from explorer.stage.cards import SHOWN, Cards
 from explorer.stage.image_planes import UPRIGHT, Plane, Rotation, title
@@ -117,7 +117,9 @@ class Exhibited:
 class Stage:
     """One browser's 3-D view. `on_select` is called with the state shown and the gallery position of a clicked tile."""
 
-    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, on_select: Callable[[State, int], None]) -> None:
+    def __init__(
+        self, client: viser.ClientHandle, exhibit: Exhibit, on_select: Callable[[SessionState, int], None]
+    ) -> None:
         self._client, self._exhibit = client, exhibit
         self._n = exhibit.spec.n_parts
         scene = client.scene

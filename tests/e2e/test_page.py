@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, BrowserContext, FloatRect, Locator, exp
 
 from explorer.app import App
 from explorer.opening import open_model
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.workspace import Analyst, Answer
 from tests.e2e.conftest import Explorer, Running, started
 from tools.fixtures import small_worlds
@@ -251,7 +251,7 @@ def test_a_slow_answer_is_said_to_be_on_its_way(
 ) -> None:
     answer = Analyst.answer
 
-    def slowly(analyst: Analyst, state: State, k: int) -> Answer:
+    def slowly(analyst: Analyst, state: SessionState, k: int) -> Answer:
         time.sleep(2.0 if state.angle == 33 else 0)
         if state.angle == 44:
             time.sleep(0.7)

@@ -15,7 +15,7 @@ from playwright.sync_api import Browser
 
 from explorer.app import App
 from explorer.opening import open_model
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.workspace import Analyst, Answer
 from lpn.core.files import write_whole
 from tools.fixtures import small_worlds
@@ -84,7 +84,7 @@ def test_a_page_notices_anothers_state_even_when_the_right_one_follows(
         assert reference.flaws(asked, tab.settle(asked).shown) == []
         right, seen = Analyst.answer, []
 
-        def another(self: Analyst, state: State, k: int) -> Answer:
+        def another(self: Analyst, state: SessionState, k: int) -> Answer:
             seen.append(state)
             if len(seen) > 1:
                 time.sleep(2)  # what is replaced before the page has drawn it is not shown

@@ -8,7 +8,7 @@ import pytest
 
 from explorer.opening import open_model, open_saved
 from explorer.panels import answer_text, pages
-from explorer.session_state import State, Upload
+from explorer.session_state import SessionState, Upload
 from explorer.workspace import Analyst, Exhibit
 from lpn.core.errors import DataError, InputError
 from lpn.retrieval.published_results import load_saved
@@ -31,7 +31,7 @@ def test_a_saved_result_is_ranked_as_its_model_ranks(exhibit: Exhibit, data: Pat
     assert saved.results == pytest.approx(task.results)
     np.testing.assert_array_equal(saved.ranks, task.ranks)
     for query in (0, 5):
-        state = State("drone-to-satellite", 4, query=query, enabled=(True, False, True, True))
+        state = SessionState("drone-to-satellite", 4, query=query, enabled=(True, False, True, True))
         one, other = (Analyst(shown).answer(shown.possible(state), 10) for shown in (exhibit, live))
         assert [saved.gallery[m.index] for m in one.matches] == [task.gallery[m.index] for m in other.matches]
         for match, expected in zip(one.matches, other.matches, strict=True):
@@ -44,7 +44,7 @@ def test_a_saved_result_is_ranked_as_its_model_ranks(exhibit: Exhibit, data: Pat
 
 def test_what_needs_a_network_cannot_be_asked_for(exhibit: Exhibit, data: Path, model_file: Path) -> None:
     upload = Upload("mine", np.zeros((2, 2, 3), np.uint8))
-    wanted = State("drone-to-satellite", 4, query=3, angle=20, heat=True, upload=upload)
+    wanted = SessionState("drone-to-satellite", 4, query=3, angle=20, heat=True, upload=upload)
     got = exhibit.possible(wanted)
     assert (got.angle, got.heat, got.upload, got.query) == (0, False, None, 3)
     assert open_model(data, model_file).possible(wanted) is wanted
@@ -52,7 +52,7 @@ def test_what_needs_a_network_cannot_be_asked_for(exhibit: Exhibit, data: Path, 
 
 
 def test_pictures_of_equal_files_are_told_apart_by_their_query(exhibit: Exhibit) -> None:
-    analyst, state = Analyst(exhibit), State("drone-to-satellite", 4)
+    analyst, state = Analyst(exhibit), SessionState("drone-to-satellite", 4)
     first = analyst.answer(state, 3)
     assert analyst.answer(replace(state, query=1), 3).query is not first.query
 

@@ -11,25 +11,25 @@ import pytest
 
 from explorer import session_state
 from explorer.compute.worker import Worker
-from explorer.session_state import State, Upload
+from explorer.session_state import SessionState, Upload
 from lpn.core.errors import PictureError
 
 
 @pytest.fixture
-def state() -> State:
-    return State("drone-to-satellite", 4, query=3, angle=20, selected=7)
+def state() -> SessionState:
+    return SessionState("drone-to-satellite", 4, query=3, angle=20, selected=7)
 
 
-def test_another_query_starts_upright_with_its_top_match(state: State) -> None:
+def test_another_query_starts_upright_with_its_top_match(state: SessionState) -> None:
     stepped = session_state.step(state, 1, 10)
     assert (stepped.query, stepped.angle, stepped.selected) == (4, 0, None)
-    assert session_state.step(State("t", 4), -1, 10).query == 9
+    assert session_state.step(SessionState("t", 4), -1, 10).query == 9
     assert session_state.choose(state, 99, 10) is state
-    own = session_state.choose(State("t", 4, upload=Upload("mine", np.zeros((2, 2, 3), np.uint8))), 0, 10)
+    own = session_state.choose(SessionState("t", 4, upload=Upload("mine", np.zeros((2, 2, 3), np.uint8))), 0, 10)
     assert own.upload is None
 
 
-def test_a_tile_chosen_from_an_old_answer_is_not_compared_with_a_new_query(state: State) -> None:
+def test_a_tile_chosen_from_an_old_answer_is_not_compared_with_a_new_query(state: SessionState) -> None:
     assert session_state.compare(state, state, 5).selected == 5
     turned = session_state.turn(state, 5)
     assert session_state.compare(turned, state, 5).selected == 5
@@ -39,7 +39,7 @@ def test_a_tile_chosen_from_an_old_answer_is_not_compared_with_a_new_query(state
     assert session_state.compare(other, state, 5) is other
 
 
-def test_random_choices_move_and_failures_fail(state: State) -> None:
+def test_random_choices_move_and_failures_fail(state: SessionState) -> None:
     rng = Random(1)
     assert all(session_state.random_query(state, 10, rng).query != 3 for _ in range(50))
     assert session_state.random_query(state, 1, rng) is state
@@ -51,7 +51,7 @@ def test_random_choices_move_and_failures_fail(state: State) -> None:
 
 @pytest.mark.parametrize(("angle", "by", "expected"), [(0, 5, 5), (178, 5, -177), (-178, -5, 177), (90, -270, 180)])
 def test_turning_goes_around_the_circle(angle: float, by: float, expected: float) -> None:
-    assert session_state.turn(State("t", 4, angle=angle), by).angle == expected
+    assert session_state.turn(SessionState("t", 4, angle=angle), by).angle == expected
 
 
 def test_values_from_the_page_are_not_trusted() -> None:
@@ -62,9 +62,9 @@ def test_values_from_the_page_are_not_trusted() -> None:
 
 
 def test_parts_switched_off_count_nothing_and_never_all() -> None:
-    state = State("t", 3, weights=(1.0, 2.0, 0.5), enabled=(True, False, True))
+    state = SessionState("t", 3, weights=(1.0, 2.0, 0.5), enabled=(True, False, True))
     assert state.part_values() == (1.0, 0.0, 0.5)
-    off = State("t", 3, enabled=(False, False, False))
+    off = SessionState("t", 3, enabled=(False, False, False))
     assert not off.parts_left()
     assert off.part_values() == (1.0, 1.0, 1.0)
 

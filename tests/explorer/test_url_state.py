@@ -10,8 +10,8 @@ import pytest
 
 from explorer import session_state, url_state
 from explorer.opening import open_model
-from explorer.session_state import TRUTH, State, Upload
-from explorer.url_state import Links
+from explorer.session_state import TRUTH, SessionState, Upload
+from explorer.url_state import UrlState
 from explorer.workspace import Exhibit
 
 
@@ -21,15 +21,15 @@ def exhibit(data: Path, model_file: Path) -> Exhibit:
 
 
 @pytest.fixture(scope="module")
-def links(exhibit: Exhibit) -> Links:
-    return Links(exhibit)
+def links(exhibit: Exhibit) -> UrlState:
+    return UrlState(exhibit)
 
 
-def any_state(exhibit: Exhibit, rng: Random) -> State:
+def any_state(exhibit: Exhibit, rng: Random) -> SessionState:
     task = exhibit.tasks[rng.choice(list(exhibit.tasks))]
     count = exhibit.sizes(task)[0] * exhibit.sizes(task)[1]
     chance = [True, False]
-    return State(
+    return SessionState(
         task.name,
         4,
         query=rng.randrange(len(task.queries)),
@@ -54,11 +54,11 @@ def any_state(exhibit: Exhibit, rng: Random) -> State:
     )
 
 
-def start(exhibit: Exhibit) -> State:
-    return State(next(iter(exhibit.tasks)), 4)
+def start(exhibit: Exhibit) -> SessionState:
+    return SessionState(next(iter(exhibit.tasks)), 4)
 
 
-def test_what_is_written_is_read_back(exhibit: Exhibit, links: Links) -> None:
+def test_what_is_written_is_read_back(exhibit: Exhibit, links: UrlState) -> None:
     rng = Random(0)
     for _ in range(300):
         state = any_state(exhibit, rng)
@@ -67,8 +67,8 @@ def test_what_is_written_is_read_back(exhibit: Exhibit, links: Links) -> None:
         assert set(parse_qs(written)) <= set(links.keys)
 
 
-def test_pictures_are_called_by_name_and_what_is_usual_is_not_said(exhibit: Exhibit, links: Links) -> None:
-    state = State("drone-to-satellite", 4, query=3, selected=2)
+def test_pictures_are_called_by_name_and_what_is_usual_is_not_said(exhibit: Exhibit, links: UrlState) -> None:
+    state = SessionState("drone-to-satellite", 4, query=3, selected=2)
     names = [entry.name for entry in exhibit.tasks["drone-to-satellite"].queries]
     tile = exhibit.tasks["drone-to-satellite"].gallery[2].name
     assert links.write(state) == f"task=drone-to-satellite&query={names[3]}&with={tile}"
@@ -82,8 +82,8 @@ def test_names_that_are_shared_or_mean_something_else_are_called_by_position(exh
     fake = Exhibit(
         "m", "d", [replace(task, queries=queries)], exhibit.spec, exhibit.map_sizes, None, None, exhibit.root
     )
-    own = Links(fake)
-    state = State(task.name, 4)
+    own = UrlState(fake)
+    state = SessionState(task.name, 4)
     for query in range(len(names)):
         written = own.write(replace(state, query=query))
         assert own.read(written, state)[0].query == query
@@ -118,7 +118,7 @@ def test_names_that_are_shared_or_mean_something_else_are_called_by_position(exh
         ("query=own", "ask them for the file"),
     ],
 )
-def test_a_wrong_value_is_dropped_alone_and_said(exhibit: Exhibit, links: Links, wrong: str, says: str) -> None:
+def test_a_wrong_value_is_dropped_alone_and_said(exhibit: Exhibit, links: UrlState, wrong: str, says: str) -> None:
     read, said = links.read(f"angle=30&{wrong}&rings=0", start(exhibit))
     assert len(said) == 1
     assert says in said[0]
@@ -127,28 +127,28 @@ def test_a_wrong_value_is_dropped_alone_and_said(exhibit: Exhibit, links: Links,
     assert read == (replace(expected, angle=0.0) if wrong.startswith("angle") else expected)
 
 
-def test_foreign_keys_and_rubbish_are_passed_over(exhibit: Exhibit, links: Links) -> None:
+def test_foreign_keys_and_rubbish_are_passed_over(exhibit: Exhibit, links: UrlState) -> None:
     for text in ("", "?", "websocket=ws://x&utm=1", "&&==&%", "%ff%00=%zz", "x" * 100_000):
         assert links.read(text, start(exhibit)) == (start(exhibit), [])
     state, said = links.read("&".join(["a=1"] * 1000), start(exhibit))
     assert (state, len(said)) == (start(exhibit), 1)
 
 
-def test_another_task_starts_with_its_own_first_query(exhibit: Exhibit, links: Links) -> None:
+def test_another_task_starts_with_its_own_first_query(exhibit: Exhibit, links: UrlState) -> None:
     shown = replace(start(exhibit), query=5)
     assert links.read("task=satellite-to-drone", shown)[0].query == 0
     assert links.read("angle=9", shown)[0].query == 5
 
 
-def test_ones_own_picture_is_not_in_the_link(exhibit: Exhibit, links: Links) -> None:
+def test_ones_own_picture_is_not_in_the_link(exhibit: Exhibit, links: UrlState) -> None:
     own = replace(start(exhibit), upload=Upload("secret.jpg", np.zeros((2, 2, 3), np.uint8)), angle=5)
     written = links.write(own)
     assert "query=own" in written
     assert "secret" not in written
 
 
-def test_every_choice_is_in_the_address_or_known_not_to_be(links: Links) -> None:
-    state = State("drone-to-satellite", 4)
+def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> None:
+    state = SessionState("drone-to-satellite", 4)
     left_out = {"n_parts", "upload", "find", "page"}
     named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
     named |= {"heat_part": "part", "dark": "theme"}
@@ -160,4 +160,4 @@ def test_ranges_are_short_and_exact() -> None:
     assert url_state.ranges([3, 4, 5, 8]) == "3-5,8"
     assert url_state.cells("3-5,8", 9) == (3, 4, 5, 8)
     assert url_state.ranges(range(256)) == "0-255"
-    assert session_state.State("t", 1).region == ()
+    assert session_state.SessionState("t", 1).region == ()

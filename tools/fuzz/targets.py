@@ -376,8 +376,8 @@ def shards(folder: Path) -> list[Case]:
 def links(folder: Path) -> list[Case]:
     """The address of a page."""
     from explorer.opening import open_model
-    from explorer.session_state import State
-    from explorer.url_state import Links
+    from explorer.session_state import SessionState
+    from explorer.url_state import UrlState
     from tools.fixtures import small_worlds
     from tools.fuzz.small_models import onnx_file
 
@@ -385,8 +385,8 @@ def links(folder: Path) -> list[Case]:
     (folder / "model.onnx").write_bytes(onnx_file(seal=True))
     data = small_worlds.make_dataset(folder / "places", train=1, test=3)
     exhibit = open_model(data, folder / "model.onnx")
-    made = Links(exhibit)
-    start = State(next(iter(exhibit.tasks)), exhibit.spec.n_parts)
+    made = UrlState(exhibit)
+    start = SessionState(next(iter(exhibit.tasks)), exhibit.spec.n_parts)
     seeds = [
         b"?task=drone-to-satellite&query=0003&with=0002&angle=-30.5&shift=3&down=-4&zoom=2&weights=1,0.5&off=1&region=0-1,3",
         b"query=~1&with=truth&why=1&lab=1&apart=1&rings=0&heat=0&shows=evidence&part=2&opacity=0.3&theme=dark&map=1&city=0",

@@ -28,14 +28,14 @@ from explorer.app import App, Visitor
 from explorer.compute import request_context
 from explorer.compute.request_context import Asker
 from explorer.explain_window.sweep_request import Sweep
-from explorer.explain_window.window import Reasons
+from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.window import Lab
 from explorer.opening import open_model, open_saved
 from explorer.panels.panels import Panels
 from explorer.server.gateway import _Connection
 from explorer.server.message_filter import Inbox
 from explorer.server.viser_compat import Buffer
-from explorer.session_state import State, Upload
+from explorer.session_state import SessionState, Upload
 from explorer.stage.scene import Stage
 from explorer.workspace import Analyst, Exhibit
 from lpn import retrieval
@@ -52,7 +52,7 @@ from tools.fixtures.websocket_client import CHUNK, Talker
 
 TASK = "drone-to-satellite"
 HELD = (
-    Visitor, Analyst, Stage, Panels, Reasons, Lab, Asker, Upload, Sweep, Inbox, Talker, _Connection,
+    Visitor, Analyst, Stage, Panels, ExplainWindow, Lab, Asker, Upload, Sweep, Inbox, Talker, _Connection,
     viser.ClientHandle, GuiApi, SceneApi, Buffer,
 )  # fmt: skip
 """What a browser has for itself."""
@@ -260,7 +260,7 @@ def test_a_value_that_comes_while_an_older_one_is_taken_stays(app: App) -> None:
         visitor = visitor_of(app, browser)
         slider = visitor._panels._angle
 
-        def taken(state: State) -> State:
+        def taken(state: SessionState) -> SessionState:
             read = visitor._panels.read(state)
             slider._impl.value = 12  # as viser's own thread does meanwhile
             return read

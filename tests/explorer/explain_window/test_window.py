@@ -14,11 +14,11 @@ import pytest
 
 from explorer import session_state
 from explorer.explain_window import comparison, evidence, region, sweep_page
-from explorer.explain_window.comparison import Contest
+from explorer.explain_window.comparison import Comparison
 from explorer.explain_window.sweep_request import Sweep
 from explorer.opening import open_model
-from explorer.panels.viewport import Room
-from explorer.session_state import State, Upload
+from explorer.panels.viewport import Viewport
+from explorer.session_state import SessionState, Upload
 from explorer.web.bridge import LONGEST, Bridge
 from explorer.workspace import Analyst, Answer, Exhibit
 from lpn import explain
@@ -36,7 +36,7 @@ def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Any) -> Exhibi
 
 
 def answered(exhibit: Exhibit, **changes: Any) -> Answer:
-    state = State("drone-to-satellite", 4, why=True)
+    state = SessionState("drone-to-satellite", 4, why=True)
     return Analyst(exhibit).answer(replace(state, **changes), 10)
 
 
@@ -72,16 +72,16 @@ def test_a_contest_is_between_the_truth_and_what_it_is_compared_with(exhibit: Ex
     task = exhibit.tasks["drone-to-satellite"]
     late = int(np.argmax(task.ranks))
     assert task.ranks[late] > 0
-    contest = Contest.of(answered(exhibit, query=late))
+    contest = Comparison.of(answered(exhibit, query=late))
     assert contest is not None
     assert (contest.ahead.true, contest.rival.rank) == (True, 1)
     # Compared with the truth itself, its rival is the nearest wrong tile.
-    contest = Contest.of(answered(exhibit, query=late, selected="truth"))
+    contest = Comparison.of(answered(exhibit, query=late, selected="truth"))
     assert contest is not None
     assert (contest.ahead.true, contest.rival.rank) == (True, 1)
     # A picture of one's own has no truth: the compared tile is followed.
     own = answered(exhibit, upload=Upload("own", small_worlds.place(50)), selected=3)
-    contest = Contest.of(own)
+    contest = Comparison.of(own)
     assert contest is not None
     assert contest.ahead.index == 3
     assert contest.without is not None
@@ -91,7 +91,7 @@ def test_the_waterfall_and_the_smallest_change_are_said(exhibit: Exhibit) -> Non
     task = exhibit.tasks["drone-to-satellite"]
     for query in np.flatnonzero(task.ranks > 0):
         answer = answered(exhibit, query=int(query))
-        contest = Contest.of(answer)
+        contest = Comparison.of(answer)
         assert contest is not None
         html = comparison.page(answer, exhibit, contest, None, False)
         behind = contest.rival.distance2 - contest.ahead.distance2
@@ -105,7 +105,7 @@ def test_the_waterfall_and_the_smallest_change_are_said(exhibit: Exhibit) -> Non
         effect = Effect(50.0, 40.0, np.array([1]), np.array([2, 3]), 13)
         assert "it harms" in comparison.page(answer, exhibit, contest, effect, False)
     first = answered(exhibit, query=int(np.flatnonzero(task.ranks == 0)[0]))
-    assert "first already" in comparison.page(first, exhibit, Contest.of(first), None, False)
+    assert "first already" in comparison.page(first, exhibit, Comparison.of(first), None, False)
 
 
 def test_a_profile_is_drawn_from_its_first_point_on(exhibit: Exhibit) -> None:
@@ -131,7 +131,7 @@ def test_a_profile_is_drawn_from_its_first_point_on(exhibit: Exhibit) -> None:
 
 def test_a_region_ranks_by_what_its_cells_add(exhibit: Exhibit) -> None:
     analyst = Analyst(exhibit)
-    state = State("drone-to-satellite", 4, why=True)
+    state = SessionState("drone-to-satellite", 4, why=True)
     whole = analyst.answer(state, 10)
     part = analyst.answer(replace(state, region=(5, 6, 9)), 10)
     assert part.query is whole.query
@@ -165,7 +165,7 @@ def test_a_region_from_the_page_is_cells_or_nothing(value: Any) -> None:
 
 @pytest.mark.parametrize("value", [None, [1, 2], ["a", None, {}, []], [1e999, float("nan"), 5000, -7]])
 def test_a_point_of_a_profile_from_the_page_stays_within_bounds(value: Any) -> None:
-    state = session_state.taken(State("drone-to-satellite", 4, angle=10.0), value, (64, 128))
+    state = session_state.taken(SessionState("drone-to-satellite", 4, angle=10.0), value, (64, 128))
     assert -180 <= state.angle <= 180
     assert abs(state.shift) <= 64
     assert abs(state.down) <= 32
@@ -247,7 +247,7 @@ def test_weights_that_change_nothing_neither_help_nor_harm() -> None:
 
 
 def test_a_window_fits_the_room_that_the_page_tells() -> None:
-    room = Room()
+    room = Viewport()
     room.take([700, 500])
     assert room.window() == (688, 488)
     assert room.window((600, 900), 0.5) == (588, 320)

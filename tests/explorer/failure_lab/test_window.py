@@ -17,7 +17,7 @@ from explorer.failure_lab.map_drawing import Drawn, draw
 from explorer.failure_lab.service import Findings, Laboratory, Points
 from explorer.failure_lab.views import MapView, NoteView
 from explorer.opening import open_model
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.web.html import Html
 from explorer.workspace import Exhibit
 from lpn.analysis import breakdown, notes
@@ -457,7 +457,7 @@ def test_notes_that_cannot_be_written_are_said_and_nothing_is_changed(exhibit: E
 
 
 def test_next_and_previous_go_through_an_order() -> None:
-    state, order = State(TASK, 4, query=7), np.array([3, 7, 5])
+    state, order = SessionState(TASK, 4, query=7), np.array([3, 7, 5])
     assert session_state.walk(state, 1, order, 13).query == 5
     assert session_state.walk(replace(state, query=5), 1, order, 13).query == 3
     assert session_state.walk(state, -1, order, 13).query == 3

@@ -10,7 +10,7 @@ import pytest
 from explorer.compute.worker import Patience
 from explorer.opening import open_model, open_saved
 from explorer.panels import pages, tour
-from explorer.session_state import State
+from explorer.session_state import SessionState
 from explorer.web import style
 from explorer.web.bridge import Bridge
 from explorer.workspace import Exhibit
@@ -41,8 +41,8 @@ def test_a_colour_that_can_be_read_is_not_changed() -> None:
 
 
 def test_the_theme_follows_the_state() -> None:
-    assert State("t", 2).palette is overlays.DARK
-    assert State("t", 2, dark=False).palette is overlays.LIGHT
+    assert SessionState("t", 2).palette is overlays.DARK
+    assert SessionState("t", 2, dark=False).palette is overlays.LIGHT
     image, _ = overlays.caption(4, 4, overlays.LIGHT)
     assert image.getpixel((0, 0)) == overlays.LIGHT.background
 

@@ -32,7 +32,7 @@ from explorer.server.auth import Entry, Onward, Refusal, Request, entry, is_loop
 from explorer.server.gateway import Guard
 from explorer.server.message_filter import BURST, FIELDS, RATE, UPLOADS, Inbox, UnfitError, strange
 from explorer.server.rate_limiter import ALL_WAITING, FIRST, FORGET, KEPT, LONGEST, WAITING, Turnstile
-from explorer.session_state import State, Upload
+from explorer.session_state import SessionState, Upload
 from explorer.workspace import Analyst, Exhibit
 from lpn.core.errors import InputError, MissingPackageError, PictureError
 from tools.fixtures import small_worlds
@@ -598,7 +598,7 @@ def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[Talker]:
         talker.wait(lambda: talker.status("angle") == "30")
         exhibit = app_exhibit(app)
         task = exhibit.tasks["drone-to-satellite"]
-        state = State(task.name, 4, query=task.names.index("0005"), angle=30.0)
+        state = SessionState(task.name, 4, query=task.names.index("0005"), angle=30.0)
         answer = Analyst(exhibit).answer(state, 10)
         assert talker.status("top") == str(answer.matches[0].index)
         assert "Traceback" not in capfd.readouterr().err

@@ -8,7 +8,7 @@ import pytest
 
 from explorer.opening import open_model
 from explorer.panels import answer_text, pages
-from explorer.session_state import State, Upload
+from explorer.session_state import SessionState, Upload
 from explorer.workspace import Analyst, Exhibit
 from lpn.core.errors import DataError, InputError
 from lpn.drawing import overlays
@@ -48,7 +48,7 @@ def test_heat_of_one_part_leaves_the_others_without_colour() -> None:
 
 def test_answers_reuse_what_did_not_change_and_are_exact(exhibit: Exhibit) -> None:
     analyst = Analyst(exhibit)
-    state = State("drone-to-satellite", 4)
+    state = SessionState("drone-to-satellite", 4)
     first = analyst.answer(state, 10)
     reweighted = analyst.answer(replace(state, enabled=(True, True, False, True)), 10)
     assert reweighted.query is first.query
@@ -72,14 +72,14 @@ def test_words_name_the_part_that_decides(exhibit: Exhibit) -> None:
     analyst = Analyst(exhibit)
     seen = set()
     for query in range(len(task.queries)):
-        answer = analyst.answer(State(task.name, 4, query=query), 10)
+        answer = analyst.answer(SessionState(task.name, 4, query=query), 10)
         true, headline, reason = answer_text.verdict(answer, exhibit.part_names)
         assert true == (task.ranks[query] == 0)
         assert any(f"part {name}" in reason for name in exhibit.part_names)
         seen.add(true)
         if not true:
             assert answer_text.ordinal(int(task.ranks[query]) + 1) in headline
-    own = analyst.answer(State(task.name, 4, upload=Upload("own", small_worlds.place(50))), 10)
+    own = analyst.answer(SessionState(task.name, 4, upload=Upload("own", small_worlds.place(50))), 10)
     assert answer_text.verdict(own, exhibit.part_names)[0] is None
     assert [answer_text.ordinal(i) for i in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
         *("1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "111th")
@@ -89,7 +89,7 @@ def test_words_name_the_part_that_decides(exhibit: Exhibit) -> None:
 def test_names_from_files_never_become_html(exhibit: Exhibit) -> None:
     task = exhibit.tasks["drone-to-satellite"]
     own = Upload("<img src=x onerror=alert(1)>.png", small_worlds.place(51))
-    answer = Analyst(exhibit).answer(State(task.name, 4, upload=own), 10)
+    answer = Analyst(exhibit).answer(SessionState(task.name, 4, upload=own), 10)
     assert "<i>places" not in pages.header(exhibit, task)
     assert "&lt;i&gt;places" in pages.header(exhibit, task)
     assert "<img src=x" not in pages.status(answer, 1, 0.0)
@@ -99,7 +99,7 @@ def test_a_true_tile_below_the_list_is_offered(exhibit: Exhibit) -> None:
     task = exhibit.tasks["drone-to-satellite"]
     analyst = Analyst(exhibit)
     late = int(np.argmax(task.ranks))
-    answer = analyst.answer(State(task.name, 4, query=late), 1)
+    answer = analyst.answer(SessionState(task.name, 4, query=late), 1)
     html = pages.matches(answer, exhibit, ["first", "truth"])
     assert ("lpn-truth" in html) == (task.ranks[late] > 0)
     assert ("getElementById('truth')" in html) == (task.ranks[late] > 0)
