@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn.cli import main, using
+from lpn.cli import doctor as doctor_command
+from lpn.cli import main
 from lpn.core import requirements, resources
 from lpn.core.errors import OutputError
 from lpn.datasets.demo import DEMO
@@ -60,7 +61,7 @@ def test_a_problem_ends_with_status_1(
 ) -> None:
     (tmp_path / "file").write_bytes(b"")
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "file" / "cache"))
-    monkeypatch.setattr(using, "DEMO", tmp_path / "absent")
+    monkeypatch.setattr(doctor_command, "DEMO", tmp_path / "absent")
     assert main.main(["doctor"]) == 1
     said = capsys.readouterr().out
     assert "problem cache: " in said
