@@ -14,7 +14,7 @@ from lpn.core.files import printable
 from lpn.core.views import View
 
 if TYPE_CHECKING:
-    from lpn.index import Found
+    from lpn.index import SearchResult
     from lpn.models.base import Model
 
 
@@ -140,7 +140,7 @@ class Search:
 
 
 def _matches(
-    found: Found, query: Float32Array, weights: Float32Array, top: int, model: Model, view: View
+    found: SearchResult, query: Float32Array, weights: Float32Array, top: int, model: Model, view: View
 ) -> list[dict[str, Any]]:
     """What is told of each tile."""
     import numpy as np

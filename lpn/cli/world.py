@@ -35,7 +35,7 @@ class World:
 
     def run(self) -> None:
         from lpn.world.atlas import Settings
-        from lpn.world.build import Part, build_world
+        from lpn.world.build import RenderShare, build_world
 
         settings = Settings(
             self.seed,
@@ -47,7 +47,7 @@ class World:
             self.streets,
             self.panoramas,
         )
-        tally = build_world(settings, self.out, Part.parse(self.part), self.threads)
+        tally = build_world(settings, self.out, RenderShare.parse(self.part), self.threads)
         print(f"{tally.describe()} The world is in {self.out}.")
 
     def going_on(self) -> str:

@@ -29,11 +29,11 @@ from lpn.cluster.session import started
 from lpn.cluster.shards import (
     BROKEN,
     PLAN,
-    Broken,
-    Item,
-    Notes,
+    BrokenPicture,
     Plan,
     Precision,
+    ShardItem,
+    ShardMetadata,
     contents,
     digest,
     overtaken,
@@ -41,7 +41,7 @@ from lpn.cluster.shards import (
     read_notes,
 )
 from lpn.cluster.storage import Storage
-from lpn.cluster.worker import Task, Worker
+from lpn.cluster.worker import DescribeWorker, PartitionTask
 from lpn.core import images
 from lpn.core.errors import DataError, InputError, StoreError
 from lpn.core.files import alone
@@ -73,7 +73,7 @@ class Summary:
 
     pictures: int
     computed: int
-    broken: list[Broken]
+    broken: list[BrokenPicture]
 
 
 def describe_shards(
@@ -89,7 +89,7 @@ def describe_shards(
     positions: str | Path | None = None,
     boxes: Mapping[str, Box] | None = None,
     say: Callable[[str], None] = print,
-    worker: type[Worker] = Worker,
+    worker: type[DescribeWorker] = DescribeWorker,
 ) -> Summary:
     """Describe all pictures below a folder or prefix into shards; what is there already is not computed again.
 
@@ -141,20 +141,20 @@ def describe_shards(
         return _run(source, target, items, wanted, files, model.name, address, workers, threads, say, worker)
 
 
-def _items(source: Storage, positions: str | Path | None, boxes: Mapping[str, Box]) -> list[Item]:
+def _items(source: Storage, positions: str | Path | None, boxes: Mapping[str, Box]) -> list[ShardItem]:
     rows = source.files(images.SUFFIXES)
     if not rows:
         raise DataError(f"{source.where} holds no pictures; expected files ending in {', '.join(images.SUFFIXES)}.")
     rows = [replace(row, box=box_of(boxes[row.file])) if row.file in boxes else row for row in rows]
     found = _positions(source, positions)
     if found is None:
-        return [Item(row) for row in rows]
+        return [ShardItem(row) for row in rows]
     names, said = [row.file for row in rows], str(positions or geo.NAME)
     if positions is not None:
         matched = zip(names, geo.match(found, names, said), strict=True)
         found = {name: place for name, place in matched if place is not None}
     places = geo.find_positions(found, names, said)
-    return [Item(row, (at.latitude, at.longitude)) for row, at in zip(rows, places, strict=True)]
+    return [ShardItem(row, (at.latitude, at.longitude)) for row, at in zip(rows, places, strict=True)]
 
 
 def _positions(source: Storage, given: str | Path | None) -> dict[str, geo.Position] | None:
@@ -174,7 +174,7 @@ def _positions(source: Storage, given: str | Path | None) -> dict[str, geo.Posit
 def _run(
     source: Storage,
     target: Storage,
-    items: list[Item],
+    items: list[ShardItem],
     wanted: Plan,
     files: dict[str, bytes],
     model: str,
@@ -182,10 +182,10 @@ def _run(
     workers: int | None,
     threads: int,
     say: Callable[[str], None],
-    worker: type[Worker],
+    worker: type[DescribeWorker],
 ) -> Summary:
     plan = _plan(target, wanted, len(items))
-    partitions: list[list[Item]] = [[] for _ in range(plan.partitions)]
+    partitions: list[list[ShardItem]] = [[] for _ in range(plan.partitions)]
     for item in items:
         partitions[plan.partition(item.row.file)].append(item)
     digests = [digest(some) for some in partitions]
@@ -209,7 +209,7 @@ def _run(
             rows = [
                 [{"partition": p, "source": sources[p], "items": packed(partitions[p])} for p in lot] for lot in lots
             ]
-            task = Task(source.where, target.where, plan, model, threads)
+            task = PartitionTask(source.where, target.where, plan, model, threads)
             with started(address, workers, threads) as (data, count, put):
                 progress.start()
                 _hand_out(data, rows, worker, task, put(files), count, progress)
@@ -226,8 +226,8 @@ def _run(
 def _hand_out(
     data: Any,
     lots: list[list[dict[str, Any]]],
-    worker: type[Worker],
-    task: Task,
+    worker: type[DescribeWorker],
+    task: PartitionTask,
     files: Any,
     count: int,
     progress: _Progress,
@@ -252,7 +252,7 @@ def _hand_out(
             progress.add(result)
 
 
-def _source(partition: int, held: list[Notes | None]) -> int:
+def _source(partition: int, held: list[ShardMetadata | None]) -> int:
     """The partition whose shard has what was described of a partition's pictures: itself, or the one it is split off from."""
     size = len(held)
     while held[partition] is None and size % 2 == 0:
@@ -283,12 +283,12 @@ def _plan(target: Storage, wanted: Plan, pictures: int) -> Plan:
     return replace(held, partitions=partitions, shard=shard, finished=held.finished and same)
 
 
-def _unsettled(notes: Notes) -> set[Item]:
+def _unsettled(notes: ShardMetadata) -> set[ShardItem]:
     """The pictures that are worth another try."""
     return {broken.item for broken in notes.broken if not broken.settled}
 
 
-def _settled(target: Storage, plan: Plan, partitions: list[list[Item]], digests: list[str]) -> list[Notes]:
+def _settled(target: Storage, plan: Plan, partitions: list[list[ShardItem]], digests: list[str]) -> list[ShardMetadata]:
     """What all shards say, also those that an earlier run wrote; StoreError where they are not what this run leaves there."""
     notes = [one for one in read_notes(target, plan, range(plan.partitions)) if one is not None]
     plan.check_own(target)
@@ -305,7 +305,7 @@ def _settled(target: Storage, plan: Plan, partitions: list[list[Item]], digests:
     return notes
 
 
-def _write_broken(target: Storage, broken: list[Broken]) -> None:
+def _write_broken(target: Storage, broken: list[BrokenPicture]) -> None:
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     lines.writerow(("name", "reason"))

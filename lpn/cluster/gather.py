@@ -16,11 +16,11 @@ from lpn.cluster.shards import (
     DAMAGED,
     ITEM,
     PLAN,
-    Broken,
-    Contents,
-    Item,
-    Notes,
+    BrokenPicture,
     Plan,
+    ShardContents,
+    ShardItem,
+    ShardMetadata,
     contents,
     each,
     items_of,
@@ -37,7 +37,7 @@ from lpn.descriptors.partial_store import Unfinished
 from lpn.descriptors.writer import write_store
 
 
-class Tiles(NamedTuple):
+class ShardTiles(NamedTuple):
     """The pictures of one partition.
 
     Attributes:
@@ -64,10 +64,10 @@ class Shards:
 
     storage: Storage
     plan: Plan
-    broken: list[Broken]
+    broken: list[BrokenPicture]
     digests: list[str]
 
-    def tiles(self, partition: int) -> Tiles:
+    def tiles(self, partition: int) -> ShardTiles:
         """A partition's names and positions, without reading its descriptors.
 
         Raises:
@@ -85,9 +85,9 @@ class Shards:
                 f"{shard_name(partition)} in {self.storage.where} holds pictures that belong in other shards; delete it and run "
                 "lpn describe --engine ray again, which computes it."
             )
-        return Tiles(names, np.stack(degrees, axis=1))
+        return ShardTiles(names, np.stack(degrees, axis=1))
 
-    def items(self, partition: int) -> list[Item]:
+    def items(self, partition: int) -> list[ShardItem]:
         """A partition's described pictures, in order of its descriptors, without reading those; StoreError as for `read`."""
         try:
             return items_of(self._table(partition, list(ITEM)))
@@ -108,7 +108,7 @@ class Shards:
             raise self.written_anew(partition)
         return contents.descriptors.astype(np.float32)
 
-    def read(self, partition: int) -> Contents:
+    def read(self, partition: int) -> ShardContents:
         """A whole shard; StoreError when it is damaged, or was written anew since this was opened."""
         contents = read_shard(self.storage, self.plan, partition)
         self._check(partition, None if contents is None else contents.notes)
@@ -129,7 +129,7 @@ class Shards:
         self._check(partition, notes)
         return table
 
-    def _check(self, partition: int, notes: Notes | None) -> None:
+    def _check(self, partition: int, notes: ShardMetadata | None) -> None:
         if notes is None:
             raise self._damaged(partition)
         if notes.digest != self.digests[partition]:

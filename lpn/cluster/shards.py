@@ -65,14 +65,14 @@ _QUEUED = 1024
 _T = TypeVar("_T")
 
 
-class Item(NamedTuple):
+class ShardItem(NamedTuple):
     """A picture to be described, and where it is."""
 
     row: Row
     position: Position = None
 
 
-class Broken(NamedTuple):
+class BrokenPicture(NamedTuple):
     """A picture that could not be described.
 
     Attributes:
@@ -81,7 +81,7 @@ class Broken(NamedTuple):
         settled: the file itself is damaged, so that trying again is of no use until it changes; otherwise it could not be read.
     """
 
-    item: Item
+    item: ShardItem
     reason: str
     settled: bool
 
@@ -163,7 +163,7 @@ def overtaken(storage: Storage) -> str:
     return f"Another run of lpn describe wrote to {storage.where} meanwhile; run this again when it has ended."
 
 
-def digest(items: Sequence[Item]) -> str:
+def digest(items: Sequence[ShardItem]) -> str:
     """What tells whether a shard settles just these pictures, in any order."""
     return hashlib.sha256(json.dumps(sorted(map(_plain, items), key=lambda values: values[0])).encode()).hexdigest()
 
@@ -177,9 +177,9 @@ def write_shard(
     storage: Storage,
     plan: Plan,
     partition: int,
-    items: Sequence[Item],
+    items: Sequence[ShardItem],
     descriptors: Float32Array,
-    broken: Sequence[Broken] = (),
+    broken: Sequence[BrokenPicture] = (),
 ) -> None:
     """Write a partition: the items that were described, with descriptors (B, n, D) float32, and those that could not be.
 
@@ -210,15 +210,15 @@ def write_shard(
     storage.write(shard_name(partition), buffer.getvalue())
 
 
-class Contents(NamedTuple):
+class ShardContents(NamedTuple):
     """A shard as it was written; descriptors (B, n, D) in its precision."""
 
-    items: list[Item]
+    items: list[ShardItem]
     descriptors: AnyArray
-    notes: Notes
+    notes: ShardMetadata
 
 
-def read_shard(storage: Storage, plan: Plan, partition: int) -> Contents | None:
+def read_shard(storage: Storage, plan: Plan, partition: int) -> ShardContents | None:
     """A partition's shard, None where there is none or it is damaged or of another plan."""
     try:
         table = pq.read_table(pa.BufferReader(storage.read(shard_name(partition))), page_checksum_verification=True)
@@ -227,17 +227,17 @@ def read_shard(storage: Storage, plan: Plan, partition: int) -> Contents | None:
             return None
         column = table.column("descriptor").combine_chunks()
         numbers = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, plan.n_parts, plan.embedding)
-        return Contents(items_of(table), numbers, notes)
+        return ShardContents(items_of(table), numbers, notes)
     except DAMAGED:
         return None
 
 
-def items_of(table: pa.Table) -> list[Item]:
+def items_of(table: pa.Table) -> list[ShardItem]:
     """The items of a shard's rows, from a table that has the columns of `ITEM`; one of `DAMAGED` where it is none."""
     return [_item(one) for one in zip(*(table.column(name).to_pylist() for name in ITEM), strict=True)]
 
 
-class Notes(NamedTuple):
+class ShardMetadata(NamedTuple):
     """What a shard says of itself.
 
     Attributes:
@@ -247,11 +247,11 @@ class Notes(NamedTuple):
     """
 
     digest: str
-    broken: list[Broken]
+    broken: list[BrokenPicture]
     partitions: int
 
 
-def contents(notes: Iterable[Notes]) -> str:
+def contents(notes: Iterable[ShardMetadata]) -> str:
     """What tells whether shards are those of one run's end: a digest of their digests, in order of the partitions."""
     return hashlib.sha256("\n".join(one.digest for one in notes).encode()).hexdigest()
 
@@ -263,10 +263,10 @@ def each(task: Callable[[int], _T], partitions: Sequence[int]) -> Iterator[_T]:
             yield from pool.map(task, partitions[start : start + _QUEUED])
 
 
-def read_notes(storage: Storage, plan: Plan, partitions: Sequence[int]) -> list[Notes | None]:
+def read_notes(storage: Storage, plan: Plan, partitions: Sequence[int]) -> list[ShardMetadata | None]:
     """The notes of partitions' shards, without reading their rows; None for a shard that is missing or damaged."""
 
-    def read(partition: int) -> Notes | None:
+    def read(partition: int) -> ShardMetadata | None:
         try:
             with storage.open(shard_name(partition)) as file:
                 return notes_of(pq.read_schema(file), plan, partition)
@@ -276,7 +276,7 @@ def read_notes(storage: Storage, plan: Plan, partitions: Sequence[int]) -> list[
     return list(each(read, partitions))
 
 
-def notes_of(schema: pa.Schema, plan: Plan, partition: int) -> Notes | None:
+def notes_of(schema: pa.Schema, plan: Plan, partition: int) -> ShardMetadata | None:
     """The notes in a file's schema, None where they are of another plan or partition; one of `DAMAGED` where they are none."""
     notes = json.loads((schema.metadata or {}).get(b"lpn", b"{}"))
     wanted = {**_noted(plan), "partition": partition, "partitions": (partitions := notes.get("partitions"))}
@@ -284,8 +284,8 @@ def notes_of(schema: pa.Schema, plan: Plan, partition: int) -> Notes | None:
         wanted["format"] = BEFORE
     if {key: notes.get(key) for key in wanted} != wanted or type(partitions) is not int or partitions < 1:
         return None
-    broken = [Broken(_item(item), str(reason), bool(settled)) for item, reason, settled in notes["broken"]]
-    return Notes(str(notes["digest"]), broken, partitions)
+    broken = [BrokenPicture(_item(item), str(reason), bool(settled)) for item, reason, settled in notes["broken"]]
+    return ShardMetadata(str(notes["digest"]), broken, partitions)
 
 
 def _noted(plan: Plan) -> dict[str, Any]:
@@ -297,22 +297,22 @@ def _kind(plan: Plan) -> tuple[object, ...]:
     return plan.fingerprint, plan.view, plan.n_parts, plan.embedding, plan.precision
 
 
-def _plain(item: Item) -> list[Any]:
+def _plain(item: ShardItem) -> list[Any]:
     row, place = item
     return [row.file, row.size, row.time_ns, row.box and list(row.box), *(place or (None, None))]
 
 
-def _item(values: Sequence[Any]) -> Item:
+def _item(values: Sequence[Any]) -> ShardItem:
     file, size, time_ns, box, latitude, longitude = values
     kept = None if box is None else cast("tuple[float, float, float, float]", tuple(float(side) for side in box))
-    return Item(Row(file, size, time_ns, kept), None if latitude is None else (latitude, longitude))
+    return ShardItem(Row(file, size, time_ns, kept), None if latitude is None else (latitude, longitude))
 
 
-def packed(items: Sequence[Item]) -> str:
+def packed(items: Sequence[ShardItem]) -> str:
     """Items as text, to send them to a worker."""
     return json.dumps([_plain(item) for item in items])
 
 
-def unpacked(text: str) -> list[Item]:
+def unpacked(text: str) -> list[ShardItem]:
     """What `packed` wrote."""
     return [_item(values) for values in json.loads(text)]

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from lpn.cluster.shards import Broken, Item, Plan, read_shard, unpacked, write_shard
+from lpn.cluster.shards import BrokenPicture, Plan, ShardItem, read_shard, unpacked, write_shard
 from lpn.cluster.storage import Storage
 from lpn.core import images
 from lpn.core.arrays import Float32Array
@@ -25,7 +25,7 @@ from lpn.models.onnx_engine import Engine
 
 
 @dataclass(frozen=True)
-class Task:
+class PartitionTask:
     """What all workers are told.
 
     Attributes:
@@ -42,7 +42,7 @@ class Task:
     threads: int
 
 
-class Worker:
+class DescribeWorker:
     """Describes partitions, one at a time; opens the model once.
 
     Args:
@@ -50,7 +50,7 @@ class Worker:
         files: Ray's reference to the model's files, name to bytes, so that no machine but the driver's needs them.
     """
 
-    def __init__(self, task: Task, files: Any) -> None:
+    def __init__(self, task: PartitionTask, files: Any) -> None:
         import cv2
         import ray
 
@@ -72,7 +72,7 @@ class Worker:
         counts = {"computed": [computed], "described": [described], "broken": [broken]}
         return {"partition": [partition], **counts, "error": [""]}
 
-    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:
+    def describe(self, partition: int, items: list[ShardItem], source: int) -> tuple[int, int, int]:
         """Write a partition's shard.
 
         Args:
@@ -98,7 +98,7 @@ class Worker:
             for i, row in zip(some.items, some.descriptors, strict=True):
                 rows[missing[i].row] = row
             for i, error in some.broken:
-                broken.append(Broken(missing[i], str(error), not isinstance(error, _UnreadError)))
+                broken.append(BrokenPicture(missing[i], str(error), not isinstance(error, _UnreadError)))
         kept = [item for item in items if item.row in rows]
         numbers = np.zeros((len(kept), plan.n_parts, plan.embedding), np.float32)
         for i, item in enumerate(kept):
@@ -107,7 +107,7 @@ class Worker:
         write_shard(self.out, plan, partition, kept, numbers, broken)
         return computed, len(kept), len(broken)
 
-    def _prepare(self, item: Item) -> Float32Array:
+    def _prepare(self, item: ShardItem) -> Float32Array:
         try:
             data = self.images.read(item.row.file)
         except OSError as error:

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from lpn.core.errors import InputError, StoreError
-from lpn.index.base import Box, Found, Index, Kind, check_count
+from lpn.index.base import Box, Index, Kind, SearchResult, check_count
 from lpn.index.exact import ExactIndex
 from lpn.index.faiss import Codes, FaissIndex
-from lpn.index.folder import Manifest
+from lpn.index.folder import IndexManifest
 from lpn.index.milvus import SCHEME, MilvusIndex, Structure
 from lpn.index.scan import Precision
 
@@ -114,7 +114,7 @@ def _opened(where: str | Path, given: dict[str, int]) -> Index:
                 collection.close()
                 raise
         return collection
-    manifest = Manifest.read(Path(where))
+    manifest = IndexManifest.read(Path(where))
     if manifest.engine == ExactIndex.engine:
         _refuse(given, ("effort", "depth"), "an exact index misses nothing")
         return ExactIndex(where)
@@ -137,11 +137,11 @@ __all__ = [
     "Engine",
     "ExactIndex",
     "FaissIndex",
-    "Found",
     "Index",
     "Kind",
     "MilvusIndex",
     "Precision",
+    "SearchResult",
     "Structure",
     "check_effort",
     "create_index",

@@ -90,7 +90,7 @@ class Kind:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchResult:
     """The k nearest tiles, nearest first.
 
     Attributes:
@@ -140,7 +140,9 @@ class Index(ABC):
         """
 
     @abstractmethod
-    def search(self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None) -> Found:
+    def search(
+        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
+    ) -> SearchResult:
         """The k tiles of the highest score, or all where there are fewer.
 
         Args:

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.core.arrays import Float64Array, Int64Array
-from lpn.index.base import Box, Found, Kind, check_box, check_count
-from lpn.index.folder import Candidates, FolderIndex, Manifest, create
+from lpn.index.base import Box, Kind, SearchResult, check_box, check_count
+from lpn.index.folder import Candidates, FolderIndex, IndexManifest, create
 from lpn.index.scan import Precision, Scan
 from lpn.index.segments import Segment
 
@@ -48,10 +48,12 @@ class ExactIndex(FolderIndex):
         Raises:
             StoreError: when the folder holds something else, or cannot be written.
         """
-        create(Path(folder), Manifest(cls.engine, kind, precision))
+        create(Path(folder), IndexManifest(cls.engine, kind, precision))
         return cls(folder)
 
-    def search(self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None) -> Found:
+    def search(
+        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
+    ) -> SearchResult:
         """See `Index.search`; equal scores in the order of insertion."""
         wanted = self.kind.rescaled(query, weights)
         k, box = check_count(k), check_box(box)

@@ -24,8 +24,8 @@ import numpy.typing as npt
 from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError, StoreError
 from lpn.core.files import unreadable
-from lpn.index.base import Box, Found, Kind, check_box, check_count
-from lpn.index.folder import Candidates, FolderIndex, Manifest, State, create
+from lpn.index.base import Box, Kind, SearchResult, check_box, check_count
+from lpn.index.folder import Candidates, FolderIndex, IndexManifest, IndexSnapshot, create
 from lpn.index.segments import Segment
 
 Codes = Literal["flat", "sq8", "pq"]
@@ -90,10 +90,12 @@ class FaissIndex(FolderIndex):
             raise InputError(
                 f"A descriptor has {kind.numbers} numbers, which are no multiple of {_PER_CODE}; choose the codes sq8."
             )
-        create(Path(folder), Manifest(cls.engine, kind, settings={"codes": codes}))
+        create(Path(folder), IndexManifest(cls.engine, kind, settings={"codes": codes}))
         return cls(folder, nprobe, depth)
 
-    def search(self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None) -> Found:
+    def search(
+        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
+    ) -> SearchResult:
         """See `Index.search`; of equal scores, those proposed keep the order of insertion."""
         wanted = self.kind.rescaled(query, weights)
         k, box = check_count(k), check_box(box)
@@ -114,7 +116,7 @@ class FaissIndex(FolderIndex):
     def _lists(self) -> bool:
         return self.codes != "flat"
 
-    def _places(self, state: State, wanted: Float32Array, k: int, box: Box | None) -> Int64Array:
+    def _places(self, state: IndexSnapshot, wanted: Float32Array, k: int, box: Box | None) -> Int64Array:
         """Places, among the rows of all segments, of the tiles that are to be scored."""
         proposed: list[Int64Array] = [np.zeros(0, np.int64)]
         start = 0
@@ -125,7 +127,7 @@ class FaissIndex(FolderIndex):
 
     def _proposed(
         self,
-        state: State,
+        state: IndexSnapshot,
         segment: Segment,
         wanted: Float32Array,
         rows: Int64Array | None,
@@ -160,7 +162,7 @@ class FaissIndex(FolderIndex):
             return self._faiss.SearchParametersIVF(sel=selector, nprobe=nprobe)
         return self._faiss.SearchParameters(sel=selector)
 
-    def _index(self, state: State, segment: Segment) -> Any:
+    def _index(self, state: IndexSnapshot, segment: Segment) -> Any:
         """A segment's faiss index; `state` is what the segment was taken from, which other threads may have moved on from."""
         this = segment.folder, segment.identity
         opened = self._opened

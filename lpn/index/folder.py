@@ -35,10 +35,10 @@ from lpn.core.checksums import crc_of_values
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import allow_many_files, alone, printable, unreadable, write_whole
 from lpn.core.formats import is_newer, newer
-from lpn.index.base import Found, Index, Kind, best, check_names, check_positions, scores_of
+from lpn.index.base import Index, Kind, SearchResult, best, check_names, check_positions, scores_of
 from lpn.index.scan import PRECISIONS, Precision
 from lpn.index.segment_checksums import NAME, changed, write_sums
-from lpn.index.segments import DEAD, FILES, Batch, Segment, identity_of, keys_of, write_segment
+from lpn.index.segments import DEAD, FILES, Segment, TileBatch, identity_of, keys_of, write_segment
 
 FORMAT = "lpn-index/1"
 MANIFEST = "index.json"
@@ -52,7 +52,7 @@ _READ = 1024
 
 
 @dataclass(frozen=True)
-class Entry:
+class ManifestEntry:
     """A segment that counts: its folder's name, its tiles, and the file that says which were replaced, if any were, with its
     checksum."""
 
@@ -63,7 +63,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Manifest:
+class IndexManifest:
     """What an index is.
 
     Attributes:
@@ -79,7 +79,7 @@ class Manifest:
     kind: Kind
     precision: Precision = "float32"
     settings: dict[str, Any] = field(default_factory=dict)
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[ManifestEntry, ...] = ()
     next: int = 1
 
     def to_json(self) -> bytes:
@@ -89,7 +89,7 @@ class Manifest:
         return json.dumps({**values, "checksum": crc_of_values(values)}, indent=1).encode()
 
     @classmethod
-    def read(cls, folder: Path) -> Manifest:
+    def read(cls, folder: Path) -> IndexManifest:
         """The manifest of an index; StoreError when the folder is none."""
         try:
             values: Any = json.loads((folder / MANIFEST).read_bytes())
@@ -101,7 +101,7 @@ class Manifest:
             if values.pop("checksum", None) not in (None, crc_of_values(values)):
                 raise ValueError("another checksum")
             entries = tuple(
-                Entry(str(e["name"]), int(e["rows"]), e["dead"], e.get("dead_crc")) for e in values["segments"]
+                ManifestEntry(str(e["name"]), int(e["rows"]), e["dead"], e.get("dead_crc")) for e in values["segments"]
             )
             settings = dict(values["settings"])
             return cls(str(values["engine"]), kind, values["precision"], settings, entries, int(values["next"]))
@@ -121,7 +121,7 @@ def verify(folder: Path) -> bool:
     Raises:
         StoreError: when the folder is no index, or a file of it is damaged.
     """
-    manifest, everywhere = Manifest.read(folder), True
+    manifest, everywhere = IndexManifest.read(folder), True
     for entry in manifest.entries:
         segment = folder / entry.name
         wrong = changed(segment)
@@ -139,7 +139,7 @@ def verify(folder: Path) -> bool:
     return everywhere
 
 
-def create(folder: Path, manifest: Manifest) -> Manifest:
+def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
     """Make an empty index in a folder, or find that it holds one of the same kind, whose manifest is returned.
 
     Raises:
@@ -151,7 +151,7 @@ def create(folder: Path, manifest: Manifest) -> Manifest:
         folder.mkdir(parents=True, exist_ok=True)
         with alone(folder, wait=True):
             if (folder / MANIFEST).exists():
-                return _same(folder, Manifest.read(folder), manifest)
+                return _same(folder, IndexManifest.read(folder), manifest)
             # Killed before it had a manifest, an index had nothing else.
             others = [file.name for file in folder.iterdir() if not _UNFINISHED.fullmatch(file.name)]
             if others:
@@ -166,10 +166,10 @@ def create(folder: Path, manifest: Manifest) -> Manifest:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class IndexSnapshot:
     """An index as one of its manifests says it is, and what tells that file from the next."""
 
-    manifest: Manifest
+    manifest: IndexManifest
     segments: list[Segment]
     stamp: tuple[int, ...]
 
@@ -209,7 +209,7 @@ class FolderIndex(Index):
         """See `Index.add`; whole or not at all, whenever the process is killed."""
         vectors = self.kind.checked(descriptors)
         names = check_names(ids, len(vectors))
-        batch = Batch(names, vectors, check_positions(positions, len(vectors)))
+        batch = TileBatch(names, vectors, check_positions(positions, len(vectors)))
         if not names:
             return
         try:
@@ -242,17 +242,17 @@ class FolderIndex(Index):
     def _finish(self, folder: Path, rows: int) -> None:
         """Write what the engine needs beside a new segment's files."""
 
-    def _current(self) -> State:
+    def _current(self) -> IndexSnapshot:
         """The index as it is now, whichever process wrote it."""
         state = self._state
         if self._stamp() != state.stamp or not state.segments:
             state = self._state = self._read(state.segments)
         return state
 
-    def _found(self, segments: list[Segment], candidates: Candidates, k: int) -> Found:
+    def _found(self, segments: list[Segment], candidates: Candidates, k: int) -> SearchResult:
         """The k best of candidates whose scores are known."""
         if not len(candidates.places):
-            return Found(
+            return SearchResult(
                 [], np.zeros(0), np.zeros((0, self.kind.n_parts, self.kind.embedding), np.float32), np.zeros((0, 2))
             )
         chosen = best(candidates.scores, candidates.places, k)
@@ -267,7 +267,7 @@ class FolderIndex(Index):
                 names[position] = name
         positions = gather([segment.positions for segment in segments], places)
         shaped = vectors.reshape(len(places), self.kind.n_parts, self.kind.embedding)
-        return Found(names, candidates.scores[chosen], shaped, positions)
+        return SearchResult(names, candidates.scores[chosen], shaped, positions)
 
     def _stamp(self) -> tuple[int, ...]:
         """What tells a manifest's file from the next; empty where there is none."""
@@ -279,17 +279,17 @@ class FolderIndex(Index):
             raise unreadable(self.folder / MANIFEST, error) from error
         return stat.st_ino, stat.st_mtime_ns, stat.st_size
 
-    def _read(self, held: Sequence[Segment] = ()) -> State:
+    def _read(self, held: Sequence[Segment] = ()) -> IndexSnapshot:
         """The index as its manifest says it is; segments that are held and have not changed are not opened again."""
         open_now = {segment.folder.name: segment for segment in held}
         for attempt in range(_ATTEMPTS):
             stamp = self._stamp()
-            manifest = Manifest.read(self.folder)
+            manifest = IndexManifest.read(self.folder)
             try:
                 segments = [
                     self._opened_segment(manifest, entry, open_now.get(entry.name)) for entry in manifest.entries
                 ]
-                return State(manifest, segments, stamp)
+                return IndexSnapshot(manifest, segments, stamp)
             except FileNotFoundError as error:
                 # Another process may have replaced a segment since the manifest was read.
                 if attempt + 1 == _ATTEMPTS or self._stamp() == stamp:
@@ -298,13 +298,13 @@ class FolderIndex(Index):
                     ) from error
         raise AssertionError
 
-    def _opened_segment(self, manifest: Manifest, entry: Entry, held: Segment | None) -> Segment:
+    def _opened_segment(self, manifest: IndexManifest, entry: ManifestEntry, held: Segment | None) -> Segment:
         folder = self.folder / entry.name
         if held is not None and (held.rows, held.dead, held.identity) == (entry.rows, entry.dead, identity_of(folder)):
             return held
         return Segment(folder, manifest.kind, manifest.precision, entry.rows, entry.dead)
 
-    def _write(self, batch: Batch) -> Manifest:
+    def _write(self, batch: TileBatch) -> IndexManifest:
         """Everything an add needs on disk, and the manifest that makes it count."""
         manifest, segments = self._state.manifest, self._state.segments
         keys = keys_of(batch.names)
@@ -320,7 +320,7 @@ class FolderIndex(Index):
             segment.rows if mask is None else int(mask.sum()) for segment, mask in zip(segments, masks, strict=True)
         ]
         kept, rows_new = self._gathered(sizes, len(batch.names))
-        entries: list[Entry] = []
+        entries: list[ManifestEntry] = []
         number = self._free(manifest.next)
         for entry, segment, mask, size in zip(manifest.entries[:kept], segments, masks, sizes, strict=False):
             if 2 * size < segment.rows:
@@ -336,7 +336,7 @@ class FolderIndex(Index):
             else:
                 entries.append(entry)
 
-        def gathered() -> Iterator[Batch]:
+        def gathered() -> Iterator[TileBatch]:
             for segment, mask in zip(segments[kept:], masks[kept:], strict=True):
                 yield from segment.batches(mask)
             yield batch
@@ -353,12 +353,12 @@ class FolderIndex(Index):
             rows += sizes[kept]
         return kept, rows
 
-    def _segment(self, number: int, batches: Iterator[Batch], rows: int) -> Entry:
+    def _segment(self, number: int, batches: Iterator[TileBatch], rows: int) -> ManifestEntry:
         name = f"{number:07d}"
         write_segment(self.folder / name, self.kind, self.precision, batches, rows)
         self._finish(self.folder / name, rows)
         write_sums(self.folder / name)
-        return Entry(name, rows)
+        return ManifestEntry(name, rows)
 
     def _free(self, number: int) -> int:
         """The first number from this one on under which nobody has put anything into the folder."""
@@ -436,7 +436,7 @@ def gather(arrays: Sequence[AnyArray], places: Int64Array) -> AnyArray:
     return found
 
 
-def _same(folder: Path, there: Manifest, wanted: Manifest) -> Manifest:
+def _same(folder: Path, there: IndexManifest, wanted: IndexManifest) -> IndexManifest:
     for what in ("engine", "kind", "precision", "settings"):
         if getattr(there, what) != getattr(wanted, what):
             one, other = (_said(manifest, what) for manifest in (there, wanted))
@@ -446,7 +446,7 @@ def _same(folder: Path, there: Manifest, wanted: Manifest) -> Manifest:
     return there
 
 
-def _said(manifest: Manifest, what: str) -> str:
+def _said(manifest: IndexManifest, what: str) -> str:
     kind = manifest.kind
     said = {
         "engine": f"the engine {manifest.engine}",

@@ -41,9 +41,9 @@ from lpn.core.formats import is_newer, newer
 from lpn.index.base import (
     ID_LENGTH,
     Box,
-    Found,
     Index,
     Kind,
+    SearchResult,
     best,
     check_box,
     check_count,
@@ -173,7 +173,9 @@ class MilvusIndex(Index):
             ]
             self._call(partial(self._upsert, rows))
 
-    def search(self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None) -> Found:
+    def search(
+        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
+    ) -> SearchResult:
         """See `Index.search`; at most 16,384 tiles; equal scores by name."""
         wanted = self.kind.rescaled(query, weights)
         k, box = check_count(k), check_box(box)
@@ -189,7 +191,7 @@ class MilvusIndex(Index):
         places = np.array([[hit["latitude"], hit["longitude"]] for hit in hits], np.float64).reshape(-1, 2)
         places[places == _NOWHERE] = np.nan
         shaped = vectors[chosen].reshape(len(chosen), self.kind.n_parts, self.kind.embedding)
-        return Found([names[i] for i in chosen], scores[chosen], shaped, places[chosen])
+        return SearchResult([names[i] for i in chosen], scores[chosen], shaped, places[chosen])
 
     def holds(self, ids: Sequence[str]) -> BoolArray:
         """See `Index.holds`."""

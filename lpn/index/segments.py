@@ -37,7 +37,7 @@ _BLOCK = 2048
 
 
 @dataclass(frozen=True, eq=False)
-class Batch:
+class TileBatch:
     """Tiles on their way to disk: names, vectors (B, n D) float32, positions (B, 2)."""
 
     names: list[str]
@@ -128,14 +128,14 @@ class Segment:
                     found[position] = row
         return found
 
-    def batches(self, alive: BoolArray | None) -> Iterator[Batch]:
+    def batches(self, alive: BoolArray | None) -> Iterator[TileBatch]:
         """The tiles that a mask leaves, block by block."""
         for start in range(0, self.rows, _BLOCK):
             rows = np.arange(start, min(start + _BLOCK, self.rows))
             if alive is not None:
                 rows = rows[alive[rows]]
             if len(rows):
-                yield Batch(self.names(rows), self.vectors[rows], self.positions[rows])
+                yield TileBatch(self.names(rows), self.vectors[rows], self.positions[rows])
 
     @cached_property
     def _extent(self) -> tuple[Box, bool]:
@@ -177,7 +177,7 @@ def identity_of(folder: Path) -> tuple[int, int]:
     return stat.st_ino, stat.st_mtime_ns
 
 
-def write_segment(folder: Path, kind: Kind, precision: Precision, batches: Iterable[Batch], rows: int) -> None:
+def write_segment(folder: Path, kind: Kind, precision: Precision, batches: Iterable[TileBatch], rows: int) -> None:
     """Write tiles into a new folder; nothing refers to it yet.
 
     Args:

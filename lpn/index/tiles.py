@@ -22,7 +22,7 @@ _PLAN = "plan.json"
 
 
 @dataclass(frozen=True)
-class Lot:
+class TileChunk:
     """Tiles that are best read and added together.
 
     Attributes:
@@ -37,7 +37,7 @@ class Lot:
 
 
 @dataclass(frozen=True)
-class Tiles:
+class TileSource:
     """Tiles to be put into an index. Those of shards are read lot by lot, and only one lot is kept.
 
     Attributes:
@@ -49,11 +49,11 @@ class Tiles:
 
     kind: Kind
     count: int
-    lots: Iterator[Lot]
+    lots: Iterator[TileChunk]
     broken: int = 0
 
 
-def open_tiles(where: str, data: Path | None = None) -> Tiles:
+def open_tiles(where: str, data: Path | None = None) -> TileSource:
     """Open what was described.
 
     Args:
@@ -70,7 +70,7 @@ def open_tiles(where: str, data: Path | None = None) -> Tiles:
     return _of_shards(where, data) if is_shards else _of_store(folder, data)
 
 
-def _of_store(folder: Path, data: Path | None) -> Tiles:
+def _of_store(folder: Path, data: Path | None) -> TileSource:
     store = descriptors.open_store(folder)
     manifest = store.manifest
     if manifest.cropped:
@@ -81,14 +81,14 @@ def _of_store(folder: Path, data: Path | None) -> Tiles:
     positions = None if data is None else _positions(data, names)
     step = _step(kind)
 
-    def lot(start: int) -> Lot:
+    def lot(start: int) -> TileChunk:
         some = slice(start, start + step)
-        return Lot(names[some], None if positions is None else positions[some], lambda at: store.rows(start + at))
+        return TileChunk(names[some], None if positions is None else positions[some], lambda at: store.rows(start + at))
 
-    return Tiles(kind, len(names), map(lot, range(0, len(names), step)))
+    return TileSource(kind, len(names), map(lot, range(0, len(names), step)))
 
 
-def _of_shards(where: str, data: Path | None) -> Tiles:
+def _of_shards(where: str, data: Path | None) -> TileSource:
     from lpn.cluster.gather import open_shards
     from lpn.cluster.shards import each
 
@@ -111,7 +111,7 @@ def _of_shards(where: str, data: Path | None) -> Tiles:
         positions = _positions(data, [name for names in parts for name in names])
     starts = np.cumsum([0, *(count for count, _ in seen)])
 
-    def lot(group: range) -> Lot:
+    def lot(group: range) -> TileChunk:
         tiles = list(each(shards.tiles, group))
         for partition, part in zip(group, tiles, strict=True):
             # Its digest is of pictures that it settles, of which others may be broken by now.
@@ -130,7 +130,7 @@ def _of_shards(where: str, data: Path | None) -> Tiles:
             ]
             return np.concatenate(read)
 
-        return Lot(names, places, rows)
+        return TileChunk(names, places, rows)
 
     groups: list[range] = []
     for partition in partitions:
@@ -138,7 +138,7 @@ def _of_shards(where: str, data: Path | None) -> Tiles:
         if groups and starts[partition + 1] - starts[groups[-1].start] <= _step(kind):
             start = groups.pop().start
         groups.append(range(start, partition + 1))
-    return Tiles(kind, int(starts[-1]), map(lot, groups), len(shards.broken))
+    return TileSource(kind, int(starts[-1]), map(lot, groups), len(shards.broken))
 
 
 def _told(names: list[str]) -> tuple[int, int]:

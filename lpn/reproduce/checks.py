@@ -10,13 +10,13 @@ from lpn.core.errors import InputError
 from lpn.core.views import View, views_of
 from lpn.models.base import Model
 from lpn.reproduce.sources import TASKS
-from lpn.reproduce.tables import Row, Table, Training
-from lpn.reproduce.trainings import Job
+from lpn.reproduce.tables import PaperTable, TableRow, Training
+from lpn.reproduce.trainings import TrainingJob
 from lpn.training.recipes import Recipe
 
 
 @dataclass(frozen=True)
-class Use:
+class NetworkUse:
     """A network that is asked for, by a row of a table or by a drawn figure.
 
     Attributes:
@@ -30,15 +30,15 @@ class Use:
     views: frozenset[View]
 
     @staticmethod
-    def of_row(table: Table, row: Row, training: Training) -> Use:
+    def of_row(table: PaperTable, row: TableRow, training: Training) -> NetworkUse:
         """That of a row."""
         views = {row.branch} if row.branch else {view for task in TASKS[table.measure] for view in views_of(task)}
-        return Use(training, f"{table.title}, {row.label}", frozenset(views))
+        return NetworkUse(training, f"{table.title}, {row.label}", frozenset(views))
 
     @staticmethod
-    def of_figure(key: str, training: Training) -> Use:
+    def of_figure(key: str, training: Training) -> NetworkUse:
         """That of a drawn figure."""
-        return Use(training, key, frozenset(("drone", "satellite")))
+        return NetworkUse(training, key, frozenset(("drone", "satellite")))
 
     def check_views(self, there: Collection[View], said: str) -> None:
         """Raise InputError where a view is not there, in `said`."""
@@ -47,7 +47,7 @@ class Use:
             raise InputError(f"{self.said} needs the view {lacking[0]}; {said} has {', '.join(there)}.")
 
 
-def check_fits(model: Model, file: Path, use: Use, recipe: Recipe) -> None:
+def check_fits(model: Model, file: Path, use: NetworkUse, recipe: Recipe) -> None:
     """Raise InputError where a given network is not what it is to stand for; backbone and weights are its own."""
     use.check_views(model.views, file.name)
     spec, name = model.spec, use.training.name
@@ -69,7 +69,7 @@ def check_fits(model: Model, file: Path, use: Use, recipe: Recipe) -> None:
             )
 
 
-def check_used(models: Mapping[str, Path], uses: Sequence[Use]) -> None:
+def check_used(models: Mapping[str, Path], uses: Sequence[NetworkUse]) -> None:
     """Raise InputError where a given network is one that nothing asks for."""
     asked = sorted({use.training.name for use in uses})
     for name, file in models.items():
@@ -91,7 +91,7 @@ def check_starts(starts: Mapping[str, Path], backbones: Collection[str]) -> None
             )
 
 
-def check_trainings(jobs: Sequence[Job], uses: Sequence[Use]) -> None:
+def check_trainings(jobs: Sequence[TrainingJob], uses: Sequence[NetworkUse]) -> None:
     """Find out what would stop trainings, or the measuring of their networks.
 
     Raises:

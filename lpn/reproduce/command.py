@@ -15,12 +15,12 @@ from lpn.core.errors import InputError
 from lpn.core.files import alone, check_writable, write_whole
 from lpn.models.base import Model
 from lpn.reproduce import checks, footnotes, paper_figures, pretrained, report, trainings
-from lpn.reproduce.checks import Use
-from lpn.reproduce.measure import Notebook
+from lpn.reproduce.checks import NetworkUse
+from lpn.reproduce.measure import MeasurementStore
 from lpn.reproduce.paper_values import LANDMARKS, Values
-from lpn.reproduce.report import Column
+from lpn.reproduce.report import MeasuredColumn
 from lpn.reproduce.sources import Sources, open_sources
-from lpn.reproduce.tables import SCALES, Row, Scale, Table, Training, find, tables
+from lpn.reproduce.tables import SCALES, PaperTable, Scale, TableRow, Training, find, tables
 from lpn.training.recipes import Recipe
 
 _SHOWN = {"figure7": ("instance", "lpn"), "figure8": ("lpn",)}
@@ -72,8 +72,8 @@ class Reproduction:
         with alone(self.out, wait=False):
             return self._run(wanted, [key for key in keys if key in _SHOWN])
 
-    def _run(self, wanted: Sequence[Table], drawn: Sequence[str]) -> list[Path]:
-        self._notebook = Notebook(self.out / "measured.json")
+    def _run(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[Path]:
+        self._notebook = MeasurementStore(self.out / "measured.json")
         self._sources: Sources = open_sources(self.data, self.out)
         self._starts = pretrained.by_backbone(self.init)
         uses = self._uses(wanted, drawn)
@@ -97,18 +97,18 @@ class Reproduction:
             self.console.print(files[0].read_text(encoding="utf-8"), markup=False)
         return [file for files in written for file in files] + figures
 
-    def _uses(self, wanted: Sequence[Table], drawn: Sequence[str]) -> list[Use]:
+    def _uses(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[NetworkUse]:
         """The networks that the tables and figures ask for."""
         of_name = {training.name: training for training in find("table1", self.scale).trainings}
-        uses = [Use.of_figure(key, of_name[name]) for key in drawn for name in _SHOWN[key]]
+        uses = [NetworkUse.of_figure(key, of_name[name]) for key in drawn for name in _SHOWN[key]]
         return uses + [
-            Use.of_row(table, row, row.training)
+            NetworkUse.of_row(table, row, row.training)
             for table in wanted
             for row in table.rows
             if row.training and not self._is_copy(table, row.training)
         ]
 
-    def _load(self, uses: Sequence[Use]) -> dict[str, Model]:
+    def _load(self, uses: Sequence[NetworkUse]) -> dict[str, Model]:
         """The networks given, by training; each is opened, is used, and is what it stands for."""
         known = {training.name for table in tables(self.scale).values() for training in table.trainings}
         for name in self.models:
@@ -122,7 +122,7 @@ class Reproduction:
                 checks.check_fits(found[use.training.name], self.models[use.training.name], use, recipe)
         return found
 
-    def _check(self, wanted: Sequence[Table], drawn: Sequence[str]) -> None:
+    def _check(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> None:
         """Find out what would stop the work later."""
         for measure in dict.fromkeys(table.measure for table in wanted):
             for source in self._sources.of(measure):
@@ -132,7 +132,7 @@ class Reproduction:
             places.check("both ways")
             paper_figures.named(places.dataset, self.queries)
 
-    def _planned(self, uses: Sequence[Use]) -> list[trainings.Job]:
+    def _planned(self, uses: Sequence[NetworkUse]) -> list[trainings.TrainingJob]:
         """The trainings that no given network stands for."""
         jobs = []
         for seed in self.seeds:
@@ -141,10 +141,10 @@ class Reproduction:
                     recipe = self.scale.recipe(training, seed, self.changes)
                     folder = self.out / "runs" / f"{training.name}-seed{seed}"
                     source, start = self._sources.role(training.role), self._starts.get(recipe.backbone)
-                    jobs.append(trainings.Job(training, seed, recipe, folder, source, start))
+                    jobs.append(trainings.TrainingJob(training, seed, recipe, folder, source, start))
         return jobs
 
-    def _say_ahead(self, to_come: Sequence[trainings.Job], drawn: Sequence[str]) -> None:
+    def _say_ahead(self, to_come: Sequence[trainings.TrainingJob], drawn: Sequence[str]) -> None:
         """What is to be trained starts from, and what cannot be drawn."""
         for backbone, start in {job.recipe.backbone: job.start for job in to_come}.items():
             self.console.print(
@@ -168,12 +168,12 @@ class Reproduction:
         """The recipe whose backbone is measured without any training."""
         return replace(self.scale.places, **self.changes)
 
-    def _is_copy(self, table: Table, training: Training) -> bool:
+    def _is_copy(self, table: PaperTable, training: Training) -> bool:
         """Whether a row of Table I would be the one above it again: there is no google to train with."""
         ours = training.name == "lpn" and training.name not in self.models
         return table.key == "table1" and ours and not self._sources.role("places").has_google
 
-    def _models(self, table: Table, row: Row) -> dict[str, Model]:
+    def _models(self, table: PaperTable, row: TableRow) -> dict[str, Model]:
         """The networks of a row by seed, or the one given."""
         training = row.training
         if training is None:
@@ -188,7 +188,7 @@ class Reproduction:
         own = [job for job in self._jobs if job.training.name == name and job.done]
         return {f"seed {job.seed}": lpn.load(job.model) for job in own}
 
-    def _table(self, table: Table) -> list[Path]:
+    def _table(self, table: PaperTable) -> list[Path]:
         data = self._sources.of(table.measure)
         measured: dict[str, dict[str, Values]] = {}
         protocols: dict[str, str] = {}
@@ -205,17 +205,17 @@ class Reproduction:
         said = [footnotes.protocol(protocols), *footnotes.about(table, data), *self._of_networks(table)]
         return report.write(table, measured, self._columns(table), said, self.out)
 
-    def _columns(self, table: Table) -> list[Column]:
+    def _columns(self, table: PaperTable) -> list[MeasuredColumn]:
         """What is measured, and which of the paper's columns stands beside it."""
         data = self._sources.of(table.measure)
         if table.measure != "landmarks":
             # CVACT is not what the paper's Table II is of.
             same = data[0].dataset.kind != "CVACT"
-            return [Column(title, index if same else None) for index, title in enumerate(table.columns)]
+            return [MeasuredColumn(title, index if same else None) for index, title in enumerate(table.columns)]
         of_kind = {"Oxford5k": LANDMARKS.index("Oxford mAP"), "Paris6k": LANDMARKS.index("Paris mAP")}
-        return [Column(f"{source.name} mAP", of_kind.get(source.dataset.kind)) for source in data]
+        return [MeasuredColumn(f"{source.name} mAP", of_kind.get(source.dataset.kind)) for source in data]
 
-    def _of_networks(self, table: Table) -> list[str]:
+    def _of_networks(self, table: PaperTable) -> list[str]:
         """How the table's networks came about."""
         names = {row.training.name for row in table.rows if row.training}
         given = [f"{n} = {self.models[n]} ({self._given[n].describe()})" for n in sorted(names & set(self._given))]

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lpn.reproduce.sources import Source, counted
-from lpn.reproduce.tables import Scale, Table
-from lpn.reproduce.trainings import Job
+from lpn.reproduce.tables import PaperTable, Scale
+from lpn.reproduce.trainings import TrainingJob
 
 _APART = {
     "table1": (
@@ -46,7 +46,7 @@ def _rows(labels: Sequence[str], every: Sequence[str]) -> str:
     return " / ".join(labels) if len(labels) <= len(others) else f"all but {' / '.join(others)}"
 
 
-def about(table: Table, data: Sequence[Source]) -> list[str]:
+def about(table: PaperTable, data: Sequence[Source]) -> list[str]:
     """What must be known of a table, and of the pictures it was measured on."""
     said = [*_APART.get(table.key, ())]
     if any(source.rendered for source in data):
@@ -59,7 +59,7 @@ def about(table: Table, data: Sequence[Source]) -> list[str]:
     return said
 
 
-def networks(own: Sequence[Job], scale: Scale, changes: Mapping[str, Any], seeds: Sequence[int]) -> list[str]:
+def networks(own: Sequence[TrainingJob], scale: Scale, changes: Mapping[str, Any], seeds: Sequence[int]) -> list[str]:
     """How the networks were trained that were not given."""
     said: list[str] = []
     done = [job for job in own if job.done]
@@ -77,7 +77,7 @@ def networks(own: Sequence[Job], scale: Scale, changes: Mapping[str, Any], seeds
     return said
 
 
-def _places(jobs: Sequence[Job]) -> str:
+def _places(jobs: Sequence[TrainingJob]) -> str:
     """How many places networks were trained on; which, where that differs."""
     of: dict[str, dict[str, None]] = {}
     for job in jobs:

@@ -17,7 +17,7 @@ from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
 from lpn.reproduce.paper_values import Values
 from lpn.reproduce.sources import TASKS, Source
-from lpn.reproduce.tables import Measure, Row
+from lpn.reproduce.tables import Measure, TableRow
 from lpn.retrieval.evaluate import Result, evaluate
 from lpn.retrieval.protocol import Protocol
 
@@ -27,7 +27,7 @@ FORMAT = "lpn-measured/1"
 
 
 @dataclass(frozen=True)
-class Figures:
+class MeasuredFigures:
     """What a network did.
 
     Attributes:
@@ -39,7 +39,7 @@ class Figures:
     protocol: str
 
 
-class Notebook:
+class MeasurementStore:
     """Figures measured so far, by what they were measured on, in one JSON file with a checksum of itself.
 
     Raises:
@@ -48,7 +48,7 @@ class Notebook:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._held: dict[str, Figures] = {}
+        self._held: dict[str, MeasuredFigures] = {}
         try:
             self._held = _figures(json.loads(path.read_bytes()), path)
         except FileNotFoundError:
@@ -56,21 +56,21 @@ class Notebook:
         except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             log.warning("%s cannot be read or is damaged; what it held is measured again.", path)
 
-    def figures(self, row: Row, measure: Measure, model: Model, data: Sequence[Source]) -> Figures:
+    def figures(self, row: TableRow, measure: Measure, model: Model, data: Sequence[Source]) -> MeasuredFigures:
         """The row's figures; measured when they are not there yet."""
         digests = [source.test_digest(measure) for source in data]
         key = json.dumps([model.fingerprint, measure, digests, row.rotate, row.parts, row.branch])
         if key not in self._held:
             results = _measured(row, measure, model, data)
             values = [value for result in results for value in _values(result, measure)]
-            self._held[key] = Figures(tuple(values), results[0].said)
+            self._held[key] = MeasuredFigures(tuple(values), results[0].said)
             figures = {key: asdict(figures) for key, figures in self._held.items()}
             whole = {"format": FORMAT, "checksum": crc_of_values(figures), "figures": figures}
             write_whole(self.path, (json.dumps(whole, indent=1) + "\n").encode())
         return self._held[key]
 
 
-def _figures(held: Any, path: Path) -> dict[str, Figures]:
+def _figures(held: Any, path: Path) -> dict[str, MeasuredFigures]:
     """What a notebook's file holds; an earlier version's is the figures alone."""
     if "format" in held:
         if is_newer(held["format"], FORMAT):
@@ -79,10 +79,10 @@ def _figures(held: Any, path: Path) -> dict[str, Figures]:
         if held["format"] != FORMAT or held["checksum"] != crc_of_values(figures):
             raise ValueError("another format or checksum")
         held = figures
-    return {key: Figures(tuple(map(float, v["values"])), str(v["protocol"])) for key, v in held.items()}
+    return {key: MeasuredFigures(tuple(map(float, v["values"])), str(v["protocol"])) for key, v in held.items()}
 
 
-def _measured(row: Row, measure: Measure, model: Model, data: Sequence[Source]) -> list[Result]:
+def _measured(row: TableRow, measure: Measure, model: Model, data: Sequence[Source]) -> list[Result]:
     protocol = Protocol(Change(row.rotate), row.parts, row.branch)
     return [evaluate(model, source.dataset, task, protocol) for source in data for task in TASKS[measure]]
 

@@ -13,13 +13,13 @@ from lpn.core.files import write_whole
 from lpn.drawing.plots import png, pyplot
 from lpn.reproduce.measure import Measured, by_column
 from lpn.reproduce.paper_values import CLAIMS, Claim
-from lpn.reproduce.tables import Table
+from lpn.reproduce.tables import PaperTable
 
 _COLOURS = ("#1f5fbf", "#7fb2e5", "#c2571a", "#eba968")
 
 
 @dataclass(frozen=True)
-class Column:
+class MeasuredColumn:
     """A measured column.
 
     Attributes:
@@ -31,7 +31,9 @@ class Column:
     paper: int | None
 
 
-def write(table: Table, measured: Measured, columns: Sequence[Column], foot: Sequence[str], out: Path) -> list[Path]:
+def write(
+    table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn], foot: Sequence[str], out: Path
+) -> list[Path]:
     """Write `<key>.md`, `<key>.csv`, and `<key>.png` into a folder and return their paths.
 
     Args:
@@ -46,7 +48,7 @@ def write(table: Table, measured: Measured, columns: Sequence[Column], foot: Seq
     return files
 
 
-def markdown(table: Table, measured: Measured, columns: Sequence[Column], foot: Sequence[str]) -> str:
+def markdown(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn], foot: Sequence[str]) -> str:
     """The table, its foot, and the claims."""
     titles: list[str] = []
     # Each cell is a measured column or one of the paper's; those of the paper's without a neighbour come last.
@@ -81,12 +83,12 @@ def markdown(table: Table, measured: Measured, columns: Sequence[Column], foot: 
     return "\n".join(lines) + "\n"
 
 
-def verdicts(table: Table, measured: Measured, columns: Sequence[Column]) -> list[str]:
+def verdicts(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn]) -> list[str]:
     """Each of the paper's claims with whether it held here, and the figures that say so."""
     return [_verdict(claim, measured, columns) for claim in CLAIMS.get(table.key, ())]
 
 
-def _verdict(claim: Claim, measured: Measured, columns: Sequence[Column]) -> str:
+def _verdict(claim: Claim, measured: Measured, columns: Sequence[MeasuredColumn]) -> str:
     labels = (claim.better, *claim.worse)
     missing = [label for label in labels if label not in measured]
     if missing:
@@ -119,7 +121,7 @@ def _said(mean: float, spread: float) -> str:
     return f"{mean:.2f} ± {spread:.2f}" if spread else f"{mean:.2f}"
 
 
-def _csv(table: Table, measured: Measured, columns: Sequence[Column]) -> bytes:
+def _csv(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn]) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     names = list(dict.fromkeys(name for values in measured.values() for name in values))
@@ -134,7 +136,7 @@ def _csv(table: Table, measured: Measured, columns: Sequence[Column]) -> bytes:
     return text.getvalue().encode()
 
 
-def figure(table: Table, measured: Measured, columns: Sequence[Column]) -> bytes:
+def figure(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn]) -> bytes:
     """The table as a PNG: bars, or lines where the rows are steps of one quantity."""
     labels = [row.label for row in table.rows]
     steps = table.key in ("table3", "table4", "figure5")

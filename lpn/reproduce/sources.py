@@ -18,7 +18,7 @@ from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.reproduce import world
 from lpn.reproduce.tables import Measure, Role
 from lpn.retrieval.evaluate import check_test_split, lists_of
-from lpn.training.training_set import Places
+from lpn.training.training_set import TrainingSet
 
 TASKS: dict[Measure, tuple[str, ...]] = {
     "both ways": ("drone-to-satellite", "satellite-to-drone"),
@@ -35,7 +35,7 @@ class Source:
     dataset: Dataset
     rendered: bool
     _digests: dict[str, str] = field(default_factory=dict, init=False)
-    _places: dict[bool, Places] = field(default_factory=dict, init=False)
+    _places: dict[bool, TrainingSet] = field(default_factory=dict, init=False)
 
     @property
     def name(self) -> str:
@@ -52,14 +52,14 @@ class Source:
         """Whether there are pictures of the ground from elsewhere to train with."""
         return bool(self.dataset.train("google"))
 
-    def places(self, google: bool) -> Places:
+    def places(self, google: bool) -> TrainingSet:
         """The places there are to train on, looked through once.
 
         Raises:
             DataError: when there are none.
         """
         if google not in self._places:
-            self._places[google] = Places(self.dataset, Console(quiet=True), google)
+            self._places[google] = TrainingSet(self.dataset, Console(quiet=True), google)
         return self._places[google]
 
     def sizes(self, measure: Measure) -> str:
@@ -206,9 +206,9 @@ def _rendered(out: Path) -> Path:
             )
         return root
     from lpn.world.atlas import Settings
-    from lpn.world.build import Part, build_world
+    from lpn.world.build import RenderShare, build_world
 
-    build_world(Settings(0, 460, 8, 256, 384, 4, 4, 1), root, Part.parse("1/1"), 0)
+    build_world(Settings(0, 460, 8, 256, 384, 4, 4, 1), root, RenderShare.parse("1/1"), 0)
     return root
 
 

@@ -33,7 +33,7 @@ class Training:
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """One row: a network, and how it is measured.
 
     Attributes:
@@ -54,7 +54,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Table:
+class PaperTable:
     """A table or figure of the paper.
 
     Attributes:
@@ -68,7 +68,7 @@ class Table:
     title: str
     measure: Measure
     columns: tuple[str, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[TableRow, ...]
 
     @property
     def trainings(self) -> list[Training]:
@@ -138,7 +138,7 @@ def _of_parts(n: int) -> Training:
     return _LPN_ONLY if n == 4 else Training(f"lpn-{n}-parts", "lpn", changes={"n_parts": n, "google": False})
 
 
-def tables(scale: Scale) -> dict[str, Table]:
+def tables(scale: Scale) -> dict[str, PaperTable]:
     """Every table and figure, by key."""
     by_loss = {"contrastive": "Contrastive loss", "triplet-0.3": "Triplet loss, margin 0.3"}
     by_loss |= {"triplet-0.5": "Triplet loss, margin 0.5", "soft-margin": "Weighted soft-margin triplet loss"}
@@ -156,82 +156,84 @@ def tables(scale: Scale) -> dict[str, Table]:
     return {
         table.key: table
         for table in (
-            Table(
+            PaperTable(
                 "table1",
                 "Table I: losses and LPN",
                 "both ways",
                 paper_values.BOTH_WAYS,
-                tuple(Row(label, training, paper_values.TABLE1[label]) for label, training in of_table1),
+                tuple(TableRow(label, training, paper_values.TABLE1[label]) for label, training in of_table1),
             ),
-            Table(
+            PaperTable(
                 "table2",
                 "Table II: ground to satellite",
                 "ground",
                 paper_values.GROUND,
-                tuple(Row(label, training, paper_values.TABLE2.get(label, ())) for label, training in of_table2),
+                tuple(TableRow(label, training, paper_values.TABLE2.get(label, ())) for label, training in of_table2),
             ),
-            Table(
+            PaperTable(
                 "table3",
                 "Table III: input size",
                 "both ways",
                 paper_values.BOTH_WAYS,
                 tuple(_of_size(size, scale, values) for size, values in paper_values.TABLE3.items()),
             ),
-            Table(
+            PaperTable(
                 "table4",
                 "Table IV: turned queries",
                 "both ways",
                 paper_values.BOTH_WAYS,
-                tuple(Row(str(angle), _LPN, values, rotate=angle) for angle, values in paper_values.TABLE4.items()),
+                tuple(
+                    TableRow(str(angle), _LPN, values, rotate=angle) for angle, values in paper_values.TABLE4.items()
+                ),
             ),
-            Table(
+            PaperTable(
                 "table5",
                 "Table V: parts used",
                 "both ways",
                 paper_values.BOTH_WAYS,
                 tuple(
-                    Row(label, _LPN, values, parts=tuple(int(part) for part in label.split("+")))
+                    TableRow(label, _LPN, values, parts=tuple(int(part) for part in label.split("+")))
                     for label, values in paper_values.TABLE5.items()
                 ),
             ),
-            Table(
+            PaperTable(
                 "table6",
                 "Table VI: features carried over to landmarks",
                 "landmarks",
                 paper_values.LANDMARKS,
                 _carried(),
             ),
-            Table(
+            PaperTable(
                 "figure5",
                 "Figure 5: number of parts",
                 "both ways",
                 paper_values.BOTH_WAYS,
-                tuple(Row(f"n = {n}", _of_parts(n)) for n in (1, 2, 4, 6, 8)),
+                tuple(TableRow(f"n = {n}", _of_parts(n)) for n in (1, 2, 4, 6, 8)),
             ),
         )
     }
 
 
-def _of_size(size: int, scale: Scale, values: paper_values.Values) -> Row:
+def _of_size(size: int, scale: Scale, values: paper_values.Values) -> TableRow:
     ours = scale.sizes[size]
     same = ours == scale.places.size
     label = str(size) if ours == size else f"{size} (here {ours})"
-    return Row(
+    return TableRow(
         label, _LPN if same else Training(f"lpn-{ours}-pixels", "lpn", changes={"n_parts": 4, "size": ours}), values
     )
 
 
-def _carried() -> tuple[Row, ...]:
+def _carried() -> tuple[TableRow, ...]:
     labels = list(paper_values.TABLE6)
     branches: tuple[View, View] = ("satellite", "street")
-    rows = [Row(labels[0], None, paper_values.TABLE6[labels[0]], branch="street")]
+    rows = [TableRow(labels[0], None, paper_values.TABLE6[labels[0]], branch="street")]
     of_branch = [(training, branch) for training in (_BASELINE, _LPN_ONLY) for branch in branches]
     for label, (training, branch) in zip(labels[1:], of_branch, strict=True):
-        rows.append(Row(label, training, paper_values.TABLE6[label], branch=branch))
+        rows.append(TableRow(label, training, paper_values.TABLE6[label], branch=branch))
     return tuple(rows)
 
 
-def find(key: str, scale: Scale) -> Table:
+def find(key: str, scale: Scale) -> PaperTable:
     """The table or figure named.
 
     Raises:

@@ -27,7 +27,7 @@ _COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16_bn": 8.5}
 
 
 @dataclass(frozen=True)
-class Job:
+class TrainingJob:
     """One training with one seed.
 
     Attributes:
@@ -115,7 +115,7 @@ class Job:
             return None
 
 
-def train(work: Sequence[Job], console: Console) -> None:
+def train(work: Sequence[TrainingJob], console: Console) -> None:
     """Train what is not trained yet, one after the other; a training that diverges is given up, and the next one begins.
 
     Raises:
@@ -140,7 +140,7 @@ def train(work: Sequence[Job], console: Console) -> None:
         job.note(ended)
 
 
-def seconds_left(left: Sequence[Job], known: Sequence[Job]) -> float | None:
+def seconds_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> float | None:
     """Seconds that trainings will take, from the median speed of the epochs on disk; None before there are any."""
     speeds = [job.work / seconds for job in known for seconds in job.seconds()]
     if not speeds:
@@ -148,7 +148,7 @@ def seconds_left(left: Sequence[Job], known: Sequence[Job]) -> float | None:
     return sum(job.work * (job.recipe.epochs - len(job.seconds())) for job in left) / statistics.median(speeds)
 
 
-def _said_left(left: Sequence[Job], known: Sequence[Job]) -> str:
+def _said_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> str:
     seconds = seconds_left(left, known)
     if seconds is None:
         return "time left not known yet"

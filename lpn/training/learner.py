@@ -13,9 +13,9 @@ from torch.nn.parallel import DistributedDataParallel
 from lpn.core.views import branch_of
 from lpn.models import checkpoints
 from lpn.models.network import LPN
-from lpn.training.loader import Batch
+from lpn.training.loader import TrainingBatch
 from lpn.training.losses import total_loss
-from lpn.training.multi_process import Group
+from lpn.training.multi_process import ProcessGroup
 from lpn.training.optimizer import Arithmetic, build_optimizer, follow, rate_factor
 from lpn.training.recipes import Recipe
 
@@ -29,7 +29,7 @@ class Learner:
         group: the processes that share the training; `share_out` joins their networks.
     """
 
-    def __init__(self, network: LPN, recipe: Recipe, group: Group) -> None:
+    def __init__(self, network: LPN, recipe: Recipe, group: ProcessGroup) -> None:
         self.network, self.recipe, self.group = network, recipe, group
         network.to(group.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         # What is saved and tested is the first process's.
@@ -50,7 +50,7 @@ class Learner:
         # A static graph allows for heads that the recipe's loss does not use.
         self.views = DistributedDataParallel(self.views, device_ids=[device.index] if cuda else None, static_graph=True)
 
-    def step(self, batch: Batch, step: int, steps: int) -> tuple[Tensor, float]:
+    def step(self, batch: TrainingBatch, step: int, steps: int) -> tuple[Tensor, float]:
         """One step, counted from 0 over all epochs of `steps` each: the loss of the whole batch, and the heads' rate."""
         factor = rate_factor(self.recipe, step, steps)
         for parameters, rate in zip(self.optimizer.param_groups, self.rates, strict=True):

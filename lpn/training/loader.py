@@ -22,7 +22,7 @@ from lpn.core.resources import usable_cores
 from lpn.core.views import branch_of
 from lpn.training.augmentation import augment, place_draw
 from lpn.training.recipes import Recipe
-from lpn.training.training_set import Places
+from lpn.training.training_set import TrainingSet
 
 _AHEAD = 2
 """Batches in preparation while one is computed with; more for batches so small that they would leave workers idle."""
@@ -30,7 +30,7 @@ _MOST_WORKERS = 16
 
 
 @dataclass(frozen=True)
-class Batch:
+class TrainingBatch:
     """One step's input.
 
     Attributes:
@@ -56,7 +56,7 @@ class Loader:
 
     def __init__(
         self,
-        places: Places,
+        places: TrainingSet,
         recipe: Recipe,
         device: torch.device,
         share: slice = slice(None),
@@ -88,7 +88,7 @@ class Loader:
         """Steps per epoch; places that do not fill a batch wait for another epoch's order."""
         return len(self.places) // self.recipe.batch
 
-    def stream(self, first: int, end: int) -> Iterator[Batch]:
+    def stream(self, first: int, end: int) -> Iterator[TrainingBatch]:
         """The batches of the epochs `first` to `end` - 1, prepared ahead across the border of epochs.
 
         Close it to stop the workers.
@@ -125,10 +125,10 @@ class Loader:
             drawn[name] = augment(picture, self.recipe, rng, angle, mirror, branch_of(name), panorama)
         return drawn
 
-    def _batch(self, chunk: Int64Array, tasks: Sequence[Future[dict[str, UInt8Array]]]) -> Batch:
+    def _batch(self, chunk: Int64Array, tasks: Sequence[Future[dict[str, UInt8Array]]]) -> TrainingBatch:
         drawn = [task.result() for task in tasks]
         sets = {name: self._network_input([pictures[name] for pictures in drawn]) for name in drawn[0]}
-        return Batch(sets, torch.from_numpy(chunk).to(self.device))
+        return TrainingBatch(sets, torch.from_numpy(chunk).to(self.device))
 
     def _network_input(self, pictures: Sequence[UInt8Array]) -> Tensor:
         """Pictures to the device as bytes, and normalised there."""

@@ -23,7 +23,7 @@ _PATIENCE = timedelta(days=1)
 
 
 @dataclass(frozen=True)
-class Group:
+class ProcessGroup:
     """The processes of one training.
 
     Attributes:
@@ -130,12 +130,12 @@ class Group:
             dist.destroy_process_group()
 
 
-def alone() -> Group:
+def alone() -> ProcessGroup:
     """A group of this process only, on the GPU where there is one."""
-    return Group(best_device())
+    return ProcessGroup(best_device())
 
 
-def join() -> Group:
+def join() -> ProcessGroup:
     """The group in which `torchrun` started this process, else `alone`.
 
     Raises:
@@ -160,14 +160,14 @@ def join() -> Group:
         raise InputError(
             f"The processes of the training do not find each other ({error}); start it by torchrun."
         ) from error
-    return Group(device, rank, size, max(local_size, 1))
+    return ProcessGroup(device, rank, size, max(local_size, 1))
 
 
 class _Gather(torch.autograd.Function):
     """Rows of all processes; backwards, the rows of this one, times the number of processes."""
 
     @staticmethod
-    def forward(ctx: Any, rows: Tensor, group: Group) -> Tensor:
+    def forward(ctx: Any, rows: Tensor, group: ProcessGroup) -> Tensor:
         ctx.group = group
         rows = rows.contiguous()
         heard = [torch.empty_like(rows) for _ in range(group.size)]
@@ -176,5 +176,5 @@ class _Gather(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
-        group: Group = ctx.group
+        group: ProcessGroup = ctx.group
         return gradients[0].chunk(group.size)[group.rank] * group.size, None

@@ -21,7 +21,7 @@ FORMAT = 2
 
 
 @dataclass(frozen=True)
-class State:
+class ResumeState:
     """A training after a whole epoch.
 
     Attributes:
@@ -52,8 +52,8 @@ class State:
         write_whole(path, whole.getvalue())
 
 
-def read_state(path: Path, recipe: Recipe, places: str) -> State:
-    """Read what `State.write` wrote, for the same training.
+def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
+    """Read what `ResumeState.write` wrote, for the same training.
 
     Raises:
         InputError: when there is none, or it is of another recipe or of other pictures.
@@ -75,7 +75,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> State:
         saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         history, digest = json.loads(values["history"]), values["places"]
         tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler")}
-        state = State(history, float(values["first_loss"]), int(values["processes"]), tensors)
+        state = ResumeState(history, float(values["first_loss"]), int(values["processes"]), tensors)
     except ModelFileError:
         raise
     except Exception as error:  # the unpickler raises anything on what it does not know

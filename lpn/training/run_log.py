@@ -20,7 +20,7 @@ _PLAIN = str.maketrans("▁▂▃▄▅▆▇█┤", "   #####|")
 _ROWS = 6
 
 
-class Logbook:
+class RunLog:
     """The log of a run's folder, a row for each epoch; only the process that leads has one.
 
     Both logs are written from the rows alone, so a resumed run repeats no step, and loses none.

@@ -26,13 +26,13 @@ from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
 from lpn.training.learner import Learner
-from lpn.training.loader import Batch, Loader
+from lpn.training.loader import Loader, TrainingBatch
 from lpn.training.model_selection import HeldOut, Judge, Row, TestSplit, best
-from lpn.training.multi_process import Group, alone
+from lpn.training.multi_process import ProcessGroup, alone
 from lpn.training.recipes import Recipe
-from lpn.training.resume_state import State, read_state
-from lpn.training.run_log import Logbook
-from lpn.training.training_set import Places
+from lpn.training.resume_state import ResumeState, read_state
+from lpn.training.run_log import RunLog
+from lpn.training.training_set import TrainingSet
 
 _EXPLODED = 10.0
 """A mean loss this many times the first step's, which is about chance, is that of a training that has diverged."""
@@ -73,13 +73,13 @@ class Trainer:
         console: Console | None = None,
         workers: int = 0,
         validate: float = 0.0,
-        group: Group | None = None,
+        group: ProcessGroup | None = None,
         test: bool = True,
     ) -> None:
         self.group = group or alone()
         self.console = (console or Console()) if self.group.leads else Console(quiet=True)
         self.dataset, self.out, self.recipe, self.evaluate_every = dataset, out, recipe, evaluate_every
-        self.places, self.device = Places(dataset, self.console, recipe.google), self.group.device
+        self.places, self.device = TrainingSet(dataset, self.console, recipe.google), self.group.device
         held = self.places.hold_out(validate, recipe.seed)
         there = [name for name in ("state.pt", "last.safetensors", "log.csv") if (out / name).exists()]
         if resume and there and "state.pt" not in there and _first_epoch_alone(out):
@@ -126,7 +126,7 @@ class Trainer:
         """
         self.learner.share_out()
         self._say_how()
-        logbook = Logbook(self.out, self.history, self.console) if self.group.leads else None
+        logbook = RunLog(self.out, self.history, self.console) if self.group.leads else None
         try:
             with self.group.watch():
                 self._train(logbook)
@@ -135,7 +135,7 @@ class Trainer:
                 logbook.close()
         return self.out / "last.safetensors"
 
-    def _train(self, logbook: Logbook | None) -> None:
+    def _train(self, logbook: RunLog | None) -> None:
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
@@ -158,7 +158,7 @@ class Trainer:
                     logbook.say_epoch(epochs)
         self._finish(logbook)
 
-    def _epoch(self, epoch: int, batches: Iterator[Batch], report: Callable[[str], object]) -> Row:
+    def _epoch(self, epoch: int, batches: Iterator[TrainingBatch], report: Callable[[str], object]) -> Row:
         self.network.train()
         # Seeded by epoch, so that a resumed run repeats what an uninterrupted one does; and each process for itself.
         torch.manual_seed(self.recipe.seed * 100_003 + epoch + (self.group.rank << 50))
@@ -209,7 +209,7 @@ class Trainer:
             )
         )
 
-    def _choose(self, logbook: Logbook | None) -> None:
+    def _choose(self, logbook: RunLog | None) -> None:
         """Where it is due, test the last epoch, and keep it apart if it is the best so far."""
         epoch = len(self.history)
         due = self.evaluate_every and epoch and (epoch % self.evaluate_every == 0 or epoch == self.recipe.epochs)
@@ -226,7 +226,7 @@ class Trainer:
             self.learner.save_model(self.out / "best.safetensors", self._metadata() | more)
         self._save(logbook)
 
-    def _finish(self, logbook: Logbook | None) -> None:
+    def _finish(self, logbook: RunLog | None) -> None:
         """Test what has not been tested, and say which epoch was the best."""
         split, judge = self.test_split, self.judge
         chosen = best(self.history, judge.column) if judge is not None else None
@@ -235,9 +235,9 @@ class Trainer:
             row = self.group.led(lambda: split.measure(checkpoints.load_torch(last, self.device), self.console))
             self.history[-1] |= row
             self._save(logbook)
-        self.group.led(lambda: self._conclude(cast(Logbook, logbook), chosen))
+        self.group.led(lambda: self._conclude(cast(RunLog, logbook), chosen))
 
-    def _conclude(self, logbook: Logbook, chosen: tuple[int, float] | None) -> None:
+    def _conclude(self, logbook: RunLog, chosen: tuple[int, float] | None) -> None:
         """What the terminal shows at the end."""
         split, judge = self.test_split, self.judge
         logbook.say_curves(None if judge is None else judge.column)
@@ -270,14 +270,14 @@ class Trainer:
         rest = f"; not or not wholly in it, so as initialised: {', '.join(missing)}" if missing else ""
         self.console.print(f"{init.name} fills {filled} of the backbone's {total} tensors{rest}.")
 
-    def _save(self, logbook: Logbook | None) -> None:
+    def _save(self, logbook: RunLog | None) -> None:
         """Model, logs, and last the state, which is what a resumed run trusts."""
         if logbook is None:
             return
         with finishing():
             self.learner.save_model(self.out / "last.safetensors", self._metadata())
             logbook.save()
-            state = State(self.history, self.first_loss, self.group.size, self.learner.state())
+            state = ResumeState(self.history, self.first_loss, self.group.size, self.learner.state())
             state.write(self.out / "state.pt", self.recipe, self._places_digest)
 
     def _metadata(self) -> dict[str, str]:
@@ -317,7 +317,7 @@ def _first_epoch_alone(out: Path) -> bool:
     return rows <= 2 and epochs == 1 and not (out / "best.safetensors").exists()
 
 
-def _spec(recipe: Recipe, places: Places) -> ModelSpec:
+def _spec(recipe: Recipe, places: TrainingSet) -> ModelSpec:
     spec = ModelSpec(
         backbone=recipe.backbone,
         last_layer=recipe.last_layer,

@@ -21,7 +21,7 @@ CACHE_BYTES = 2_000_000_000
 """Pictures are decoded once and kept, as long as those kept take less than this."""
 
 
-class Places:
+class TrainingSet:
     """The training pictures by place: for each set (satellite, drone, street, google), each place's files.
 
     Pictures that are not whole (see `lpn.datasets.integrity`) are left out, which is said once.

@@ -25,7 +25,7 @@ ItemShape = Literal["box", "cylinder", "skylight", "solar"]
 
 
 @dataclass(frozen=True)
-class Part:
+class Volume:
     """One volume of a building.
 
     Attributes:
@@ -51,7 +51,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Item:
+class RoofItem:
     """Something small on a roof: its middle and foot, its size, and its turn in radians."""
 
     shape: ItemShape
@@ -77,8 +77,8 @@ class Architecture:
     kind: Kind
     outline: tuple[Corner, ...]
     yard: tuple[Corner, ...]
-    parts: tuple[Part, ...]
-    items: tuple[Item, ...]
+    parts: tuple[Volume, ...]
+    items: tuple[RoofItem, ...]
 
     @cached_property
     def size(self) -> tuple[float, float]:
@@ -142,9 +142,9 @@ class Dress:
 
     def part(
         self, outline: tuple[Corner, ...], eaves: float, roof: RoofShape = "flat", rise: float = 0.0, base: float = 0.0
-    ) -> Part:
+    ) -> Volume:
         """A part in these materials."""
-        return Part(
+        return Volume(
             outline,
             base,
             eaves,
@@ -194,14 +194,14 @@ def shed(rng: np.random.Generator) -> Dress:
     return _dress(rng, SHEDS, covers, np.array([0.22, 0.25, 0.17, 0.15, 0.11, 0.05, 0.05]))
 
 
-def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amount: float = 1.0) -> list[Item]:
+def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amount: float = 1.0) -> list[RoofItem]:
     """What stands on a flat roof over an upright rectangle: plant rooms, air handlers, ducts, vents, lights, panels."""
     ring = np.array(outline)
     (x0, y0), (x1, y1) = ring.min(axis=0) + 1.6, ring.max(axis=0) - 1.6
     w, d = x1 - x0, y1 - y0
     if w < 2.5 or d < 2.5:
         return []
-    items: list[Item] = []
+    items: list[RoofItem] = []
     taken: list[tuple[float, float, float, float]] = []
     for _ in range(int(rng.poisson(1.5 + w * d / 260))):  # fields of newer or older covering, and walkways
         a, b = rng.uniform(2, max(3, w * 0.6)), rng.uniform(1.2, max(2, d * 0.6))
@@ -210,7 +210,7 @@ def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amoun
         x, y = rng.uniform(x0, x1), rng.uniform(y0, y1)
         left, right, low, high = max(x - a / 2, x0), min(x + a / 2, x1), max(y - b / 2, y0), min(y + b / 2, y1)
         tint = near(rng, (WHITE, LIGHT, GREY, DARK, GRAVEL, LIGHT)[rng.integers(6)])
-        items.append(Item("box", float(left + right) / 2, float(low + high) / 2, z, float(right - left), float(high - low),
+        items.append(RoofItem("box", float(left + right) / 2, float(low + high) / 2, z, float(right - left), float(high - low),
                           0.04 + 0.01 * len(items), 0.0, tint))  # fmt: skip
 
     def put(shape: ItemShape, x: float, y: float, size: tuple[float, float], height: float, tint: Colour) -> bool:
@@ -219,7 +219,7 @@ def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amoun
         clear = all(abs(x - a) > (length + b) / 2 + 0.3 or abs(y - c) > (width + e) / 2 + 0.3 for a, c, b, e in taken)
         if inside and clear:
             taken.append((x, y, length, width))
-            items.append(Item(shape, x, y, z, length, width, height, 0.0, tint))
+            items.append(RoofItem(shape, x, y, z, length, width, height, 0.0, tint))
         return inside and clear
 
     def somewhere() -> tuple[float, float]:
@@ -257,11 +257,11 @@ def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amoun
     return items
 
 
-def chimneys(rng: np.random.Generator, x0: float, x1: float, z: float, pitch: float) -> list[Item]:
+def chimneys(rng: np.random.Generator, x0: float, x1: float, z: float, pitch: float) -> list[RoofItem]:
     """Chimneys along a ridge at y = 0 whose top is at height z."""
     tint = near(rng, BRICK)
     offset = float(rng.uniform(-0.8, 0.8))
     return [
-        Item("box", float(x), offset, z - 1.4, rng.uniform(0.7, 1.0), 1.1, 2.4, 0.0, tint)
+        RoofItem("box", float(x), offset, z - 1.4, rng.uniform(0.7, 1.0), 1.1, 2.4, 0.0, tint)
         for x in np.arange(x0 + pitch / 2, x1, pitch)
     ]

@@ -58,7 +58,7 @@ View = Literal["satellite", "drone", "street", "panorama"]
 
 
 @dataclass(frozen=True)
-class Shot:
+class PlannedPicture:
     """One picture; a test picture has two paths, as query and in the gallery."""
 
     paths: tuple[str, ...]
@@ -85,12 +85,12 @@ class Sector:
     y: float
     reach: float
     district: int
-    tiles: tuple[Shot, ...]
-    frames: tuple[Shot, ...]
-    walks: tuple[Shot, ...]
+    tiles: tuple[PlannedPicture, ...]
+    frames: tuple[PlannedPicture, ...]
+    walks: tuple[PlannedPicture, ...]
 
     @property
-    def shots(self) -> tuple[Shot, ...]:
+    def shots(self) -> tuple[PlannedPicture, ...]:
         """All its pictures."""
         return *self.tiles, *self.frames, *self.walks
 
@@ -109,7 +109,7 @@ class Atlas:
     sectors: tuple[Sector, ...]
 
     @property
-    def shots(self) -> list[Shot]:
+    def shots(self) -> list[PlannedPicture]:
         """All pictures, in order of place."""
         shots = [shot for sector in self.sectors for shot in sector.shots]
         return sorted(shots, key=lambda shot: (shot.target, shot.paths))
@@ -154,7 +154,7 @@ class Atlas:
         rows = [(path.removeprefix(f"{cvusa.FOLDER}/"), shots[path]) for _, *both in pairs for path in both]
         return {f"{cvusa.FOLDER}/geo.csv": self._geo(rows), **cvusa.splits(pairs)}
 
-    def _geo(self, rows: list[tuple[str, Shot]]) -> bytes:
+    def _geo(self, rows: list[tuple[str, PlannedPicture]]) -> bytes:
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
         table.writerow(["path", "latitude", "longitude", "altitude", "heading", "tilt", "fov", "width"])
@@ -196,7 +196,7 @@ class Atlas:
             "footprint": _ring(city.footprint(building)),
         }
 
-    def _picture(self, path: str, shot: Shot) -> dict[str, Any]:
+    def _picture(self, path: str, shot: PlannedPicture) -> dict[str, Any]:
         camera = shot.camera
         latitude, longitude = self.site.degrees(camera.x, camera.y)
         place = {"path": path, "id": shot.target, "latitude": round(latitude, 7), "longitude": round(longitude, 7)}
@@ -253,7 +253,7 @@ def _covers(x: float, y: float, reach: float, places: Float64Array) -> NDArray[n
     return inside
 
 
-def _of_cvusa(shot: Shot) -> bool:
+def _of_cvusa(shot: PlannedPicture) -> bool:
     return shot.paths[0].startswith(f"{cvusa.FOLDER}/")
 
 
@@ -262,38 +262,38 @@ def _paths(target: Target, view: str, name: str) -> tuple[str, ...]:
     return tuple(f"{folder}/{target.number:04d}/{name}" for folder in folders)
 
 
-def _tile(city: City, target: Target) -> Shot:
+def _tile(city: City, target: Target) -> PlannedPicture:
     b = city.buildings[target.building]
     rng = np.random.default_rng([city.seed, 22, target.number])
     paths = _paths(target, "satellite", f"{target.number:04d}.jpg")
-    return Shot(paths, target.number, "satellite", tile_around(b.x, b.y, rng))
+    return PlannedPicture(paths, target.number, "satellite", tile_around(b.x, b.y, rng))
 
 
-def _frames(city: City, target: Target, views: int) -> list[Shot]:
+def _frames(city: City, target: Target, views: int) -> list[PlannedPicture]:
     rng = np.random.default_rng([city.seed, 23, target.number])
     return [
-        Shot(_paths(target, "drone", f"image-{i + 1:02d}.jpg"), target.number, "drone", pose)
+        PlannedPicture(_paths(target, "drone", f"image-{i + 1:02d}.jpg"), target.number, "drone", pose)
         for i, pose in enumerate(drone_poses(_aim(city, target), views, rng))
     ]
 
 
-def _streets(outdoors: Outdoors, city: City, target: Target, count: int) -> list[Shot]:
+def _streets(outdoors: Outdoors, city: City, target: Target, count: int) -> list[PlannedPicture]:
     return [
-        Shot(_paths(target, "street", f"image-{i + 1:02d}.jpg"), target.number, "street", pose)
+        PlannedPicture(_paths(target, "street", f"image-{i + 1:02d}.jpg"), target.number, "street", pose)
         for i, pose in enumerate(street_poses(outdoors, city, target, count))
     ]
 
 
-def _panoramas(target: Target, cameras: list[Panorama]) -> list[Shot]:
+def _panoramas(target: Target, cameras: list[Panorama]) -> list[PlannedPicture]:
     return [
-        Shot((cvusa.panorama_path(target.number, i),), target.number, "panorama", camera)
+        PlannedPicture((cvusa.panorama_path(target.number, i),), target.number, "panorama", camera)
         for i, camera in enumerate(cameras)
     ]
 
 
-def _centred(target: Target, number: int, at: Panorama) -> Shot:
+def _centred(target: Target, number: int, at: Panorama) -> PlannedPicture:
     """The tile with a panorama's camera in its middle."""
-    return Shot((cvusa.tile_path(target.number, number),), target.number, "satellite", Tile(at.x, at.y, 0.0))
+    return PlannedPicture((cvusa.tile_path(target.number, number),), target.number, "satellite", Tile(at.x, at.y, 0.0))
 
 
 def _aim(city: City, target: Target) -> tuple[float, float, float]:

@@ -22,13 +22,13 @@ from lpn.core.formats import UPGRADE, WORLD, is_newer, newer
 from lpn.datasets.city_model import NAME as CITY_NAME
 from lpn.datasets.rendered import PLAN, UNFINISHED
 from lpn.world import photo
-from lpn.world.atlas import EDITION, SIGHT, SPARE, Atlas, Sector, Settings, Shot, make_atlas
-from lpn.world.cameras import TILE, Panorama, Pose, Sweep, Tile
+from lpn.world.atlas import EDITION, SIGHT, SPARE, Atlas, PlannedPicture, Sector, Settings, make_atlas
+from lpn.world.cameras import TILE, Panorama, Pose, SatelliteImage, Tile
 from lpn.world.model3d import city_model, test_window
 from lpn.world.textures import hash_of
 
 if TYPE_CHECKING:
-    from lpn.world.render import Scene
+    from lpn.world.render import BlenderScene
 
 log = logging.getLogger(__name__)
 
@@ -37,14 +37,14 @@ _ADDED = ("streets", "panoramas")  # settings that may be raised in a world that
 
 
 @dataclass(frozen=True)
-class Part:
+class RenderShare:
     """Which share of the sectors one process renders: the `number`-th of `count`, from 1."""
 
     number: int = 1
     count: int = 1
 
     @classmethod
-    def parse(cls, text: str) -> Part:
+    def parse(cls, text: str) -> RenderShare:
         """Read `i/k`.
 
         Raises:
@@ -92,7 +92,7 @@ class Tally:
         return f"Made {counts}: {costs}, {self.scene_seconds / max(1, self.scenes):.0f} s a scene."
 
 
-def build_world(settings: Settings, out: Path, part: Part | None = None, threads: int = 0) -> Tally:
+def build_world(settings: Settings, out: Path, part: RenderShare | None = None, threads: int = 0) -> Tally:
     """Render a world into University-1652's layout; pictures that are there are kept, so that a killed run goes on.
 
     Raises:
@@ -101,7 +101,7 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
     """
     from lpn.world import render  # asks for bpy before anything is planned
 
-    part = part or Part()
+    part = part or RenderShare()
     _check(settings)
     check_folder(settings, out)
     check_writable(out / PLAN)
@@ -124,7 +124,7 @@ def build_world(settings: Settings, out: Path, part: Part | None = None, threads
         render.workplace() as folder,
     ):
         task = bar.add_task("Rendering", total=sum(len(sector.shots) for sector in mine))
-        studio = _Studio(render.Scene, atlas, out, folder, threads, tally, lambda: bar.advance(task))
+        studio = _Studio(render.BlenderScene, atlas, out, folder, threads, tally, lambda: bar.advance(task))
         for sector in mine:
             tiles, frames, walks = (
                 [shot for shot in shots if not _there(out, shot)]
@@ -154,7 +154,7 @@ def _write_city(atlas: Atlas, out: Path) -> None:
 class _Studio:
     """Takes a sector's pictures and writes them; `done` is called after each."""
 
-    make: type[Scene]
+    make: type[BlenderScene]
     atlas: Atlas
     out: Path
     folder: Path
@@ -162,7 +162,7 @@ class _Studio:
     tally: Tally
     done: Callable[[], None]
 
-    def tiles(self, sector: Sector, shots: list[Shot]) -> None:
+    def tiles(self, sector: Sector, shots: list[PlannedPicture]) -> None:
         """Satellite tiles, cut from one picture."""
         inside = sector.covers(np.array([(shot.camera.x, shot.camera.y) for shot in shots]))
         covered = [shot for shot, within in zip(shots, inside, strict=True) if within]
@@ -174,7 +174,7 @@ class _Studio:
             if not within:
                 self._cut(sector, [shot], shot.camera.x, shot.camera.y, TILE / 2 + SPARE)
 
-    def frames(self, sector: Sector, shots: list[Shot]) -> None:
+    def frames(self, sector: Sector, shots: list[PlannedPicture]) -> None:
         """The drone's pictures."""
         look = photo.drone_look(self.atlas.settings.seed, sector.district)
         made = self._scene(sector.x, sector.y, look, sector.reach + SIGHT)
@@ -186,7 +186,7 @@ class _Studio:
             self.tally.frames += 1
             self.tally.frame_seconds += time.perf_counter() - start
 
-    def walks(self, sector: Sector, shots: list[Shot]) -> None:
+    def walks(self, sector: Sector, shots: list[PlannedPicture]) -> None:
         """Street pictures and panoramas."""
         settings, tally = self.atlas.settings, self.tally
         look = photo.street_look(settings.seed, sector.district)
@@ -206,14 +206,14 @@ class _Studio:
             else:
                 tally.streets, tally.street_seconds = tally.streets + 1, tally.street_seconds + seconds
 
-    def _cut(self, sector: Sector, shots: list[Shot], x: float, y: float, reach: float) -> None:
+    def _cut(self, sector: Sector, shots: list[PlannedPicture], x: float, y: float, reach: float) -> None:
         settings, city = self.atlas.settings, self.atlas.city
         look = photo.satellite_look(settings.seed, sector.district)
         rng = np.random.default_rng([settings.seed, 31, sector.number])
         pixels = round(2 * reach * settings.tile_pixels / TILE)
         height = city.height(x, y)
         lean, bearing = float(rng.uniform(1, 7)), float(rng.uniform(0, 360))
-        sweep = Sweep(x, y, height, 2 * reach, pixels, lean, bearing)
+        sweep = SatelliteImage(x, y, height, 2 * reach, pixels, lean, bearing)
         made = self._scene(x, y, look, reach + 40)
         start = time.perf_counter()
         light = made.sweep(sweep)
@@ -230,7 +230,7 @@ class _Studio:
             )
             self._write(shot, photo.develop(np.maximum(cut, 0).astype(np.float32), look, self._noise(shot)))
 
-    def _scene(self, x: float, y: float, look: photo.Look, reach: float) -> Scene:
+    def _scene(self, x: float, y: float, look: photo.Look, reach: float) -> BlenderScene:
         start = time.perf_counter()
         samples = self.atlas.settings.samples
         made = self.make(self.atlas.city, x, y, 2 * reach, look, samples, self.folder, self.threads)
@@ -238,10 +238,10 @@ class _Studio:
         self.tally.scene_seconds += time.perf_counter() - start
         return made
 
-    def _noise(self, shot: Shot) -> np.random.Generator:
+    def _noise(self, shot: PlannedPicture) -> np.random.Generator:
         return np.random.default_rng([self.atlas.settings.seed, 32, hash_of(shot.paths[0])])
 
-    def _write(self, shot: Shot, picture: NDArray[np.uint8]) -> None:
+    def _write(self, shot: PlannedPicture, picture: NDArray[np.uint8]) -> None:
         data = photo.jpeg(picture, _QUALITY)
         for path in shot.paths:
             write_whole(self.out / path, data)
@@ -252,7 +252,7 @@ def _complete(atlas: Atlas, out: Path) -> bool:
     return all(_there(out, shot) for sector in atlas.sectors for shot in sector.shots)
 
 
-def _there(out: Path, shot: Shot) -> bool:
+def _there(out: Path, shot: PlannedPicture) -> bool:
     return all((out / path).is_file() for path in shot.paths)
 
 

@@ -25,10 +25,10 @@ from lpn.world.architecture import (
     Architecture,
     Corner,
     Dress,
-    Item,
     Kind,
-    Part,
+    RoofItem,
     RoofShape,
+    Volume,
     box,
     chimneys,
     classic,
@@ -40,7 +40,7 @@ from lpn.world.architecture import (
 from lpn.world.geometry import ellipse
 
 
-def _joined(kind: Kind, outline: tuple[Corner, ...], parts: list[Part], items: list[Item]) -> Architecture:
+def _joined(kind: Kind, outline: tuple[Corner, ...], parts: list[Volume], items: list[RoofItem]) -> Architecture:
     """An architecture moved so that its footprint's middle is the origin."""
     ring = np.array(outline)
     dx, dy = (-(ring.max(axis=0) + ring.min(axis=0)) / 2).tolist()
@@ -52,14 +52,14 @@ def _joined(kind: Kind, outline: tuple[Corner, ...], parts: list[Part], items: l
         kind,
         moved(outline),
         (),
-        tuple(Part(**{**part.__dict__, "outline": moved(part.outline)}) for part in parts),
-        tuple(Item(**{**item.__dict__, "x": item.x + dx, "y": item.y + dy}) for item in items),
+        tuple(Volume(**{**part.__dict__, "outline": moved(part.outline)}) for part in parts),
+        tuple(RoofItem(**{**item.__dict__, "x": item.x + dx, "y": item.y + dy}) for item in items),
     )
 
 
 def _storey(
-    rng: np.random.Generator, dress: Dress, wing: tuple[Corner, ...], eaves: float, parts: list[Part]
-) -> list[Item]:
+    rng: np.random.Generator, dress: Dress, wing: tuple[Corner, ...], eaves: float, parts: list[Volume]
+) -> list[RoofItem]:
     """Roof plant of a wing, around and on a set-back upper storey where it has one."""
     below = plant(rng, wing, eaves)
     if rng.random() > 0.5:
@@ -88,8 +88,8 @@ def _wings(rng: np.random.Generator, kind: Kind, wings: list[tuple[Corner, ...]]
     """A building of straight wings: flat with different heights, or pitched with roofs that run into each other."""
     dress = classic(rng) if pitched else modern(rng)
     eaves = storeys * dress.storey
-    parts: list[Part] = []
-    items: list[Item] = []
+    parts: list[Volume] = []
+    items: list[RoofItem] = []
     depth = min(min(np.ptp(np.array(wing), axis=0)) for wing in wings)
     for i, wing in enumerate(wings):
         height = eaves if pitched or i == 0 else max(dress.storey, eaves + dress.storey * int(rng.integers(-1, 2)))
@@ -102,7 +102,7 @@ def _wings(rng: np.random.Generator, kind: Kind, wings: list[tuple[Corner, ...]]
             for _ in range(int(rng.integers(1, 4))):
                 reach = np.ptp(ring, axis=0) * 0.3
                 px, py = x + rng.uniform(-1, 1) * reach[0], y + rng.uniform(-1, 1) * reach[1]
-                items.append(Item("box", float(px), float(py), height, 1.0, 1.0, rise + 1.2, 0.0, near(rng, BRICK)))
+                items.append(RoofItem("box", float(px), float(py), height, 1.0, 1.0, rise + 1.2, 0.0, near(rng, BRICK)))
         else:
             parts.append(dress.part(wing, height))
             items.extend(_storey(rng, dress, wing, height, parts))
@@ -187,11 +187,11 @@ def hall(rng: np.random.Generator) -> Architecture:
     rise = {"flat": 0.0, "gable": b * 0.09, "sawtooth": 2.6, "barrel": b * 0.13}[roof]
     wing = box(0, 0, a, b)
     parts = [dress.part(wing, eaves, roof, rise)]
-    items: list[Item] = []
+    items: list[RoofItem] = []
     if roof == "flat":
         pitch = rng.uniform(6, 10)
         items = [
-            Item("skylight", float(x), b / 2, eaves, 1.6, b * 0.72, 0.5, 0.0, (0.4, 0.46, 0.48))
+            RoofItem("skylight", float(x), b / 2, eaves, 1.6, b * 0.72, 0.5, 0.0, (0.4, 0.46, 0.48))
             for x in np.arange(pitch / 2, a, pitch)
         ]
         items += [i for i in plant(rng, wing, eaves, 0.5) if ((i.x / pitch) % 1 - 0.5) ** 2 > 0.09]
@@ -200,7 +200,7 @@ def hall(rng: np.random.Generator) -> Architecture:
         for x in np.arange(5, a - 3, rng.uniform(6, 9)):
             for side in (-1, 1):
                 y, z = b / 2 + side * b * 0.24, eaves + rise * 0.52 - 0.3 * np.cos(slope)
-                items.append(Item("skylight", float(x), y, float(z), 1.3, b * 0.3, 0.35, 0.0, (0.4, 0.46, 0.48)))
+                items.append(RoofItem("skylight", float(x), y, float(z), 1.3, b * 0.3, 0.35, 0.0, (0.4, 0.46, 0.48)))
     if rng.random() < 0.6:  # offices at the front
         front = modern(rng)
         w = rng.uniform(0.25, 0.6) * a
@@ -246,7 +246,9 @@ def terrace(rng: np.random.Generator) -> Architecture:
     if rng.random() < 0.5:
         for i in range(units):
             x = (i + 0.5) * width
-            items.append(Item("skylight", x, -depth * 0.26, eaves + rise * 0.3, 1.0, 1.2, 0.75, 0.0, (0.2, 0.25, 0.3)))
+            items.append(
+                RoofItem("skylight", x, -depth * 0.26, eaves + rise * 0.3, 1.0, 1.2, 0.75, 0.0, (0.2, 0.25, 0.3))
+            )
     return _joined("terrace", box(0, -depth / 2, a, depth / 2 + back), parts, items)
 
 
@@ -268,7 +270,9 @@ def house(rng: np.random.Generator) -> Architecture:
     a, b = rng.uniform(10, 14), rng.uniform(7.5, 9.5)
     eaves, rise = rng.choice([3.0, 5.6]), b * rng.uniform(0.32, 0.5)
     parts = [dress.part(box(0, 0, a, b), eaves, "hip" if rng.random() < 0.4 else "gable", rise)]
-    items = [Item("box", a * rng.uniform(0.2, 0.8), b / 2 + 0.6, eaves, 0.9, 0.9, rise + 1.0, 0.0, near(rng, BRICK))]
+    items = [
+        RoofItem("box", a * rng.uniform(0.2, 0.8), b / 2 + 0.6, eaves, 0.9, 0.9, rise + 1.0, 0.0, near(rng, BRICK))
+    ]
     outline: tuple[Corner, ...] = box(0, 0, a, b)
     if rng.random() < 0.6:
         w, out = rng.uniform(5, 6.5), rng.uniform(2, 4)
@@ -276,7 +280,7 @@ def house(rng: np.random.Generator) -> Architecture:
         parts.append(dress.part(box(x, -out, x + w, b * 0.6), eaves, "gable", rise * 0.8))
         outline = box(0, -out, a, b)
     if rng.random() < 0.4:
-        items.append(Item("skylight", a * 0.5, b * 0.25, eaves + rise * 0.3, 1.0, 1.4, 0.7, 0.0, (0.2, 0.25, 0.3)))
+        items.append(RoofItem("skylight", a * 0.5, b * 0.25, eaves + rise * 0.3, 1.0, 1.4, 0.7, 0.0, (0.2, 0.25, 0.3)))
     return _joined("house", outline, parts, items)
 
 
@@ -286,9 +290,9 @@ def townhouse(rng: np.random.Generator) -> Architecture:
     a, b = rng.uniform(7, 14), rng.uniform(11, 13.5)
     eaves, rise = int(rng.integers(2, 5)) * 3.1, b * rng.uniform(0.28, 0.42)
     parts = [dress.part(((0, 0), (a, 0), (a, b), (0.0, b)), eaves, "gable", rise)]
-    items = [Item("box", 0.6, b / 2 + rng.uniform(-2, 2), eaves, 0.8, 1.4, rise + 1.0, 0.0, near(rng, BRICK))]
+    items = [RoofItem("box", 0.6, b / 2 + rng.uniform(-2, 2), eaves, 0.8, 1.4, rise + 1.0, 0.0, near(rng, BRICK))]
     items += [
-        Item("box", float(x), b * 0.22, eaves + 0.2, 1.3, 2.4, rise * 0.55, 0.0, near(rng, dress.wall_tint))
+        RoofItem("box", float(x), b * 0.22, eaves + 0.2, 1.3, 2.4, rise * 0.55, 0.0, near(rng, dress.wall_tint))
         for x in np.arange(1.8, a - 1.2, 3.2)
         if rng.random() < 0.6
     ]

@@ -127,7 +127,7 @@ def tile_around(x: float, y: float, rng: np.random.Generator) -> Tile:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SatelliteImage:
     """One large picture from a satellite, without perspective: `size` metres in `pixels` pixels around (x, y, z).
 
     Attributes:

@@ -98,7 +98,7 @@ class Path:
 
 
 @dataclass(frozen=True)
-class Bridge:
+class RoadBridge:
     """A street's deck over the river."""
 
     x: float
@@ -197,7 +197,7 @@ class City:
     patches: tuple[Patch, ...]
     paths: tuple[Path, ...]
     hedges: tuple[Float64Array, ...]
-    bridges: tuple[Bridge, ...]
+    bridges: tuple[RoadBridge, ...]
     terrain: Terrain
     trees: Trees
     stalls: Stalls

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lpn.core.arrays import Float64Array
-from lpn.world.architecture import Architecture, Colour, Item, Part
+from lpn.world.architecture import Architecture, Colour, RoofItem, Volume
 from lpn.world.geometry import area, rectangle
 
 BAYS, STOREYS = 16, 8  # of a wall's texture
@@ -56,7 +56,7 @@ class Mesh:
         self.materials.extend([material] * len(corners))
         self.tints.extend((r, g, b) for r, g, b in tints.tolist())
 
-    def wall(self, a: Float64Array, b: Float64Array, low: float, high: float, part: Part, start: float = 0.0) -> None:
+    def wall(self, a: Float64Array, b: Float64Array, low: float, high: float, part: Volume, start: float = 0.0) -> None:
         """A wall from a to b, outside to the right, with whole window units."""
         length = float(np.linalg.norm(b - a))
         bays = max(1, round(length / part.bay))
@@ -92,7 +92,7 @@ def building(look: Architecture) -> Mesh:
     return mesh
 
 
-def _part(mesh: Mesh, part: Part, start: float) -> None:
+def _part(mesh: Mesh, part: Volume, start: float) -> None:
     ring = np.array(part.outline)
     if area(ring) < 0:
         ring = ring[::-1]
@@ -112,7 +112,7 @@ def _part(mesh: Mesh, part: Part, start: float) -> None:
         _pitched(mesh, part, ring, cover)
 
 
-def _flat(mesh: Mesh, part: Part, ring: Float64Array, rim: float, cover: str) -> None:
+def _flat(mesh: Mesh, part: Volume, ring: Float64Array, rim: float, cover: str) -> None:
     inner = _shrunk(ring, 0.4) if rim else ring
     mesh.add(np.column_stack([inner, np.full(len(inner), part.eaves)]), cover, part.cover_tint)
     if rim:
@@ -135,7 +135,7 @@ def _shrunk(ring: Float64Array, by: float) -> Float64Array:
     return shrunk
 
 
-def _pitched(mesh: Mesh, part: Part, ring: Float64Array, cover: str) -> None:
+def _pitched(mesh: Mesh, part: Volume, ring: Float64Array, cover: str) -> None:
     """Gable, hip, or barrel over a rectangle whose first edge runs along the ridge."""
     a, b, _, d = ring[:4]
     along = (b - a) / np.linalg.norm(b - a)
@@ -181,7 +181,7 @@ def _pitched(mesh: Mesh, part: Part, ring: Float64Array, cover: str) -> None:
                               + [at(x, depth, z), at(x, 0, z)]), "plain", part.wall_tint)  # fmt: skip
 
 
-def _round(mesh: Mesh, part: Part, ring: Float64Array, cover: str) -> None:
+def _round(mesh: Mesh, part: Volume, ring: Float64Array, cover: str) -> None:
     middle = ring.mean(axis=0)
     levels = np.linspace(0, np.pi / 2, 7) if part.roof == "dome" else np.array([0.0, np.pi / 2])
     reach = np.cos(levels) if part.roof == "dome" else np.array([1.03, 0.0])
@@ -193,7 +193,7 @@ def _round(mesh: Mesh, part: Part, ring: Float64Array, cover: str) -> None:
             mesh.add(np.array([low[i], low[j], high[j], high[i]]), cover, part.cover_tint)
 
 
-def _sawtooth(mesh: Mesh, part: Part, ring: Float64Array, cover: str) -> None:
+def _sawtooth(mesh: Mesh, part: Volume, ring: Float64Array, cover: str) -> None:
     a, b, _, d = ring[:4]
     length = float(np.linalg.norm(b - a))
     along, across = (b - a) / length, d - a
@@ -208,7 +208,7 @@ def _sawtooth(mesh: Mesh, part: Part, ring: Float64Array, cover: str) -> None:
             mesh.add(np.array([[*(p + side), z], [*(q + side), z], [*(p + side), top]]), "plain", part.wall_tint)
 
 
-def _item(mesh: Mesh, item: Item) -> None:
+def _item(mesh: Mesh, item: RoofItem) -> None:
     if item.shape == "cylinder":
         around = np.arange(8) * np.pi / 4
         ring = np.stack([np.cos(around), np.sin(around)], axis=1) * item.length / 2 + (item.x, item.y)

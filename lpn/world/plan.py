@@ -12,13 +12,13 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 from lpn.world.city import (
     Block,
-    Bridge,
     Building,
     Character,
     City,
     District,
     Draft,
     River,
+    RoadBridge,
     Split,
     Stalls,
     Street,
@@ -181,14 +181,16 @@ def _arterials(nodes: Float64Array, river: int, warp: Warp) -> list[Street]:
     return found
 
 
-def _bridges(nodes: Float64Array, river: int, warp: Warp) -> list[Bridge]:
+def _bridges(nodes: Float64Array, river: int, warp: Warp) -> list[RoadBridge]:
     bridges = []
     for j in range(nodes.shape[1]):
         a, b = warp(nodes[river, j]), warp(nodes[river + 1, j])
         along = b - a
         middle = (a + b) / 2
         angle = float(np.arctan2(along[1], along[0]))
-        bridges.append(Bridge(float(middle[0]), float(middle[1]), angle, float(np.linalg.norm(along)), ARTERIAL + 5))
+        bridges.append(
+            RoadBridge(float(middle[0]), float(middle[1]), angle, float(np.linalg.norm(along)), ARTERIAL + 5)
+        )
     return bridges
 
 

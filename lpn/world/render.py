@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.world import closeup, meshes, paint, textures
-from lpn.world.cameras import Panorama, Pose, Sweep
+from lpn.world.cameras import Panorama, Pose, SatelliteImage
 from lpn.world.city import SPECIES, VEHICLES, City
 from lpn.world.photo import Look
 
@@ -28,7 +28,7 @@ _PAINTS = ((0.62, 0.62, 0.62), (0.02, 0.02, 0.022), (0.25, 0.26, 0.27), (0.09, 0
            (0.3, 0.02, 0.02), (0.5, 0.5, 0.48), (0.16, 0.15, 0.13), (0.03, 0.08, 0.06), (0.7, 0.7, 0.7))  # fmt: skip
 
 
-class Scene:
+class BlenderScene:
     """What can be seen within a square window of the city, on one day.
 
     Only one exists at a time: Blender's data is global.
@@ -86,7 +86,7 @@ class Scene:
         closeup.refine(self._materials.items())
         self._scene.cycles.transparent_max_bounces = 6
 
-    def sweep(self, sweep: Sweep) -> Float32Array:
+    def sweep(self, sweep: SatelliteImage) -> Float32Array:
         """The satellite's picture: (pixels, pixels, 3) linear light."""
         axes = sweep.axes()
         data = self._camera.data

@@ -258,13 +258,13 @@ def test_parts_of_two_quantisations_are_not_one_model(tmp_path: Path) -> None:
 def test_a_shard_whose_positions_are_damaged_is_told(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
     from lpn.cluster.gather import open_shards
-    from lpn.cluster.shards import Item, Plan, shard_name, write_shard
+    from lpn.cluster.shards import Plan, ShardItem, shard_name, write_shard
     from lpn.cluster.storage import Storage
     from lpn.core.errors import StoreError
 
     storage = Storage(tmp_path)
     storage.write("plan.json", (plan := Plan("0" * 16, "drone", 1, 4, "float32", 1, finished=True)).to_json())
-    items = [Item(descriptors.Row(f"{i}.png", 9, 1, None), (46.125, 7.5)) for i in range(9)]
+    items = [ShardItem(descriptors.Row(f"{i}.png", 9, 1, None), (46.125, 7.5)) for i in range(9)]
     write_shard(storage, plan, 0, items, np.full((9, 1, 4), 0.5, np.float32))
     file = tmp_path / shard_name(0)
     data = bytearray(file.read_bytes())

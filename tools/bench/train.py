@@ -34,7 +34,7 @@ from lpn.datasets import open_dataset
 from lpn.models.network import LPN
 from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.trainer import Trainer
-from lpn.training.training_set import Places
+from lpn.training.training_set import TrainingSet
 from tools.bench.figures import Figure, show, take_turns
 from tools.bench.pictures import make_train_split
 
@@ -48,7 +48,7 @@ TARGET = 1.3
 class PlainLoop:
     """The published training loop in a few lines; it prepares, computes, and prepares again."""
 
-    def __init__(self, network: LPN, places: Places, recipe: Recipe) -> None:
+    def __init__(self, network: LPN, places: TrainingSet, recipe: Recipe) -> None:
         self.network, self.places, self.recipe = network.train(), places, recipe
         backbone = {id(p) for view in network.spec.views for p in network.branch(view).parameters()}
         groups = [
@@ -88,7 +88,7 @@ class PlainLoop:
         loss.item()
 
 
-class Unkept(Places):
+class Unkept(TrainingSet):
     """Places whose pictures are decoded every time, as in a training's first pass."""
 
     def picture(self, path: Path) -> UInt8Array:

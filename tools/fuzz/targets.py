@@ -254,13 +254,13 @@ def pth(folder: Path) -> list[Case]:
 
     from lpn.models.checkpoints import load_torch
     from lpn.training.recipes import RECIPES
-    from lpn.training.resume_state import State, read_state
+    from lpn.training.resume_state import ResumeState, read_state
     from tools.fuzz.small_models import pth_file, state_dict
 
     file, options = folder / "net.pth", folder / "opts.yaml"
     whole = pth_file(state_dict())
     recipe = RECIPES["small"]
-    State(
+    ResumeState(
         [{"epoch": 1, "loss": 1.0}], 2.0, 1, {key: {} for key in ("network", "average", "optimizer", "scaler")}
     ).write(folder / "state.pt", recipe, "0" * 16)
     state = (folder / "state.pt").read_bytes()
@@ -340,14 +340,14 @@ def rankings(folder: Path) -> list[Case]:
 def shards(folder: Path) -> list[Case]:
     """Parquet files of descriptors, and their plan."""
     from lpn.cluster.gather import open_shards
-    from lpn.cluster.shards import Item, Plan, contents, read_notes, shard_name, write_shard
+    from lpn.cluster.shards import Plan, ShardItem, contents, read_notes, shard_name, write_shard
     from lpn.cluster.storage import Storage
     from lpn.descriptors import Row
     from lpn.models.base import normalise
 
     storage = Storage(folder)
     plan = Plan("0" * 16, "drone", 2, 8, "float32", 1)
-    items = [Item(Row(f"{i}.png", 100 + i, 10**18, None), (46.0, 7.0) if i % 2 else None) for i in range(9)]
+    items = [ShardItem(Row(f"{i}.png", 100 + i, 10**18, None), (46.0, 7.0) if i % 2 else None) for i in range(9)]
     raw = normalise(np.random.default_rng(0).standard_normal((9, 2, 8)).astype(np.float32))
     write_shard(storage, plan, 0, items, raw)
     written = contents([notes for notes in read_notes(storage, plan, [0]) if notes is not None])

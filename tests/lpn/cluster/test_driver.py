@@ -32,9 +32,9 @@ from lpn.cluster import session
 from lpn.cluster.driver import Summary, describe_shards
 from lpn.cluster.gather import open_shards, to_store
 from lpn.cluster.session import started
-from lpn.cluster.shards import BEFORE, PLAN, Item, Plan, read_shard, write_shard
+from lpn.cluster.shards import BEFORE, PLAN, Plan, ShardItem, read_shard, write_shard
 from lpn.cluster.storage import Storage
-from lpn.cluster.worker import Worker
+from lpn.cluster.worker import DescribeWorker
 from lpn.core.errors import DataError, InputError, LPNError, StoreError
 from lpn.core.files import alone
 from lpn.index import open_index
@@ -124,10 +124,10 @@ def test_two_workers_say_what_one_machine_says(
     assert {path.name: path.stat().st_mtime_ns for path in out.glob("*.parquet")} == before
 
 
-class Killed(Worker):
+class Killed(DescribeWorker):
     """Is killed once, in the middle of its second partition; says which partitions it begins, in a file."""
 
-    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:
+    def describe(self, partition: int, items: list[ShardItem], source: int) -> tuple[int, int, int]:
         with (Path(self.task.out).parent / "begun").open("a") as begun:
             begun.write(f"{partition}\n")
         fuse = Path(self.task.out).parent / "killed"
@@ -156,10 +156,10 @@ def test_a_killed_worker_costs_its_partition_alone(model_file: Path, folder: Pat
     np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
 
 
-class Odd(Worker):
+class Odd(DescribeWorker):
     """Fails at every partition, as a fault of ours would make it."""
 
-    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:  # noqa: ARG002
+    def describe(self, partition: int, items: list[ShardItem], source: int) -> tuple[int, int, int]:  # noqa: ARG002
         raise ZeroDivisionError(f"partition {partition} of {len(items)}")
 
 
@@ -237,10 +237,10 @@ def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tm
     assert len(held(out)) == PICTURES
 
 
-class Dying(Worker):
+class Dying(DescribeWorker):
     """Gives up at its second partition, as when the driver is killed there."""
 
-    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:
+    def describe(self, partition: int, items: list[ShardItem], source: int) -> tuple[int, int, int]:
         if partition:
             raise StoreError("The driver is gone.")
         return super().describe(partition, items, source)
@@ -280,10 +280,10 @@ def test_shards_of_an_earlier_version_are_gone_on_with(model_file: Path, folder:
     assert all((held(done)[name] == row).all() for name, row in before.items())
 
 
-class Interrupted(Worker):
+class Interrupted(DescribeWorker):
     """Gives up at the partition that there was first, once: by then all others are there, if they are written before it."""
 
-    def describe(self, partition: int, items: list[Item], source: int) -> tuple[int, int, int]:
+    def describe(self, partition: int, items: list[ShardItem], source: int) -> tuple[int, int, int]:
         fuse = Path(self.task.out).parent / "interrupted"
         if not partition and not fuse.exists():
             fuse.touch()
@@ -298,7 +298,7 @@ def test_shards_of_a_folder_that_grows_stay_small(model_file: Path, folder: Path
     numbers = [14, 11, 13, *(i for i in range(10, 33) if i not in (11, 13, 14))]
     kept = [folder / f"{i % 3}" / f"{i:02d}.png" for i in numbers]
 
-    def run(worker: type[Worker] = Worker) -> Summary:
+    def run(worker: type[DescribeWorker] = DescribeWorker) -> Summary:
         return describe_shards(
             model_file, pictures, "drone", out, workers=2, shard=4, say=lambda _: None, worker=worker
         )

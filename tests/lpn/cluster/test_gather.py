@@ -16,7 +16,17 @@ from lpn import descriptors
 from lpn.cli import main
 from lpn.cluster import gather
 from lpn.cluster.gather import open_shards, to_store
-from lpn.cluster.shards import BEFORE, PLAN, Broken, Item, Plan, contents, read_notes, shard_name, write_shard
+from lpn.cluster.shards import (
+    BEFORE,
+    PLAN,
+    BrokenPicture,
+    Plan,
+    ShardItem,
+    contents,
+    read_notes,
+    shard_name,
+    write_shard,
+)
 from lpn.cluster.storage import Storage
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import StoreError
@@ -28,28 +38,28 @@ from lpn.models.base import normalise
 
 PARTITIONS = 3
 PLANNED = Plan("f" * 16, "drone", 2, 4, "float32", PARTITIONS)
-WAS = [Item(Row(f"{i}.png", 10, 1), (46.0, 7.0)) for i in range(12)]
+WAS = [ShardItem(Row(f"{i}.png", 10, 1), (46.0, 7.0)) for i in range(12)]
 RUNS = {
     "removed": WAS[1:],
-    "added": [*WAS, Item(Row("new.png", 10, 1), (46.0, 7.0))],
-    "changed": [Item(Row(item.row.file, 11, 2), item.position) for item in WAS],
+    "added": [*WAS, ShardItem(Row("new.png", 10, 1), (46.0, 7.0))],
+    "changed": [ShardItem(Row(item.row.file, 11, 2), item.position) for item in WAS],
 }
 ANEW = "was written anew while it was read; run this again when lpn describe has ended"
 
 
-def described(items: Sequence[Item]) -> Float32Array:
+def described(items: Sequence[ShardItem]) -> Float32Array:
     """Descriptors that tell pictures, and their states, apart: (B, 2, 4)."""
     raw = [np.random.default_rng([*item.row.file.encode(), item.row.size]).standard_normal((2, 4)) for item in items]
     return normalise(np.array(raw, np.float32).reshape(-1, 2, 4))
 
 
-def begin(folder: Path, items: Sequence[Item]) -> None:
+def begin(folder: Path, items: Sequence[ShardItem]) -> None:
     """What a run of lpn describe does until it writes its plan for the last time."""
     Storage(folder).write(PLAN, PLANNED.to_json())
     write(folder, PLANNED, items)
 
 
-def write(folder: Path, plan: Plan, items: Sequence[Item]) -> None:
+def write(folder: Path, plan: Plan, items: Sequence[ShardItem]) -> None:
     for partition in range(PARTITIONS):
         mine = [item for item in items if plan.partition(item.row.file) == partition]
         write_shard(Storage(folder), plan, partition, mine, described(mine))
@@ -75,7 +85,7 @@ def changed(run: str) -> set[int]:
 
 
 def begins_before(
-    monkeypatch: pytest.MonkeyPatch, method: str, partition: int, folder: Path, items: Sequence[Item]
+    monkeypatch: pytest.MonkeyPatch, method: str, partition: int, folder: Path, items: Sequence[ShardItem]
 ) -> None:
     """A run begins before a method of `Shards` first reads a partition."""
     real, begun = getattr(gather.Shards, method), []
@@ -103,7 +113,7 @@ def test_gather_makes_a_store_of_one_state_or_none(
     out = tmp_path / "store"
     given = ["gather", "--shards", str(folder), "--out", str(out)]
 
-    def check(items: Sequence[Item]) -> None:
+    def check(items: Sequence[ShardItem]) -> None:
         expected = sorted(items, key=lambda item: item.row.file)
         store = descriptors.open_store(out)
         assert list(store.manifest.rows) == [item.row for item in expected]
@@ -140,7 +150,7 @@ def test_an_index_is_made_of_one_state_as_far_as_it_goes(
     monkeypatch.setattr("lpn.index.tiles._LOT_BYTES", 1)  # a lot for each partition
     given = ["index", "--descriptors", str(folder), "--out", str(tmp_path / "index")]
 
-    def check(items: Sequence[Item]) -> None:
+    def check(items: Sequence[ShardItem]) -> None:
         with open_index(tmp_path / "index") as index:
             assert index.count() == len(items)
             for item, row in zip(items, described(items), strict=True):
@@ -208,11 +218,11 @@ def test_a_tile_that_broke_between_two_looks_at_its_shard_is_seen(
     (tmp_path / "geo.csv").write_text("path,latitude,longitude\n" + "".join(f"{i.row.file},1,2\n" for i in WAS))
     real, seen = gather.Shards.tiles, []
 
-    def tiles(self: gather.Shards, partition: int) -> gather.Tiles:
+    def tiles(self: gather.Shards, partition: int) -> gather.ShardTiles:
         seen.append(partition)
         if seen.count(1) == 2:
             broke, *mine = [item for item in WAS if PLANNED.partition(item.row.file) == 1]
-            write_shard(self.storage, PLANNED, 1, mine, described(mine), [Broken(broke, "is damaged", True)])
+            write_shard(self.storage, PLANNED, 1, mine, described(mine), [BrokenPicture(broke, "is damaged", True)])
         return real(self, partition)
 
     monkeypatch.setattr(gather.Shards, "tiles", tiles)

@@ -18,9 +18,9 @@ from lpn.cli import main
 from lpn.cluster import driver
 from lpn.cluster.driver import Summary
 from lpn.cluster.gather import open_shards, to_store
-from lpn.cluster.shards import PLAN, Item, Plan, read_notes, shard_name, write_shard
+from lpn.cluster.shards import PLAN, Plan, ShardItem, read_notes, shard_name, write_shard
 from lpn.cluster.storage import Storage
-from lpn.cluster.worker import Task, Worker, _UnreadError
+from lpn.cluster.worker import DescribeWorker, PartitionTask, _UnreadError
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import PictureError, StoreError
 from lpn.descriptors import Row
@@ -33,11 +33,11 @@ NOT_ENDED = "the run that wrote them has not ended"
 NOT_ALL = "are not all those of the run that ended last, .* run lpn describe --engine ray again"
 
 
-def pictures(count: int) -> list[Item]:
-    return [Item(Row(f"{i:03d}.png", 10, 1), (46.0, 7.0)) for i in range(count)]
+def pictures(count: int) -> list[ShardItem]:
+    return [ShardItem(Row(f"{i:03d}.png", 10, 1), (46.0, 7.0)) for i in range(count)]
 
 
-def described(items: Sequence[Item]) -> Float32Array:
+def described(items: Sequence[ShardItem]) -> Float32Array:
     """Descriptors that tell pictures, and their states, apart: (B, 2, 4)."""
     raw = [np.random.default_rng([*item.row.file.encode(), item.row.size]).standard_normal((2, 4)) for item in items]
     return normalise(np.array(raw, np.float32).reshape(-1, 2, 4))
@@ -62,7 +62,9 @@ class OneProcess:
         self.rows = rows
         return self
 
-    def map_batches(self, worker: Callable[..., Worker], fn_constructor_args: tuple[Task, Any], **_: object) -> Any:
+    def map_batches(
+        self, worker: Callable[..., DescribeWorker], fn_constructor_args: tuple[PartitionTask, Any], **_: object
+    ) -> Any:
         ready = worker(*fn_constructor_args)
 
         def results() -> Iterator[Mapping[str, Any]]:
@@ -92,7 +94,7 @@ class Place:
 
     def run(
         self,
-        items: Sequence[Item],
+        items: Sequence[ShardItem],
         shard: int | None = None,
         before: Callable[[int, int], None] = lambda *_: None,
     ) -> Summary:
@@ -102,8 +104,8 @@ class Place:
         def started(*_: object) -> Iterator[tuple[OneProcess, int, Callable[[Any], Any]]]:
             yield OneProcess(before), 1, lambda files: files
 
-        def worker(task: Task, _: object) -> Worker:
-            made = Worker.__new__(Worker)
+        def worker(task: PartitionTask, _: object) -> DescribeWorker:
+            made = DescribeWorker.__new__(DescribeWorker)
             made.task, made.images, made.out = task, Storage(task.images), Storage(task.out)
             made.model = SimpleNamespace()  # type: ignore[assignment]
             return made
@@ -124,7 +126,7 @@ class Place:
                 worker,  # type: ignore[arg-type]
             )
 
-    def killed(self, items: Sequence[Item], shard: int, after: int) -> bool:
+    def killed(self, items: Sequence[ShardItem], shard: int, after: int) -> bool:
         """A run whose driver is killed before the partition after so many; whether it came so far."""
 
         def before(_: int, begun: int) -> None:
@@ -137,7 +139,7 @@ class Place:
             return True
         return False
 
-    def check(self, items: Sequence[Item]) -> None:
+    def check(self, items: Sequence[ShardItem]) -> None:
         """Each picture is in the shards once, with its own descriptor."""
         shards = open_shards(self.folder)
         rows = {}
@@ -159,7 +161,7 @@ class Place:
         """What tells whether a file was written anew, by its name."""
         return {path.name: (path.stat().st_mtime_ns, path.stat().st_ino) for path in self.folder.glob("*.*")}
 
-    def _describe_each(self, _: object, items: Sequence[Item], *__: object) -> Iterator[Described]:
+    def _describe_each(self, _: object, items: Sequence[ShardItem], *__: object) -> Iterator[Described]:
         good = [i for i, item in enumerate(items) if item.row.file not in self.unread]
         self.computed += [items[i].row.file for i in good]
         unread = _UnreadError("cannot be read (nobody is there)")
@@ -209,7 +211,7 @@ def test_of_two_drivers_the_earlier_one_stops(
 ) -> None:
     """The later one begins between two shards of the earlier one, or after its last, and is killed after so many of its own."""
     place.run(pictures(12), 6)
-    changed = [Item(replace(item.row, size=11), item.position) for item in pictures(12)]
+    changed = [ShardItem(replace(item.row, size=11), item.position) for item in pictures(12)]
     left: list[dict[str, tuple[int, int]]] = []
     real = read_notes
 

@@ -29,9 +29,9 @@ from lpn.index import ExactIndex, Kind, open_index, segment_checksums
 from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
-from lpn.reproduce.measure import FORMAT, Figures, Notebook
+from lpn.reproduce.measure import FORMAT, MeasuredFigures, MeasurementStore
 from lpn.training.recipes import RECIPES
-from lpn.training.resume_state import State, read_state
+from lpn.training.resume_state import ResumeState, read_state
 from lpn.world.atlas import Settings
 from lpn.world.build import check_folder
 
@@ -120,7 +120,7 @@ def test_later_model_files_are_named(model_file: Path, tmp_path: Path) -> None:
 
 def test_a_state_of_another_version_says_which_way(tmp_path: Path) -> None:
     recipe, file = RECIPES["small"], tmp_path / "state.pt"
-    State([], 1.0, 1, dict.fromkeys(("network", "average", "optimizer", "scaler"))).write(file, recipe, "places")
+    ResumeState([], 1.0, 1, dict.fromkeys(("network", "average", "optimizer", "scaler"))).write(file, recipe, "places")
     assert read_state(file, recipe, "places").first_loss == 1.0
     values = torch.load(file, weights_only=True)
     torch.save({**values, "format": 3}, file)
@@ -197,17 +197,17 @@ def test_measurements_are_read_in_both_formats_and_a_later_one_is_left_alone(
     file = tmp_path / "measured.json"
     figures = {"key": {"values": [1.0, 2.0], "protocol": "As published."}}
     file.write_text(json.dumps(figures))
-    expected = {"key": Figures((1.0, 2.0), "As published.")}
-    assert Notebook(file)._held == expected
+    expected = {"key": MeasuredFigures((1.0, 2.0), "As published.")}
+    assert MeasurementStore(file)._held == expected
     file.write_text(json.dumps({"format": FORMAT, "checksum": crc_of_values(figures), "figures": figures}))
-    assert Notebook(file)._held == expected
+    assert MeasurementStore(file)._held == expected
     assert not caplog.records
     change(file, lambda values: values["figures"]["key"].update(values=[3.0, 2.0]))
-    assert Notebook(file)._held == {}
+    assert MeasurementStore(file)._held == {}
     assert "is damaged; what it held is measured again" in caplog.text
     of_later(file)
     with pytest.raises(InputError, match=r"measured\.json was written " + LATER):
-        Notebook(file)
+        MeasurementStore(file)
 
 
 @pytest.mark.parametrize("named", ["format", "edition"])
@@ -243,5 +243,5 @@ def test_a_damaged_plan_of_a_world_is_one_sentence(plan: str, tmp_path: Path) ->
 @pytest.mark.parametrize("held", ['{"key": {"values": [1' + "0" * 400 + '], "protocol": ""}}', "[" * 100_000])
 def test_measurements_that_are_none_are_made_again(held: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "measured.json").write_text(held)
-    assert Notebook(tmp_path / "measured.json")._held == {}
+    assert MeasurementStore(tmp_path / "measured.json")._held == {}
     assert "what it held is measured again" in caplog.text

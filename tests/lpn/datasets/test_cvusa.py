@@ -8,7 +8,7 @@ from rich.console import Console
 
 from lpn.core.errors import DataError
 from lpn.datasets import CVUSA, open_dataset
-from lpn.training.training_set import Places
+from lpn.training.training_set import TrainingSet
 from tools.fixtures import layouts, small_worlds
 
 
@@ -24,7 +24,7 @@ def test_pairs_are_read_from_the_splits(tmp_path: Path) -> None:
     assert dataset.truth("street-to-satellite") is None
     assert list(dataset.lists()) == ["train/satellite", "train/street", "test/satellite", "test/street"]
     assert dataset.full["test/street"].pictures == 8884
-    assert Places(dataset, Console()).views == ("satellite", "street")
+    assert TrainingSet(dataset, Console()).views == ("satellite", "street")
     with pytest.raises(DataError, match="no test queries of drone pictures"):
         dataset.queries("drone")
 

@@ -19,7 +19,18 @@ from lpn import descriptors
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, StoreError
-from lpn.index import Box, ExactIndex, Found, Index, Kind, create_index, folder, open_index, scan, segment_checksums
+from lpn.index import (
+    Box,
+    ExactIndex,
+    Index,
+    Kind,
+    SearchResult,
+    create_index,
+    folder,
+    open_index,
+    scan,
+    segment_checksums,
+)
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
@@ -69,7 +80,9 @@ class Tiles:
             (latitude >= south) & (latitude <= north) & ((longitude - west) % 360 <= (east - west) % 360)
         )
 
-    def check(self, found: Found, query: Float32Array, weights: list[float] | None, k: int, box: Box | None) -> None:
+    def check(
+        self, found: SearchResult, query: Float32Array, weights: list[float] | None, k: int, box: Box | None
+    ) -> None:
         scores, inside = self.scores(query, weights), self.inside(box)
         order = inside[np.argsort(-scores[inside], kind="stable")][:k]
         rows = np.array([self.names.index(name) for name in found.ids], np.int64)
@@ -174,7 +187,7 @@ def test_every_index_refuses_what_it_cannot_keep(make: Callable[[], Index]) -> N
             with pytest.raises(InputError, match=message):
                 add()
         query = tiles.descriptors[0]
-        bad_searches: list[tuple[str, Callable[[], Found]]] = [
+        bad_searches: list[tuple[str, Callable[[], SearchResult]]] = [
             ("The query is of shape", lambda: index.search(query[:3], None, 1)),
             ("The query is of shape", lambda: index.search(query * np.inf, None, 1)),
             ("part weights", lambda: index.search(query, [1, 2], 1)),

@@ -408,7 +408,7 @@ def test_the_digest_of_a_test_split_is_the_same_for_lists_in_any_order(
 
 def test_claims_are_judged_by_the_figures_and_the_seeds_spread() -> None:
     table = find("table1", SCALES["paper"])
-    columns = [report.Column(title, index) for index, title in enumerate(table.columns)]
+    columns = [report.MeasuredColumn(title, index) for index, title in enumerate(table.columns)]
 
     def verdict(lpn: list[float], baseline: list[float]) -> str:
         measured = {

@@ -16,9 +16,9 @@ from rich.console import Console
 from lpn.core import images
 from lpn.core.errors import InputError, PictureError
 from lpn.datasets import open_dataset
-from lpn.training.loader import Batch, Loader, choose_workers
+from lpn.training.loader import Loader, TrainingBatch, choose_workers
 from lpn.training.recipes import RECIPES
-from lpn.training.training_set import Places
+from lpn.training.training_set import TrainingSet
 from tools.fixtures import small_worlds
 
 CPU = torch.device("cpu")
@@ -31,10 +31,10 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def loader(data: Path, **options: Any) -> Loader:
-    return Loader(Places(open_dataset(data), Console(quiet=True)), RECIPE, CPU, **options)
+    return Loader(TrainingSet(open_dataset(data), Console(quiet=True)), RECIPE, CPU, **options)
 
 
-def same(one: Batch, two: Batch) -> bool:
+def same(one: TrainingBatch, two: TrainingBatch) -> bool:
     return torch.equal(one.places, two.places) and all(torch.equal(one.sets[k], two.sets[k]) for k in one.sets)
 
 

@@ -11,7 +11,7 @@ import torch
 from safetensors.torch import load_file
 
 from lpn.core.errors import InputError
-from lpn.training.multi_process import Group
+from lpn.training.multi_process import ProcessGroup
 from tests.lpn.training.two_processes import trainer
 from tools.fixtures import small_worlds
 
@@ -79,7 +79,7 @@ def test_an_error_in_one_process_ends_all_with_its_sentence(places: Path, tmp_pa
 
 
 def test_a_batch_is_shared_evenly_or_refused() -> None:
-    groups = [Group(torch.device("cpu"), rank, 3) for rank in range(3)]
+    groups = [ProcessGroup(torch.device("cpu"), rank, 3) for rank in range(3)]
     assert [row for group in groups for row in range(12)[group.share(12)]] == list(range(12))
     for batch in (8, 3):
         with pytest.raises(InputError, match="multiple of 3, at least 6"):

@@ -11,7 +11,7 @@ from tensorboardX.proto.event_pb2 import Event
 
 from lpn.core.errors import OutputError
 from lpn.training.model_selection import Row, best
-from lpn.training.run_log import Logbook, chart
+from lpn.training.run_log import RunLog, chart
 
 
 def row(epoch: int, loss: float, **more: float) -> Row:
@@ -33,13 +33,13 @@ def scalars(out: Path) -> list[tuple[str, int, float]]:
 def test_logs_hold_every_epoch_once_although_the_run_was_resumed(tmp_path: Path) -> None:
     console = Console(file=io.StringIO(), width=100)
     history = [row(1, 4.0)]
-    book = Logbook(tmp_path, history, console)
+    book = RunLog(tmp_path, history, console)
     book.save()
     history[-1] |= {"recall@1 drone-to-satellite": 25.0}
     book.save()
     book.close()
     again = [*history, row(2, 3.0)]
-    book = Logbook(tmp_path, again, console)
+    book = RunLog(tmp_path, again, console)
     book.save()
     book.close()
     found = scalars(tmp_path)
@@ -52,7 +52,7 @@ def test_logs_hold_every_epoch_once_although_the_run_was_resumed(tmp_path: Path)
 
 def test_an_epoch_is_one_line_with_what_was_tested(tmp_path: Path) -> None:
     said = io.StringIO()
-    book = Logbook(tmp_path, [row(1, 4.0, **{"recall@1 drone-to-satellite": 25.0})], Console(file=said, width=40))
+    book = RunLog(tmp_path, [row(1, 4.0, **{"recall@1 drone-to-satellite": 25.0})], Console(file=said, width=40))
     book.say_epoch(30)
     book.close()
     assert said.getvalue() == "Epoch 1/30  loss 4.000  rate 1.0e-03  8.0 images/s  R@1 drone-to-satellite 25.00\n"
@@ -74,7 +74,7 @@ def test_a_chart_rises_where_its_values_do() -> None:
 def test_a_chart_is_plain_text_where_the_terminal_is(tmp_path: Path) -> None:
     raw = io.BytesIO()
     said = io.TextIOWrapper(raw, encoding="ascii")
-    book = Logbook(tmp_path, [row(1, 4.0), row(2, 3.0)], Console(file=said, width=40))
+    book = RunLog(tmp_path, [row(1, 4.0), row(2, 3.0)], Console(file=said, width=40))
     book.say_curves(None)
     book.close()
     said.flush()
@@ -84,7 +84,7 @@ def test_a_chart_is_plain_text_where_the_terminal_is(tmp_path: Path) -> None:
 def test_a_log_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "tensorboard").write_text("a file")
     with pytest.raises(OutputError, match="tensorboard cannot be written"):
-        Logbook(tmp_path, [], Console(quiet=True))
+        RunLog(tmp_path, [], Console(quiet=True))
 
 
 def test_the_best_epoch_is_the_first_of_the_highest() -> None:

@@ -12,7 +12,7 @@ from rich.console import Console
 from torch import nn
 
 from lpn.datasets import open_dataset
-from lpn.training.multi_process import Group, join
+from lpn.training.multi_process import ProcessGroup, join
 from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer
 
@@ -30,7 +30,7 @@ RECIPE = replace(
 )
 
 
-def trainer(data: Path, out: Path, group: Group | None = None, resume: bool = False) -> Trainer:
+def trainer(data: Path, out: Path, group: ProcessGroup | None = None, resume: bool = False) -> Trainer:
     """A training whose BatchNorm is frozen, so that it does not matter how a batch is shared out."""
     with (out.parent / f"{out.name}.txt").open("a") as said:
         run = Trainer(open_dataset(data), out, RECIPE, resume=resume, console=Console(file=said), group=group)

@@ -24,7 +24,7 @@ from lpn.datasets import Picture, open_dataset
 from lpn.datasets.geo import Position, Positions, camera, metres
 from lpn.world import cameras
 from lpn.world.atlas import Atlas, Settings, make_atlas
-from lpn.world.build import Part, Tally, build_world, check_folder
+from lpn.world.build import RenderShare, Tally, build_world, check_folder
 from lpn.world.canvas import Canvas
 from lpn.world.city import City
 from lpn.world.geometry import area, overlap, rectangle, segment_distance, within
@@ -196,7 +196,7 @@ def test_what_lies_ahead_of_the_drone_is_higher_in_the_picture() -> None:
 
 @pytest.mark.parametrize(("lean", "bearing"), [(0.0, 0.0), (6.0, 0.0), (5.0, 130.0)])
 def test_a_tile_is_cut_where_it_lies(lean: float, bearing: float) -> None:
-    sweep = cameras.Sweep(10, 20, 3, 400, 800, lean, bearing)
+    sweep = cameras.SatelliteImage(10, 20, 3, 400, 800, lean, bearing)
     tile = cameras.Tile(50, -30, 2.0)
     corners = sweep.corners(tile)
     centre = sweep.project(np.array([[tile.x, tile.y, sweep.z]]))[0]
@@ -404,7 +404,7 @@ def test_files_name_the_pictures_from_the_ground(walked: Atlas, tmp_path: Path) 
 @pytest.mark.parametrize("text", ["", "2", "3/2", "0/4", "a/b", "1/2/3"])
 def test_a_part_is_i_of_k(text: str) -> None:
     with pytest.raises(InputError, match="i/k"):
-        Part.parse(text)
+        RenderShare.parse(text)
 
 
 def test_without_blender_the_command_says_what_to_install(tmp_path: Path) -> None:
@@ -489,7 +489,7 @@ def test_a_small_world_is_rendered_resumed_and_repeated(tmp_path: Path) -> None:
     assert tally.frames + tally.sweeps == 1
     assert {file: _digest(file) for file in kept} == kept
     for part in ("1/2", "2/2"):
-        build_world(small, second, Part.parse(part))
+        build_world(small, second, RenderShare.parse(part))
     assert [_digest(second / file.relative_to(first)) for file in kept] == list(kept.values())
     with pytest.raises(OutputError, match="other settings"):
         build_world(Settings(3, 2, 2, 40, 48, 1), first)
