@@ -203,9 +203,9 @@ DRIVER = """
 import sys, time
 from pathlib import Path
 from lpn.cluster.driver import describe_shards
-from lpn.cluster.worker import Worker
+from lpn.cluster.worker import DescribeWorker
 
-class Slow(Worker):
+class Slow(DescribeWorker):
     def describe(self, partition, items, source):
         time.sleep(1.0)
         return super().describe(partition, items, source)
