@@ -24,11 +24,10 @@ from explorer.compute.request_context import Asker
 from explorer.compute.worker import Patience, Worker
 from explorer.explain_window import comparison, evidence, model_comparison, region, sweep_page
 from explorer.explain_window.window import ExplainWindow
-from explorer.failure_lab import lab_style
 from explorer.failure_lab.service import Laboratory
 from explorer.failure_lab.window import Lab
 from explorer.opening import open_model, open_saved
-from explorer.panels import pages, shortcuts, tour
+from explorer.panels import shortcuts, tour
 from explorer.panels.panels import THUMBS, Change, Panels
 from explorer.panels.viewport import Viewport
 from explorer.reports import Reporter
@@ -54,14 +53,12 @@ log = logging.getLogger(__name__)
 
 STYLES = "".join(
     (
-        pages.STYLE,
         style.STYLE,
         evidence.STYLE,
         comparison.STYLE,
         sweep_page.STYLE,
         region.STYLE,
         model_comparison.STYLE,
-        lab_style.STYLE,
     )
 )
 """Of all panels, the later over the earlier."""

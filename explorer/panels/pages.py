@@ -12,36 +12,6 @@ from explorer.workspace import Answer, Exhibit, Task
 from lpn.drawing import overlays
 from lpn.retrieval import Match
 
-STYLE = """<style>
-.lpn{padding:0 .8em;font-size:13px;line-height:1.4}
-.lpn.dim,.lpn .dim{opacity:.7}
-.lpn h2{font-size:15px;margin:.1em 0}
-.lpn .facts{display:flex;flex-wrap:wrap;align-items:baseline;gap:.1em .9em}
-.lpn .big{font-size:20px;font-weight:650}
-.lpn .verdict{border-left:4px solid;padding:.25em .6em;margin:.2em 0;background:rgba(128,128,128,.12);border-radius:0 4px 4px 0}
-.lpn .row{display:flex;gap:.6em;align-items:center;padding:1px 5px;border-radius:4px;cursor:pointer;border:1px solid transparent}
-.lpn .row:hover{background:rgba(128,128,128,.18)}
-.lpn .row.chosen{background:rgba(128,128,128,.22);border-color:rgba(200,200,200,.6)}
-.lpn .row img{width:34px;height:34px;border:3px solid;border-radius:3px;box-sizing:border-box;flex:none}
-.lpn .row .what{flex:1;min-width:0}
-.lpn .row .line{display:flex;gap:.5em;white-space:nowrap}
-.lpn .row .name{flex:1;overflow:hidden;text-overflow:ellipsis}
-.lpn .bar{display:flex;height:7px;background:rgba(128,128,128,.25);border-radius:2px;overflow:hidden}
-.lpn .num{font-variant-numeric:tabular-nums}
-.lpn .thumbs{display:grid;grid-template-columns:repeat(4,1fr);gap:5px;margin:.2em 0}
-.lpn .thumb{cursor:pointer;text-align:center;font-size:11px;border:2px solid transparent;border-radius:4px;overflow:hidden}
-.lpn .thumb:hover{border-color:rgba(128,128,128,.8)}
-.lpn .thumb.chosen{border-color:#56b4e9}
-.lpn .thumb img{width:100%;aspect-ratio:1;display:block}
-.lpn .thumb span{display:block;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
-.lpn .pager{display:flex;justify-content:space-between;align-items:center}
-.lpn .pager a{cursor:pointer;padding:0 .7em;font-size:16px}
-.lpn table{border-collapse:collapse;width:100%}
-.lpn td,.lpn th{padding:1px 4px;text-align:right;font-weight:400}
-.lpn td:first-child,.lpn th:first-child{text-align:left}
-.lpn kbd{border:1px solid rgba(128,128,128,.6);border-radius:3px;padding:0 .35em;font-size:11px}
-</style>"""
-
 SIGNS: dict[bool | None, str] = {True: "✓", False: "✗", None: "?"}
 
 
