@@ -19,9 +19,9 @@ import viser
 
 from explorer import session_state
 from explorer.compute.inference_scheduler import AGAIN, BusyError
-from explorer.compute.ranking_progress import Follower
-from explorer.compute.request_context import Asker
-from explorer.compute.worker import Patience, Worker
+from explorer.compute.ranking_progress import RankingProgress
+from explorer.compute.request_context import RequestContext
+from explorer.compute.worker import DelayedCall, Worker
 from explorer.explain_window import comparison, evidence, model_comparison, region, sweep_page
 from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.service import Laboratory
@@ -32,8 +32,8 @@ from explorer.panels.panels import THUMBS, Change, Panels
 from explorer.panels.viewport import Viewport
 from explorer.reports import Reporter
 from explorer.server import viser_compat
-from explorer.server.auth import Entry, entry, is_loopback
-from explorer.server.gateway import Guard
+from explorer.server.auth import Authenticator, entry, is_loopback
+from explorer.server.gateway import Gateway
 from explorer.session_state import SessionState
 from explorer.stage.cards import SHOWN
 from explorer.stage.scene import SCENE, Stage
@@ -84,7 +84,7 @@ class Visitor:
         task = next(iter(exhibit.tasks))
         state = SessionState(task, exhibit.spec.n_parts, query=exhibit.first, page=exhibit.first // THUMBS)
         self._state = exhibit.possible(state)
-        self._asker = Asker(exhibit.inference)
+        self._asker = RequestContext(exhibit.inference)
         self._analyst = Analyst(exhibit, self._asker.of(exhibit.model))
         with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
             self._dress(self._state)
@@ -106,8 +106,8 @@ class Visitor:
             shortcuts.add(client.gui, exhibit, self._panels, self.change, self._bridge, further)
             self._stage = Stage(client, exhibit, self._selected)
             self._worker = Worker(self._work, self._failed)
-            self._follower = Follower(self._panels.show_results, self._worker.wake)
-            self._opening = Patience(GREETING, self._worker.wake)
+            self._follower = RankingProgress(self._panels.show_results, self._worker.wake)
+            self._opening = DelayedCall(GREETING, self._worker.wake)
 
     def change(self, change: Change) -> None:
         """Replace the state by a pure function's result, and ask for an answer when it differs."""
@@ -171,7 +171,7 @@ class Visitor:
         )
 
     def _work(self) -> float | None:
-        slow = Patience(SLOW, self._panels.busy)
+        slow = DelayedCall(SLOW, self._panels.busy)
         try:
             answer = self._asker.newest(lambda: self._analyst.answer(self._state, SHOWN))
             self._sequence += 1
@@ -223,7 +223,7 @@ class App:
         MissingPackageError: when viser's page cannot be guarded.
     """
 
-    def __init__(self, exhibit: Exhibit, host: str, port: int, door: Entry | None = None) -> None:
+    def __init__(self, exhibit: Exhibit, host: str, port: int, door: Authenticator | None = None) -> None:
         _check_free(host, port)
         self.door = door or entry(host, None, False, ())
         conceal(self.door.token)
@@ -231,7 +231,7 @@ class App:
         viser_compat.install()
         make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
         with redirect_stdout(io.StringIO()):  # viser announces itself; people need one address, once
-            self.server = Guard(self.door).before(make)
+            self.server = Gateway(self.door).before(make)
         # Any page could otherwise ask for a public tunnel to this machine.
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False
@@ -277,7 +277,7 @@ def run(
     host: str = "127.0.0.1",
     port: int = 8080,
     beside: Path | None = None,
-    door: Entry | None = None,
+    door: Authenticator | None = None,
 ) -> None:
     """Open a model and a data set, serve the explorer, and print its address, until KeyboardInterrupt.
 
@@ -298,13 +298,13 @@ def run_saved(
     query: str | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
-    door: Entry | None = None,
+    door: Authenticator | None = None,
 ) -> None:
     """The same for a saved `pytorch_result.mat` of descriptors of `n_parts` parts, and the pictures it is of."""
     _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port, door)
 
 
-def _serve(opened: Callable[[], Exhibit], host: str, port: int, door: Entry | None) -> None:
+def _serve(opened: Callable[[], Exhibit], host: str, port: int, door: Authenticator | None) -> None:
     host = host or "0.0.0.0"
     _check_free(host, port)
     pool_memory()

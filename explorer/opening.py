@@ -10,7 +10,7 @@ import numpy as np
 from rich.console import Console
 
 import lpn
-from explorer.compute.ranking_job import Standing
+from explorer.compute.ranking_job import RankingJob
 from explorer.stage import gallery_geometry
 from explorer.workspace import Exhibit, Task
 from lpn import descriptors
@@ -109,7 +109,7 @@ def _task(
     query_labels, labels = given or own
     truth = None if given else dataset.truth(name)
     identity = f"{asked.identity} {tiles.identity}" if asked.identity and tiles.identity else ""
-    standing = Standing(Sides(asked.descriptors, tiles.descriptors, query_labels, labels, truth, identity), laid)
+    standing = RankingJob(Sides(asked.descriptors, tiles.descriptors, query_labels, labels, truth, identity), laid)
     with _saying(f"Ranking {len(gallery):,} pictures for {len(queries):,} queries, {name}"):
         standing.begin()
     return Task(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import viser
 
-from explorer.compute.background_jobs import GivenUpError, Job, Progress
+from explorer.compute.background_jobs import BackgroundJob, ReportProgress, WorkCancelledError
 from explorer.workspace import Answer, Exhibit, Task
 from lpn import report
 from lpn.analysis import notes
@@ -15,7 +15,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
 from lpn.models.base import Model
 
-Work = Callable[[Progress, Model | None], tuple[str, bytes]]
+Work = Callable[[ReportProgress, Model | None], tuple[str, bytes]]
 """Makes a report with a model: its file's name and contents."""
 
 
@@ -96,7 +96,7 @@ class Reporter:
 
     def __init__(self, client: viser.ClientHandle, model: Model | None) -> None:
         self._client, self._model, self._left = client, model, False
-        self._job: Job[None] | None = None
+        self._job: BackgroundJob[None] | None = None
 
     def make(self, work: Work) -> None:
         """Make a report, or give up the one that is being made."""
@@ -106,7 +106,7 @@ class Reporter:
         if job is not None and not job.wait(0):
             job.leave(self)
             return
-        self._job = Job(lambda progress: self._made(work, progress), self)
+        self._job = BackgroundJob(lambda progress: self._made(work, progress), self)
 
     def leave(self) -> None:
         """The browser is gone."""
@@ -114,7 +114,7 @@ class Reporter:
         if self._job is not None:
             self._job.leave(self)
 
-    def _made(self, work: Work, progress: Progress) -> None:
+    def _made(self, work: Work, progress: ReportProgress) -> None:
         shown = self._client.add_notification(
             "Making a report", "Ask again to cancel.", loading=True, auto_close_seconds=None
         )
@@ -127,7 +127,7 @@ class Reporter:
             name, contents = work(told, self._model)
         except Exception as error:
             text = f"{type(error).__name__}: the details are in the server's log."
-            if isinstance(error, GivenUpError):
+            if isinstance(error, WorkCancelledError):
                 text = "It was cancelled."
             elif isinstance(error, LPNError):
                 text = str(error)

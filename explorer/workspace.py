@@ -11,10 +11,10 @@ from threading import Lock
 import numpy as np
 
 from explorer import session_state
-from explorer.compute.cache import Kept
-from explorer.compute.inference_scheduler import Inference
-from explorer.compute.ranking_job import Found, Standing
-from explorer.compute.request_context import Asker, Shared
+from explorer.compute.cache import SingleFlightCache
+from explorer.compute.inference_scheduler import InferenceScheduler
+from explorer.compute.ranking_job import RankingJob, TaskRanking
+from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.session_state import TRUTH, SessionState
 from explorer.stage import gallery_geometry
 from explorer.stage.gallery_geometry import Places
@@ -65,10 +65,10 @@ class Task:
     asked: Float32Array
     descriptors: Float32Array
     places: Places | None
-    standing: Standing
+    standing: RankingJob
 
     @property
-    def found(self) -> Found | None:
+    def found(self) -> TaskRanking | None:
         """What became of all queries; None while they are being ranked."""
         return self.standing.found
 
@@ -80,7 +80,7 @@ class Task:
 
     @property
     def results(self) -> dict[str, float]:
-        """See `Found`; only where they are known."""
+        """See `TaskRanking`; only where they are known."""
         assert self.found is not None
         return self.found.results
 
@@ -107,7 +107,7 @@ class Exhibit:
         spec: how the descriptors' parts divide a picture.
         map_sizes: (h, w) of the feature map that is divided, for each view.
         model: None where descriptors were saved by another program: then queries are seen as they were saved only. Otherwise
-            all of its passes go through one queue; `inference.Asker` gives each browser its own way in.
+            all of its passes go through one queue; `inference.RequestContext` gives each browser its own way in.
         city: the 3-D model for the map.
         root: the data set's folder.
     """
@@ -127,15 +127,15 @@ class Exhibit:
         self.model_name, self.data_name = model_name, data_name
         self.tasks = {task.name: task for task in tasks}
         self.spec, self.map_sizes, self.city = spec, map_sizes, city
-        self.inference = Inference()
-        own = None if model is None else Shared(model, self.inference, Asker(self.inference))
-        self.model: Shared | None = own
+        self.inference = InferenceScheduler()
+        own = None if model is None else QueuedModel(model, self.inference, RequestContext(self.inference))
+        self.model: QueuedModel | None = own
         self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else model.describe()
         self.first = 0
         self.beside: Exhibit | None = None
         """Another model on the same data, to compare with."""
         self.part_names = self._part_names()
-        self._tiles: Kept[tuple[str, int], Described] = Kept(TILES)
+        self._tiles: SingleFlightCache[tuple[str, int], Described] = SingleFlightCache(TILES)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self.masks = lru_cache(maxsize=8)(self._make_masks)
@@ -163,7 +163,7 @@ class Exhibit:
         """(h, w) of the feature map of the task's queries."""
         return self.map_sizes[task.query_view]
 
-    def tile(self, task: Task, index: int, model: Shared | None = None) -> Described:
+    def tile(self, task: Task, index: int, model: QueuedModel | None = None) -> Described:
         """A gallery picture as the network sees it; kept, because many queries share their tiles.
 
         Args:
@@ -200,7 +200,7 @@ class Exhibit:
         names = [self.spec.partition(view).names() for view in self.spec.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
 
-    def _describe_tile(self, task: Task, index: int, model: Shared | None) -> Described:
+    def _describe_tile(self, task: Task, index: int, model: QueuedModel | None) -> Described:
         picture = images.load_picture(task.gallery[index].path)
         if model is None:
             return Described(picture, task.descriptors[index], None, None)
@@ -257,7 +257,7 @@ class Analyst:
         model: the browser's own way to the exhibit's model, by default the exhibit's.
     """
 
-    def __init__(self, exhibit: Exhibit, model: Shared | None = None) -> None:
+    def __init__(self, exhibit: Exhibit, model: QueuedModel | None = None) -> None:
         self._exhibit, self._model = exhibit, model or exhibit.model
         self._asked = (
             None if self._model is None else self._model.replaceable()
@@ -277,7 +277,7 @@ class Analyst:
 
         Raises:
             BusyError: when the network has too much to do; the same state can be asked for again.
-            MovedError: when another state is wanted, see `inference.Asker.newest`.
+            SupersededError: when another state is wanted, see `inference.RequestContext.newest`.
             LPNError: when it cannot be answered.
         """
         started = time.perf_counter()

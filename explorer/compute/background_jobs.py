@@ -17,15 +17,15 @@ from lpn.core.errors import LPNError
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
-Progress = Callable[[int, int], None]
-"""Told how much is done, and of how much; (0, 0) where that cannot be said. Raises `GivenUpError` when nobody waits."""
+ReportProgress = Callable[[int, int], None]
+"""Told how much is done, and of how much; (0, 0) where that cannot be said. Raises `WorkCancelledError` when nobody waits."""
 
 
-class GivenUpError(Exception):
+class WorkCancelledError(Exception):
     """Nobody waits for the work any longer."""
 
 
-class Job(Generic[T]):
+class BackgroundJob(Generic[T]):
     """Work on a thread of its own.
 
     Attributes:
@@ -34,7 +34,7 @@ class Job(Generic[T]):
         flaw: one sentence why there is none, or None.
     """
 
-    def __init__(self, work: Callable[[Progress], T], who: object) -> None:
+    def __init__(self, work: Callable[[ReportProgress], T], who: object) -> None:
         self._work, self._waiting, self._lock = work, {id(who)}, threading.Lock()
         self._finished, self._given_up = threading.Event(), False
         self.done, self.total = 0, 0
@@ -73,12 +73,12 @@ class Job(Generic[T]):
     def _progress(self, done: int, total: int) -> None:
         self.done, self.total = done, total
         if self._given_up:
-            raise GivenUpError
+            raise WorkCancelledError
 
     def _run(self) -> None:
         try:
             self.value = self._work(self._progress)
-        except GivenUpError:
+        except WorkCancelledError:
             self.flaw = "It was cancelled."
         except LPNError as error:
             self.flaw = str(error)
@@ -88,20 +88,20 @@ class Job(Generic[T]):
         self._finished.set()
 
 
-class Jobs:
+class BackgroundJobs:
     """One job for each kind of work. One that was given up is begun anew when it is asked for again; one that failed, once it
     is forgotten."""
 
     def __init__(self) -> None:
-        self._jobs: dict[Hashable, Job[Any]] = {}
+        self._jobs: dict[Hashable, BackgroundJob[Any]] = {}
         self._lock = threading.Lock()
 
-    def ask(self, key: Hashable, who: object, work: Callable[[Progress], T]) -> Job[T]:
+    def ask(self, key: Hashable, who: object, work: Callable[[ReportProgress], T]) -> BackgroundJob[T]:
         """The job of a key, joined or begun."""
         with self._lock:
             job = self._jobs.get(key)
             if job is None or not job.join(who):
-                job = self._jobs[key] = Job(work, who)
+                job = self._jobs[key] = BackgroundJob(work, who)
             return job
 
     def forget(self, key: Hashable) -> None:
@@ -119,7 +119,7 @@ class Jobs:
                     job.leave(who)
 
 
-def in_process(progress: Progress, function: Callable[..., T], *arguments: object) -> T:
+def in_process(progress: ReportProgress, function: Callable[..., T], *arguments: object) -> T:
     """Call a function in a process of its own, which is ended when `progress` raises: some work cannot be stopped otherwise.
 
     Args:

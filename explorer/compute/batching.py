@@ -15,19 +15,19 @@ from lpn.core.views import View
 from lpn.models.base import Model, Pass
 
 if TYPE_CHECKING:
-    from explorer.compute.request_context import Asker
+    from explorer.compute.request_context import RequestContext
 
 
-class MovedError(Exception):
+class SupersededError(Exception):
     """Another answer is wanted in place of the one that was asked for."""
 
 
-class Request:
+class InferenceRequest:
     """Pictures (B, 3, H, W) of one view that wait for their pass."""
 
     def __init__(
         self,
-        asker: Asker,
+        asker: RequestContext,
         model: Model,
         images: Float32Array,
         view: View,
@@ -59,7 +59,7 @@ class Request:
         return self._found
 
 
-def together(waiting: list[Request]) -> list[Request]:
+def together(waiting: list[InferenceRequest]) -> list[InferenceRequest]:
     """The oldest request, and what can be computed with it."""
     batch, size = waiting[:1], len(waiting[0].images) if waiting else 0
     for request in waiting[1:]:
@@ -78,7 +78,7 @@ def told(error: BaseException) -> Exception:
     )
 
 
-def compute(batch: list[Request]) -> None:
+def compute(batch: list[InferenceRequest]) -> None:
     """Run a batch, and hand each request its rows. Where several fail, each is tried alone: what is wrong with one is not
     wrong with the others."""
     first = batch[0]

@@ -11,7 +11,7 @@ K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
 
-class Kept(Generic[K, V]):
+class SingleFlightCache(Generic[K, V]):
     """The values used last, at most `most`; thread-safe. Several who want one that is not there have it made once.
 
     `functools.lru_cache` would make it for each of them, and knows no way to say who asks.

@@ -17,15 +17,15 @@ from collections.abc import Callable, Iterable
 from itertools import count
 from typing import TYPE_CHECKING
 
-from explorer.compute.background_jobs import GivenUpError
-from explorer.compute.batching import MovedError, Request, compute, together, told
+from explorer.compute.background_jobs import WorkCancelledError
+from explorer.compute.batching import InferenceRequest, SupersededError, compute, together, told
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
 from lpn.core.views import View
 from lpn.models.base import Heads, Model, Pass
 
 if TYPE_CHECKING:
-    from explorer.compute.request_context import Asker
+    from explorer.compute.request_context import RequestContext
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +45,7 @@ class BusyError(LPNError):
     """More answers wait than there is room for."""
 
 
-class Inference:
+class InferenceScheduler:
     """The queue, and the one thread that computes what waits in it.
 
     A pass has at most `Model.batch` pictures, four of an exported model, which is two browsers' pictures with their mirrors:
@@ -60,14 +60,14 @@ class Inference:
     def __init__(self, room: int = ROOM, clock: Callable[[], float] = time.monotonic) -> None:
         self._room, self._clock = room, clock
         self._changed = threading.Condition()
-        self._answers: list[Request] = []
-        self._long: list[Request] = []
+        self._answers: list[InferenceRequest] = []
+        self._long: list[InferenceRequest] = []
         self._passed_over = 0
         """Passes since long work had its turn, while some waits."""
-        self._refused: dict[Asker, float] = {}
+        self._refused: dict[RequestContext, float] = {}
         """Who was refused, the first first, and until when a place is kept."""
         self._places = count()
-        self._held: dict[Asker, int] = {}
+        self._held: dict[RequestContext, int] = {}
         """The places of those who were told that another answer is wanted, and have not asked for it yet."""
         self._thread: threading.Thread | None = None
         self._heads: dict[tuple[Model, View], Heads] = {}
@@ -89,7 +89,7 @@ class Inference:
 
     def ask(
         self,
-        asker: Asker,
+        asker: RequestContext,
         model: Model,
         images: Float32Array,
         view: View,
@@ -100,13 +100,13 @@ class Inference:
 
         Raises:
             BusyError: when too many answers wait.
-            MovedError: when it is replaceable, and the asker has moved on.
-            GivenUpError: when the asker has left.
+            SupersededError: when it is replaceable, and the asker has moved on.
+            WorkCancelledError: when the asker has left.
         """
-        request = Request(asker, model, images, view, patient, replaceable, self._clock())
+        request = InferenceRequest(asker, model, images, view, patient, replaceable, self._clock())
         with self._changed:
             if asker.left:
-                raise GivenUpError
+                raise WorkCancelledError
             if patient:
                 self._long.append(request)
             else:
@@ -124,8 +124,8 @@ class Inference:
             self._changed.notify_all()
         return request.wait()
 
-    def drop(self, asker: Asker) -> None:
-        """Take out of the queue what an asker waits for; see `Asker.leave`."""
+    def drop(self, asker: RequestContext) -> None:
+        """Take out of the queue what an asker waits for; see `RequestContext.leave`."""
         with self._changed:
             asker.left = True
             self._refused.pop(asker, None)
@@ -133,9 +133,9 @@ class Inference:
             dropped = [request for request in (*self._answers, *self._long) if request.asker is asker]
             self._take(dropped)
         for request in dropped:
-            request.end(error=GivenUpError())
+            request.end(error=WorkCancelledError())
 
-    def free(self, asker: Asker) -> None:
+    def free(self, asker: RequestContext) -> None:
         """Give the place of an asker back that was to ask for another answer."""
         with self._changed:
             self._held.pop(asker, None)
@@ -145,7 +145,7 @@ class Inference:
         thread.start()
         self._thread = thread
 
-    def _admit(self, asker: Asker) -> None:
+    def _admit(self, asker: RequestContext) -> None:
         """Raise BusyError unless there is room beside those who were refused before."""
         now = self._clock()
         self._refused = {one: until for one, until in self._refused.items() if until > now}
@@ -179,11 +179,11 @@ class Inference:
                 batch = self._next()
                 moved = self._moved()
             for request in moved:  # what is wanted instead is prepared during the pass
-                request.end(error=MovedError())
+                request.end(error=SupersededError())
             compute(batch)
             del batch  # its pictures would stay until the next
 
-    def _next(self) -> list[Request]:
+    def _next(self) -> list[InferenceRequest]:
         """The oldest request of those whose turn it is, and what can be computed with it."""
         long = not self._answers or (bool(self._long) and self._passed_over >= TURN - 1)
         self._passed_over = self._passed_over + 1 if self._long and not long else 0
@@ -192,7 +192,7 @@ class Inference:
         self._take(batch)
         return batch
 
-    def _moved(self) -> list[Request]:
+    def _moved(self) -> list[InferenceRequest]:
         """Those of the next pass of answers that are not wanted as they are, taken out; their places are held."""
         now = self._clock()
         moved = [one for one in together(self._answers) if one.replaceable and one.asker.calls_off(now - one.since)]
@@ -200,6 +200,6 @@ class Inference:
         self._held.update((request.asker, request.place) for request in moved)
         return moved
 
-    def _take(self, requests: Iterable[Request]) -> None:
+    def _take(self, requests: Iterable[InferenceRequest]) -> None:
         for request in requests:
             (self._long if request.patient else self._answers).remove(request)

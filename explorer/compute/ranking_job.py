@@ -7,7 +7,7 @@ import sys
 import threading
 from dataclasses import dataclass
 
-from explorer.compute.background_jobs import Job, Jobs, Progress
+from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from explorer.stage.gallery_geometry import Places
 from lpn.core.errors import LPNError
 from lpn.retrieval import ranking_cache
@@ -20,7 +20,7 @@ QUICK = 20_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class TaskRanking:
     """What became of all queries of a task.
 
     Attributes:
@@ -32,7 +32,7 @@ class Found:
     results: dict[str, float]
 
 
-class Standing:
+class RankingJob:
     """Ranks a task's queries; thread-safe.
 
     Args:
@@ -41,9 +41,9 @@ class Standing:
 
     def __init__(self, sides: Sides, places: Places | None) -> None:
         self._sides, self._places = sides, places
-        self._ranking, self._jobs, self._turn = Progressing(sides), Jobs(), threading.Lock()
-        self._job: Job[Found] | None = None
-        self.found: Found | None = None
+        self._ranking, self._jobs, self._turn = Progressing(sides), BackgroundJobs(), threading.Lock()
+        self._job: BackgroundJob[TaskRanking] | None = None
+        self.found: TaskRanking | None = None
         """None until all are ranked."""
 
     def begin(self) -> None:
@@ -65,7 +65,7 @@ class Standing:
         job = self._job
         return "" if job is None or job.given_up else job.flaw or ""
 
-    def ask(self, who: object) -> Job[Found]:
+    def ask(self, who: object) -> BackgroundJob[TaskRanking]:
         """Wait for the ranking, begun or gone on with; a ranking that nobody waits for stands still."""
         self._job = job = self._jobs.ask("ranking", who, self._rank)
         return job
@@ -74,7 +74,7 @@ class Standing:
         """Wait for it no longer."""
         self._jobs.leave(who)
 
-    def wait(self, who: object, progress: Progress) -> Found:
+    def wait(self, who: object, progress: ReportProgress) -> TaskRanking:
         """What became of the queries, waited for.
 
         Args:
@@ -95,7 +95,7 @@ class Standing:
             self.leave(who)
         return self.found
 
-    def _rank(self, progress: Progress) -> Found:
+    def _rank(self, progress: ReportProgress) -> TaskRanking:
         if sys.platform == "linux":  # there, a thread has a niceness of its own: what a browser asks for goes first
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
         with self._turn:  # one that was given up may still be at its last block
@@ -104,8 +104,8 @@ class Standing:
         self.found = self._told(ranking)
         return self.found
 
-    def _told(self, ranking: Retrieval) -> Found:
+    def _told(self, ranking: Retrieval) -> TaskRanking:
         near: dict[str, float] = {}
         if self._places is not None:
             near = error_shares(self._places.errors(ranking.best))
-        return Found(ranking, ranking.figures() | near)
+        return TaskRanking(ranking, ranking.figures() | near)

@@ -11,7 +11,7 @@ _OFTEN = 0.5
 """Seconds between two looks at how far it is."""
 
 
-class Follower:
+class RankingProgress:
     """Waits on a thread of its own for the rankings of the tasks that are shown, which begins them.
 
     Args:

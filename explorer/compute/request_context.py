@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from explorer.compute.batching import MovedError, joined
-from explorer.compute.inference_scheduler import Inference
+from explorer.compute.batching import SupersededError, joined
+from explorer.compute.inference_scheduler import InferenceScheduler
 from lpn.core.arrays import Float32Array
 from lpn.core.views import View
 from lpn.models.base import Heads, Model, Pass
@@ -17,36 +17,36 @@ STALE = 0.2
 """Seconds that an answer must have waited before another is asked for in its place: preparing that one takes time, too."""
 
 
-class Asker:
+class RequestContext:
     """One who asks, such as a browser; what it asks for is dropped when it leaves.
 
     Attributes:
         left: whether it is gone.
     """
 
-    def __init__(self, inference: Inference) -> None:
+    def __init__(self, inference: InferenceScheduler) -> None:
         self._inference = inference
         self.left = False
         self._moved = False
         self._once = False
         """Whether what it waits for may be called off: once in an answer, or who moves on and on would never have one."""
 
-    def of(self, model: Shared | None, patient: bool = False) -> Shared | None:
+    def of(self, model: QueuedModel | None, patient: bool = False) -> QueuedModel | None:
         """A model for this one to ask, None for None.
 
         Args:
             patient: for long work, which lets answers go before it and is never refused.
         """
-        return None if model is None else Shared(model.own, self._inference, self, patient)
+        return None if model is None else QueuedModel(model.own, self._inference, self, patient)
 
     def newest(self, answer: Callable[[], T]) -> T:
         """What `answer` makes of the newest state, which it reads itself; where `moved` is called before the turn of its
-        `Shared.replaceable` passes has come, it is called again, in the same place of the queue."""
+        `QueuedModel.replaceable` passes has come, it is called again, in the same place of the queue."""
         self._moved, self._once = False, True
         try:
             try:
                 return answer()
-            except MovedError:
+            except SupersededError:
                 return answer()
         finally:
             self._once = False
@@ -63,11 +63,11 @@ class Asker:
         return off
 
     def leave(self) -> None:
-        """It is gone: what it waits for is not computed any more, and raises GivenUpError; and so does what it asks later."""
+        """It is gone: what it waits for is not computed any more, and raises WorkCancelledError; and so does what it asks later."""
         self._inference.drop(self)
 
 
-class Shared(Model):
+class QueuedModel(Model):
     """A model whose passes wait their turn in a queue; for everything that is not a pass, the model itself.
 
     Attributes:
@@ -75,23 +75,28 @@ class Shared(Model):
     """
 
     def __init__(
-        self, own: Model, inference: Inference, asker: Asker, patient: bool = False, replaceable: bool = False
+        self,
+        own: Model,
+        inference: InferenceScheduler,
+        asker: RequestContext,
+        patient: bool = False,
+        replaceable: bool = False,
     ) -> None:
         self.own, self._inference, self._asker, self._patient = own, inference, asker, patient
         self._replaceable = replaceable
         self.spec, self.fingerprint, self.compute, self.batch = own.spec, own.fingerprint, own.compute, own.batch
 
-    def replaceable(self) -> Shared:
-        """The same for passes that are of one state alone: MovedError where another is wanted meanwhile, see `Asker.newest`."""
-        return Shared(self.own, self._inference, self._asker, self._patient, replaceable=True)
+    def replaceable(self) -> QueuedModel:
+        """The same for passes that are of one state alone: SupersededError where another is wanted meanwhile, see `RequestContext.newest`."""
+        return QueuedModel(self.own, self._inference, self._asker, self._patient, replaceable=True)
 
     def run(self, images: Float32Array, view: View) -> Pass:
         """One pass of pictures (B, 3, H, W), waited for; more pictures than one pass has are several.
 
         Raises:
             BusyError: when too many answers wait.
-            MovedError: see `replaceable`.
-            GivenUpError: when who asks has left.
+            SupersededError: see `replaceable`.
+            WorkCancelledError: when who asks has left.
             LPNError: as the model does.
         """
         size = max(self.batch, 1)

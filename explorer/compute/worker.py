@@ -11,7 +11,7 @@ from lpn.core.errors import LPNError
 log = logging.getLogger(__name__)
 
 
-class Patience:
+class DelayedCall:
     """Calls `tell`, once, when it is not told within some seconds that what was waited for is there."""
 
     def __init__(self, seconds: float, tell: Callable[[], None]) -> None:

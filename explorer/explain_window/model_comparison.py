@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from explorer.compute.request_context import Asker
+from explorer.compute.request_context import RequestContext
 from explorer.explain_window import evidence
 from explorer.panels.pages import SIGNS
 from explorer.session_state import SessionState
@@ -24,7 +24,7 @@ _SHOWN, _LISTED, _HEIGHT = 5, 8, 240
 class ModelComparison:
     """Answers one browser's states with the second model."""
 
-    def __init__(self, other: Exhibit, asker: Asker) -> None:
+    def __init__(self, other: Exhibit, asker: RequestContext) -> None:
         self._other, self._analyst = other, Analyst(other, asker.of(other.model, patient=True))
 
     def page(self, answer: Answer, exhibit: Exhibit) -> str:

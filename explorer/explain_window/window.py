@@ -10,7 +10,7 @@ from typing import Any
 import viser
 
 from explorer import reports, session_state
-from explorer.compute.request_context import Asker
+from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import Worker
 from explorer.explain_window import comparison, evidence, region, sweep_page
 from explorer.explain_window.comparison import Comparison
@@ -52,7 +52,7 @@ class ExplainWindow:
         failed: Callable[[Exception], None],
         room: Viewport,
         reporter: Reporter,
-        asker: Asker,
+        asker: RequestContext,
     ) -> None:
         self._client, self._exhibit, self._change, self._room = client, exhibit, change, room
         self._reporter, self._model = reporter, asker.of(exhibit.model, patient=True)

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from explorer.compute.background_jobs import Job, Jobs, Progress, in_process
+from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, in_process
 from explorer.workspace import Exhibit, Task
 from lpn.analysis import embedding_map, notes, query_outcomes
 from lpn.analysis.notes import Note
@@ -63,7 +63,7 @@ class Laboratory:
     """Tables and maps of an exhibit's tasks; thread-safe."""
 
     def __init__(self, exhibit: Exhibit) -> None:
-        self._exhibit, self._jobs, self._lock = exhibit, Jobs(), threading.Lock()
+        self._exhibit, self._jobs, self._lock = exhibit, BackgroundJobs(), threading.Lock()
         self._findings: dict[str, Findings] = {}
         self.notes = exhibit.root / notes.NAME
 
@@ -76,11 +76,11 @@ class Laboratory:
         """A task's table with the newest notes, None before it is made."""
         return self._findings.get(task)
 
-    def build(self, task: str, who: object) -> Job[None]:
+    def build(self, task: str, who: object) -> BackgroundJob[None]:
         """Make a task's table."""
         return self._jobs.ask(task, who, lambda progress: self._build(self._exhibit.tasks[task], progress))
 
-    def points(self, kind: MapKind, task: str, who: object) -> Job[Points]:
+    def points(self, kind: MapKind, task: str, who: object) -> BackgroundJob[Points]:
         """Make a map of a task; `ground` only where the task has places."""
         return self._jobs.ask(
             (kind, task), who, lambda progress: self._points(kind, self._exhibit.tasks[task], progress)
@@ -106,7 +106,7 @@ class Laboratory:
                 table = found.table.plus(notes.columns(said, found.table.paths))
                 self._findings[name] = replace(found, table=table, flaw="")
 
-    def _build(self, task: Task, progress: Progress) -> None:
+    def _build(self, task: Task, progress: ReportProgress) -> None:
         progress(0, len(task.queries))
         ranking = task.standing.wait(self, progress).ranking
         outcomes = query_outcomes.outcomes_of(ranking, task.asked, task.descriptors)
@@ -123,7 +123,7 @@ class Laboratory:
         except LPNError as error:  # no reason to show no table
             return {}, str(error)
 
-    def _points(self, kind: MapKind, task: Task, progress: Progress) -> Points:
+    def _points(self, kind: MapKind, task: Task, progress: ReportProgress) -> Points:
         if kind == "ground":
             assert task.places is not None
             queries = geo.on_plane(task.places.queries, task.places.origin)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from explorer.compute.background_jobs import Job
+from explorer.compute.background_jobs import BackgroundJob
 from explorer.failure_lab.lab_state import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
 from explorer.failure_lab.service import Findings
 from explorer.panels.pages import SIGNS
@@ -151,7 +151,7 @@ def message(text: str, good: bool) -> str:
     )
 
 
-def waiting(job: Job[Any] | None, what: str, cancelled: bool, key: str) -> str:
+def waiting(job: BackgroundJob[Any] | None, what: str, cancelled: bool, key: str) -> str:
     """How far some work is, with cancel; why there is no result, with another try; or that it was cancelled."""
     if cancelled:
         body = f"<div>{escape(what)} was cancelled. <a class='link' {send('lab-go', key)}>Go on</a></div>"

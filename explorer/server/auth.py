@@ -28,7 +28,7 @@ _PORTS = {"http": "80", "https": "443"}
 
 
 @dataclass(frozen=True)
-class Request:
+class HttpRequest:
     """What is looked at of a request.
 
     Attributes:
@@ -66,7 +66,7 @@ class Refusal:
 
 
 @dataclass(frozen=True)
-class Onward:
+class Redirect:
     """A page that leads to `location` at once, relative to the address asked for.
 
     A redirect would not do: browsers keep a cookie of the same site to themselves while they follow one from another site.
@@ -79,7 +79,7 @@ class Onward:
     sign_in: bool
 
 
-class Entry:
+class Authenticator:
     """The rules of one server.
 
     Args:
@@ -108,7 +108,7 @@ class Entry:
         self.pass_key = secrets.token_urlsafe(32)
         """What a browser's cookie must hold: of this run only, and nothing that the token could be guessed from."""
 
-    def check(self, request: Request, port: int) -> Refusal | Onward | None:
+    def check(self, request: HttpRequest, port: int) -> Refusal | Redirect | None:
         """What to answer in place of the page or the websocket; None to let it in.
 
         Args:
@@ -132,11 +132,11 @@ class Entry:
             )
         return None if self.token is None else self._signed_in(request, query, port)
 
-    def guessed_at(self, request: Request) -> bool:
+    def guessed_at(self, request: HttpRequest) -> bool:
         """Whether a request gives a token, right or wrong."""
         return self.token is not None and bool(_values(request.path.partition("?")[2], "token"))
 
-    def cookie(self, request: Request, port: int) -> str:
+    def cookie(self, request: HttpRequest, port: int) -> str:
         """The Set-Cookie header of a browser that brought the token; it holds until the browser is closed."""
         secure = "; Secure" if request.one("x-forwarded-proto").lower() == "https" else ""
         return f"{_cookie(port)}={self.pass_key}; HttpOnly; SameSite=Strict{secure}"
@@ -159,18 +159,18 @@ class Entry:
             f"It was asked for as {shown}. If that name is right, start it again with --allow-host {name or 'NAME'}.",
         )
 
-    def _signed_in(self, request: Request, query: str, port: int) -> Refusal | Onward | None:
+    def _signed_in(self, request: HttpRequest, query: str, port: int) -> Refusal | Redirect | None:
         # Every cookie is compared, and both kinds by digests: how long it takes says nothing of how much is right.
         held = [_same(value, self.pass_key) for value in _cookies(request, _cookie(port))]
         given = _values(query, "token")
         if given and _same(given[0], self.token or ""):
-            return None if request.upgrade else Onward(_without_token(request.path), True)
+            return None if request.upgrade else Redirect(_without_token(request.path), True)
         if any(held):
-            return Onward(_without_token(request.path), False) if given and not request.upgrade else None
+            return Redirect(_without_token(request.path), False) if given and not request.upgrade else None
         if given:
             return Refusal(403, "Wrong token", _HOW, guessed=True, ask=True)
         if _from_elsewhere(request):
-            return Onward(_without_token(request.path), False)
+            return Redirect(_without_token(request.path), False)
         return Refusal(401, "A token is needed", _HOW, ask=True)
 
 
@@ -182,7 +182,7 @@ _HOW = (
 
 def entry(
     host: str, token: str | None, ask: bool, allowed: Sequence[str], environ: Mapping[str, str] | None = None
-) -> Entry:
+) -> Authenticator:
     """The rules for an address: a token on any but this machine's own, and wherever one is given or asked for.
 
     Args:
@@ -200,8 +200,8 @@ def entry(
             )
         token = found
     if token is None and (ask or not is_loopback(host)):
-        return Entry(host, secrets.token_urlsafe(32), allowed, told=True)
-    return Entry(host, token, allowed)
+        return Authenticator(host, secrets.token_urlsafe(32), allowed, told=True)
+    return Authenticator(host, token, allowed)
 
 
 def is_loopback(host: str) -> bool:
@@ -256,7 +256,7 @@ def _elsewhere(query: str, host: str) -> str | None:
     return None
 
 
-def _from_elsewhere(request: Request) -> bool:
+def _from_elsewhere(request: HttpRequest) -> bool:
     """Whether a link on another site was followed: the browser keeps its cookie to itself then, once."""
     told = [request.one(f"sec-fetch-{what}") for what in ("site", "mode", "dest")]
     return not request.upgrade and told == ["cross-site", "navigate", "document"]
@@ -276,7 +276,7 @@ def _cookie(port: int) -> str:
     return f"lpn-{port}"
 
 
-def _cookies(request: Request, name: str) -> list[str]:
+def _cookies(request: HttpRequest, name: str) -> list[str]:
     pairs = (pair.strip().partition("=") for header in request.headers.get("cookie", ()) for pair in header.split(";"))
     return [value for key, _, value in pairs if key == name][:20]
 

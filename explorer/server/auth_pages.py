@@ -8,7 +8,7 @@ from html import escape
 from websockets.datastructures import Headers
 from websockets.http11 import Response
 
-from explorer.server.auth import Onward, Refusal
+from explorer.server.auth import Redirect, Refusal
 
 _BARE = "form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
 _STYLE = (
@@ -28,7 +28,7 @@ def refused(refusal: Refusal) -> Response:
     return _html(refusal.status, refusal.title, body)
 
 
-def led_on(onward: Onward, cookie: str) -> Response:
+def led_on(onward: Redirect, cookie: str) -> Response:
     """A page that goes on by itself.
 
     Args:

@@ -1,7 +1,7 @@
 """Stands in front of viser's page and websocket: nothing of a request or message reaches viser before it was looked at.
 
 viser 1.1.1 hands its page, its websocket's handler, and its limits to `websockets.asyncio.server.serve`, and offers no place
-for a check of its own. While it does so, `Guard.before` gives it another `serve`, which puts the checks in front; viser's own
+for a check of its own. While it does so, `Gateway.before` gives it another `serve`, which puts the checks in front; viser's own
 code is not changed, and where it does otherwise than expected nobody is let in.
 """
 
@@ -23,19 +23,19 @@ import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CTRL_OPCODES, Frame
-from websockets.http11 import Request as WebRequest
+from websockets.http11 import Request as WebsocketRequest
 from websockets.http11 import Response
 from websockets.protocol import CONNECTING, Event
 
-from explorer.server.auth import Entry, Onward, Refusal, Request
+from explorer.server.auth import Authenticator, HttpRequest, Redirect, Refusal
 from explorer.server.auth_pages import led_on, refused
-from explorer.server.message_filter import MESSAGE_BYTES, Allowance, Inbox, UnfitError, strange
-from explorer.server.rate_limiter import Turnstile
+from explorer.server.message_filter import MESSAGE_BYTES, MessageFilter, RejectedMessageError, TokenBucket, strange
+from explorer.server.rate_limiter import RateLimiter
 from lpn.core.errors import MissingPackageError
 
 log = logging.getLogger(__name__)
 
-Page = Callable[[ServerConnection, WebRequest], Any]
+Page = Callable[[ServerConnection, WebsocketRequest], Any]
 
 HALF_OPEN, ALL_HALF_OPEN = 64, 256
 """Connections whose request is not answered yet, of one address and of all; each has 10 s for it."""
@@ -57,7 +57,7 @@ _UNREADABLE = Refusal(400, "This cannot be answered", "What was asked for is no 
 _BROKEN = Refusal(503, "The server is not ready", "Its parts do not fit together; its log says more.")
 
 
-class Guard:
+class Gateway:
     """The guard of one server.
 
     Args:
@@ -67,9 +67,9 @@ class Guard:
         MissingPackageError: when viser is not one that the guard knows.
     """
 
-    def __init__(self, entry: Entry) -> None:
+    def __init__(self, entry: Authenticator) -> None:
         self.entry = entry
-        self._turnstile = Turnstile()
+        self._turnstile = RateLimiter()
         self._served = False
         if found := strange(viser_messages):
             raise _unknown(", ".join(found))
@@ -108,7 +108,9 @@ class Guard:
             **settings,
         )
 
-    async def _answer(self, page: Page | None, connection: ServerConnection, asked: WebRequest) -> Response | None:
+    async def _answer(
+        self, page: Page | None, connection: ServerConnection, asked: WebsocketRequest
+    ) -> Response | None:
         """The answer to a request; None to go on to the websocket."""
         try:
             return await self._judged(page, connection, asked)
@@ -116,7 +118,9 @@ class Guard:
             log.info("Refused a request: %s", _said(error))
             return refused(_UNREADABLE)
 
-    async def _judged(self, page: Page | None, connection: ServerConnection, asked: WebRequest) -> Response | None:
+    async def _judged(
+        self, page: Page | None, connection: ServerConnection, asked: WebsocketRequest
+    ) -> Response | None:
         if page is None:
             return refused(_BROKEN)
         port = int(connection.local_address[1])
@@ -124,7 +128,7 @@ class Guard:
         if self.entry.guessed_at(request) and self._turnstile.full(request.address):
             return refused(_BUSY)
         found = self.entry.check(request, port)
-        if isinstance(found, Onward):
+        if isinstance(found, Redirect):
             return led_on(found, self.entry.cookie(request, port))
         if found is not None:
             log.debug("Refused %s, %d: %s", request.address, found.status, found.title)
@@ -163,8 +167,8 @@ class _Connection(ServerConnection):
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
-        self._inbox = Inbox()
-        self._idle = Allowance(IDLE_RATE, IDLE_BURST)
+        self._inbox = MessageFilter()
+        self._idle = TokenBucket(IDLE_RATE, IDLE_BURST)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Somebody connects; it ends at once where too many wait for their answer, so that files can still be opened."""
@@ -182,7 +186,7 @@ class _Connection(ServerConnection):
 
     def called(self, number: int) -> None:
         """Give the browser its number, which viser counts in the same way."""
-        self._inbox = Inbox(number=number)
+        self._inbox = MessageFilter(number=number)
 
     async def recv(self, decode: bool | None = None) -> Any:
         """The next message that fits, as bytes."""
@@ -204,7 +208,7 @@ async def _attended(
         connection.called(number)
     try:
         await handler(connection)
-    except UnfitError as error:
+    except RejectedMessageError as error:
         log.info("Browser %d sent %s; closed its connection", number, error)
         await connection.close(1007, "no message")
     except ConnectionClosed:
@@ -233,12 +237,12 @@ def _said(error: Exception) -> str:
     return f"{type(error).__name__}: {str(error)[:200]!r}"
 
 
-def _read(connection: ServerConnection, asked: WebRequest) -> Request:
+def _read(connection: ServerConnection, asked: WebsocketRequest) -> HttpRequest:
     headers: dict[str, list[str]] = {}
     for name, value in asked.headers.raw_items():
         headers.setdefault(name.lower(), []).append(value)
     upgrade = any("websocket" in value.lower() for value in headers.get("upgrade", ()))
-    return Request(asked.path, headers, upgrade, _address(connection))
+    return HttpRequest(asked.path, headers, upgrade, _address(connection))
 
 
 def _address(connection: ServerConnection) -> str:

@@ -33,7 +33,7 @@ _NUMBER = 1e12
 Check = Callable[[Any], bool]
 
 
-class UnfitError(Exception):
+class RejectedMessageError(Exception):
     """What came is no message of viser's protocol; the connection is of no use."""
 
 
@@ -120,7 +120,7 @@ def strange(messages: object) -> list[str]:
     ]
 
 
-class Allowance:
+class TokenBucket:
     """So many a second for long, and so many at once."""
 
     def __init__(self, rate: float, burst: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -144,7 +144,7 @@ class _Upload:
     parts: set[int]
 
 
-class Inbox:
+class MessageFilter:
     """Reads the messages of one browser. Used from one thread.
 
     Args:
@@ -156,7 +156,7 @@ class Inbox:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic, number: int = 0) -> None:
         self._number = number
-        self._allowance = Allowance(RATE, BURST, clock)
+        self._allowance = TokenBucket(RATE, BURST, clock)
         self._uploads: dict[str, _Upload] = {}
         self.dropped = 0
 
@@ -168,16 +168,16 @@ class Inbox:
         """The message as viser may have it, or None for one that is dropped.
 
         Raises:
-            UnfitError: when it is no message at all, or the last part of an upload of another size than was said.
+            RejectedMessageError: when it is no message at all, or the last part of an upload of another size than was said.
         """
         if not isinstance(raw, bytes):
-            raise UnfitError("text, where messages are bytes")
+            raise RejectedMessageError("text, where messages are bytes")
         try:
             message = msgspec.msgpack.decode(raw)
         except (ValueError, RecursionError) as error:
-            raise UnfitError("bytes that are no message") from error
+            raise RejectedMessageError("bytes that are no message") from error
         if not isinstance(message, dict) or not isinstance(message.get("type"), str):
-            raise UnfitError("bytes that are no message")
+            raise RejectedMessageError("bytes that are no message")
         kind = message.pop("type")
         fields = FIELDS.get(kind)
         fits = fields is not None and set(message) == set(fields) and all(fields[key](message[key]) for key in fields)
@@ -218,6 +218,6 @@ class Inbox:
         left.parts.remove(message["part_index"])
         if not left.parts:
             if left.size:
-                raise UnfitError("an upload of another size than it said")
+                raise RejectedMessageError("an upload of another size than it said")
             del self._uploads[message["transfer_uuid"]]
         return True

@@ -17,7 +17,7 @@ KEPT = 1000
 """Addresses that are remembered; beyond, the oldest are forgotten."""
 
 
-class Turnstile:
+class RateLimiter:
     """Counts wrong tokens by address. Used from one thread.
 
     A right token is never made to wait. While WAITING wrong ones of an address wait, further tokens of that address

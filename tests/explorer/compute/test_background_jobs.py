@@ -9,22 +9,28 @@ import time
 
 import pytest
 
-from explorer.compute.background_jobs import GivenUpError, Job, Jobs, Progress, in_process
+from explorer.compute.background_jobs import (
+    BackgroundJob,
+    BackgroundJobs,
+    ReportProgress,
+    WorkCancelledError,
+    in_process,
+)
 from explorer.failure_lab import table
 from lpn.analysis import notes
 from lpn.core.errors import InputError, LPNError
 
 
 def test_work_ends_when_the_last_one_leaves_and_begins_anew() -> None:
-    jobs, ended, begun = Jobs(), threading.Event(), []
+    jobs, ended, begun = BackgroundJobs(), threading.Event(), []
 
-    def work(progress: Progress) -> int:
+    def work(progress: ReportProgress) -> int:
         begun.append(1)
         try:
             while len(begun) == 1:
                 progress(3, 10)
                 time.sleep(0.005)
-        except GivenUpError:
+        except WorkCancelledError:
             ended.set()
             raise
         return 5
@@ -46,9 +52,9 @@ def test_work_ends_when_the_last_one_leaves_and_begins_anew() -> None:
 
 
 def test_a_failure_is_one_sentence_and_is_tried_again_when_asked() -> None:
-    jobs = Jobs()
+    jobs = BackgroundJobs()
 
-    def work(_: Progress) -> int:
+    def work(_: ReportProgress) -> int:
         raise InputError("The file is damaged.")
 
     job = jobs.ask("k", 1, work)
@@ -65,11 +71,11 @@ def test_a_failure_is_one_sentence_and_is_tried_again_when_asked() -> None:
 def test_progress_is_a_share_with_a_way_to_cancel() -> None:
     release = threading.Event()
 
-    def work(progress: Progress) -> None:
+    def work(progress: ReportProgress) -> None:
         progress(1000, 4000)
         release.wait(10)
 
-    job = Job(work, "me")
+    job = BackgroundJob(work, "me")
     while not job.total:
         time.sleep(0.005)
     html = table.waiting(job, "Ranking", False, "table")
@@ -91,9 +97,9 @@ def test_another_process_gives_its_result_its_error_or_is_ended() -> None:
         in_process(lambda *_: None, os._exit, 3)
 
     def give_up(*_: int) -> None:
-        raise GivenUpError
+        raise WorkCancelledError
 
     started = time.monotonic()
-    with pytest.raises(GivenUpError):
+    with pytest.raises(WorkCancelledError):
         in_process(give_up, time.sleep, 60)
     assert time.monotonic() - started < 20

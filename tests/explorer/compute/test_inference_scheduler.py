@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from explorer.compute import inference_scheduler
-from explorer.compute.background_jobs import GivenUpError
-from explorer.compute.cache import Kept
-from explorer.compute.inference_scheduler import KEPT, ROOM, TURN, BusyError, Inference
-from explorer.compute.request_context import STALE, Asker, Shared
+from explorer.compute.background_jobs import WorkCancelledError
+from explorer.compute.cache import SingleFlightCache
+from explorer.compute.inference_scheduler import KEPT, ROOM, TURN, BusyError, InferenceScheduler
+from explorer.compute.request_context import STALE, QueuedModel, RequestContext
 from explorer.compute.worker import Worker
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, LPNError, ModelFileError
@@ -77,7 +77,7 @@ def pictures(mark: int, count: int = 1) -> Float32Array:
 class Asking(threading.Thread):
     """One thread that asks once."""
 
-    def __init__(self, model: Shared | None, mark: int, count: int = 1, view: View = "drone") -> None:
+    def __init__(self, model: QueuedModel | None, mark: int, count: int = 1, view: View = "drone") -> None:
         super().__init__(daemon=True)
         assert model is not None
         self._model, self._images, self._view = model, pictures(mark, count), view
@@ -109,18 +109,18 @@ def slow() -> Slow:
     return Slow()
 
 
-def shared(slow: Slow, queue: Inference, patient: bool = False) -> Shared:
-    return Shared(slow, queue, Asker(queue), patient)
+def shared(slow: Slow, queue: InferenceScheduler, patient: bool = False) -> QueuedModel:
+    return QueuedModel(slow, queue, RequestContext(queue), patient)
 
 
-def held_up(slow: Slow, queue: Inference, mark: int = 99) -> Asking:
+def held_up(slow: Slow, queue: InferenceScheduler, mark: int = 99) -> Asking:
     """A pass that has begun and does not end, so that what comes now waits."""
     first = Asking(shared(slow, queue), mark)
     slow.began()
     return first
 
 
-def in_line(queue: Inference, *asking: Callable[[], Asking]) -> list[Asking]:
+def in_line(queue: InferenceScheduler, *asking: Callable[[], Asking]) -> list[Asking]:
     """Threads that ask one after the other."""
     begun = []
     for one in asking:
@@ -131,7 +131,7 @@ def in_line(queue: Inference, *asking: Callable[[], Asking]) -> list[Asking]:
 
 
 def test_what_waits_is_one_pass_and_each_gets_its_own_rows(slow: Slow) -> None:
-    queue = Inference()
+    queue = InferenceScheduler()
     first = held_up(slow, queue)
     waiting = in_line(queue, *(lambda mark=mark: Asking(shared(slow, queue), mark, 2) for mark in (1, 2, 3)))
     slow.let(3)
@@ -146,7 +146,7 @@ def test_what_waits_is_one_pass_and_each_gets_its_own_rows(slow: Slow) -> None:
 
 
 def test_views_sizes_and_models_are_not_mixed_and_the_oldest_goes_first(slow: Slow) -> None:
-    queue, other = Inference(), Slow(held=False)
+    queue, other = InferenceScheduler(), Slow(held=False)
     first = held_up(slow, queue)
     waiting = in_line(
         queue,
@@ -166,14 +166,14 @@ def test_views_sizes_and_models_are_not_mixed_and_the_oldest_goes_first(slow: Sl
 def test_more_pictures_than_a_pass_has_are_several(slow: Slow) -> None:
     slow._held = False
     images = np.concatenate([pictures(mark) for mark in range(10)])
-    found = shared(slow, Inference()).run(images, "drone")
+    found = shared(slow, InferenceScheduler()).run(images, "drone")
     assert [len(marks) for marks in slow.passes] == [4, 4, 2]
     np.testing.assert_array_equal(found.parts[:, 0, 0], np.arange(10))
     assert found.attention is None
 
 
 def test_what_is_wrong_with_one_is_not_wrong_with_the_others(slow: Slow) -> None:
-    queue = Inference()
+    queue = InferenceScheduler()
     first = held_up(slow, queue)
     waiting = in_line(queue, *(lambda mark=mark: Asking(shared(slow, queue), mark) for mark in (1, 13, 2)))
     slow.let(10)
@@ -189,7 +189,7 @@ def test_what_is_wrong_with_one_is_not_wrong_with_the_others(slow: Slow) -> None
 
 def test_wrong_input_is_said_as_the_model_says_it(slow: Slow) -> None:
     slow._held = False
-    model = shared(slow, Inference())
+    model = shared(slow, InferenceScheduler())
     with pytest.raises(InputError, match="no 'street' view"):
         model.descriptors(pictures(1), "street")
     with pytest.raises(InputError, match="expected float32"):
@@ -210,7 +210,7 @@ class Clock:
 class Round:
     """Browsers that ask again as soon as they are answered, and how many passes each had between."""
 
-    def __init__(self, slow: Slow, queue: Inference, answers: int, long: int, room: int = ROOM) -> None:
+    def __init__(self, slow: Slow, queue: InferenceScheduler, answers: int, long: int, room: int = ROOM) -> None:
         self._slow, self._queue, self._room = slow, queue, room
         self._going = True
         self._threads = [
@@ -242,7 +242,7 @@ class Round:
         waiting = min(others, self._room)
         return self._queue.waiting == waiting and len(self._queue._refused) == others - waiting
 
-    def _ask(self, model: Shared, mark: int) -> None:
+    def _ask(self, model: QueuedModel, mark: int) -> None:
         while self._going:
             try:
                 model.run(pictures(mark), "drone")
@@ -252,7 +252,7 @@ class Round:
 
 def test_nobody_is_answered_twice_while_another_waits(slow: Slow) -> None:
     slow.batch = 2
-    passes = Round(slow, Inference(), answers=7, long=0).run(42)
+    passes = Round(slow, InferenceScheduler(), answers=7, long=0).run(42)
     turns = [mark for marks in passes for mark in marks]
     for mark in range(7):
         places = [place for place, of in enumerate(turns) if of == mark]
@@ -263,7 +263,7 @@ def test_nobody_is_answered_twice_while_another_waits(slow: Slow) -> None:
 
 def test_more_browsers_than_there_is_room_for_are_answered_in_turn(slow: Slow) -> None:
     slow.batch = 1
-    passes = Round(slow, Inference(3, Clock()), answers=7, long=0, room=3).run(42)
+    passes = Round(slow, InferenceScheduler(3, Clock()), answers=7, long=0, room=3).run(42)
     turns = [marks[0] for marks in passes]
     for mark in range(7):
         assert np.diff([place for place, of in enumerate(turns) if of == mark]).max() <= 7 + 1
@@ -272,7 +272,7 @@ def test_more_browsers_than_there_is_room_for_are_answered_in_turn(slow: Slow) -
 
 def test_long_work_neither_holds_up_answers_nor_waits_for_ever(slow: Slow) -> None:
     slow.batch = 1
-    passes = [marks[0] for marks in Round(slow, Inference(), answers=3, long=4).run(32)]
+    passes = [marks[0] for marks in Round(slow, InferenceScheduler(), answers=3, long=4).run(32)]
     long = [mark >= 3 for mark in passes]
     assert np.diff(np.flatnonzero(long)).tolist() == [TURN] * (sum(long) - 1)
     assert sum(long) == 8
@@ -283,14 +283,14 @@ def test_long_work_neither_holds_up_answers_nor_waits_for_ever(slow: Slow) -> No
 
 def test_alone_long_work_has_every_pass(slow: Slow) -> None:
     slow.batch = 4
-    passes = Round(slow, Inference(), answers=0, long=3).run(6)
+    passes = Round(slow, InferenceScheduler(), answers=0, long=3).run(6)
     assert all(len(marks) >= 1 for marks in passes)
     assert set(np.concatenate(passes).tolist()) == {0, 1, 2}
 
 
 def test_a_full_queue_refuses_in_one_sentence_and_keeps_the_place(slow: Slow) -> None:
     clock = Clock()
-    queue = Inference(room=2, clock=clock)
+    queue = InferenceScheduler(room=2, clock=clock)
     slow.batch = 1
     first = held_up(slow, queue)
     waiting = in_line(queue, *(lambda mark=mark: Asking(shared(slow, queue), mark) for mark in (1, 2)))
@@ -316,7 +316,7 @@ def test_a_full_queue_refuses_in_one_sentence_and_keeps_the_place(slow: Slow) ->
 
 
 def test_long_work_is_never_refused_and_takes_nobodys_room(slow: Slow) -> None:
-    queue = Inference(room=1)
+    queue = InferenceScheduler(room=1)
     first = held_up(slow, queue)
     waiting = in_line(queue, *(lambda: Asking(shared(slow, queue, patient=True), 1) for _ in range(5)))
     waiting += in_line(queue, lambda: Asking(shared(slow, queue), 2))
@@ -327,17 +327,17 @@ def test_long_work_is_never_refused_and_takes_nobodys_room(slow: Slow) -> None:
 
 
 def test_what_a_browser_that_left_waits_for_is_not_computed(slow: Slow) -> None:
-    queue = Inference()
+    queue = InferenceScheduler()
     first = held_up(slow, queue)
-    gone = Asker(queue)
+    gone = RequestContext(queue)
     answers, long = (gone.of(shared(slow, queue), patient) for patient in (False, True))
     dropped = in_line(queue, lambda: Asking(answers, 1), lambda: Asking(long, 2))
     stays = in_line(queue, lambda: Asking(shared(slow, queue), 3))
     gone.leave()
     for one in dropped:
-        assert isinstance(one.ended().error, GivenUpError)
+        assert isinstance(one.ended().error, WorkCancelledError)
     assert queue.waiting == 1
-    assert isinstance(Asking(answers, 4).ended().error, GivenUpError)
+    assert isinstance(Asking(answers, 4).ended().error, WorkCancelledError)
     slow.let(10)
     for one in (first, *stays):
         assert one.ended().error is None
@@ -346,13 +346,13 @@ def test_what_a_browser_that_left_waits_for_is_not_computed(slow: Slow) -> None:
 
 
 def test_a_browser_that_leaves_during_its_pass_frees_the_place_that_was_kept(slow: Slow) -> None:
-    queue = Inference(room=1)
-    going = Asker(queue)
+    queue = InferenceScheduler(room=1)
+    going = RequestContext(queue)
     model = going.of(shared(slow, queue))
     pending = Asking(model, 1)
     slow.began()
     waiting = in_line(queue, lambda: Asking(shared(slow, queue), 2))
-    other = Asker(queue)
+    other = RequestContext(queue)
     with pytest.raises(BusyError):
         other.of(model).run(pictures(3), "drone")  # type: ignore[union-attr]
     other.leave()
@@ -367,20 +367,20 @@ def test_a_browser_that_leaves_during_its_pass_frees_the_place_that_was_kept(slo
 
 
 def test_heads_are_read_once_of_each_model(slow: Slow) -> None:
-    queue = Inference()
+    queue = InferenceScheduler()
     one, other = shared(slow, queue), shared(slow, queue)
     assert one.heads("drone") is other.heads("drone")
     assert slow.read == 1
     assert shared(Slow(), queue).heads("drone") is not one.heads("drone")
     with pytest.raises(InputError, match="street"):
         one.heads("street")
-    assert Asker(queue).of(None) is None
+    assert RequestContext(queue).of(None) is None
 
 
 def test_the_thread_ends_when_nobody_asks_and_begins_anew(slow: Slow, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inference_scheduler, "IDLE", 0.01)
     slow._held = False
-    queue = Inference()
+    queue = InferenceScheduler()
     for mark in (1, 2):
         assert Asking(shared(slow, queue), mark).ended().found is not None
         until(lambda: queue._thread is None)
@@ -390,9 +390,9 @@ def test_the_thread_ends_when_nobody_asks_and_begins_anew(slow: Slow, monkeypatc
 class Dragging(threading.Thread):
     """A browser that wants one answer, of two passes: of its state alone, and one that others may wait for, too."""
 
-    def __init__(self, slow: Slow, queue: Inference, mark: int) -> None:
+    def __init__(self, slow: Slow, queue: InferenceScheduler, mark: int) -> None:
         super().__init__(daemon=True)
-        self.mark, self.asker = mark, Asker(queue)
+        self.mark, self.asker = mark, RequestContext(queue)
         self.begun = self.shown = 0
         self.error: Exception | None = None
         model = self.asker.of(shared(slow, queue))
@@ -420,7 +420,7 @@ class Dragging(threading.Thread):
         return mark
 
 
-def dragged(slow: Slow, queue: Inference, *marks: int) -> list[Dragging]:
+def dragged(slow: Slow, queue: InferenceScheduler, *marks: int) -> list[Dragging]:
     begun: list[Dragging] = []
     for mark in marks:
         begun.append(Dragging(slow, queue, mark))
@@ -430,7 +430,7 @@ def dragged(slow: Slow, queue: Inference, *marks: int) -> list[Dragging]:
 
 def test_who_moves_on_while_waiting_is_answered_for_the_newest_state_in_the_same_place(slow: Slow) -> None:
     clock = Clock()
-    queue, slow.batch = Inference(room=3, clock=clock), 1
+    queue, slow.batch = InferenceScheduler(room=3, clock=clock), 1
     first = held_up(slow, queue)
     asking = dragged(slow, queue, 1, 2, 3)
     other, third = asking[1:]
@@ -457,7 +457,7 @@ def test_who_moves_on_while_waiting_is_answered_for_the_newest_state_in_the_same
 
 
 def test_what_has_hardly_waited_is_computed_though_its_browser_moved_on(slow: Slow) -> None:
-    queue, slow.batch = Inference(clock=Clock()), 1
+    queue, slow.batch = InferenceScheduler(clock=Clock()), 1
     first = held_up(slow, queue)
     asking = dragged(slow, queue, 1, 2)
     for dragging in asking:
@@ -471,7 +471,7 @@ def test_what_has_hardly_waited_is_computed_though_its_browser_moved_on(slow: Sl
 
 def test_a_place_that_is_held_is_nobody_elses_and_is_given_back(slow: Slow) -> None:
     clock = Clock()
-    queue, slow.batch = Inference(room=2, clock=clock), 1
+    queue, slow.batch = InferenceScheduler(room=2, clock=clock), 1
     first = held_up(slow, queue)
     one, other = dragged(slow, queue, 1, 2)
     clock.now += STALE
@@ -496,13 +496,13 @@ def test_a_place_that_is_held_is_nobody_elses_and_is_given_back(slow: Slow) -> N
 
 def test_a_model_that_ends_its_thread_is_an_error_and_the_queue_goes_on(slow: Slow) -> None:
     slow._held = False
-    queue = Inference()
+    queue = InferenceScheduler()
     assert isinstance(Asking(shared(slow, queue), 14).ended().error, LPNError)
     assert Asking(shared(slow, queue), 1).ended().found is not None
 
 
 def test_a_queue_that_fails_answers_who_waits_and_begins_anew(slow: Slow, monkeypatch: pytest.MonkeyPatch) -> None:
-    queue = Inference()
+    queue = InferenceScheduler()
     first = held_up(slow, queue)
     waiting = in_line(queue, *(lambda mark=mark: Asking(shared(slow, queue), mark) for mark in (1, 2)))
     with monkeypatch.context() as patched:
@@ -519,7 +519,7 @@ def test_where_there_can_be_no_more_threads_the_next_one_tries_again(
     slow: Slow, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slow._held = False
-    queue, ran = Inference(), threading.Event()
+    queue, ran = InferenceScheduler(), threading.Event()
     worker = Worker(ran.set, lambda _: None)
 
     def full(_: threading.Thread) -> None:
@@ -540,7 +540,7 @@ def test_where_there_can_be_no_more_threads_the_next_one_tries_again(
 
 
 def test_what_several_want_is_made_once_and_the_oldest_is_forgotten() -> None:
-    kept: Kept[int, object] = Kept(2)
+    kept: SingleFlightCache[int, object] = SingleFlightCache(2)
     making, go, made, got = threading.Event(), threading.Event(), [], []
 
     def make() -> object:
@@ -567,16 +567,16 @@ def test_what_several_want_is_made_once_and_the_oldest_is_forgotten() -> None:
 
 
 def test_what_cannot_be_made_for_one_is_made_for_the_next() -> None:
-    kept: Kept[int, str] = Kept(2)
+    kept: SingleFlightCache[int, str] = SingleFlightCache(2)
     making, go, got = threading.Event(), threading.Event(), []
 
     def fail() -> str:
         making.set()
         assert go.wait(20)
-        raise GivenUpError
+        raise WorkCancelledError
 
     def failing() -> None:
-        with pytest.raises(GivenUpError):
+        with pytest.raises(WorkCancelledError):
             kept.get(1, fail)
 
     threads = [

@@ -26,14 +26,14 @@ from explorer import app as app_module
 from explorer import session_state, uploads
 from explorer.app import App, Visitor
 from explorer.compute import request_context
-from explorer.compute.request_context import Asker
+from explorer.compute.request_context import RequestContext
 from explorer.explain_window.sweep_request import Sweep
 from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.window import Lab
 from explorer.opening import open_model, open_saved
 from explorer.panels.panels import Panels
 from explorer.server.gateway import _Connection
-from explorer.server.message_filter import Inbox
+from explorer.server.message_filter import MessageFilter
 from explorer.server.viser_compat import Buffer
 from explorer.session_state import SessionState, Upload
 from explorer.stage.scene import Stage
@@ -52,7 +52,7 @@ from tools.fixtures.websocket_client import CHUNK, Talker
 
 TASK = "drone-to-satellite"
 HELD = (
-    Visitor, Analyst, Stage, Panels, ExplainWindow, Lab, Asker, Upload, Sweep, Inbox, Talker, _Connection,
+    Visitor, Analyst, Stage, Panels, ExplainWindow, Lab, RequestContext, Upload, Sweep, MessageFilter, Talker, _Connection,
     viser.ClientHandle, GuiApi, SceneApi, Buffer,
 )  # fmt: skip
 """What a browser has for itself."""

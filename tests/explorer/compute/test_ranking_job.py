@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from explorer.compute import ranking_job
-from explorer.compute.ranking_progress import Follower
+from explorer.compute.ranking_progress import RankingProgress
 from explorer.explain_window import model_comparison
 from explorer.failure_lab.service import Laboratory
 from explorer.opening import open_model
@@ -114,7 +114,7 @@ def test_the_laboratory_waits_for_the_same_ranking(exhibit: Exhibit) -> None:
 def test_a_page_is_told_of_progress_and_of_the_end(exhibit: Exhibit) -> None:
     one, other = exhibit.tasks.values()
     told, ends = [], threading.Semaphore(0)
-    follower = Follower(lambda task: told.append(task.name), ends.release)
+    follower = RankingProgress(lambda task: told.append(task.name), ends.release)
     follower.follow(one, other)
     for _ in range(2):
         assert ends.acquire(timeout=20)
@@ -128,7 +128,7 @@ def test_a_page_is_told_of_progress_and_of_the_end(exhibit: Exhibit) -> None:
 def test_a_page_that_is_gone_waits_no_longer(exhibit: Exhibit) -> None:
     task = exhibit.tasks[TASK]
     ended: list[int] = []
-    follower = Follower(lambda _: None, lambda: ended.append(1))
+    follower = RankingProgress(lambda _: None, lambda: ended.append(1))
     with task.standing._turn:
         follower.follow(task)
         until(lambda: task.standing._job is not None)
@@ -148,7 +148,7 @@ def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(exhibit: Exh
     task = exhibit.tasks[TASK]
     spoilt = np.array(task.descriptors)
     spoilt[0, 0, 0] = np.nan
-    broken = ranking_job.Standing(ranking_cache.Sides(task.asked, spoilt, task.query_labels, task.labels), None)
+    broken = ranking_job.RankingJob(ranking_cache.Sides(task.asked, spoilt, task.query_labels, task.labels), None)
     with pytest.raises(LPNError, match="not finite"):
         broken.wait("me", lambda *_: None)
     assert "not finite" in broken.flaw
@@ -173,7 +173,7 @@ def test_a_page_whose_telling_fails_can_follow_again(exhibit: Exhibit, monkeypat
 
     monkeypatch.setattr(threading, "excepthook", lambda _: None)
     ended = threading.Event()
-    follower = Follower(tell, ended.set)
+    follower = RankingProgress(tell, ended.set)
     follower.follow(task)
     until(lambda: follower._thread is None)
     follower.follow(task)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from explorer.compute.worker import Patience
+from explorer.compute.worker import DelayedCall
 from explorer.opening import open_model, open_saved
 from explorer.panels import pages, tour
 from explorer.session_state import SessionState
@@ -81,12 +81,12 @@ def test_a_status_line_that_waits_still_says_what_is_shown() -> None:
 
 def test_what_is_there_in_time_is_not_spoken_of() -> None:
     told: list[float] = []
-    patience = Patience(0.05, lambda: told.append(time.monotonic()))
+    patience = DelayedCall(0.05, lambda: told.append(time.monotonic()))
     patience.there()
     time.sleep(0.15)
     assert not told
     rung = threading.Event()
-    patience = Patience(0.01, rung.set)
+    patience = DelayedCall(0.01, rung.set)
     assert rung.wait(5)
     patience.there()
 

@@ -28,10 +28,10 @@ from explorer import uploads
 from explorer.app import App
 from explorer.opening import open_model
 from explorer.server import gateway, rate_limiter
-from explorer.server.auth import Entry, Onward, Refusal, Request, entry, is_loopback, same_origin
-from explorer.server.gateway import Guard
-from explorer.server.message_filter import BURST, FIELDS, RATE, UPLOADS, Inbox, UnfitError, strange
-from explorer.server.rate_limiter import ALL_WAITING, FIRST, FORGET, KEPT, LONGEST, WAITING, Turnstile
+from explorer.server.auth import Authenticator, HttpRequest, Redirect, Refusal, entry, is_loopback, same_origin
+from explorer.server.gateway import Gateway
+from explorer.server.message_filter import BURST, FIELDS, RATE, UPLOADS, MessageFilter, RejectedMessageError, strange
+from explorer.server.rate_limiter import ALL_WAITING, FIRST, FORGET, KEPT, LONGEST, WAITING, RateLimiter
 from explorer.session_state import SessionState, Upload
 from explorer.workspace import Analyst, Exhibit
 from lpn.core.errors import InputError, MissingPackageError, PictureError
@@ -41,15 +41,15 @@ from tools.fixtures.websocket_client import Talker
 TOKEN = "correct horse battery"
 
 
-def asked(host: str = "localhost:8080", path: str = "/", upgrade: bool = False, **headers: str) -> Request:
+def asked(host: str = "localhost:8080", path: str = "/", upgrade: bool = False, **headers: str) -> HttpRequest:
     named = {name.replace("_", "-"): [value] for name, value in headers.items()}
-    return Request(path, {"host": [host], **named}, upgrade)
+    return HttpRequest(path, {"host": [host], **named}, upgrade)
 
 
-def verdict(door: Entry, request: Request) -> int | str | None:
+def verdict(door: Authenticator, request: HttpRequest) -> int | str | None:
     """The status of a refusal, where it is led on to, or None for in."""
     found = door.check(request, 8080)
-    return found.status if isinstance(found, Refusal) else found.location if isinstance(found, Onward) else None
+    return found.status if isinstance(found, Refusal) else found.location if isinstance(found, Redirect) else None
 
 
 # The rules.
@@ -57,33 +57,33 @@ def verdict(door: Entry, request: Request) -> int | str | None:
 
 @pytest.mark.parametrize("name", ["localhost", "127.0.0.1", "[::1]", "LOCALHOST", "localhost."])
 def test_on_this_machine_its_own_names_come_in_without_a_token(name: str) -> None:
-    assert verdict(Entry("127.0.0.1"), asked(f"{name}:8080")) is None
+    assert verdict(Authenticator("127.0.0.1"), asked(f"{name}:8080")) is None
 
 
 @pytest.mark.parametrize(
     "name", ["evil.example:8080", "127.0.0.1.evil.example", "192.168.1.5", "", "a b", "localhost@evil", "[::2]"]
 )
 def test_a_name_made_to_point_here_is_refused(name: str) -> None:
-    assert verdict(Entry("127.0.0.1"), asked(name)) == 421
+    assert verdict(Authenticator("127.0.0.1"), asked(name)) == 421
 
 
 def test_several_hosts_in_one_request_are_refused() -> None:
-    assert verdict(Entry("127.0.0.1"), Request("/", {"host": ["localhost", "evil.example"]})) == 421
+    assert verdict(Authenticator("127.0.0.1"), HttpRequest("/", {"host": ["localhost", "evil.example"]})) == 421
 
 
 def test_allowed_names_and_addresses_of_a_server_that_listens_everywhere() -> None:
-    door = Entry("0.0.0.0", None, ("Maps.Example.org",))
+    door = Authenticator("0.0.0.0", None, ("Maps.Example.org",))
     for name in ("maps.example.org", "192.168.1.5:8080", "[fe80::1]:8080", f"{socket.gethostname()}:8080"):
         assert verdict(door, asked(name)) is None, name
     assert verdict(door, asked("evil.example")) == 421
-    assert verdict(Entry("192.168.1.5"), asked("192.168.1.5:8080")) is None
-    assert verdict(Entry("::1"), asked("[::1]:8080")) is None
+    assert verdict(Authenticator("192.168.1.5"), asked("192.168.1.5:8080")) is None
+    assert verdict(Authenticator("::1"), asked("[::1]:8080")) is None
 
 
 @pytest.mark.parametrize("name", ["http://maps.example.org", "maps.example.org:443", "", "a b", "<b>"])
 def test_an_allowed_name_that_is_none_is_said(name: str) -> None:
     with pytest.raises(InputError, match="--allow-host"):
-        Entry("127.0.0.1", None, (name,))
+        Authenticator("127.0.0.1", None, (name,))
 
 
 @pytest.mark.parametrize(
@@ -105,13 +105,13 @@ def test_an_allowed_name_that_is_none_is_said(name: str) -> None:
 )
 def test_an_origin_is_compared_with_the_host_that_was_asked_for(origin: str, host: str, same: bool) -> None:
     assert same_origin(origin, host) is same
-    assert verdict(Entry("127.0.0.1", allowed=("maps.example.org",)), asked(host, upgrade=True, origin=origin)) == (
-        None if same else 403
-    )
+    assert verdict(
+        Authenticator("127.0.0.1", allowed=("maps.example.org",)), asked(host, upgrade=True, origin=origin)
+    ) == (None if same else 403)
 
 
 def test_a_page_that_would_run_another_servers_scripts_is_refused() -> None:
-    door = Entry("127.0.0.1")
+    door = Authenticator("127.0.0.1")
     for query in (
         "websocket=ws://evil.example",
         "websocket=ws%3A%2F%2Fevil.example",
@@ -157,7 +157,7 @@ def test_the_link_has_the_token_that_was_made_and_not_one_that_was_given() -> No
 
 
 def test_a_token_is_taken_once_and_then_a_cookie() -> None:
-    door = Entry("127.0.0.1", TOKEN)
+    door = Authenticator("127.0.0.1", TOKEN)
     assert verdict(door, asked()) == 401
     assert verdict(door, asked(upgrade=True)) == 401
     assert verdict(door, asked(path="/?token=wrong")) == 403
@@ -178,21 +178,21 @@ def test_a_token_is_taken_once_and_then_a_cookie() -> None:
     assert verdict(door, asked(path="/?query=1&token=wrong", cookie=held)) == "./?query=1"
     assert door.check(asked(cookie=held), 8081), "another server's cookie"
     assert verdict(door, asked(cookie=held[:-1])) == 401
-    assert verdict(Entry("127.0.0.1", TOKEN), asked(cookie=held)) == 401, "a cookie of another run"
+    assert verdict(Authenticator("127.0.0.1", TOKEN), asked(cookie=held)) == 401, "a cookie of another run"
 
 
 def test_a_link_from_another_site_is_opened_once_more_for_its_cookie() -> None:
-    door = Entry("127.0.0.1", TOKEN)
+    door = Authenticator("127.0.0.1", TOKEN)
     followed = {"sec_fetch_site": "cross-site", "sec_fetch_mode": "navigate", "sec_fetch_dest": "document"}
     found = door.check(asked(path="/?query=0005/01", **followed), 8080)
-    assert found == Onward("./?query=0005/01", False)
+    assert found == Redirect("./?query=0005/01", False)
     assert verdict(door, asked(**{**followed, "sec_fetch_site": "same-origin"})) == 401
     assert verdict(door, asked(**{**followed, "sec_fetch_dest": "iframe"})) == 401
 
 
 def test_wrong_tokens_wait_longer_and_longer_by_address_and_are_forgotten() -> None:
     now = [0.0]
-    slowed = Turnstile(lambda: now[0])
+    slowed = RateLimiter(lambda: now[0])
 
     def wrong(address: str) -> float:
         seconds = slowed.enter(address)
@@ -212,7 +212,7 @@ def test_wrong_tokens_wait_longer_and_longer_by_address_and_are_forgotten() -> N
 
 
 def test_few_wrong_tokens_wait_at_a_time() -> None:
-    slowed = Turnstile()
+    slowed = RateLimiter()
     for _ in range(WAITING):
         assert not slowed.full("1.2.3.4")
         slowed.enter("1.2.3.4")
@@ -269,7 +269,7 @@ def test_visers_messages_have_the_fields_that_are_looked_at() -> None:
 @pytest.mark.parametrize("value", [True, 3, 0.5, "text", -180])
 def test_a_controls_value_passes_as_it_came(value: object) -> None:
     message = packed("GuiUpdateMessage", uuid="u", updates={"value": value})
-    assert Inbox().read(message) == message
+    assert MessageFilter().read(message) == message
 
 
 @pytest.mark.parametrize(
@@ -293,7 +293,7 @@ def test_a_controls_value_passes_as_it_came(value: object) -> None:
     ],
 )
 def test_a_message_that_no_page_sends_is_dropped(message: bytes) -> None:
-    inbox = Inbox()
+    inbox = MessageFilter()
     assert inbox.read(message) is None
     assert inbox.dropped == 1
 
@@ -303,13 +303,13 @@ def test_a_message_that_no_page_sends_is_dropped(message: bytes) -> None:
     ["text", b"", b"\xc1", os.urandom(999), b"\x91" * 100_000, msgspec.msgpack.encode([1]), msgspec.msgpack.encode({})],
 )
 def test_what_is_no_message_ends_the_connection(message: bytes | str) -> None:
-    with pytest.raises(UnfitError):
-        Inbox().read(message)
+    with pytest.raises(RejectedMessageError):
+        MessageFilter().read(message)
 
 
 @pytest.mark.usefixtures("button")
 def test_uploads_are_bounded_in_bytes_parts_and_number() -> None:
-    inbox = Inbox()
+    inbox = MessageFilter()
     assert inbox.read(begun("a", 10, 2)) == begun("a", 10, 2)
     assert inbox.read(begun("a", 10, 2)) is None, "the same again"
     assert inbox.read(part("a", 0, b"x" * 6)) is not None
@@ -327,7 +327,7 @@ def test_uploads_are_bounded_in_bytes_parts_and_number() -> None:
 
 @pytest.mark.usefixtures("button")
 def test_a_part_that_viser_would_drop_does_not_end_an_upload() -> None:
-    inbox = Inbox()
+    inbox = MessageFilter()
     assert inbox.read(begun("a", 10, 2)) is not None
     assert inbox.read(part("a", 0, b"x" * 9)) is not None
     for index in (0, 2, 1 << 30):
@@ -335,13 +335,13 @@ def test_a_part_that_viser_would_drop_does_not_end_an_upload() -> None:
     assert inbox.read(part("a", 1, b"x")) is not None
     assert inbox.read(begun("b", 10, 2)) is not None
     assert inbox.read(part("b", 0, b"x")) is not None
-    with pytest.raises(UnfitError, match="size"):
+    with pytest.raises(RejectedMessageError, match="size"):
         inbox.read(part("b", 1, b"x"))
 
 
 @pytest.mark.usefixtures("button")
 def test_only_an_upload_button_takes_a_file() -> None:
-    inbox = Inbox()
+    inbox = MessageFilter()
     assert inbox.read(begun("a", 1, 1, control="a slider")) is None
     assert inbox.read(begun("a", 1, 1)) is not None
     assert inbox.read(part("a", 0, b"x", "a slider")) is None
@@ -350,7 +350,7 @@ def test_only_an_upload_button_takes_a_file() -> None:
 
 def test_messages_beyond_a_rate_wait_their_turn() -> None:
     now = [0.0]
-    inbox = Inbox(lambda: now[0])
+    inbox = MessageFilter(lambda: now[0])
     assert [inbox.wait() for _ in range(int(BURST))] == [0] * int(BURST)
     assert [inbox.wait() for _ in range(3)] == pytest.approx([1 / RATE, 2 / RATE, 3 / RATE])
     now[0] = 10.0
@@ -573,11 +573,11 @@ def test_a_viser_that_does_not_take_the_guard_is_refused(monkeypatch: pytest.Mon
 
     other = Other()
     with pytest.raises(MissingPackageError, match=r"install viser==1\.1\.1"):
-        Guard(Entry("127.0.0.1")).before(lambda: other)  # type: ignore[arg-type,return-value]
+        Gateway(Authenticator("127.0.0.1")).before(lambda: other)  # type: ignore[arg-type,return-value]
     assert other.stopped
     monkeypatch.setattr(viser_messages, "FileTransferPart", object)
     with pytest.raises(MissingPackageError, match="FileTransferPart"):
-        Guard(Entry("127.0.0.1"))
+        Gateway(Authenticator("127.0.0.1"))
 
 
 # A page that means no good, and another browser that must not notice.
