@@ -8,7 +8,7 @@ HOST   ?= 127.0.0.1
 PORT   ?= 8080
 JOBS   ?= 2
 
-.PHONY: explore setup test check bench fuzz soak demo format audit clean
+.PHONY: explore setup test test-all check bench fuzz soak demo format audit clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -56,10 +56,18 @@ explore: $(EXPLORE_NEEDS)
 setup: $(VENV)/.train
 	@echo "Ready. Use it with: . $(VENV)/bin/activate"
 
-# Two processes, each with whole files of tests, as much of the time is waiting. One thread a process: the tests' networks are so
-# small that threads cost more than they save, on a busy machine many times.
+# One thread a process: the tests' networks are so small that threads cost more than they save, on a busy machine many times.
+PYTEST := OMP_NUM_THREADS=1 LPN_MILVUS_PYTHON=$(abspath $(VENV)/milvus/bin/python) $(BIN)/python -m pytest -n $(JOBS)
+
+# Every module and the browser, in minutes. A process that has nothing left to do takes over half of what another still has.
 test: check $(VENV)/.browser $(VENV)/.milvus
-	OMP_NUM_THREADS=1 LPN_MILVUS_PYTHON=$(abspath $(VENV)/milvus/bin/python) $(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+	$(PYTEST) --dist worksteal
+
+# Then everything else: the tests marked slow (whole files to one process each, which share servers), a short fuzz run, and a short soak.
+test-all: test
+	$(PYTEST) --dist loadfile -m slow
+	$(MAKE) fuzz INPUTS=300
+	$(MAKE) soak MINUTES=1
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .

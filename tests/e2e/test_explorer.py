@@ -63,17 +63,17 @@ def test_page_says_what_is_shown_and_draws_it(explorer: Explorer, app: Running) 
     for text in ("model.onnx", "places", "n = 4", "drone → satellite", "14 queries", "14 tiles", "R@1"):
         expect(header).to_contain_text(text)
     expect(explorer.status).to_contain_text("ms")
-    picture = cv2.imdecode(np.frombuffer(explorer.stage.scene(), np.uint8), cv2.IMREAD_COLOR)
+    picture = cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_COLOR)
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 2000
     assert_shows(explorer, app, expected(app, "0007"))
 
 
 def test_query_is_chosen_by_name_thumbnail_and_key(explorer: Explorer, app: Running) -> None:
-    before = explorer.stage.scene()
+    before = explorer.stage()
     explorer.fill("Find name", "0011")
     explorer.expect_status("name", "0011")
     assert_shows(explorer, app, expected(app, "0011"))
-    assert difference(before, explorer.stage.scene()) > 0.05
+    assert difference(before, explorer.stage()) > 0.05
     explorer.fill("Find name", "")
     explorer.page.locator(".thumb[data-query='2']").click()
     explorer.expect_status("name", "0009")
@@ -84,11 +84,11 @@ def test_query_is_chosen_by_name_thumbnail_and_key(explorer: Explorer, app: Runn
 
 
 def test_rotation_by_slider_and_key_changes_picture_and_ranking(explorer: Explorer, app: Running) -> None:
-    before = explorer.stage.scene()
+    before = explorer.stage()
     explorer.fill("Rotate", "90")
     explorer.expect_status("angle", "90")
     assert_shows(explorer, app, expected(app, "0007", 90))
-    assert difference(before, explorer.stage.scene()) > 0.02
+    assert difference(before, explorer.stage()) > 0.02
     explorer.key("j")
     explorer.expect_status("angle", "95")
     expect(explorer.field("Rotate")).to_have_value("95")
@@ -98,6 +98,7 @@ def test_rotation_by_slider_and_key_changes_picture_and_ranking(explorer: Explor
     assert_shows(explorer, app, expected(app, "0007"))
 
 
+@pytest.mark.slow
 def test_dragging_ends_on_the_last_value_without_a_queue(explorer: Explorer) -> None:
     thumb = explorer.page.locator('[role="slider"][aria-valuemax="180"]')
     box = thumb.bounding_box()
@@ -134,16 +135,17 @@ def test_switching_a_part_off_reranks_exactly(explorer: Explorer, app: Running) 
 
 def test_a_chosen_match_is_compared_with_the_query(explorer: Explorer, app: Running) -> None:
     match = expected(app, "0007").match(2)
-    before = explorer.stage.scene()
+    before = explorer.stage()
     explorer.rows.nth(2).click()
     explorer.expect_status("chosen", str(match.index))
     expect(explorer.rows.nth(2)).to_have_class(re.compile("chosen"))
     parts = explorer.page.locator("#lpn-parts")
     expect(parts).to_contain_text("rank 3")
     expect(parts).to_contain_text(f"{match.distance2:.3f}")
-    assert difference(before, explorer.stage.scene()) > 0.02
+    assert difference(before, explorer.stage()) > 0.02
 
 
+@pytest.mark.slow
 def test_a_tile_on_the_stage_can_be_clicked(explorer: Explorer, app: Running) -> None:
     box = explorer.canvas.bounding_box()
     assert box is not None
@@ -153,19 +155,20 @@ def test_a_tile_on_the_stage_can_be_clicked(explorer: Explorer, app: Running) ->
     explorer.expect_status("chosen", str(index))
 
 
+@pytest.mark.slow
 def test_heatmap_and_rings_can_be_hidden_and_rings_taken_apart(explorer: Explorer) -> None:
-    shown = explorer.stage.scene()
+    shown = explorer.stage()
     explorer.key("h")
     explorer.page.wait_for_timeout(300)
-    without_heat = explorer.stage.scene()
+    without_heat = explorer.stage()
     assert difference(shown, without_heat) > 0.01
     expect(explorer.field("Heatmap")).not_to_be_checked()
     explorer.key("g")
     explorer.page.wait_for_timeout(300)
-    assert difference(without_heat, explorer.stage.scene()) > 0.01
+    assert difference(without_heat, explorer.stage()) > 0.01
     explorer.key("x")
     explorer.page.wait_for_timeout(300)
-    assert difference(without_heat, explorer.stage.scene()) > 0.05
+    assert difference(without_heat, explorer.stage()) > 0.05
 
 
 def test_a_picture_of_ones_own(explorer: Explorer, tmp_path: Path) -> None:
@@ -182,6 +185,7 @@ def test_a_picture_of_ones_own(explorer: Explorer, tmp_path: Path) -> None:
     explorer.expect_status("name", own.name)
 
 
+@pytest.mark.slow
 def test_a_second_browser_is_not_disturbed(
     explorer: Explorer, app: Running, contexts: Callable[[], BrowserContext]
 ) -> None:
@@ -198,6 +202,7 @@ def test_a_second_browser_is_not_disturbed(
     expect(other.field("Rotate")).to_have_value("0")
 
 
+@pytest.mark.slow
 def test_the_map_says_how_far_off_the_answer_is(mapped_app: Running, contexts: Callable[[], BrowserContext]) -> None:
     explorer = Explorer(contexts().new_page())
     explorer.open(mapped_app.url)
@@ -210,19 +215,19 @@ def test_the_map_says_how_far_off_the_answer_is(mapped_app: Running, contexts: C
         metres = geo.metres(truth, [tiles[ranking.match(slot).index]])[0]
         expect(explorer.rows.nth(slot)).to_contain_text(f"{metres:,.0f} m")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("median error")
-    pair = explorer.stage.scene()
+    pair = explorer.stage()
     explorer.key("m")
     expect(explorer.field("Map")).to_be_checked()
     expect(explorer.field("City")).to_have_count(0)  # this data set has none
-    shown = explorer.stage.scene()
+    shown = explorer.stage()
     assert difference(pair, shown) > 0.2
     explorer.rows.nth(4).click()
     explorer.expect_status("chosen", str(ranking.match(4).index))
-    assert difference(shown, explorer.stage.scene()) > 0.005
+    assert difference(shown, explorer.stage()) > 0.005
     explorer.key("m")
     expect(explorer.field("Map")).not_to_be_checked()
     explorer.page.wait_for_timeout(500)
-    assert difference(pair, explorer.stage.scene()) < difference(pair, shown) / 2
+    assert difference(pair, explorer.stage()) < difference(pair, shown) / 2
 
 
 def crimson(png: bytes) -> float:
@@ -237,19 +242,19 @@ def test_the_city_stands_on_the_map_until_it_is_switched_off(
     explorer = Explorer(contexts().new_page())
     explorer.open(city_app.url)
     expect(explorer.field("City")).to_have_count(0)
-    assert crimson(explorer.stage.scene()) < 0.05
+    assert crimson(explorer.stage()) < 0.05
     explorer.key("m")
     expect(explorer.field("City")).to_be_checked()
     explorer.page.wait_for_timeout(1500)
-    with_city = crimson(explorer.stage.scene())
+    with_city = crimson(explorer.stage())
     assert with_city > 0.3
     explorer.key("c")
     expect(explorer.field("City")).not_to_be_checked()
     explorer.page.wait_for_timeout(700)
-    assert crimson(explorer.stage.scene()) < 0.05
+    assert crimson(explorer.stage()) < 0.05
     explorer.tick("City", True)
     explorer.page.wait_for_timeout(700)
-    assert crimson(explorer.stage.scene()) == pytest.approx(with_city, abs=0.05)
+    assert crimson(explorer.stage()) == pytest.approx(with_city, abs=0.05)
     explorer.key("m")
     expect(explorer.field("City")).to_have_count(0)
 
@@ -264,28 +269,30 @@ def test_the_demo_opens_without_being_told_anything(
     assert_shows(explorer, demo_app, expected(demo_app, DEMO_QUERY))
     explorer.key("m")
     expect(explorer.field("Map")).to_be_checked()
-    assert len(np.unique(cv2.imdecode(np.frombuffer(explorer.stage.scene(), np.uint8), cv2.IMREAD_GRAYSCALE))) > 100
+    assert len(np.unique(cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_GRAYSCALE))) > 100
     assert not (tmp_path / "cache").exists()  # what is shown was described before
 
 
+@pytest.mark.slow
 def test_without_positions_there_is_no_map(explorer: Explorer) -> None:
-    before = explorer.stage.scene()
+    before = explorer.stage()
     explorer.key("m")
-    assert difference(before, explorer.stage.scene()) < 0.005
+    assert difference(before, explorer.stage()) < 0.005
     expect(explorer.field("Map")).to_have_count(0)
 
 
+@pytest.mark.slow
 def test_the_main_job_on_real_pictures(real_app: Running, contexts: Callable[[], BrowserContext]) -> None:
     explorer = Explorer(contexts().new_page())
     explorer.open(real_app.url)
     expect(explorer.page.locator("#lpn-header")).to_contain_text("80 queries")
     explorer.fill("Find name", "0083")
     explorer.expect_status("name", "0083")
-    upright = explorer.stage.scene()
+    upright = explorer.stage()
     explorer.fill("Rotate", "-120")
     explorer.expect_status("angle", "-120")
     assert_shows(explorer, real_app, expected(real_app, "0083", -120))
-    assert difference(upright, explorer.stage.scene()) > 0.05
+    assert difference(upright, explorer.stage()) > 0.05
     explorer.tab("Parts")
     explorer.tick("Part 1 centre", False)
     expect(explorer.page.locator("#lpn-parts")).to_contain_text("33 %")
@@ -296,6 +303,7 @@ def test_the_main_job_on_real_pictures(real_app: Running, contexts: Callable[[],
     expect(explorer.page.locator("#lpn-parts")).to_contain_text(f"{ranking.match(4).distance2:.3f}")
 
 
+@pytest.mark.slow
 def test_panoramas_and_unrolled_tiles_are_shown_wide(
     panorama_app: Running, contexts: Callable[[], BrowserContext]
 ) -> None:
@@ -310,8 +318,8 @@ def test_panoramas_and_unrolled_tiles_are_shown_wide(
     )
     best = int(np.argmax(scoring.part_cosines(found, np.stack(tiles)).mean(axis=1)))
     expect(explorer.rows.first).to_have_attribute("data-index", str(best))
-    flat = explorer.stage.scene()
+    flat = explorer.stage()
     explorer.key("x")
     expect(explorer.field("Take apart")).to_be_checked()
     explorer.page.wait_for_timeout(1000)
-    assert explorer.stage.scene() != flat
+    assert explorer.stage() != flat

@@ -172,6 +172,7 @@ def test_the_browser_asks_nobody_but_the_server(walk: Walk) -> None:
     assert {urlsplit(url).netloc for url in walk.sockets} == {server}
 
 
+@pytest.mark.slow
 def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
     app: Running, contexts: Callable[..., BrowserContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

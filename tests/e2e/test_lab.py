@@ -122,6 +122,7 @@ def test_all_queries_are_listed_worst_first_and_sorted_by_any_column(
     assert f"{table.columns['margin'].values[row]:+.3f}" in first
 
 
+@pytest.mark.slow
 def test_pages_turn_and_end(lab: LabPage, truth: tuple[Outcomes, Table]) -> None:
     _, table = truth
     rows = table.sort(table.rows(), "margin")
@@ -195,6 +196,7 @@ def test_a_click_on_a_row_opens_the_query_and_next_follows_the_table(
     lab.expect_status("query", str((failed[size] + 1) % 40))
 
 
+@pytest.mark.slow
 def test_clicks_in_the_breakdown_choose_what_they_count(
     lab: LabPage, lab_app: Running, truth: tuple[Outcomes, Table]
 ) -> None:
@@ -308,6 +310,7 @@ def test_the_chosen_queries_are_saved_as_csv(lab: LabPage, truth: tuple[Outcomes
     assert {line["weather"] for line in saved} == {"sun"}
 
 
+@pytest.mark.slow
 def test_columns_are_chosen(lab: LabPage) -> None:
     heads = lab.page.locator("#lpn-lab-table thead")
     expect(heads).not_to_contain_text("weather")
@@ -319,6 +322,7 @@ def test_columns_are_chosen(lab: LabPage) -> None:
     expect(heads).not_to_contain_text("altitude")
 
 
+@pytest.mark.slow
 def test_tags_and_notes_survive_a_restart(
     places: Path, lab_app: Running, contexts: Callable[[], BrowserContext], tmp_path: Path
 ) -> None:
@@ -346,6 +350,7 @@ def test_tags_and_notes_survive_a_restart(
     (places / "notes.csv").unlink()
 
 
+@pytest.mark.slow
 def test_the_laboratory_of_one_browser_is_not_that_of_another(
     lab: LabPage, lab_app: Running, contexts: Callable[[], BrowserContext]
 ) -> None:
@@ -368,6 +373,7 @@ def test_the_laboratory_of_one_browser_is_not_that_of_another(
     (lab_app.data / "notes.csv").unlink()
 
 
+@pytest.mark.slow
 def test_messages_that_nobody_should_send_do_no_harm(lab: LabPage) -> None:
     before = lab.shown()
     for kind, value in (
@@ -396,6 +402,7 @@ def test_messages_that_nobody_should_send_do_no_harm(lab: LabPage) -> None:
     expect(lab.page.locator(".mantine-Notification-root")).to_have_count(0)
 
 
+@pytest.mark.slow
 def test_a_phones_sheet_stays_as_wide_as_the_phone(lab_app: Running, contexts: Callable[..., BrowserContext]) -> None:
     context = contexts(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
     lab = LabPage(context.new_page())

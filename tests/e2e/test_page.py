@@ -83,6 +83,7 @@ def test_an_address_brings_back_what_was_shown(explorer: Explorer, contexts: Cal
     assert asked(other) == asked(explorer)
 
 
+@pytest.mark.slow
 def test_an_address_can_name_another_task(app: Running, contexts: Callable[..., BrowserContext]) -> None:
     explorer = Explorer(contexts().new_page())
     explorer.open(f"{app.url}/?task=satellite-to-drone&query=0010&with=truth")
@@ -93,6 +94,7 @@ def test_an_address_can_name_another_task(app: Running, contexts: Callable[..., 
     wait_address(explorer, "task", "satellite-to-drone")
 
 
+@pytest.mark.slow
 def test_a_hostile_address_does_no_harm(app: Running, contexts: Callable[..., BrowserContext]) -> None:
     explorer = Explorer(contexts().new_page())
     alarms: list[str] = []
@@ -113,6 +115,7 @@ def test_a_hostile_address_does_no_harm(app: Running, contexts: Callable[..., Br
     explorer.expect_status("angle", "10")
 
 
+@pytest.mark.slow
 def test_ones_own_picture_is_said_not_to_be_in_the_link(
     explorer: Explorer, contexts: Callable[..., BrowserContext], tmp_path: Path
 ) -> None:
@@ -130,6 +133,7 @@ def test_ones_own_picture_is_said_not_to_be_in_the_link(
     )
 
 
+@pytest.mark.slow
 def test_the_link_is_copied_by_key(app: Running, contexts: Callable[..., BrowserContext]) -> None:
     context = contexts(permissions=["clipboard-read", "clipboard-write"])
     explorer = Explorer(context.new_page())
@@ -148,7 +152,7 @@ def coarse(picture: np.ndarray) -> np.ndarray:
 
 def test_light_and_dark(explorer: Explorer) -> None:
     def picture() -> np.ndarray:
-        return cv2.imdecode(np.frombuffer(explorer.stage.scene(), np.uint8), cv2.IMREAD_COLOR).astype(int)
+        return cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_COLOR).astype(int)
 
     dark = picture()
     assert dark[3, 3].max() < 60
@@ -190,6 +194,7 @@ def test_the_tour_is_shown_once_and_covers_nothing_it_speaks_of(app: Running, br
     context.close()
 
 
+@pytest.mark.slow
 def test_what_has_no_key_is_in_the_palette(explorer: Explorer) -> None:
     for command, key, value in (
         ("Part 2 on or off", "off", "2"),
@@ -205,6 +210,7 @@ def test_what_has_no_key_is_in_the_palette(explorer: Explorer) -> None:
         expect(explorer.page.get_by_placeholder("Search commands")).to_have_count(0)
 
 
+@pytest.mark.slow
 def test_everything_needed_is_in_view_on_a_projector(app: Running, contexts: Callable[..., BrowserContext]) -> None:
     explorer = Explorer(contexts(viewport={"width": 1280, "height": 720}).new_page())
     explorer.open(app.url)
@@ -215,6 +221,7 @@ def test_everything_needed_is_in_view_on_a_projector(app: Running, contexts: Cal
         assert seen["y"] + seen["height"] <= 720
 
 
+@pytest.mark.slow
 def test_a_phone_held_upright(app: Running, contexts: Callable[..., BrowserContext]) -> None:
     context = contexts(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
     explorer = Explorer(context.new_page())
@@ -226,7 +233,7 @@ def test_a_phone_held_upright(app: Running, contexts: Callable[..., BrowserConte
     assert verdict["y"] + verdict["height"] < 844
     assert verdict["width"] > 340
     explorer.expect_filled(1, 0.85)
-    picture = cv2.imdecode(np.frombuffer(explorer.stage.scene(), np.uint8), cv2.IMREAD_COLOR)
+    picture = cv2.imdecode(np.frombuffer(explorer.stage(), np.uint8), cv2.IMREAD_COLOR)
     assert np.flatnonzero((picture > 90).any(axis=(0, 2)))[0] >= 2  # framed: it fills the width and no more
     explorer.rows.nth(1).tap()
     expect(explorer.rows.nth(1)).to_have_class(re.compile("chosen"))
@@ -246,6 +253,7 @@ def test_a_phone_held_sideways(app: Running, contexts: Callable[..., BrowserCont
     expect(explorer.rows.nth(1)).to_have_class(re.compile("chosen"))
 
 
+@pytest.mark.slow
 def test_a_slow_answer_is_said_to_be_on_its_way(
     app: Running, contexts: Callable[..., BrowserContext], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -276,6 +284,7 @@ def test_a_slow_answer_is_said_to_be_on_its_way(
         served.close()
 
 
+@pytest.mark.slow
 def test_a_server_that_is_gone_is_said_to_be(app: Running, contexts: Callable[..., BrowserContext]) -> None:
     explorer = Explorer(contexts().new_page())
     with started(app.data, app.model, app.model.parent / "cache") as running:

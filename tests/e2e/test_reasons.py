@@ -73,11 +73,12 @@ def test_evidence_follows_the_chosen_tile_and_part(explorer: Explorer) -> None:
     expect(maps.first).not_to_have_attribute("data-cells", part or "")
 
 
+@pytest.mark.slow
 def test_the_stage_shows_evidence_in_place_of_activation(explorer: Explorer) -> None:
-    before = explorer.stage.scene()
+    before = explorer.stage()
     explorer.key("v")
     explorer.page.wait_for_timeout(600)
-    assert explorer.stage.scene() != before
+    assert explorer.stage() != before
     expect(explorer.page.get_by_label("Shows", exact=True)).to_have_value("Evidence")
 
 
@@ -145,6 +146,7 @@ def test_a_painted_region_is_searched_by_alone(explorer: Explorer) -> None:
 @pytest.mark.parametrize(
     "message", ['{"kind": "region", "value": [999999]}', '{"kind": "take", "value": "x"}', "{", "[1]"]
 )
+@pytest.mark.slow
 def test_nonsense_from_a_page_changes_nothing(explorer: Explorer, message: str) -> None:
     before = explorer.sequence()
     explorer.page.evaluate(
@@ -170,6 +172,7 @@ def test_a_report_of_the_pair_is_saved(
     expect(page.locator("body")).to_contain_text("model.onnx")
 
 
+@pytest.mark.slow
 def test_two_models_answer_the_same_query(two_models: Running, contexts: Callable[[], BrowserContext]) -> None:
     explorer = Explorer(contexts().new_page())
     explorer.open(two_models.url)
@@ -184,6 +187,7 @@ def test_two_models_answer_the_same_query(two_models: Running, contexts: Callabl
     explorer.expect_status("query", query or "")
 
 
+@pytest.mark.slow
 def test_a_profile_asked_for_twice_is_computed_to_the_end(explorer: Explorer) -> None:
     open_window(explorer)
     explorer.page.get_by_role("tab", name="Turn, shift, zoom").click()
@@ -194,6 +198,7 @@ def test_a_profile_asked_for_twice_is_computed_to_the_end(explorer: Explorer) ->
     expect(explorer.page.locator("#lpn-profile")).to_have_attribute("data-done", "24", timeout=30_000)
 
 
+@pytest.mark.slow
 def test_a_window_opened_by_a_link_keeps_to_the_stage(app: Running, contexts: Callable[..., BrowserContext]) -> None:
     explorer = Explorer(contexts(viewport={"width": 1280, "height": 720}).new_page())
     explorer.open(f"{app.url}/?why=1")
@@ -205,6 +210,7 @@ def test_a_window_opened_by_a_link_keeps_to_the_stage(app: Running, contexts: Ca
     assert window["x"] + window["width"] <= canvas["x"] + canvas["width"]
 
 
+@pytest.mark.slow
 def test_chips_answer_to_the_keyboard(explorer: Explorer) -> None:
     open_window(explorer)
     chip = explorer.page.locator("#lpn-why .chips a").nth(2)

@@ -235,6 +235,7 @@ def test_a_model_of_many_epochs_without_its_state_is_not_trained_over(
         assert (out / "last.safetensors").read_bytes() == kept
 
 
+@pytest.mark.slow
 def test_parts_of_two_quantisations_are_not_one_model(tmp_path: Path) -> None:
     """As a kill between the two files of a model leaves them, where other files were there before."""
     from lpn.models.checkpoints import save

@@ -106,6 +106,7 @@ def test_describe(model_file: Path, places: Path, tmp_path: Path, killer: Killer
     survives(Command(arguments, whole, whole), killer, out)
 
 
+@pytest.mark.slow
 def test_export(model_file: Path, tmp_path: Path, killer: Killer) -> None:
     file = tmp_path / "out" / "lpn.onnx"
     arguments = ["export", "--model", str(model_file.with_suffix(".safetensors")), "--out", str(file)]
@@ -114,6 +115,7 @@ def test_export(model_file: Path, tmp_path: Path, killer: Killer) -> None:
     )  # each takes seconds
 
 
+@pytest.mark.slow
 def test_quantize(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
     file = tmp_path / "out" / "small.onnx"
     arguments = ["quantize", "--model", str(model_file), "--data", str(places), "--out", str(file), "--pictures", "2"]
@@ -140,6 +142,7 @@ def test_index(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -
     survives(Command(arguments, found, found), killer, out)
 
 
+@pytest.mark.slow
 def test_train(places: Path, tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
     settings = ["--epochs", "2", "--size", "32", "--batch", "4", "--warmup-epochs", "0", "--ema", "0"]
@@ -161,6 +164,7 @@ def test_train(places: Path, tmp_path: Path, killer: Killer) -> None:
     survives(Command(arguments, whole, losses, again), killer, out)
 
 
+@pytest.mark.slow
 def test_reproduce(places: Path, tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
     settings = ["--scale", "reduced", "--epochs", "1", "--batch", "4", "--backbone", "resnet18"]
@@ -176,6 +180,7 @@ def test_reproduce(places: Path, tmp_path: Path, killer: Killer) -> None:
     survives(Command(arguments, whole, written), killer, out, ROUNDS // 2)
 
 
+@pytest.mark.slow
 def test_world(tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
     settings = ["--buildings", "6", "--views", "2", "--pixels", "32", "--tile-pixels", "32", "--panoramas", "1"]
@@ -207,6 +212,7 @@ def test_world(tmp_path: Path, killer: Killer) -> None:
     assert open_dataset(out).kind == "world"
 
 
+@pytest.mark.slow
 def test_a_store_read_while_it_is_written_is_none_or_whole(
     model_file: Path, places: Path, tmp_path: Path, killer: Killer
 ) -> None:

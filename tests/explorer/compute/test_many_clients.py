@@ -451,6 +451,7 @@ def shows(app: App) -> None:
         browser.camera()
 
 
+@pytest.mark.slow
 def test_browsers_that_vanish_leave_nothing(app: App) -> None:
     ways = (looks, asks, sends, decodes, profiles, knocks, shows)
     for way in ways:  # what is made once: threads of pools, files of shared libraries

@@ -798,6 +798,7 @@ def test_the_pages_own_messages_may_hold_anything(app: App, hostile: Talker) -> 
     works(hostile)
 
 
+@pytest.mark.slow
 def test_a_flood_of_messages_is_the_floods_own_trouble(hostile: Talker) -> None:
     uuid = hostile.find("Rotate")
     for number in range(1500):

@@ -137,6 +137,7 @@ def test_mistakes_get_one_sentence(
     assert error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_train_takes_its_defaults_from_the_named_recipe(tmp_path: Path) -> None:
     root = small_worlds.make_dataset(tmp_path / "places", train=4, test=2)
     done = run(

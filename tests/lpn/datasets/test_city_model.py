@@ -78,6 +78,7 @@ def test_the_model_is_small_whole_and_says_where_it_stands(atlas: Atlas, data: b
     assert read.origin == Position(atlas.site.latitude, atlas.site.longitude)
 
 
+@pytest.mark.slow
 def test_the_same_city_gives_the_same_file(atlas: Atlas, window: model3d.Window) -> None:
     again = make_atlas(atlas.settings)
     one, other = (model3d.city_model(city, atlas.site, window, 300_000) for city in (atlas.city, again.city))
@@ -151,6 +152,7 @@ def test_the_ground_is_painted_north_up_and_light_enough_to_see(city: City) -> N
     assert {name for m in header(data)["materials"] for name in m["extensions"]} == {"KHR_materials_unlit"}
 
 
+@pytest.mark.slow
 def test_less_room_is_less_detail_and_too_little_is_said(atlas: Atlas, window: model3d.Window) -> None:
     full = model3d.city_model(atlas.city, atlas.site, window)
     limit = len(full) // 2

@@ -489,6 +489,7 @@ features.describe(model, features.pictures_below(root), "drone", out)
 """
 
 
+@pytest.mark.slow
 def test_a_kill_costs_about_a_second(
     model: Model, model_file: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -62,6 +62,7 @@ def test_curves_begin_and_end_at_the_whole_and_the_blurred_picture(model_file: P
     assert (out[0], out[-1]) == pytest.approx((back[-1], back[0]), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_on_the_demo_evidence_finds_what_matters() -> None:
     found = {key: float(scores.mean()) for key, scores in curves(DEMO, load(DEMO / "lpn.onnx"), 6, 4).items()}
     for other in ("random", "centre first"):

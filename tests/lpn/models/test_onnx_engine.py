@@ -136,6 +136,7 @@ def _two_files(folder: Path, seed: int = 0) -> list[Path]:
     return export(folder / "model.safetensors", folder / "model.onnx")
 
 
+@pytest.mark.slow
 def test_files_of_one_model_belong_together(tmp_path: Path) -> None:
     first, second = _two_files(tmp_path / "a")
     pictures = seeded.pictures(0, 1, 64, 64)

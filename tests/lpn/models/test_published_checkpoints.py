@@ -193,6 +193,7 @@ def test_two_view_checkpoints(name: str, n: int, stride: int | None, tmp_path: P
         agree(model.part_embeddings(picture(256), view), raw(state, view, name, 256, stride or 1))
 
 
+@pytest.mark.slow
 def test_two_view_descriptors_also_when_exported(tmp_path: Path) -> None:
     """Released VGG-16 runs are given stride 2, and make no use of it."""
     state = state_dict("vgg16_bn", 2, 8)

@@ -66,6 +66,7 @@ def test_a_quantised_model_s_evidence_still_adds_up(data: Path, model_file: Path
     assert sum(float(values.sum()) for values in evidence.sums) == pytest.approx(score, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_views_with_weights_of_their_own_are_calibrated_by_their_own_pictures(data: Path, tmp_path: Path) -> None:
     torch.manual_seed(2)
     spec = ModelSpec("resnet18", "layer3", views=("satellite", "drone"), n_parts=2, shared=False, input_size=(64, 64))
@@ -128,6 +129,7 @@ def test_the_command_says_how_close_it_is(
     assert "satellite 0.9" in said
 
 
+@pytest.mark.slow
 def test_on_real_pictures_8_bits_cost_at_most_one_query(real_run: RealRun, tmp_path: Path) -> None:
     export(real_run.after, tmp_path / "whole.onnx")
     dataset = open_dataset(real_run.data)

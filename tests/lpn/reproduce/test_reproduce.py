@@ -181,6 +181,7 @@ def test_an_unfinished_run_goes_on_only_as_it_began(
     assert "Going on after epoch 1 of 2" in said(made)
 
 
+@pytest.mark.slow
 def test_given_models_stand_for_trainings(places: Path, tmp_path: Path) -> None:
     model, baseline = (small_worlds.make_model(tmp_path / str(n), n) for n in (4, 1))
     made = reproduction(places, tmp_path / "out", models={"lpn": model, "instance": baseline}, train=False)
@@ -281,6 +282,7 @@ def landmarks(folder: Path) -> Path:
     return folder / "oxford" if (folder / "oxford").is_dir() else layouts.oxford(folder / "oxford")
 
 
+@pytest.mark.slow
 def test_landmarks_stand_beside_the_paper_s_column_of_their_own(places: Path, tmp_path: Path) -> None:
     root = small_worlds.make_views(tmp_path / "views", 4)
     paris, start = layouts.paris(tmp_path / "paris"), tmp_path / "start.safetensors"
@@ -297,6 +299,7 @@ def test_landmarks_stand_beside_the_paper_s_column_of_their_own(places: Path, tm
         features_alone(SCALES["reduced"].places, tmp_path / "half.safetensors")
 
 
+@pytest.mark.slow
 def test_a_world_becomes_places_with_google_panoramas_and_landmarks(tmp_path: Path) -> None:
     root = tmp_path / "world"
     for label in range(1, 7):
@@ -384,6 +387,7 @@ def test_clauses_that_differ_are_said_with_the_rows_they_hold_for() -> None:
     assert footnotes.protocol({"LPN": rows["LPN"]}) == rows["LPN"]
 
 
+@pytest.mark.slow
 def test_a_terminal_of_ascii_does_not_end_a_reproduction(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

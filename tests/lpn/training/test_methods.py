@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -85,13 +86,18 @@ def improves(data: Path, folder: Path, name: str, changes: dict[str, Any], task:
     return model
 
 
-@pytest.mark.parametrize("name", ON_PLACES)
+def slow_but(names: Iterable[str], quick: str) -> list[Any]:
+    """All methods as parameters; only one of them belongs to the quick tests."""
+    return [pytest.param(name, marks=() if name == quick else pytest.mark.slow) for name in names]
+
+
+@pytest.mark.parametrize("name", slow_but(ON_PLACES, "lpn"))
 def test_training_on_places_improves_retrieval(places: Path, tmp_path: Path, name: str) -> None:
     model = improves(places, tmp_path, name, ON_PLACES[name], "drone-to-satellite")
     assert lpn.load(model).views == ("satellite", "street", "drone")
 
 
-@pytest.mark.parametrize("name", ON_PANORAMAS)
+@pytest.mark.parametrize("name", slow_but(ON_PANORAMAS, "safa"))
 def test_training_on_panoramas_improves_retrieval(panoramas: Path, tmp_path: Path, name: str) -> None:
     model = improves(panoramas, tmp_path, name, ON_PANORAMAS[name], "street-to-satellite")
     export(model, tmp_path / "model.onnx")

@@ -66,6 +66,7 @@ def test_a_shared_run_is_resumed_to_the_same_losses(shared: Path) -> None:
     assert all(torch.equal(one[name], two[name]) for name in one)
 
 
+@pytest.mark.slow
 def test_an_error_in_one_process_ends_all_with_its_sentence(places: Path, tmp_path: Path) -> None:
     data = tmp_path / "places"
     shutil.copytree(places, data)

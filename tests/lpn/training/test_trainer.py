@@ -42,7 +42,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_worlds.make_dataset(tmp_path_factory.mktemp("train") / "places", train=24, test=12)
 
 
-@pytest.mark.parametrize("n_parts", [1, 4])
+@pytest.mark.parametrize("n_parts", [pytest.param(1, marks=pytest.mark.slow), 4])
 def test_training_improves_retrieval_of_the_training_places(tmp_path: Path, n_parts: int) -> None:
     root = tmp_path / "negatives"
     for label in range(1, 25):
@@ -223,6 +223,7 @@ def test_held_out_places_choose_and_are_not_trained_on(places: Path, tmp_path: P
         trainer(places, tmp_path / "other", quick, validate=0.25)
 
 
+@pytest.mark.slow
 def test_float16_and_its_scaler_are_resumed(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(optimizer, "choose_dtype", lambda *_: torch.float16)
     quick = replace(QUICK, epochs=1)
@@ -243,6 +244,7 @@ def test_a_run_of_another_version_is_not_resumed(places: Path, tmp_path: Path) -
         trainer(places, tmp_path / "run", replace(QUICK, epochs=1), resume=True)
 
 
+@pytest.mark.slow
 def test_a_run_killed_between_its_first_model_and_its_first_state_starts_anew(places: Path, tmp_path: Path) -> None:
     quick = replace(QUICK, epochs=2)
     trainer(places, tmp_path / "whole", quick)[0].run()
@@ -341,6 +343,7 @@ def test_the_paper_s_recipe_is_the_default() -> None:
         replace(recipe, instance=0.0)
 
 
+@pytest.mark.slow
 def test_some_epochs_on_real_pictures_beat_the_untrained_network(real_run: RealRun) -> None:
     assert "fills 90 of the backbone's 90 tensors" in real_run.said
     dataset = open_dataset(real_run.data)

@@ -56,7 +56,9 @@ def city(atlas: Atlas) -> City:
     return atlas.city
 
 
-@pytest.mark.parametrize(("seed", "buildings"), [(0, 200), *((seed, 30) for seed in range(1, 6))])
+@pytest.mark.parametrize(
+    ("seed", "buildings"), [pytest.param(0, 200, marks=pytest.mark.slow), *((seed, 30) for seed in range(1, 6))]
+)
 def test_any_seed_gives_a_city_of_the_size_asked_for(seed: int, buildings: int) -> None:
     targets = plan_city(seed, buildings).targets
     assert [target.number for target in targets] == list(range(1, buildings + 1))
@@ -130,6 +132,7 @@ def test_twins_share_one_architecture_and_nobody_else_does(city: City) -> None:
     assert all(a != b for a, b in itertools.combinations([city.architectures[looks[n]] for n in alone], 2))
 
 
+@pytest.mark.slow
 def test_a_third_of_the_targets_of_a_large_world_are_twins() -> None:
     large = plan_city(1, 120)
     assert sum(target.twins > 0 for target in large.targets) >= 40
@@ -261,6 +264,7 @@ def _cameras(atlas: Atlas, view: str) -> list[tuple[int, Any]]:
     return [(shot.target, shot.camera) for shot in atlas.shots if shot.view == view]
 
 
+@pytest.mark.slow
 def test_pictures_from_the_ground_leave_all_others_as_they_were(atlas: Atlas, walked: Atlas) -> None:
     others = [shot for shot in walked.shots if shot.view == "drone" or shot.paths[0].startswith(("train/s", "test/"))]
     assert [shot for shot in others if shot.view != "street"] == atlas.shots
@@ -271,6 +275,7 @@ def test_pictures_from_the_ground_leave_all_others_as_they_were(atlas: Atlas, wa
     assert found == "1ffcb4a061318f9b753dea56cab28c065ae79d573e285ad9550f405c87d26d9f"
 
 
+@pytest.mark.slow
 def test_more_pictures_from_the_ground_keep_those_there_are(walked: Atlas) -> None:
     more = {shot.paths: shot for shot in make_atlas(replace(SETTINGS, streets=5, panoramas=3)).shots}
     assert {shot.paths for shot in walked.shots} < set(more)

@@ -1,0 +1,16 @@
+"""Fixtures of the index tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tools.fixtures.milvus_server import Server, milvus_python
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A running Milvus server that demands passwords; skips where LPN_MILVUS_PYTHON is not set."""
+    with Server(milvus_python(), tmp_path_factory.mktemp("milvus") / "server", passwords=True) as running:
+        yield running

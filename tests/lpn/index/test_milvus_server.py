@@ -1,0 +1,237 @@
+"""The Milvus index against a real server: the contract of every index, built structures, and a killed server."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from lpn.core.errors import LPNError, StoreError
+from lpn.index import Box, Index, Kind, MilvusIndex, Structure, create_index, milvus, open_index
+from lpn.models.base import normalise
+from tests.lpn.index.test_index import (  # noqa: F401 - the contract, with `make` of this module
+    BOXES,
+    KIND,
+    WEIGHTS,
+    Tiles,
+    test_every_index_answers_as_brute_force_does,
+    test_every_index_keeps_what_it_was_given,
+    test_every_index_refuses_what_it_cannot_keep,
+    test_names_of_all_kinds_come_back,
+)
+from tools.fixtures.milvus_server import Server, indexed
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def make(server: Server, tmp_path: Path) -> Callable[[], Index]:
+    """An empty index, or the same one once more."""
+    url = f"{server.url}/contract_{abs(hash(tmp_path)):x}"
+    return lambda: create_index(url, KIND)
+
+
+@pytest.mark.parametrize("structure", ["ivf", "hnsw"])
+def test_a_milvus_collection_has_the_structure_asked_for(server: Server, structure: Structure) -> None:
+    tiles, url = Tiles.draw(300), f"{server.url}/of_{structure}"
+    with create_index(url, KIND, structure=structure) as index:
+        tiles.add_to(index)
+        query = tiles.descriptors[7]
+        tiles.check(index.search(query, None, 1), query, None, 1, None)
+        client = server.client()
+        built = client.describe_index(f"of_{structure}", "vector")["index_type"]
+        assert built == {"ivf": "IVF_FLAT", "hnsw": "HNSW"}[structure]
+        client.drop_collection(f"of_{structure}")
+        client.close()
+        started = time.monotonic()
+        with pytest.raises(StoreError, match="refuses"):
+            index.count()
+        assert time.monotonic() - started < 20
+
+
+def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server: Server) -> None:
+    kind = Kind("m", 4, 128)
+    tiles = Tiles.draw(9000, kind=kind)
+    with ThreadPoolExecutor(1) as pool:
+        with MilvusIndex.create(f"{server.url}/killed", kind, patience=180) as index:  # a busy machine starts slowly
+            index.add(tiles.names[:2000], tiles.descriptors[:2000], tiles.positions[:2000])
+            sent: list[int] = []
+
+            def add_the_rest() -> None:
+                for start in range(2000, 9000, 200):
+                    some = slice(start, start + 200)
+                    sent.append(start)
+                    index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
+
+            adding = pool.submit(add_the_rest)
+            while len(sent) < 10:
+                time.sleep(0.001)
+            server.kill()
+            assert len(sent) < 35
+            server.start()
+            adding.result(timeout=240)
+            assert index.count() == 9000
+            assert index.holds(tiles.names).all()
+            query = tiles.descriptors[8000]
+            for weights, box in ((None, None), ([1, 0, 2, 1], BOXES[2])):
+                tiles.check(index.search(query, weights, 9000, box), query, weights, 9000, box)
+        with pytest.raises(StoreError, match="descriptors of model m, and this model is n"):
+            open_index(f"{server.url}/killed", "n")
+        with pytest.raises(LPNError, match="choose another collection"):
+            create_index(f"{server.url}/killed", KIND)
+
+
+@pytest.fixture(scope="module")
+def built(server: Server) -> dict[Structure, tuple[MilvusIndex, Tiles]]:
+    """A collection of each structure whose index is built, which begins at 1,024 tiles and at a flush."""
+
+    def make(structure: Structure) -> tuple[MilvusIndex, Tiles]:
+        tiles = Tiles.draw(6000)
+        index = MilvusIndex.create(f"{server.url}/built_{structure}", KIND, structure)
+        tiles.add_to(index, 3000)
+        indexed(server.client(), f"built_{structure}", structure)
+        return index, tiles
+
+    structures = get_args(Structure)
+    with ThreadPoolExecutor(len(structures)) as pool:
+        return dict(zip(structures, pool.map(make, structures), strict=True))
+
+
+def _strip(tiles: Tiles, count: int) -> Box:
+    """A box with so many tiles in it."""
+    latitudes = np.sort(tiles.positions[:, 0])  # those without a place are last
+    south, north = latitudes[[2000, 2000 + count]]
+    return float(south), -180.0, float(np.nextafter(north, south)), 179.9999
+
+
+def _recall(index: Index, tiles: Tiles, k: int, box: Box | None, queries: int = 6) -> float:
+    """Of the true k; what comes back is to be k tiles or all, and of each what was added, exactly."""
+    rng, inside, hits, wanted = np.random.default_rng(2), tiles.inside(box), 0, 0
+    rows_of = {name: row for row, name in enumerate(tiles.names)}
+    noise = rng.standard_normal((queries, *tiles.descriptors.shape[1:])).astype(np.float32)
+    for i, query in enumerate(normalise(tiles.descriptors[:queries] + 0.1 * noise)):
+        weights = WEIGHTS[i % len(WEIGHTS)]
+        scores = tiles.scores(query, weights)
+        found = index.search(query, weights, k, box)
+        rows = np.array([rows_of[name] for name in found.ids])
+        assert len(set(found.ids)) == len(found) == min(k, len(inside))
+        assert set(rows) <= set(inside)
+        np.testing.assert_array_equal(found.vectors, tiles.descriptors[rows])
+        np.testing.assert_array_equal(found.positions, tiles.positions[rows])
+        np.testing.assert_allclose(found.scores, scores[rows], rtol=0, atol=1e-12)
+        assert (np.diff(found.scores) <= 0).all()
+        hits += len(set(rows) & set(inside[np.argsort(-scores[inside])[:k]]))
+        wanted += len(found)
+    return hits / wanted
+
+
+@pytest.mark.parametrize("structure", get_args(Structure))
+def test_a_built_index_gives_as_many_tiles_as_were_asked_for(
+    built: dict[Structure, tuple[MilvusIndex, Tiles]], structure: Structure
+) -> None:
+    index, tiles = built[structure]
+    for count, k in ((5, 10), (10, 10), (100, 10), (100, 200), (1000, 10), (1000, 1000)):
+        box = _strip(tiles, count)
+        assert len(tiles.inside(box)) == count
+        assert _recall(index, tiles, k, box) >= (0.95 if structure == "hnsw" and count == 1000 else 1)
+    floor = 1 if structure == "flat" else 0.9
+    assert _recall(index, tiles, 10, None) >= floor
+    assert _recall(index, tiles, 10, BOXES[2]) >= floor
+    for k in (3000, 6000, 9000):
+        assert _recall(index, tiles, k, None) >= 0.5
+
+
+@pytest.mark.parametrize("structure", get_args(Structure))
+def test_tiles_of_a_built_index_are_replaced(
+    built: dict[Structure, tuple[MilvusIndex, Tiles]], structure: Structure
+) -> None:
+    index, tiles = built[structure]
+    other = Tiles.draw(6000, seed=5)
+    some = slice(1000, 1700)
+    tiles.descriptors[some], tiles.positions[some] = other.descriptors[some], other.positions[some]
+    index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
+    assert index.count() == 6000
+    assert index.search(tiles.descriptors[1000], None, 1).ids == [tiles.names[1000]]
+    assert _recall(index, tiles, 50, _strip(tiles, 100), 1) == 1
+    assert _recall(index, tiles, 6000, None, 1) == 1
+
+
+def test_tiles_of_a_box_are_compared_in_proportion(
+    built: dict[Structure, tuple[MilvusIndex, Tiles]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where they are too many to compare all: as many as without a box, or all."""
+    index, tiles = built["ivf"]
+    box = _strip(tiles, 1500)
+    assert index._lists(index._client, milvus.expression(box)) == 1024
+    monkeypatch.setattr(milvus, "_FEW", 0)
+    assert index._lists(index._client, milvus.expression(box)) == 4 * 128
+    assert index._lists(index._client, milvus.expression(_strip(tiles, 500))) == 1024
+    assert index._lists(index._client, "") == 128
+    assert _recall(index, tiles, 10, box) >= 0.9
+
+
+def test_tiles_are_read_page_by_page(
+    built: dict[Structure, tuple[MilvusIndex, Tiles]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    index, tiles = built["hnsw"]
+    query = tiles.descriptors[3]
+    monkeypatch.setattr(index, "most", 700)
+    for box in (None, BOXES[1]):
+        within = milvus.expression(box) if box else ""
+        found = index._all(index._client, KIND.rescaled(query, None), 20, within, "Strong")
+        scores, inside = tiles.scores(query, None), tiles.inside(box)
+        assert [row["name"] for row in found] == [tiles.names[i] for i in inside[np.argsort(-scores[inside])[:20]]]
+
+
+def test_what_an_answer_or_a_growing_segment_has_no_room_for_is_read_in_lots(server: Server) -> None:
+    """A server's answer has 64 MB at most; and of a growing segment it looks through one list of eight."""
+    kind = Kind("g", 4, 512)
+    tiles = Tiles.draw(8600, kind=kind)
+    with create_index(f"{server.url}/growing", kind, structure="hnsw") as index:
+        tiles.add_to(index)
+        query = tiles.descriptors[5]
+        rows_of = {name: row for row, name in enumerate(tiles.names)}
+        for k, box in ((4500, None), (600, _strip(tiles, 500))):
+            inside = tiles.inside(box)
+            found = index.search(query, None, k, box)
+            assert len(set(found.ids)) == len(found) == min(k, len(inside))
+            rows = [rows_of[name] for name in found.ids]
+            assert set(rows) <= set(inside)
+            np.testing.assert_array_equal(found.vectors, tiles.descriptors[rows])
+            np.testing.assert_allclose(found.scores, tiles.scores(query, None)[rows], rtol=0, atol=1e-12)
+
+
+def test_a_collection_that_another_let_go_of_is_loaded_again(server: Server) -> None:
+    tiles = Tiles.draw(50)
+    with create_index(f"{server.url}/released", KIND) as index:
+        tiles.add_to(index)
+        query = tiles.descriptors[3]
+        asking: list[Callable[[], object]] = [
+            lambda: tiles.check(index.search(query, None, 5), query, None, 5, None),
+            lambda: index.count(),
+            lambda: index.holds(tiles.names),
+        ]
+        for ask in asking:
+            server.client().release_collection("released")
+            ask()
+
+
+def test_who_may_not_is_told_at_once(server: Server) -> None:
+    create_index(f"{server.url}/forbidden", KIND).close()
+    server.client().create_user("bob", "Password1")
+    started = time.monotonic()
+    for token, said in (
+        ("", "missing authorization"),
+        ("root:wrong", "auth"),
+        ("bob:Password1", "permission deny to bob"),
+    ):
+        for using in (open_index, lambda url: create_index(url, KIND)):
+            with pytest.raises(StoreError, match=f"does not allow this .*{said}.*; give a name and a password") as told:
+                using(f"{server.url_of(token)}/forbidden")
+            assert "Password1" not in str(told.value)
+    assert time.monotonic() - started < 30
