@@ -40,7 +40,7 @@ from explorer.stage.scene import SCENE, Stage
 from explorer.url_state import UrlState
 from explorer.web import style
 from explorer.web.bridge import Bridge
-from explorer.workspace import Analyst, Answer, Exhibit
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.core import images
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
@@ -73,25 +73,29 @@ SLOW = 0.5
 class Visitor:
     """One connected browser. Its state belongs to it alone."""
 
-    def __init__(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: UrlState) -> None:
-        self._client, self._exhibit, self._links = client, exhibit, links
+    def __init__(
+        self, client: viser.ClientHandle, workspace: Workspace, laboratory: Laboratory, links: UrlState
+    ) -> None:
+        self._client, self._workspace, self._links = client, workspace, links
         # What is drawn while the browser leaves is lost, which is no reason to warn of it. viser's own context for this takes
         # the buffer's lock when it ends, and a garbage collection may end it in a thread that holds the lock.
         client._websock_connection.get_message_buffer()._warned_push_after_done = True
         self._lock = threading.RLock()
         self._greeted = self._small = False
         self._sequence = 0
-        task = next(iter(exhibit.tasks))
-        state = SessionState(task, exhibit.spec.n_parts, query=exhibit.first, page=exhibit.first // THUMBS)
-        self._state = exhibit.possible(state)
-        self._asker = RequestContext(exhibit.inference)
-        self._analyst = Analyst(exhibit, self._asker.of(exhibit.model))
+        task = next(iter(workspace.tasks))
+        state = SessionState(task, workspace.spec.n_parts, query=workspace.first, page=workspace.first // THUMBS)
+        self._state = workspace.possible(state)
+        self._asker = RequestContext(workspace.inference)
+        self._analyser = StateAnalyser(workspace, self._asker.of(workspace.model))
         with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
             self._dress(self._state)
-            self._panels = Panels(client, exhibit, self._state, self.change, Random())
-            room, self._reporter = Viewport(), Reporter(client, self._asker.of(exhibit.model, patient=True))
-            self._reasons = ExplainWindow(client, exhibit, self.change, self._failed, room, self._reporter, self._asker)
-            self._lab = Lab(client, exhibit, laboratory, self.change, room, self._reporter)
+            self._panels = Panels(client, workspace, self._state, self.change, Random())
+            room, self._reporter = Viewport(), Reporter(client, self._asker.of(workspace.model, patient=True))
+            self._reasons = ExplainWindow(
+                client, workspace, self.change, self._failed, room, self._reporter, self._asker
+            )
+            self._lab = Lab(client, workspace, laboratory, self.change, room, self._reporter)
             self._panels.order = self._lab.order
             handlers = {
                 "room": room.take,
@@ -100,11 +104,11 @@ class Visitor:
                 "dark": lambda _: self.change(session_state.flip_dark),
             }
             handlers |= self._reasons.handlers() | self._lab.handlers()
-            told = {"steps": [asdict(step) for step in tour.steps(exhibit)], "scene": SCENE}
+            told = {"steps": [asdict(step) for step in tour.steps(workspace)], "scene": SCENE}
             self._bridge = Bridge(client.gui, handlers, told, STYLES)
             further = self._reasons.orders() + self._lab.orders()
-            shortcuts.add(client.gui, exhibit, self._panels, self.change, self._bridge, further)
-            self._stage = Stage(client, exhibit, self._selected)
+            shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, further)
+            self._stage = Stage(client, workspace, self._selected)
             self._worker = Worker(self._work, self._failed)
             self._follower = RankingProgress(self._panels.show_results, self._worker.wake)
             self._opening = DelayedCall(GREETING, self._worker.wake)
@@ -115,7 +119,7 @@ class Visitor:
             changed = change(self._state)
             if changed is None:
                 return
-            changed = self._exhibit.possible(changed)
+            changed = self._workspace.possible(changed)
             if changed == self._state:
                 return
             if changed.dark != self._state.dark:
@@ -173,34 +177,34 @@ class Visitor:
     def _work(self) -> float | None:
         slow = DelayedCall(SLOW, self._panels.busy)
         try:
-            answer = self._asker.newest(lambda: self._analyst.answer(self._state, SHOWN))
+            analysis = self._asker.newest(lambda: self._analyser.analyse(self._state, SHOWN))
             self._sequence += 1
             started = time.perf_counter()
             with self._client.atomic():  # the page takes all of it at once, and draws one frame rather than several
-                self._stage.show(answer)
-                self._reasons.show(answer)
-                self._lab.show(answer)
+                self._stage.show(analysis)
+                self._reasons.show(analysis)
+                self._lab.show(analysis)
                 slow.there()
-                self._panels.show(answer, self._sequence, started)
+                self._panels.show(analysis, self._sequence, started)
         except BusyError:
             slow.there()
             self._panels.full()
             return AGAIN
         finally:
             slow.there()
-        beside = self._exhibit.beside
-        self._follower.follow(answer.task, None if beside is None else beside.tasks.get(answer.task.name))
-        self._bridge.address(self._links.write(answer.state), self._links.keys)
+        beside = self._workspace.beside
+        self._follower.follow(analysis.task, None if beside is None else beside.tasks.get(analysis.task.name))
+        self._bridge.address(self._links.write(analysis.state), self._links.keys)
         if log.isEnabledFor(logging.DEBUG):
-            log.debug("%s", self._line(answer, time.perf_counter() - started))
+            log.debug("%s", self._line(analysis, time.perf_counter() - started))
         return None
 
-    def _line(self, answer: Answer, drawn: float) -> str:
+    def _line(self, analysis: StateAnalysis, drawn: float) -> str:
         """An answer as a line of the log."""
-        state = answer.state
-        query = f"own picture {printable(answer.name)}" if state.upload else f"query {printable(answer.name)}"
+        state = analysis.state
+        query = f"own picture {printable(analysis.name)}" if state.upload else f"query {printable(analysis.name)}"
         asked = f"turn {state.angle:g}, shift {state.shift} {state.down}, zoom {state.zoom:g}"
-        took = f"computed in {1000 * answer.seconds:.0f} ms, shown in {1000 * drawn:.0f} ms"
+        took = f"computed in {1000 * analysis.seconds:.0f} ms, shown in {1000 * drawn:.0f} ms"
         return f"Browser {self._client.client_id}: answer {self._sequence}: {state.task}, {query}, {asked}: {took}"
 
     def _failed(self, error: Exception) -> None:
@@ -223,7 +227,7 @@ class App:
         MissingPackageError: when viser's page cannot be guarded.
     """
 
-    def __init__(self, exhibit: Exhibit, host: str, port: int, door: Authenticator | None = None) -> None:
+    def __init__(self, workspace: Workspace, host: str, port: int, door: Authenticator | None = None) -> None:
         _check_free(host, port)
         self.door = door or entry(host, None, False, ())
         conceal(self.door.token)
@@ -236,8 +240,8 @@ class App:
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False
         self._visitors: dict[int, Visitor] = {}
-        laboratory, links = Laboratory(exhibit), UrlState(exhibit)
-        self.server.on_client_connect(lambda client: self._connected(client, exhibit, laboratory, links))
+        laboratory, links = Laboratory(workspace), UrlState(workspace)
+        self.server.on_client_connect(lambda client: self._connected(client, workspace, laboratory, links))
         self.server.on_client_disconnect(self._disconnected)
 
     def close(self) -> None:
@@ -253,9 +257,11 @@ class App:
         if not finished(max(until - time.monotonic(), 0)):
             log.warning("A file is still being written")
 
-    def _connected(self, client: viser.ClientHandle, exhibit: Exhibit, laboratory: Laboratory, links: UrlState) -> None:
+    def _connected(
+        self, client: viser.ClientHandle, workspace: Workspace, laboratory: Laboratory, links: UrlState
+    ) -> None:
         log.info("Browser %d connected", client.client_id)
-        self._visitors[client.client_id] = Visitor(client, exhibit, laboratory, links)
+        self._visitors[client.client_id] = Visitor(client, workspace, laboratory, links)
         if client.client_id not in self.server.get_clients():  # gone while its page was being built
             self._disconnected(client)
 
@@ -304,7 +310,7 @@ def run_saved(
     _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port, door)
 
 
-def _serve(opened: Callable[[], Exhibit], host: str, port: int, door: Authenticator | None) -> None:
+def _serve(opened: Callable[[], Workspace], host: str, port: int, door: Authenticator | None) -> None:
     host = host or "0.0.0.0"
     _check_free(host, port)
     pool_memory()

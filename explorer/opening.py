@@ -12,7 +12,7 @@ from rich.console import Console
 import lpn
 from explorer.compute.ranking_job import RankingJob
 from explorer.stage import gallery_geometry
-from explorer.workspace import Exhibit, Task
+from explorer.workspace import Task, Workspace
 from lpn import descriptors
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
@@ -31,7 +31,7 @@ SAVED_MAP = (16, 16)
 """Cells by which rings are drawn where no network says them: those of a ResNet-50 at 256 pixels."""
 
 
-def open_model(data: Path, model: Path, query: str | None = None, beside: Path | None = None) -> Exhibit:
+def open_model(data: Path, model: Path, query: str | None = None, beside: Path | None = None) -> Workspace:
     """A model and all tasks of a data set that it knows the views of.
 
     Args:
@@ -61,14 +61,14 @@ def open_model(data: Path, model: Path, query: str | None = None, beside: Path |
         tasks.append(_task(dataset, where, views, queries, gallery, asked, tiles))
     map_sizes = {view: opened.map_size(view) for view in opened.views}
     city = None if where is None else _city(data)
-    exhibited = Exhibit(printable(model.name), data_name, tasks, opened.spec, map_sizes, opened, city, dataset.root)
-    exhibited.open_with(query)
+    workspace = Workspace(printable(model.name), data_name, tasks, opened.spec, map_sizes, opened, city, dataset.root)
+    workspace.open_with(query)
     if beside is not None:
-        exhibited.beside = open_model(data, beside)
-    return exhibited
+        workspace.beside = open_model(data, beside)
+    return workspace
 
 
-def open_saved(data: Path, saved: Saved, query: str | None = None) -> Exhibit:
+def open_saved(data: Path, saved: Saved, query: str | None = None) -> Workspace:
     """A saved result and the pictures it is of; there is no network, so nothing can be described again.
 
     Rings are drawn as University-1652's LPN cuts them, and for panoramas as the published CVUSA models do.
@@ -87,9 +87,9 @@ def open_saved(data: Path, saved: Saved, query: str | None = None) -> Exhibit:
     spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)
     map_sizes = dict.fromkeys(spec.views, SAVED_MAP)
     city = None if where is None else _city(data)
-    exhibited = Exhibit(saved.name, printable(data.resolve().name), [task], spec, map_sizes, None, city, dataset.root)
-    exhibited.open_with(query)
-    return exhibited
+    workspace = Workspace(saved.name, printable(data.resolve().name), [task], spec, map_sizes, None, city, dataset.root)
+    workspace.open_with(query)
+    return workspace
 
 
 def _task(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import viser
 
 from explorer.compute.background_jobs import BackgroundJob, ReportProgress, WorkCancelledError
-from explorer.workspace import Answer, Exhibit, Task
+from explorer.workspace import StateAnalysis, Task, Workspace
 from lpn import report
 from lpn.analysis import notes
 from lpn.analysis.task import Study
@@ -19,23 +19,23 @@ Work = Callable[[ReportProgress, Model | None], tuple[str, bytes]]
 """Makes a report with a model: its file's name and contents."""
 
 
-def study_of(exhibit: Exhibit, task: Task, model: Model | None, weights: Float32Array | None = None) -> Study:
-    """A task of the exhibit as reports take it, with the tags and notes beside the data.
+def study_of(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Study:
+    """A task of the workspace as reports take it, with the tags and notes beside the data.
 
     Args:
-        model: the way to the exhibit's model; None where it has none.
+        model: the way to the workspace's model; None where it has none.
 
     Raises:
         LPNError: when the notes cannot be read.
     """
     return Study(
         model,
-        exhibit.model_name,
-        exhibit.data_name,
-        exhibit.root,
+        workspace.model_name,
+        workspace.data_name,
+        workspace.root,
         task.name,
-        exhibit.spec,
-        exhibit.map_sizes,
+        workspace.spec,
+        workspace.map_sizes,
         task.queries,
         task.gallery,
         task.query_labels,
@@ -44,27 +44,30 @@ def study_of(exhibit: Exhibit, task: Task, model: Model | None, weights: Float32
         task.asked,
         task.descriptors,
         weights,
-        notes.read_notes(exhibit.root / notes.NAME),
+        notes.read_notes(workspace.root / notes.NAME),
     )
 
 
-def of_answer(
-    exhibit: Exhibit, answer: Answer, progress: Callable[[int, int], None] | None = None, model: Model | None = None
+def of_analysis(
+    workspace: Workspace,
+    analysis: StateAnalysis,
+    progress: Callable[[int, int], None] | None = None,
+    model: Model | None = None,
 ) -> tuple[str, bytes]:
     """A file's name and contents: the query as it is shown, against the tile that it is compared with.
 
     Raises:
         LPNError: when a file of the data set cannot be read.
     """
-    state, task = answer.state, answer.task
-    study = study_of(exhibit, task, model or exhibit.model, answer.ranking.weights)
-    query = report.Own(answer.name, answer.source) if state.upload else state.query
-    options = report.Options(change=state.change, against=answer.chosen.index)
-    return f"{_plain(answer.name)}.html", report.build(study, [query], options, progress)
+    state, task = analysis.state, analysis.task
+    study = study_of(workspace, task, model or workspace.model, analysis.ranking.weights)
+    query = report.Own(analysis.name, analysis.source) if state.upload else state.query
+    options = report.Options(change=state.change, against=analysis.chosen.index)
+    return f"{_plain(analysis.name)}.html", report.build(study, [query], options, progress)
 
 
 def of_selection(
-    exhibit: Exhibit,
+    workspace: Workspace,
     task: Task,
     queries: Sequence[int],
     chosen: str,
@@ -78,7 +81,7 @@ def of_selection(
     """
     options = report.Options(chosen=chosen)
     return f"{_plain(task.name)}.html", report.build(
-        study_of(exhibit, task, model or exhibit.model), queries, options, progress
+        study_of(workspace, task, model or workspace.model), queries, options, progress
     )
 
 

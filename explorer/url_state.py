@@ -10,7 +10,7 @@ from urllib.parse import parse_qsl, quote, urlencode
 
 from explorer import session_state
 from explorer.session_state import TRUTH, SessionState
-from explorer.workspace import Exhibit
+from explorer.workspace import Workspace
 from lpn.core.files import printable
 
 LONGEST = 20_000
@@ -34,16 +34,16 @@ class _Kind:
 
 
 class UrlState:
-    """Writes and reads the addresses of one exhibit; made once for all browsers."""
+    """Writes and reads the addresses of one workspace; made once for all browsers."""
 
-    def __init__(self, exhibit: Exhibit) -> None:
-        self._exhibit = exhibit
+    def __init__(self, workspace: Workspace) -> None:
+        self._workspace = workspace
         self._first = {
             (name, side): _first_of(entry.name for entry in entries)
-            for name, task in exhibit.tasks.items()
+            for name, task in workspace.tasks.items()
             for side, entries in (("query", task.queries), ("gallery", task.gallery))
         }
-        reach = exhibit.spec.input_size[1] // 2, exhibit.spec.input_size[0] // 2
+        reach = workspace.spec.input_size[1] // 2, workspace.spec.input_size[0] // 2
         self._kinds = (
             _Kind("task", lambda s: s.task, self._task),
             _Kind("query", self._written_query, self._query),
@@ -96,17 +96,17 @@ class UrlState:
         return state, said
 
     def _task(self, state: SessionState, value: str) -> SessionState:
-        if value not in self._exhibit.tasks:
-            raise UnusableError(f"this data set offers {', '.join(self._exhibit.tasks)}.")
+        if value not in self._workspace.tasks:
+            raise UnusableError(f"this data set offers {', '.join(self._workspace.tasks)}.")
         return state if value == state.task else replace(state, task=value, query=0)
 
     def _written_query(self, state: SessionState) -> str:
         if state.upload is not None:
             return OWN
-        return self._name(state, "query", self._exhibit.tasks[state.task].queries, state.query)
+        return self._name(state, "query", self._workspace.tasks[state.task].queries, state.query)
 
     def _query(self, state: SessionState, value: str) -> SessionState:
-        task = self._exhibit.tasks[state.task]
+        task = self._workspace.tasks[state.task]
         query = self._position(state, "query", len(task.queries), value)
         if query is None and value == OWN:
             raise UnusableError("a picture of somebody's own is in their browser only; ask them for the file.")
@@ -117,10 +117,10 @@ class UrlState:
     def _written_tile(self, state: SessionState) -> str | None:
         if state.selected is None or state.selected == TRUTH:
             return state.selected
-        return self._name(state, "gallery", self._exhibit.tasks[state.task].gallery, state.selected)
+        return self._name(state, "gallery", self._workspace.tasks[state.task].gallery, state.selected)
 
     def _tile(self, state: SessionState, value: str) -> SessionState:
-        gallery = self._exhibit.tasks[state.task].gallery
+        gallery = self._workspace.tasks[state.task].gallery
         tile = self._position(state, "gallery", len(gallery), value)
         if tile is not None:
             return replace(state, selected=tile)
@@ -140,7 +140,7 @@ class UrlState:
         return None if value in (OWN, TRUTH) else self._first[state.task, side].get(value)
 
     def _region(self, state: SessionState, value: str) -> SessionState:
-        rows, columns = self._exhibit.sizes(self._exhibit.tasks[state.task])
+        rows, columns = self._workspace.sizes(self._workspace.tasks[state.task])
         return replace(state, region=cells(value, rows * columns))
 
 

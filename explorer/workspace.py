@@ -28,10 +28,10 @@ from lpn.datasets import Picture as Picture
 from lpn.datasets import Truth
 from lpn.datasets.city_model import CityModel
 from lpn.drawing import overlays
-from lpn.explain import Evidence, Mates
+from lpn.explain import Correspondences, Evidence
 from lpn.models.base import Model
 from lpn.models.spec import ModelSpec
-from lpn.retrieval import Described, Match, Ranking, scoring
+from lpn.retrieval import DescribedPicture, Match, Ranking, scoring
 
 TILES = 48
 """Described tiles that are kept: with their feature maps, a large network's are 4 MB each."""
@@ -98,7 +98,7 @@ class Task:
         return retrieval.rank(cosines, weights, self.labels, label, truth, lengths)
 
 
-class Exhibit:
+class Workspace:
     """A model and a data set, opened once for all browsers; see `explorer.opening`.
 
     Args:
@@ -132,10 +132,10 @@ class Exhibit:
         self.model: QueuedModel | None = own
         self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else model.describe()
         self.first = 0
-        self.beside: Exhibit | None = None
+        self.beside: Workspace | None = None
         """Another model on the same data, to compare with."""
         self.part_names = self._part_names()
-        self._tiles: SingleFlightCache[tuple[str, int], Described] = SingleFlightCache(TILES)
+        self._tiles: SingleFlightCache[tuple[str, int], DescribedPicture] = SingleFlightCache(TILES)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self.masks = lru_cache(maxsize=8)(self._make_masks)
@@ -163,11 +163,11 @@ class Exhibit:
         """(h, w) of the feature map of the task's queries."""
         return self.map_sizes[task.query_view]
 
-    def tile(self, task: Task, index: int, model: QueuedModel | None = None) -> Described:
+    def tile(self, task: Task, index: int, model: QueuedModel | None = None) -> DescribedPicture:
         """A gallery picture as the network sees it; kept, because many queries share their tiles.
 
         Args:
-            model: what is asked where it is not kept; by default the exhibit's.
+            model: what is asked where it is not kept; by default the workspace's.
         """
         return self._tiles.get((task.name, index), lambda: self._describe_tile(task, index, model or self.model))
 
@@ -200,10 +200,10 @@ class Exhibit:
         names = [self.spec.partition(view).names() for view in self.spec.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
 
-    def _describe_tile(self, task: Task, index: int, model: QueuedModel | None) -> Described:
+    def _describe_tile(self, task: Task, index: int, model: QueuedModel | None) -> DescribedPicture:
         picture = images.load_picture(task.gallery[index].path)
         if model is None:
-            return Described(picture, task.descriptors[index], None, None)
+            return DescribedPicture(picture, task.descriptors[index], None, None)
         return retrieval.describe_picture(model, picture, task.gallery_view)
 
     def _make_card(self, name: str, index: int) -> UInt8Array:
@@ -216,63 +216,63 @@ class Exhibit:
 
 
 @dataclass(frozen=True, eq=False)
-class Reasons:
+class PairEvidence:
     """Why the compared pair has its score: exact evidence, and which cells agree.
 
     Attributes:
         evidence: cell by cell, under the state's part weights.
-        mates: of the query's cells and of the tile's; None where the window that shows them is closed.
+        correspondences: of the query's cells and of the tile's; None where the window that shows them is closed.
     """
 
     evidence: Evidence
-    mates: tuple[Mates, Mates] | None
+    correspondences: tuple[Correspondences, Correspondences] | None
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class StateAnalysis:
     """Everything the views draw for one state."""
 
     state: SessionState
     task: Task
     name: str
-    query: Described
+    query: DescribedPicture
     ranking: Ranking
     matches: list[Match]
     chosen: Match
-    tile: Described
+    tile: DescribedPicture
     truth: Match | None
     off: Float64Array | None
     """Metres from what the query shows to each tile, (G,); None where that is not known."""
     source: UInt8Array
     """The query's picture before it is turned, shifted, or zoomed."""
-    reasons: Reasons | None
+    pair_evidence: PairEvidence | None
     """Of the compared pair; None where nobody looks at them, or no network is at hand."""
     seconds: float
 
 
-class Analyst:
+class StateAnalyser:
     """Answers one browser's states, keeping what the next state can use again.
 
     Args:
-        model: the browser's own way to the exhibit's model, by default the exhibit's.
+        model: the browser's own way to the workspace's model, by default the workspace's.
     """
 
-    def __init__(self, exhibit: Exhibit, model: QueuedModel | None = None) -> None:
-        self._exhibit, self._model = exhibit, model or exhibit.model
+    def __init__(self, workspace: Workspace, model: QueuedModel | None = None) -> None:
+        self._workspace, self._model = workspace, model or workspace.model
         self._asked = (
             None if self._model is None else self._model.replaceable()
         )  # unlike tiles, which others wait for, too
         self._picture_key: object = None
         self._picture: UInt8Array
         self._query_key: object = None
-        self._query: Described
+        self._query: DescribedPicture
         self._searched_key: object = None
         self._lengths: Float32Array | None = None
         self._cosines: Float32Array
         self._ranking: Ranking | None = None
         self._ranking_key: object = None
 
-    def answer(self, state: SessionState, k: int) -> Answer:
+    def analyse(self, state: SessionState, k: int) -> StateAnalysis:
         """Describe, compare, and rank; only what changed since the last state is computed.
 
         Raises:
@@ -281,7 +281,7 @@ class Analyst:
             LPNError: when it cannot be answered.
         """
         started = time.perf_counter()
-        task = self._exhibit.tasks[state.task]
+        task = self._workspace.tasks[state.task]
         entry = task.queries[state.query]
         source = state.upload or (entry.path, entry.box)
         if self._picture_key != source:
@@ -311,12 +311,12 @@ class Analyst:
             chosen = truth or chosen
         elif state.selected is not None and ranking.holds(state.selected):
             chosen = ranking.find(state.selected)
-        tile = self._exhibit.tile(task, chosen.index, self._model)
+        tile = self._workspace.tile(task, chosen.index, self._model)
         name = state.upload.name if state.upload else entry.name
         off = None if task.places is None or state.upload else task.places.off(state.query)
         reasons = self._reasons(state, weights, tile)
         seconds = time.perf_counter() - started
-        return Answer(
+        return StateAnalysis(
             state, task, name, self._query, ranking, matches, chosen, tile, truth, off, self._picture, reasons, seconds
         )
 
@@ -329,21 +329,21 @@ class Analyst:
         painted[[cell for cell in state.region if cell < len(painted)]] = True
         return trace.region(painted.reshape(trace.size), weights)
 
-    def _reasons(self, state: SessionState, weights: Float32Array, tile: Described) -> Reasons | None:
+    def _reasons(self, state: SessionState, weights: Float32Array, tile: DescribedPicture) -> PairEvidence | None:
         one, other = self._query.trace, tile.trace
         if one is None or other is None or not (state.why or (state.heat and state.heat_kind == "evidence")):
             return None
-        mates = explain.counterparts(one, other, weights) if state.why else None
-        return Reasons(explain.evidence(one, other, weights), mates)
+        correspondences = explain.counterparts(one, other, weights) if state.why else None
+        return PairEvidence(explain.evidence(one, other, weights), correspondences)
 
     def _shown(self, entry: Picture) -> UInt8Array:
         """What is meant of a query's picture."""
-        picture = self._exhibit.entry_picture(entry.path)
+        picture = self._workspace.entry_picture(entry.path)
         return images.crop(picture, entry.box, entry.name)
 
-    def _described(self, task: Task, state: SessionState) -> Described:
+    def _described(self, task: Task, state: SessionState) -> DescribedPicture:
         if self._asked is None:
-            return Described(self._picture, task.asked[state.query], None, None)
+            return DescribedPicture(self._picture, task.asked[state.query], None, None)
         # A picture of one's own is what the task's queries are.
         change = state.change.of(task.queries[state.query])
         return retrieval.describe_picture(self._asked, self._picture, task.query_view, change)

@@ -18,7 +18,7 @@ import pytest
 from explorer.app import App
 from explorer.opening import open_model
 from explorer.session_state import SessionState
-from explorer.workspace import Analyst, Answer
+from explorer.workspace import StateAnalyser, StateAnalysis
 from lpn import descriptors
 from lpn.core.errors import LPNError
 from lpn.models.base import normalise
@@ -226,12 +226,12 @@ def test_an_answer_computed_for_another_angle_is_noticed(
 ) -> None:
     asked = entered(client, reference)
     client.settle(asked)
-    right = Analyst.answer
+    right = StateAnalyser.analyse
 
-    def wrong(self: Analyst, state: SessionState, k: int) -> Answer:
+    def wrong(self: StateAnalyser, state: SessionState, k: int) -> StateAnalysis:
         return replace(right(self, replace(state, angle=state.angle + 5), k), state=state)
 
-    monkeypatch.setattr(Analyst, "answer", wrong)
+    monkeypatch.setattr(StateAnalyser, "analyse", wrong)
     client.drag("Rotate", [50.0])
     asked = replace(asked, angle=50.0)
     assert reference.flaws(asked, client.settle(asked).shown)
@@ -245,9 +245,9 @@ def test_anothers_state_is_noticed_even_when_the_right_one_follows(
     asked = entered(client, reference)
     client.settle(asked)
     visitor = app._visitors[max(app._visitors)]
-    right, seen = Analyst.answer, []
+    right, seen = StateAnalyser.analyse, []
 
-    def another(self: Analyst, state: SessionState, k: int) -> Answer:
+    def another(self: StateAnalyser, state: SessionState, k: int) -> StateAnalysis:
         seen.append(state)
         if len(seen) == 1:
             visitor._worker.wake()
@@ -255,7 +255,7 @@ def test_anothers_state_is_noticed_even_when_the_right_one_follows(
         time.sleep(0.5)  # viser leaves out what is replaced before it is sent
         return right(self, state, k)
 
-    monkeypatch.setattr(Analyst, "answer", another)
+    monkeypatch.setattr(StateAnalyser, "analyse", another)
     client.drag("Rotate", [50.0])
     with pytest.raises(FaultError, match="foreign state"):
         client.settle(replace(asked, angle=50.0))

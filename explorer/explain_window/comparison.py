@@ -10,7 +10,7 @@ import numpy as np
 
 from explorer.panels.pages import SIGNS
 from explorer.web.bridge import send
-from explorer.workspace import Answer, Exhibit
+from explorer.workspace import StateAnalysis, Workspace
 from lpn.drawing import overlays, verdicts
 from lpn.drawing.verdicts import ordinal
 from lpn.explain import counterfactual
@@ -35,24 +35,26 @@ class Comparison:
     change: Reweighting | None
 
     @classmethod
-    def of(cls, answer: Answer) -> Comparison | None:
+    def of(cls, analysis: StateAnalysis) -> Comparison | None:
         """The contest of an answer; None when the gallery has no two tiles for it."""
-        ranking, chosen = answer.ranking, answer.chosen
-        ahead = answer.truth or chosen
+        ranking, chosen = analysis.ranking, analysis.chosen
+        ahead = analysis.truth or chosen
         rival = chosen
         if rival.index == ahead.index or rival.true:
-            others = (m for m in answer.matches if m.index != ahead.index and not m.true)
+            others = (m for m in analysis.matches if m.index != ahead.index and not m.true)
             found = next(others, None)
             if found is None:
                 return None
             rival = found
-        follow = None if answer.truth else ahead.index
+        follow = None if analysis.truth else ahead.index
         return cls(
             ahead, rival, counterfactual.without(ranking, follow), counterfactual.smallest_change(ranking, follow)
         )
 
 
-def page(answer: Answer, exhibit: Exhibit, contest: Comparison | None, effect: Effect | None, busy: bool) -> str:
+def page(
+    analysis: StateAnalysis, workspace: Workspace, contest: Comparison | None, effect: Effect | None, busy: bool
+) -> str:
     """The whole tab.
 
     Args:
@@ -62,24 +64,24 @@ def page(answer: Answer, exhibit: Exhibit, contest: Comparison | None, effect: E
     if contest is None:
         return "<div class='lpn' id='lpn-versus'>There is no other tile to compare with; choose one among the matches.</div>"
     ahead, rival = contest.ahead, contest.rival
-    margin = counterfactual.margin(answer.ranking, ahead.index, rival.index)
-    names = exhibit.part_names
-    region = " ⚠ This is of the painted cells alone." if answer.state.region else ""
+    margin = counterfactual.margin(analysis.ranking, ahead.index, rival.index)
+    names = workspace.part_names
+    region = " ⚠ This is of the painted cells alone." if analysis.state.region else ""
     return (
-        f"<div class='lpn' id='lpn-versus'>{_sides(answer, exhibit, ahead, rival)}"
+        f"<div class='lpn' id='lpn-versus'>{_sides(analysis, workspace, ahead, rival)}"
         f"<div class='said'>{escape(_said(margin.distance2, names, ahead))}{region}</div>"
         f"{_waterfall(margin.distance2, names)}{_left_out(contest, names, ahead)}"
-        f"{_changed(answer, contest, names, effect, busy)}</div>"
+        f"{_changed(analysis, contest, names, effect, busy)}</div>"
     )
 
 
-def _sides(answer: Answer, exhibit: Exhibit, ahead: Match, rival: Match) -> str:
+def _sides(analysis: StateAnalysis, workspace: Workspace, ahead: Match, rival: Match) -> str:
     def one(match: Match) -> str:
-        entry = answer.task.gallery[match.index]
+        entry = analysis.task.gallery[match.index]
         colour = overlays.css(overlays.verdict_colour(match.true))
         return (
             f"<div class='row' {send('compare', match.index)} title='Compare with the query'>"
-            f"<img src='{exhibit.thumbnail(entry.path)}' style='border-color:{colour};width:64px;height:64px' alt=''>"
+            f"<img src='{workspace.thumbnail(entry.path)}' style='border-color:{colour};width:64px;height:64px' alt=''>"
             f"<span><b style='color:{colour}'>{SIGNS[match.true]}</b> {escape(entry.name)}<br>"
             f"<span class='dim num'>{ordinal(match.rank)}, d² {match.distance2:.3f}</span></span></div>"
         )
@@ -141,23 +143,25 @@ def _rank(standing: counterfactual.Standing | None) -> str:
     return "–" if standing is None else ordinal(standing.rank)
 
 
-def _changed(answer: Answer, contest: Comparison, names: Sequence[str], effect: Effect | None, busy: bool) -> str:
+def _changed(
+    analysis: StateAnalysis, contest: Comparison, names: Sequence[str], effect: Effect | None, busy: bool
+) -> str:
     ahead, change = contest.ahead, contest.change
     if ahead.rank == 1:
         return "<div class='dim'>It is first already, so no weights need to change.</div>"
     who = "the true tile" if ahead.true else "this tile"
     if change is None:
         return f"<div class='said' id='lpn-change'>No part weights at all put {who} first.</div>"
-    if answer.state.region:
+    if analysis.state.region:
         # The weights would be tried on whole queries, and these are the painted cells' own.
         effect, busy = None, False
     pairs = ", ".join(
         f"{name} {100 * now:.1f} → {100 * new:.1f} %"
-        for name, now, new in zip(names, answer.ranking.weights, change.weights, strict=True)
+        for name, now, new in zip(names, analysis.ranking.weights, change.weights, strict=True)
     )
     if effect is None:
         asked = "computing over all queries …" if busy else f"<a {send('effect')}>Does it help over all queries?</a>"
-        asked = "" if answer.state.region else asked
+        asked = "" if analysis.state.region else asked
     else:
         said = verdicts.helps(effect)
         asked = f"{said[0].upper()}{said[1:]}."

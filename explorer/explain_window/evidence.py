@@ -10,13 +10,13 @@ import numpy as np
 
 from explorer.web.bridge import send
 from explorer.web.style import part_ink
-from explorer.workspace import Answer, Exhibit
+from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.views import View
 from lpn.drawing import overlays, verdicts
-from lpn.explain import Evidence, Mates
-from lpn.retrieval import Described
+from lpn.explain import Correspondences, Evidence
+from lpn.retrieval import DescribedPicture
 
 HINT = "Move over a cell to see what it adds and which cell of the other picture it agrees with; click to keep it."
 HELD = {"safa": " The weights of the cells, which SAFA chooses for each picture, are held as they are."}
@@ -37,25 +37,30 @@ def maps(found: Evidence, part: int | None) -> tuple[tuple[Float64Array, Float64
     return shown, max(float(np.abs(cells).max()) for cells in shown) or 1e-9
 
 
-def page(answer: Answer, exhibit: Exhibit) -> str:
+def page(analysis: StateAnalysis, workspace: Workspace) -> str:
     """The whole of the window's first tab; says what to do where there is no evidence."""
-    if answer.reasons is None or answer.reasons.mates is None:
+    if analysis.pair_evidence is None or analysis.pair_evidence.correspondences is None:
         return "<div class='lpn' id='lpn-why'>Evidence needs the network: open the data set with a model.</div>"
-    found, task = answer.reasons.evidence, answer.task
-    part = answer.state.heat_part
+    found, task = analysis.pair_evidence.evidence, analysis.task
+    part = analysis.state.heat_part
     shown, limit = maps(found, part)
     views = (task.query_view, task.gallery_view)
-    said = verdicts.why(found, exhibit.part_names, *views)
+    said = verdicts.why(found, workspace.part_names, *views)
     blocks = "".join(
-        _map(exhibit, described, cells, limit, view, mates, name)
-        for described, cells, view, mates, name in zip(
-            (answer.query, answer.tile), shown, views, answer.reasons.mates, ("query", "tile"), strict=True
+        _map(workspace, described, cells, limit, view, correspondences, name)
+        for described, cells, view, correspondences, name in zip(
+            (analysis.query, analysis.tile),
+            shown,
+            views,
+            analysis.pair_evidence.correspondences,
+            ("query", "tile"),
+            strict=True,
         )
     )
-    stacked = " stacked" if exhibit.layout.stacked else ""
+    stacked = " stacked" if workspace.layout.stacked else ""
     region = (
         "<div>⚠ The search is by painted cells alone; this accounts for the whole query.</div>"
-        if answer.state.region
+        if analysis.state.region
         else ""
     )
     report = f"<a {send('report')}>Save as a report (HTML)</a>"
@@ -63,23 +68,29 @@ def page(answer: Answer, exhibit: Exhibit) -> str:
         f"<div class='lpn' id='lpn-why'><div class='said headline'>{escape(said)}</div>{region}"
         f"<div class='lpn-pair{stacked}' data-hint='{escape(HINT)}'>{blocks}</div>"
         f"<div class='lpn-read num dim'>{escape(HINT)}</div>"
-        f"{_chips(exhibit.part_names, part)}{_bars(found, exhibit.part_names)}{_legend(limit)}"
-        f"<div class='dim'>{NOTE}{HELD.get(exhibit.spec.pooling, '')}</div><div class='chips'>{report}</div></div>"
+        f"{_chips(workspace.part_names, part)}{_bars(found, workspace.part_names)}{_legend(limit)}"
+        f"<div class='dim'>{NOTE}{HELD.get(workspace.spec.pooling, '')}</div><div class='chips'>{report}</div></div>"
     )
 
 
 def _map(
-    exhibit: Exhibit, described: Described, cells: Float64Array, limit: float, view: View, mates: Mates, name: str
+    workspace: Workspace,
+    described: DescribedPicture,
+    cells: Float64Array,
+    limit: float,
+    view: View,
+    correspondences: Correspondences,
+    name: str,
 ) -> str:
     rows, columns = cells.shape
-    width = round(_HEIGHT * exhibit.layout.picture[0] / exhibit.layout.picture[1])
-    picture = images.resize(exhibit.cut(described.picture, view), _HEIGHT, min(width, 1000))
+    width = round(_HEIGHT * workspace.layout.picture[0] / workspace.layout.picture[1])
+    picture = images.resize(workspace.cut(described.picture, view), _HEIGHT, min(width, 1000))
     drawn = overlays.with_evidence(picture, cells, limit)
-    drawn = overlays.with_rings(drawn, exhibit.spec.partition(view), (rows, columns), 2)
+    drawn = overlays.with_rings(drawn, workspace.spec.partition(view), (rows, columns), 2)
     data = {
         "cells": _rounded(cells),
-        "mates": mates.cells.tolist(),
-        "shares": _rounded(mates.shares),
+        "correspondences": correspondences.cells.tolist(),
+        "shares": _rounded(correspondences.shares),
     }
     held = " ".join(f"data-{key}='{json.dumps(value, separators=(',', ':'))}'" for key, value in data.items())
     return (

@@ -12,7 +12,7 @@ from explorer.explain_window import evidence
 from explorer.panels.pages import SIGNS
 from explorer.session_state import SessionState
 from explorer.web.bridge import send
-from explorer.workspace import Analyst, Answer, Exhibit, Task
+from explorer.workspace import StateAnalyser, StateAnalysis, Task, Workspace
 from lpn.core import images
 from lpn.core.arrays import Int64Array
 from lpn.drawing import overlays
@@ -24,69 +24,69 @@ _SHOWN, _LISTED, _HEIGHT = 5, 8, 240
 class ModelComparison:
     """Answers one browser's states with the second model."""
 
-    def __init__(self, other: Exhibit, asker: RequestContext) -> None:
-        self._other, self._analyst = other, Analyst(other, asker.of(other.model, patient=True))
+    def __init__(self, other: Workspace, asker: RequestContext) -> None:
+        self._other, self._analyser = other, StateAnalyser(other, asker.of(other.model, patient=True))
 
-    def page(self, answer: Answer, exhibit: Exhibit) -> str:
+    def page(self, analysis: StateAnalysis, workspace: Workspace) -> str:
         """The whole tab."""
-        other, task = self._other, answer.task
+        other, task = self._other, analysis.task
         theirs = other.tasks.get(task.name)
         if theirs is None:
             return (
                 f"<div class='lpn' id='lpn-beside'>{escape(other.model_name)} does not know the views of {escape(task.name)}; "
                 "choose another task.</div>"
             )
-        found = self._analyst.answer(_state(answer.state, other), _SHOWN)
-        columns = "".join(_column(one, of) for one, of in ((answer, exhibit), (found, other)))
-        names = (exhibit.model_name, other.model_name)
+        found = self._analyser.analyse(_state(analysis.state, other), _SHOWN)
+        columns = "".join(_column(one, of) for one, of in ((analysis, workspace), (found, other)))
+        names = (workspace.model_name, other.model_name)
         return (
             f"<div class='lpn' id='lpn-beside'><div class='models'>{columns}</div>"
-            f"{_changes(task, theirs, names, exhibit)}</div>"
+            f"{_changes(task, theirs, names, workspace)}</div>"
         )
 
 
-def _state(state: SessionState, other: Exhibit) -> SessionState:
+def _state(state: SessionState, other: Workspace) -> SessionState:
     """The same query for a model of other parts; what belongs to parts and cells is left out."""
     return replace(
         state, n_parts=other.spec.n_parts, weights=(), enabled=(), heat_part=None, region=(), selected=None, why=True
     )
 
 
-def _column(answer: Answer, exhibit: Exhibit) -> str:
-    first, truth, task = answer.matches[0], answer.truth, answer.task
+def _column(analysis: StateAnalysis, workspace: Workspace) -> str:
+    first, truth, task = analysis.matches[0], analysis.truth, analysis.task
     rank = "the true tile is not known" if truth is None else f"the true tile is {ordinal(truth.rank)}"
     tiles = "".join(
-        f"<figure><img src='{exhibit.thumbnail(task.gallery[match.index].path)}' "
+        f"<figure><img src='{workspace.thumbnail(task.gallery[match.index].path)}' "
         f"style='border-color:{overlays.css(overlays.verdict_colour(match.true))}' alt=''><figcaption class='num'>"
         f"{SIGNS[match.true]} {escape(task.gallery[match.index].name)}<br>{match.distance2:.3f}</figcaption></figure>"
-        for match in answer.matches[:_SHOWN]
+        for match in analysis.matches[:_SHOWN]
     )
     recall = "R@1 not known yet" if task.found is None else f"R@1 {task.results['recall@1']:.1f} %"
     return (
-        f"<div><h2>{escape(exhibit.model_name)}</h2><div class='dim'>{escape(exhibit.description)}, {recall}</div>"
+        f"<div><h2>{escape(workspace.model_name)}</h2><div class='dim'>{escape(workspace.description)}, {recall}</div>"
         f"<div class='said'><b>{SIGNS[first.true]}</b> {rank}</div>"
-        f"<div class='tops'>{tiles}</div>{_evidence(answer, exhibit)}</div>"
+        f"<div class='tops'>{tiles}</div>{_evidence(analysis, workspace)}</div>"
     )
 
 
-def _evidence(answer: Answer, exhibit: Exhibit) -> str:
+def _evidence(analysis: StateAnalysis, workspace: Workspace) -> str:
     """The query's cells, for and against the tile that it is compared with."""
-    if answer.reasons is None:
+    if analysis.pair_evidence is None:
         return ""
-    view = answer.task.query_view
-    cells, limit = evidence.maps(answer.reasons.evidence, None)
-    width = round(_HEIGHT * exhibit.layout.picture[0] / exhibit.layout.picture[1])
-    picture = images.resize(exhibit.cut(answer.query.picture, view), _HEIGHT, min(width, 700))
+    view = analysis.task.query_view
+    cells, limit = evidence.maps(analysis.pair_evidence.evidence, None)
+    width = round(_HEIGHT * workspace.layout.picture[0] / workspace.layout.picture[1])
+    picture = images.resize(workspace.cut(analysis.query.picture, view), _HEIGHT, min(width, 700))
     drawn = overlays.with_evidence(picture, cells[0], limit)
-    drawn = overlays.with_rings(drawn, exhibit.spec.partition(view), exhibit.map_sizes[view], 2)
-    entry = answer.task.gallery[answer.chosen.index]
+    drawn = overlays.with_rings(drawn, workspace.spec.partition(view), workspace.map_sizes[view], 2)
+    entry = analysis.task.gallery[analysis.chosen.index]
     return (
         f"<img class='map' src='{overlays.data_uri(drawn, 85)}' alt=''><div class='dim'>evidence for and against "
         f"{escape(entry.name)}, each to its own scale (±{limit:.4f})</div>"
     )
 
 
-def _changes(task: Task, theirs: Task, names: tuple[str, str], exhibit: Exhibit) -> str:
+def _changes(task: Task, theirs: Task, names: tuple[str, str], workspace: Workspace) -> str:
     """How many queries each finds alone, and those whose rank differs most."""
     if task.found is None or theirs.found is None:
         return "<div class='said dim'>Which queries one of them finds alone is said when both have ranked all of them.</div>"
@@ -98,7 +98,7 @@ def _changes(task: Task, theirs: Task, names: tuple[str, str], exhibit: Exhibit)
     order = np.argsort(-change, kind="stable")
     better, worse = order[:_LISTED], order[::-1][:_LISTED]
     tables = "".join(
-        f"<div><b>{escape(title)}</b>{_rows(task, theirs, rows[change[rows] != 0], exhibit)}</div>"
+        f"<div><b>{escape(title)}</b>{_rows(task, theirs, rows[change[rows] != 0], workspace)}</div>"
         for title, rows in ((f"{names[1]} ranks higher", better), (f"{names[1]} ranks lower", worse))
     )
     return (
@@ -107,12 +107,12 @@ def _changes(task: Task, theirs: Task, names: tuple[str, str], exhibit: Exhibit)
     )
 
 
-def _rows(task: Task, theirs: Task, rows: Int64Array, exhibit: Exhibit) -> str:
+def _rows(task: Task, theirs: Task, rows: Int64Array, workspace: Workspace) -> str:
     if not len(rows):
         return "<div class='dim'>none</div>"
     return "".join(
         f"<div class='row' data-query='{row}' {send('query', int(row))} title='Open this query'>"
-        f"<img src='{exhibit.thumbnail(task.queries[row].path)}' style='border-color:transparent' alt=''>"
+        f"<img src='{workspace.thumbnail(task.queries[row].path)}' style='border-color:transparent' alt=''>"
         f"<span class='name'>{escape(task.queries[row].name)}</span><span class='num'>{ordinal(int(task.ranks[row]) + 1)} → "
         f"{ordinal(int(theirs.ranks[row]) + 1)}</span></div>"
         for row in rows

@@ -5,21 +5,21 @@ from __future__ import annotations
 import json
 
 from explorer.web.bridge import send
-from explorer.workspace import Answer, Exhibit
+from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
 from lpn.drawing import overlays
 
 _HEIGHT = 460
 
 
-def page(answer: Answer, exhibit: Exhibit) -> str:
+def page(analysis: StateAnalysis, workspace: Workspace) -> str:
     """The whole tab: the query to paint on, and what a search by painted cells means."""
-    view = answer.task.query_view
-    rows, columns = exhibit.map_sizes[view]
-    width = round(_HEIGHT * exhibit.layout.picture[0] / exhibit.layout.picture[1])
-    picture = images.resize(exhibit.cut(answer.query.picture, view), _HEIGHT, min(width, 1200))
-    drawn = overlays.with_rings(picture, exhibit.spec.partition(view), (rows, columns), 2)
-    painted = [cell for cell in answer.state.region if cell < rows * columns]
+    view = analysis.task.query_view
+    rows, columns = workspace.map_sizes[view]
+    width = round(_HEIGHT * workspace.layout.picture[0] / workspace.layout.picture[1])
+    picture = images.resize(workspace.cut(analysis.query.picture, view), _HEIGHT, min(width, 1200))
+    drawn = overlays.with_rings(picture, workspace.spec.partition(view), (rows, columns), 2)
+    painted = [cell for cell in analysis.state.region if cell < rows * columns]
     held = set(painted)
     marks = "".join(
         f"<i class='paint' data-cell='{cell}' style='left:{100 * (cell % columns) / columns:.3f}%;"
@@ -36,7 +36,7 @@ def page(answer: Answer, exhibit: Exhibit) -> str:
     else:
         said = "Paint what you care about: press and draw over cells; start on a painted cell to erase. The ranking follows."
         clear = ""
-    wide = " wide" if exhibit.layout.stacked else ""
+    wide = " wide" if workspace.layout.stacked else ""
     return (
         f"<div class='lpn' id='lpn-region' data-painted='{len(painted)}'><div class='said headline'>{said}</div>"
         f"<div class='chips'>{clear}</div>"

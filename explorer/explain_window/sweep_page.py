@@ -8,7 +8,7 @@ from html import escape
 
 from explorer.session_state import SessionState
 from explorer.web.bridge import send
-from explorer.workspace import Answer
+from explorer.workspace import StateAnalysis
 from lpn.drawing import overlays, verdicts
 from lpn.drawing.verdicts import ordinal
 from lpn.explain import sweeps
@@ -20,7 +20,12 @@ _GREY, _BRIGHT = "rgba(128,128,128,.45)", "rgba(150,150,150,.95)"
 
 
 def page(
-    answer: Answer, over: Over | None, profile: Profile | None, of: int, names: Sequence[str], stopped: bool = False
+    analysis: StateAnalysis,
+    over: Over | None,
+    profile: Profile | None,
+    of: int,
+    names: Sequence[str],
+    stopped: bool = False,
 ) -> str:
     """The whole tab.
 
@@ -40,19 +45,19 @@ def page(
             hint = "Stopped before the first step; choose again what to change." if stopped else "computing …"
         return f"<div class='lpn' id='lpn-profile'>{head}</div><div class='dim'>{hint}</div></div>"
     done = len(profile.points)
-    region = "<div>⚠ This is of the whole query, not of its painted cells.</div>" if answer.state.region else ""
+    region = "<div>⚠ This is of the whole query, not of its painted cells.</div>" if analysis.state.region else ""
     if stopped:
         head += f"<span>stopped at <span class='num'>{done} of {of}</span>: what follows is of these alone</span>"
     elif done < of:
         head += f"<span class='dim num'>{done} of {of}</span><a {send('cancel')}>Cancel</a>"
     return (
         f"<div class='lpn' id='lpn-profile' data-done='{done}' data-of='{of}'>{head}</div>"
-        f"{region}{_charts(profile, answer.state, names)}"
-        f"<div class='said'>{_said(profile, answer)}</div></div>"
+        f"{region}{_charts(profile, analysis.state, names)}"
+        f"<div class='said'>{_said(profile, analysis)}</div></div>"
     )
 
 
-def _said(profile: Profile, answer: Answer) -> str:
+def _said(profile: Profile, analysis: StateAnalysis) -> str:
     over, best, blind = profile.over, profile.best, profile.best_blind
     known = best.true is not None
     who = "the true tile" if best.true else "the compared tile"
@@ -64,8 +69,8 @@ def _said(profile: Profile, answer: Answer) -> str:
         lines.append(
             f"Without knowing it, the highest score of any tile is at {_at(over, blind)} ({blind.top_score:.3f})."
         )
-    if guess := verdicts.heading(profile, (answer.task.query_view, answer.task.gallery_view)):
-        lines.append(f"{guess}{_known_heading(answer)}")
+    if guess := verdicts.heading(profile, (analysis.task.query_view, analysis.task.gallery_view)):
+        lines.append(f"{guess}{_known_heading(analysis)}")
     if over in ("shift", "shift-down"):
         lines.append(
             "LPN assumes that the target is in the middle: its rings stay where they are while the target moves."
@@ -88,10 +93,10 @@ def _gain(profile: Profile, point: Point) -> str:
     return f" ({ordinal(before.rank)} with {before.score:.3f} as it is)"
 
 
-def _known_heading(answer: Answer) -> str:
-    places = answer.task.places
-    heading = None if places is None else places.queries[answer.state.query].heading
-    return "" if heading is None or answer.state.upload else f" It is known to be {heading:.0f}°."
+def _known_heading(analysis: StateAnalysis) -> str:
+    places = analysis.task.places
+    heading = None if places is None else places.queries[analysis.state.query].heading
+    return "" if heading is None or analysis.state.upload else f" It is known to be {heading:.0f}°."
 
 
 def _charts(profile: Profile, state: SessionState, names: Sequence[str]) -> str:

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 
-from explorer.workspace import Answer, Exhibit
+from explorer.workspace import StateAnalysis, Workspace
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.explain import sweeps
 from lpn.explain.sweeps import FIELD, Over, Point, Profile
@@ -24,20 +24,20 @@ class Sweep:
         cancelled: set to end it.
     """
 
-    def __init__(self, over: Over, answer: Answer) -> None:
-        self.over, self.answer = over, answer
+    def __init__(self, over: Over, analysis: StateAnalysis) -> None:
+        self.over, self.analysis = over, analysis
         self.of, self.begun, self.stopped = 0, False, False
         self.cancelled = threading.Event()
-        self._entry = answer.task.queries[answer.state.query]
+        self._entry = analysis.task.queries[analysis.state.query]
         self._points: list[Point] = []
 
-    def points_of(self, exhibit: Exhibit, model: Model | None = None) -> Iterator[Point]:
-        """Compute the points, until it is cancelled; by the exhibit's model unless another way to it is given."""
+    def points_of(self, workspace: Workspace, model: Model | None = None) -> Iterator[Point]:
+        """Compute the points, until it is cancelled; by the workspace's model unless another way to it is given."""
         self.begun = True
-        answer, task, state = self.answer, self.answer.task, self.answer.state
-        model = model or exhibit.model
+        analysis, task, state = self.analysis, self.analysis.task, self.analysis.state
+        model = model or workspace.model
         assert model is not None
-        height, width = exhibit.spec.input_size
+        height, width = workspace.spec.input_size
         changes = sweeps.changes_over(self.over, side=height if self.over == "shift-down" else width)
         changes = [change.of(self._entry) for change in sweeps.around(self.over, state.change, changes)]
         self.of = len(changes)
@@ -45,15 +45,15 @@ class Sweep:
         try:
             for point in sweeps.profile(
                 model,
-                answer.source,
+                analysis.source,
                 task.query_view,
                 task.descriptors,
-                answer.ranking.weights,
+                analysis.ranking.weights,
                 changes,
                 task.labels,
                 None if known is None else int(task.query_labels[known]),
                 None if known is None or task.truth is None else task.truth[known],
-                None if answer.truth else answer.chosen.index,
+                None if analysis.truth else analysis.chosen.index,
             ):
                 if self.cancelled.is_set():
                     break
@@ -62,28 +62,28 @@ class Sweep:
         finally:
             self.stopped = len(self._points) < self.of
 
-    def profile(self, answer: Answer) -> Profile | None:
+    def profile(self, analysis: StateAnalysis) -> Profile | None:
         """What is known so far, away from what the page shows now, or where that is between two points, from the beginning."""
         points = tuple(self._points)
         if not points:
             return None
-        now = sweeps.value(self.over, answer.state.change)
+        now = sweeps.value(self.over, analysis.state.change)
         shown = next((p.change for p in points if abs(sweeps.value(self.over, p.change) - now) < 1e-6), None)
-        return Profile(self.over, points, shown or self.answer.state.change.of(self._entry))
+        return Profile(self.over, points, shown or self.analysis.state.change.of(self._entry))
 
-    def is_of(self, answer: Answer) -> bool:
+    def is_of(self, analysis: StateAnalysis) -> bool:
         """Whether it says something about what the page shows now."""
-        return _about(self.over, self.answer) == _about(self.over, answer)
+        return _about(self.over, self.analysis) == _about(self.over, analysis)
 
 
-def _about(over: Over, answer: Answer) -> object:
-    state = answer.state
-    followed = None if answer.truth else answer.chosen.index
+def _about(over: Over, analysis: StateAnalysis) -> object:
+    state = analysis.state
+    followed = None if analysis.truth else analysis.chosen.index
     return (
         state.task,
         state.query,
         state.upload,
-        tuple(answer.ranking.weights.tolist()),
+        tuple(analysis.ranking.weights.tolist()),
         followed,
         # What is done to the query beside what is swept.
         replace(state.change, **{FIELD[over]: getattr(UNCHANGED, FIELD[over])}),

@@ -22,7 +22,7 @@ from explorer.reports import Reporter
 from explorer.session_state import SessionState
 from explorer.web.bridge import send
 from explorer.web.html import Html
-from explorer.workspace import Answer, Exhibit
+from explorer.workspace import StateAnalysis, Workspace
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Ranking
@@ -47,16 +47,16 @@ class ExplainWindow:
     def __init__(
         self,
         client: viser.ClientHandle,
-        exhibit: Exhibit,
+        workspace: Workspace,
         change: Callable[[Change], None],
         failed: Callable[[Exception], None],
         room: Viewport,
         reporter: Reporter,
         asker: RequestContext,
     ) -> None:
-        self._client, self._exhibit, self._change, self._room = client, exhibit, change, room
-        self._reporter, self._model = reporter, asker.of(exhibit.model, patient=True)
-        self._answer: Answer | None = None
+        self._client, self._workspace, self._change, self._room = client, workspace, change, room
+        self._reporter, self._model = reporter, asker.of(workspace.model, patient=True)
+        self._analysis: StateAnalysis | None = None
         self._contest: Comparison | None = None
         self._effect: Effect | None = None
         self._argued: tuple[Ranking, int] | None = None
@@ -74,7 +74,7 @@ class ExplainWindow:
             ("Turn, shift, zoom", viser.Icon.CHART_LINE),
             ("Search by a region", viser.Icon.BRUSH),
         ]
-        self._other = None if exhibit.beside is None else ModelComparison(exhibit.beside, asker)
+        self._other = None if workspace.beside is None else ModelComparison(workspace.beside, asker)
         if self._other is not None:
             tabs.append(("Two models", viser.Icon.COLUMNS_2))
         for name, icon in tabs:
@@ -105,7 +105,7 @@ class ExplainWindow:
 
     def orders(self) -> list[tuple[str, Callable[[], None]]]:
         """What the command palette offers of the window."""
-        if self._exhibit.model is None:
+        if self._workspace.model is None:
             return []
         sweeps = [
             (f"Profile: {said.lower()}", self._ordered(self._begin, key)) for key, said in sweep_page.CHOICES.items()
@@ -132,48 +132,52 @@ class ExplainWindow:
         self._worker.stop()
         self._second.stop()
 
-    def show(self, answer: Answer) -> None:
+    def show(self, analysis: StateAnalysis) -> None:
         """Open or close the window, and fill it."""
-        self._answer = answer
+        self._analysis = analysis
         sweep = self._sweep
-        if sweep is not None and not sweep.is_of(answer):
+        if sweep is not None and not sweep.is_of(analysis):
             self._cancel(None)
             self._sweep = None
-        if answer.state.why:
-            if self._argued is None or self._argued[0] is not answer.ranking or self._argued[1] != answer.chosen.index:
-                self._contest, self._effect = Comparison.of(answer), None
-                self._argued = answer.ranking, answer.chosen.index
-            self._draw(answer)
-        if answer.state.why != self._open:
-            self._open = answer.state.why
+        if analysis.state.why:
+            if (
+                self._argued is None
+                or self._argued[0] is not analysis.ranking
+                or self._argued[1] != analysis.chosen.index
+            ):
+                self._contest, self._effect = Comparison.of(analysis), None
+                self._argued = analysis.ranking, analysis.chosen.index
+            self._draw(analysis)
+        if analysis.state.why != self._open:
+            self._open = analysis.state.why
             self._place()
             self._panel.visible = self._open
 
-    def _draw(self, answer: Answer) -> None:
-        self._why.show(evidence.page(answer, self._exhibit))
-        self._draw_versus(answer)
-        self._draw_profile(answer)
-        self._region.show(region.page(answer, self._exhibit))
+    def _draw(self, analysis: StateAnalysis) -> None:
+        self._why.show(evidence.page(analysis, self._workspace))
+        self._draw_versus(analysis)
+        self._draw_profile(analysis)
+        self._region.show(region.page(analysis, self._workspace))
         if self._other is not None:
             self._second.wake()
 
     def _draw_beside(self) -> None:
         """The second model describes the query, too: on a thread of its own, so that the first's answer does not wait."""
-        answer = self._answer
-        if self._other is not None and answer is not None and answer.state.why:
-            self._beside.show(self._other.page(answer, self._exhibit))
+        analysis = self._analysis
+        if self._other is not None and analysis is not None and analysis.state.why:
+            self._beside.show(self._other.page(analysis, self._workspace))
 
-    def _draw_versus(self, answer: Answer) -> None:
+    def _draw_versus(self, analysis: StateAnalysis) -> None:
         busy = self._wanted is not None and self._wanted is self._contest
-        self._versus.show(comparison.page(answer, self._exhibit, self._contest, self._effect, busy))
+        self._versus.show(comparison.page(analysis, self._workspace, self._contest, self._effect, busy))
 
-    def _draw_profile(self, answer: Answer) -> None:
-        sweep, names = self._sweep, self._exhibit.part_names
+    def _draw_profile(self, analysis: StateAnalysis) -> None:
+        sweep, names = self._sweep, self._workspace.part_names
         if sweep is None:
-            self._profile.show(sweep_page.page(answer, None, None, 0, names))
+            self._profile.show(sweep_page.page(analysis, None, None, 0, names))
         else:
-            profile = sweep.profile(answer)
-            self._profile.show(sweep_page.page(answer, sweep.over, profile, sweep.of, names, sweep.stopped))
+            profile = sweep.profile(analysis)
+            self._profile.show(sweep_page.page(analysis, sweep.over, profile, sweep.of, names, sweep.stopped))
 
     def _place(self) -> None:
         """Over the stage, as large as it has room for."""
@@ -189,44 +193,44 @@ class ExplainWindow:
             return
         drawn = 0.0
         try:
-            for _ in sweep.points_of(self._exhibit, self._model):
+            for _ in sweep.points_of(self._workspace, self._model):
                 self._measure()
                 if time.monotonic() - drawn > _OFTEN and sweep is self._sweep:
-                    self._draw_profile(self._answer or sweep.answer)
+                    self._draw_profile(self._analysis or sweep.analysis)
                     drawn = time.monotonic()
         finally:  # one that failed is not being computed any more either
             if sweep is self._sweep:
-                self._draw_profile(self._answer or sweep.answer)
+                self._draw_profile(self._analysis or sweep.analysis)
 
     def _measure(self) -> None:
         """Try the wanted change of weights on all queries."""
-        contest, answer = self._wanted, self._answer
-        if contest is None or answer is None or contest.change is None:
+        contest, analysis = self._wanted, self._analysis
+        if contest is None or analysis is None or contest.change is None:
             return
-        task = answer.task
+        task = analysis.task
         found = counterfactual.effect(
-            task.asked, task.descriptors, answer.ranking.weights, contest.change.weights, task.query_labels, task.labels,
+            task.asked, task.descriptors, analysis.ranking.weights, contest.change.weights, task.query_labels, task.labels,
             task.truth,
         )  # fmt: skip
         if self._wanted is contest:
             self._wanted = None
         if self._contest is contest:
             self._effect = found
-            self._draw_versus(self._answer or answer)
+            self._draw_versus(self._analysis or analysis)
 
     def _try(self, _: Any) -> None:
-        answer, contest = self._answer, self._contest
-        if answer is not None and contest is not None and contest.change is not None and not answer.state.region:
+        analysis, contest = self._analysis, self._contest
+        if analysis is not None and contest is not None and contest.change is not None and not analysis.state.region:
             self._wanted = contest
-            self._draw_versus(answer)
+            self._draw_versus(analysis)
             self._worker.wake()
 
     def _begin(self, value: Any) -> None:
-        answer = self._answer
-        if answer is not None and value in list(sweep_page.CHOICES):
+        analysis = self._analysis
+        if analysis is not None and value in list(sweep_page.CHOICES):
             self._cancel(None)
-            self._sweep = Sweep(value, answer)
-            self._draw_profile(answer)
+            self._sweep = Sweep(value, analysis)
+            self._draw_profile(analysis)
             self._worker.wake()
 
     def _cancel(self, _: Any) -> None:
@@ -234,24 +238,24 @@ class ExplainWindow:
             self._sweep.cancelled.set()
 
     def _report(self, _: Any) -> None:
-        answer = self._answer
-        if answer is not None:
-            self._reporter.make(lambda progress, model: reports.of_answer(self._exhibit, answer, progress, model))
+        analysis = self._analysis
+        if analysis is not None:
+            self._reporter.make(lambda progress, model: reports.of_analysis(self._workspace, analysis, progress, model))
 
     def _part(self, value: Any) -> None:
-        part = session_state.whole(value, 0, self._exhibit.spec.n_parts - 1)
+        part = session_state.whole(value, 0, self._workspace.spec.n_parts - 1)
         if part is not None or value is None:
             self._change(lambda state: replace(state, heat_part=part))
 
     def _compare(self, value: Any) -> None:
-        answer = self._answer
-        index = session_state.whole(value, 0, len(answer.task.gallery) - 1) if answer else None
-        if answer is not None and index is not None:
-            self._change(lambda state: session_state.compare(state, answer.state, index))
+        analysis = self._analysis
+        index = session_state.whole(value, 0, len(analysis.task.gallery) - 1) if analysis else None
+        if analysis is not None and index is not None:
+            self._change(lambda state: session_state.compare(state, analysis.state, index))
 
     def _query(self, value: Any) -> None:
         def chosen(state: SessionState) -> SessionState:
-            queries = len(self._exhibit.tasks[state.task].queries)
+            queries = len(self._workspace.tasks[state.task].queries)
             query = session_state.whole(value, 0, queries - 1)
             return state if query is None else session_state.choose(state, query, queries)
 
@@ -268,12 +272,12 @@ class ExplainWindow:
             self._change(lambda state: replace(state, weights=weights, enabled=()))
 
     def _take(self, value: Any) -> None:
-        self._change(lambda state: session_state.taken(state, value, self._exhibit.spec.input_size))
+        self._change(lambda state: session_state.taken(state, value, self._workspace.spec.input_size))
 
     def _paint(self, value: Any) -> None:
-        answer = self._answer
-        if answer is not None:
-            rows, columns = self._exhibit.map_sizes[answer.task.query_view]
+        analysis = self._analysis
+        if analysis is not None:
+            rows, columns = self._workspace.map_sizes[analysis.task.query_view]
             cells = session_state.painted(value, rows * columns)
             if cells is not None:
                 self._change(lambda state: replace(state, region=cells))

@@ -10,7 +10,7 @@ from explorer.failure_lab.map_drawing import Drawn
 from explorer.failure_lab.service import Findings
 from explorer.web.bridge import send
 from explorer.web.style import verdict_ink
-from explorer.workspace import Exhibit
+from explorer.workspace import Workspace
 from lpn.analysis import breakdown
 from lpn.analysis.breakdown import Rate
 from lpn.core.tables import Column
@@ -38,7 +38,7 @@ NOTHING = (
 )
 
 
-def page(found: Findings, lab: LabState, exhibit: Exhibit) -> str:
+def page(found: Findings, lab: LabState, workspace: Workspace) -> str:
     """All of it, among the chosen queries; a choice made here does not narrow the chart that it was made in."""
     columns = [(column, lab_state.rates(found, lab, column)) for column in lab_state.described(found)]
     # Neither a column of one value says anything, nor one in which each query has its own.
@@ -46,7 +46,7 @@ def page(found: Findings, lab: LabState, exhibit: Exhibit) -> str:
     full = max((rate.interval[1] for _, rates in columns for rate in rates if rate.queries >= _ENOUGH), default=1.0)
     overall = float(found.outcomes.failed.mean())
     chosen = {pick.kind: pick.words for pick in lab.picks}
-    cards = [_blame(found, lab, exhibit, chosen), _pairs(found, lab, exhibit, chosen)]
+    cards = [_blame(found, lab, workspace, chosen), _pairs(found, lab, workspace, chosen)]
     cards += [_rates(column, rates, full, overall, chosen, len(found.table)) for column, rates in columns]
     note = NOTE if columns else NOTHING
     shown = "".join(cards)
@@ -85,7 +85,7 @@ def map_choice(found: Findings, lab: LabState, umap: bool) -> str:
     return f"<div class='lab-chips' id='lpn-lab-maps'>{chips}{missing}{fit}{hint}</div>"
 
 
-def _blame(found: Findings, lab: LabState, exhibit: Exhibit, chosen: dict[str, str]) -> str:
+def _blame(found: Findings, lab: LabState, workspace: Workspace, chosen: dict[str, str]) -> str:
     rows = lab_state.select(found, lab, "part", whatever=True)
     counts = breakdown.blame(found.outcomes, rows).tolist()
     failed = int(found.outcomes.failed[rows].sum())
@@ -101,19 +101,21 @@ def _blame(found: Findings, lab: LabState, exhibit: Exhibit, chosen: dict[str, s
             f"<i style='width:{100 * count / most:.1f}%;{colours[part]}'></i></span><span class='many'>{count:,}</span>",
             f"Part {name} costs the truth most in {count} of {failed} failures",
         )
-        for part, (name, count) in enumerate(zip(exhibit.part_names, counts, strict=True))
+        for part, (name, count) in enumerate(zip(workspace.part_names, counts, strict=True))
     )
     return _card(f"Part that costs most, in {failed:,} failures", lines)
 
 
-def _pairs(found: Findings, lab: LabState, exhibit: Exhibit, chosen: dict[str, str]) -> str:
+def _pairs(found: Findings, lab: LabState, workspace: Workspace, chosen: dict[str, str]) -> str:
     rows = lab_state.select(found, lab, "pair", whatever=True)
     pairs = breakdown.confusions(found.outcomes, found.task.query_labels, found.task.labels, rows)
     lines = []
     for one in pairs[:_PAIRS]:
         place, answered = lab_state.names_of(found, one)
         truth = int(found.outcomes.true[one.queries[0]])
-        pictures = [exhibit.thumbnail(found.task.gallery[tile].path) if tile >= 0 else "" for tile in (truth, one.tile)]
+        pictures = [
+            workspace.thumbnail(found.task.gallery[tile].path) if tile >= 0 else "" for tile in (truth, one.tile)
+        ]
         shown = [f"<img src='{picture}' alt=''>" if picture else "<i class='none'></i>" for picture in pictures]
         lines.append(
             _line(

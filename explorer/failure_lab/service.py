@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, in_process
-from explorer.workspace import Exhibit, Task
+from explorer.workspace import Task, Workspace
 from lpn.analysis import embedding_map, notes, query_outcomes
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import Outcomes
@@ -60,12 +60,12 @@ class Points:
 
 
 class Laboratory:
-    """Tables and maps of an exhibit's tasks; thread-safe."""
+    """Tables and maps of an workspace's tasks; thread-safe."""
 
-    def __init__(self, exhibit: Exhibit) -> None:
-        self._exhibit, self._jobs, self._lock = exhibit, BackgroundJobs(), threading.Lock()
+    def __init__(self, workspace: Workspace) -> None:
+        self._workspace, self._jobs, self._lock = workspace, BackgroundJobs(), threading.Lock()
         self._findings: dict[str, Findings] = {}
-        self.notes = exhibit.root / notes.NAME
+        self.notes = workspace.root / notes.NAME
 
     @property
     def umap(self) -> bool:
@@ -78,12 +78,12 @@ class Laboratory:
 
     def build(self, task: str, who: object) -> BackgroundJob[None]:
         """Make a task's table."""
-        return self._jobs.ask(task, who, lambda progress: self._build(self._exhibit.tasks[task], progress))
+        return self._jobs.ask(task, who, lambda progress: self._build(self._workspace.tasks[task], progress))
 
     def points(self, kind: MapKind, task: str, who: object) -> BackgroundJob[Points]:
         """Make a map of a task; `ground` only where the task has places."""
         return self._jobs.ask(
-            (kind, task), who, lambda progress: self._points(kind, self._exhibit.tasks[task], progress)
+            (kind, task), who, lambda progress: self._points(kind, self._workspace.tasks[task], progress)
         )
 
     def again(self, task: str, kind: MapKind | None = None) -> None:
@@ -111,7 +111,9 @@ class Laboratory:
         ranking = task.standing.wait(self, progress).ranking
         outcomes = query_outcomes.outcomes_of(ranking, task.asked, task.descriptors)
         progress(len(task.queries), len(task.queries))
-        made = query_outcomes.table(self._exhibit.root, task.queries, task.gallery, outcomes, self._exhibit.part_names)
+        made = query_outcomes.table(
+            self._workspace.root, task.queries, task.gallery, outcomes, self._workspace.part_names
+        )
         with self._lock:
             said, flaw = self._said()
             table = made.plus(notes.columns(said, made.paths))
@@ -127,7 +129,7 @@ class Laboratory:
         if kind == "ground":
             assert task.places is not None
             queries = geo.on_plane(task.places.queries, task.places.origin)
-            ground = self._exhibit.mosaic(task), task.places.bounds()
+            ground = self._workspace.mosaic(task), task.places.bounds()
             return Points(queries, task.places.ground, ground=ground)
         if kind == "umap":
             found = in_process(progress, embedding_map.umap, np.asarray(task.asked), np.asarray(task.descriptors))

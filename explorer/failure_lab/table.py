@@ -13,7 +13,7 @@ from explorer.failure_lab.service import Findings
 from explorer.panels.pages import SIGNS
 from explorer.web.bridge import send
 from explorer.web.style import verdict_ink
-from explorer.workspace import Exhibit
+from explorer.workspace import Workspace
 from lpn.analysis.notes import Note
 from lpn.core.arrays import Int64Array
 from lpn.core.tables import Column
@@ -107,7 +107,7 @@ def columns(found: Findings, lab: LabState) -> str:
     return f"<div class='lpn'><div class='lab-chips' id='lpn-lab-columns'>Columns {chips}</div></div>"
 
 
-def table(found: Findings, lab: LabState, exhibit: Exhibit, shown: Int64Array, query: int | None) -> str:
+def table(found: Findings, lab: LabState, workspace: Workspace, shown: Int64Array, query: int | None) -> str:
     """One page of the table."""
     if not len(shown):
         return (
@@ -120,8 +120,8 @@ def table(found: Findings, lab: LabState, exhibit: Exhibit, shown: Int64Array, q
     limit = float(np.nanmax(np.abs(found.outcomes.margin))) if np.isfinite(found.outcomes.margin).any() else 1.0
     lines = "".join(
         f"<tr class='{'chosen' if row == query else ''}' data-row='{row}' {send('lab-open', row)}>"
-        f"<td class='pic'><img src='{exhibit.thumbnail(found.task.queries[row].path)}' alt=''></td>"
-        f"{''.join(_cell(found, exhibit, column, row, limit) for column in listed)}</tr>"
+        f"<td class='pic'><img src='{workspace.thumbnail(found.task.queries[row].path)}' alt=''></td>"
+        f"{''.join(_cell(found, workspace, column, row, limit) for column in listed)}</tr>"
         for row in shown.tolist()
     )
     return (
@@ -169,7 +169,7 @@ def waiting(job: BackgroundJob[Any] | None, what: str, cancelled: bool, key: str
     return f"<div class='lpn lab-empty' id='lpn-lab-waiting'>{body}</div>"
 
 
-def tip(found: Findings, exhibit: Exhibit, rows: Int64Array, count: int) -> str:
+def tip(found: Findings, workspace: Workspace, rows: Int64Array, count: int) -> str:
     """What is shown beside the mouse over queries on a map, the first of them; the page puts it there when its picture has come.
 
     Args:
@@ -184,7 +184,7 @@ def tip(found: Findings, exhibit: Exhibit, rows: Int64Array, count: int) -> str:
     failed = int(found.outcomes.failed[rows].sum())
     others = f"<div class='dim'>{failed} of the {len(rows)} queries here failed</div>" if len(rows) > 1 else ""
     return (
-        f"<div class='lpn lab-tip num' data-count='{count}' data-row='{row}'><img src='{exhibit.thumbnail(entry.path)}' alt='' "
+        f"<div class='lpn lab-tip num' data-count='{count}' data-row='{row}'><img src='{workspace.thumbnail(entry.path)}' alt='' "
         f"onload='lpn.tip(this.parentElement)'><div><b>{escape(entry.name)}</b><div>{_signed(true)} {escape(became)}</div>"
         f"<div class='dim'>margin {margin or 'unknown'}</div>{others}</div></div>"
     )
@@ -213,11 +213,11 @@ def _heading(column: Column, lab: LabState) -> str:
     )
 
 
-def _cell(found: Findings, exhibit: Exhibit, column: Column, row: int, limit: float) -> str:
+def _cell(found: Findings, workspace: Workspace, column: Column, row: int, limit: float) -> str:
     text = column.text(row)
     if column.name == "answer" and text:
         tile = found.task.gallery[found.outcomes.first[row]]
-        return f"<td class='text pic'><img src='{exhibit.thumbnail(tile.path)}' alt=''>{escape(text)}</td>"
+        return f"<td class='text pic'><img src='{workspace.thumbnail(tile.path)}' alt=''>{escape(text)}</td>"
     if column.name == "rank":
         return f"<td class='number'>{_signed(bool(found.outcomes.rank[row] == 0))} {text or '–'}</td>"
     if column.name == "margin" and text:

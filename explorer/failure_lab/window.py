@@ -22,7 +22,7 @@ from explorer.panels.viewport import EDGE, Viewport
 from explorer.reports import Reporter
 from explorer.session_state import SessionState
 from explorer.web.html import Html
-from explorer.workspace import Answer, Exhibit
+from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
 
@@ -47,16 +47,16 @@ class Lab:
     def __init__(
         self,
         client: viser.ClientHandle,
-        exhibit: Exhibit,
+        workspace: Workspace,
         shared: Laboratory,
         change: Callable[[Change], None],
         room: Viewport,
         reporter: Reporter,
     ) -> None:
-        self._client, self._exhibit, self._shared, self._change = client, exhibit, shared, change
+        self._client, self._workspace, self._shared, self._change = client, workspace, shared, change
         self._room, self._reporter = room, reporter
         self._lock = threading.RLock()
-        task = next(iter(exhibit.tasks))
+        task = next(iter(workspace.tasks))
         self._lab, self._view = LabState(task), View(task, None, False)
         self._seen: int | None = None
         self._selection: tuple[object, Int64Array] = ((), np.zeros(0, np.int64))
@@ -81,7 +81,7 @@ class Lab:
         def changing(change: Callable[..., LabState | None]) -> Callable[[Any], None]:
             return lambda value: self._update(lambda lab, found: None if found is None else change(lab, found, value))
 
-        parts = self._exhibit.part_names
+        parts = self._workspace.part_names
         return {
             **{kind: changing(change) for kind, change in messages.WITH_TABLE.items()},
             "lab-part": changing(lambda lab, found, value: messages.part(lab, found, value, parts)),
@@ -99,9 +99,9 @@ class Lab:
             "lab-close": lambda _: self._change(lambda state: replace(state, lab=False)),
         }
 
-    def show(self, answer: Answer) -> None:
+    def show(self, analysis: StateAnalysis) -> None:
         """Open or close the window, and follow the query that the page shows."""
-        state = answer.state
+        state = analysis.state
         query = None if state.upload else state.query
         with self._lock:
             self._lab = lab_state.of_task(self._lab, state.task)
@@ -174,9 +174,9 @@ class Lab:
         self._said.show(table.said(found, lab, rows, (first, self._count)))
         self._columns.show(table.columns(found, lab) if lab.choosing and lab.tab == "table" else "")
         if lab.tab == "table":
-            self._body.show(table.table(found, lab, self._exhibit, shown, view.query))
+            self._body.show(table.table(found, lab, self._workspace, shown, view.query))
         elif lab.tab == "breakdown":
-            self._body.show(charts.page(found, lab, self._exhibit))
+            self._body.show(charts.page(found, lab, self._workspace))
         else:
             shown_map, ready = self._map.page(found, lab, view.query, rows, self._size)
             self._body.show(shown_map)
@@ -199,7 +199,7 @@ class Lab:
             part.show("")
         self._texts = None
         self._notes.show(None, None)
-        queries = len(self._exhibit.tasks[lab.task].queries)
+        queries = len(self._workspace.tasks[lab.task].queries)
         self._body.show(table.waiting(job, f"Ranking {queries:,} queries", stopped, "table"))
         if job is not None and job.flaw is None:
             self._worker.wake()
@@ -253,7 +253,7 @@ class Lab:
 
     def _open(self, value: Any) -> None:
         task = self._lab.task
-        queries = len(self._exhibit.tasks[task].queries)
+        queries = len(self._workspace.tasks[task].queries)
         row = messages.integer(value, 0, queries - 1)
         if row is not None:
             self._change(lambda state: session_state.choose(state, row, queries) if state.task == task else state)
@@ -269,7 +269,7 @@ class Lab:
         if found is not None:
             rows = self._map.at(found, self._lab, value)
             self._tips += 1
-            self._tip.show("" if rows is None else table.tip(found, self._exhibit, rows, self._tips))
+            self._tip.show("" if rows is None else table.tip(found, self._workspace, rows, self._tips))
 
     def _say(self, value: Any) -> None:
         if self._notes.say(value):
@@ -280,7 +280,7 @@ class Lab:
         if found is None:
             return
         rows = self._rows(found, self._lab)
-        name = re.sub(r"[^\w-]+", "-", f"{self._exhibit.data_name}-{found.task.name}-{len(rows)}-queries")
+        name = re.sub(r"[^\w-]+", "-", f"{self._workspace.data_name}-{found.task.name}-{len(rows)}-queries")
         self._client.send_file_download(f"{name}.csv", found.table.to_csv(rows), save_immediately=True)
 
     def _report(self, _: Any) -> None:
@@ -290,7 +290,7 @@ class Lab:
         rows, task = [int(row) for row in self._rows(found, lab)], found.task
         chosen = f"{lab_state.words(found, lab)} (failure laboratory)"
         self._reporter.make(
-            lambda progress, model: reports.of_selection(self._exhibit, task, rows, chosen, progress, model)
+            lambda progress, model: reports.of_selection(self._workspace, task, rows, chosen, progress, model)
         )
 
     def _failed(self, error: Exception) -> None:

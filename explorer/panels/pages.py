@@ -8,7 +8,7 @@ from html import escape
 from explorer.panels import answer_text
 from explorer.web.bridge import PRESSED, send
 from explorer.web.style import part_ink, verdict_ink
-from explorer.workspace import Answer, Exhibit, Task
+from explorer.workspace import StateAnalysis, Task, Workspace
 from lpn.drawing import overlays
 from lpn.retrieval import Match
 
@@ -33,12 +33,12 @@ _ACTS = (
 )
 
 
-def header(exhibit: Exhibit, task: Task) -> str:
+def header(workspace: Workspace, task: Task) -> str:
     """Which model, data set, task, n, and how good it is on it."""
     return (
-        f"<div class='lpn' id='lpn-header'><div class='top'><h2>{escape(exhibit.model_name)} "
-        f"<span class='dim'>on</span> {escape(exhibit.data_name)}</h2>{_ACTS}</div>"
-        f"<div class='facts dim'><span>{escape(exhibit.description)}</span></div>"
+        f"<div class='lpn' id='lpn-header'><div class='top'><h2>{escape(workspace.model_name)} "
+        f"<span class='dim'>on</span> {escape(workspace.data_name)}</h2>{_ACTS}</div>"
+        f"<div class='facts dim'><span>{escape(workspace.description)}</span></div>"
         f"<div class='facts'><span>{escape(task.query_view)} → {escape(task.gallery_view)}</span>"
         f"<span class='num'>{len(task.queries):,} queries</span><span class='num'>{len(task.gallery):,} tiles</span></div>"
         f"{_results(task)}</div>"
@@ -72,13 +72,13 @@ def _metres(results: dict[str, float]) -> str:
     )
 
 
-def verdict(answer: Answer, exhibit: Exhibit) -> str:
+def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
     """The answer in words, and a status line that also tells tests what is shown."""
-    true, headline, reason = answer_text.verdict(answer, exhibit.part_names)
+    true, headline, reason = answer_text.verdict(analysis, workspace.part_names)
     colour = overlays.css(overlays.verdict_colour(true))
     warning = (
         ""
-        if answer.state.parts_left()
+        if analysis.state.parts_left()
         else "<div>⚠ Every part is off, so all count equally until one is switched on.</div>"
     )
     return (
@@ -87,13 +87,13 @@ def verdict(answer: Answer, exhibit: Exhibit) -> str:
     )
 
 
-def status(answer: Answer, sequence: int, drawing: float) -> str:
+def status(analysis: StateAnalysis, sequence: int, drawing: float) -> str:
     """How long the last answer took to compute and to draw; its attributes say which state the page shows."""
-    state = answer.state
+    state = analysis.state
     return (
         f"<div class='lpn dim num' id='lpn-status' data-seq='{sequence}' data-query='{state.query}' "
-        f"data-name='{escape(answer.name)}' data-angle='{state.angle:g}' data-chosen='{answer.chosen.index}' "
-        f"data-top='{answer.matches[0].index}'><span>answered in {1000 * (answer.seconds + drawing):.0f} ms ({1000 * answer.seconds:.0f} computing, {1000 * drawing:.0f} drawing)</span></div>"
+        f"data-name='{escape(analysis.name)}' data-angle='{state.angle:g}' data-chosen='{analysis.chosen.index}' "
+        f"data-top='{analysis.matches[0].index}'><span>answered in {1000 * (analysis.seconds + drawing):.0f} ms ({1000 * analysis.seconds:.0f} computing, {1000 * drawing:.0f} drawing)</span></div>"
     )
 
 
@@ -115,51 +115,51 @@ def full(status: str) -> str:
     return f"{status.partition('<span')[0]}<span>{_FULL}</span></div>"
 
 
-def matches(answer: Answer, exhibit: Exhibit, buttons: Sequence[str]) -> str:
+def matches(analysis: StateAnalysis, workspace: Workspace, buttons: Sequence[str]) -> str:
     """The ranked tiles as rows: picture, rank, sign, name, distance, gap, and the parts' shares.
 
     A true tile below them gets a row of its own; the last button is its.
     """
-    shown = list(zip(answer.matches, buttons, strict=False))
-    truth = answer.truth
-    below = truth is not None and truth.rank > len(answer.matches)
-    full = max(match.distance2 for match in (*answer.matches, *([truth] if truth and below else [])))
-    rows = [_row(answer, exhibit, match, button, full) for match, button in shown]
+    shown = list(zip(analysis.matches, buttons, strict=False))
+    truth = analysis.truth
+    below = truth is not None and truth.rank > len(analysis.matches)
+    full = max(match.distance2 for match in (*analysis.matches, *([truth] if truth and below else [])))
+    rows = [_row(analysis, workspace, match, button, full) for match, button in shown]
     if truth is not None and below:
         rows += [
             "<div class='dim' id='lpn-truth'>… and the true tile:</div>",
-            _row(answer, exhibit, truth, buttons[-1], full),
+            _row(analysis, workspace, truth, buttons[-1], full),
         ]
     return f"<div class='lpn' id='lpn-matches'>{''.join(rows)}</div>"
 
 
-def _row(answer: Answer, exhibit: Exhibit, match: Match, button: str, full: float) -> str:
-    entry = answer.task.gallery[match.index]
-    chosen = " chosen" if match.index == answer.chosen.index else ""
+def _row(analysis: StateAnalysis, workspace: Workspace, match: Match, button: str, full: float) -> str:
+    entry = analysis.task.gallery[match.index]
+    chosen = " chosen" if match.index == analysis.chosen.index else ""
     colour = overlays.css(overlays.verdict_colour(match.true))
     segments = "".join(
         f"<i style='width:{100 * max(float(share), 0) / max(full, 1e-9):.2f}%;background:{overlays.css(overlays.part_colour(i))}' "
-        f"title='part {escape(exhibit.part_names[i])}: {share:.4f}'></i>"
+        f"title='part {escape(workspace.part_names[i])}: {share:.4f}'></i>"
         for i, share in enumerate(match.shares)
     )
-    off = "" if answer.off is None else f"<span class='dim'>{answer.off[match.index]:,.0f} m</span>"
+    off = "" if analysis.off is None else f"<span class='dim'>{analysis.off[match.index]:,.0f} m</span>"
     gap = "" if match.gap is None else f"<span class='dim'>+{match.gap:.3f}</span>"
     return (
         f"<div class='row{chosen}' data-index='{match.index}' {press(button)} title='Compare with the query'>"
-        f"<img src='{exhibit.thumbnail(entry.path)}' style='border-color:{colour}' alt=''>"
+        f"<img src='{workspace.thumbnail(entry.path)}' style='border-color:{colour}' alt=''>"
         f"<div class='what'><div class='line num'><b>{match.rank}</b><b style='color:{verdict_ink(match.true)}'>{SIGNS[match.true]}</b>"
         f"<span class='name'>{escape(entry.name)} {off}</span><span>{match.distance2:.3f}</span>{gap}</div>"
         f"<div class='bar'>{segments}</div></div></div>"
     )
 
 
-def parts_table(answer: Answer, exhibit: Exhibit) -> str:
+def parts_table(analysis: StateAnalysis, workspace: Workspace) -> str:
     """The compared pair part by part; the shares add up to the distance."""
-    chosen = answer.chosen
+    chosen = analysis.chosen
     rows = "".join(
         f"<tr><td style='color:{part_ink(i)}'>{escape(name)}</td>"
-        f"<td>{100 * answer.ranking.weights[i]:.0f} %</td><td>{chosen.cosines[i]:+.3f}</td><td>{chosen.shares[i]:.3f}</td></tr>"
-        for i, name in enumerate(exhibit.part_names)
+        f"<td>{100 * analysis.ranking.weights[i]:.0f} %</td><td>{chosen.cosines[i]:+.3f}</td><td>{chosen.shares[i]:.3f}</td></tr>"
+        for i, name in enumerate(workspace.part_names)
     )
     return (
         f"<div class='lpn num' id='lpn-parts'><table><tr class='dim'><th>part, query with rank {chosen.rank}</th><th>weight</th>"
@@ -169,14 +169,20 @@ def parts_table(answer: Answer, exhibit: Exhibit) -> str:
 
 
 def picker(
-    exhibit: Exhibit, task: Task, shown: Sequence[int], query: int | None, page: int, pages: int, buttons: Sequence[str]
+    workspace: Workspace,
+    task: Task,
+    shown: Sequence[int],
+    query: int | None,
+    page: int,
+    pages: int,
+    buttons: Sequence[str],
 ) -> str:
     """Thumbnails of one page of queries; the last two buttons turn the page."""
     if not shown:
         return "<div class='lpn dim' id='lpn-picker'>No picture has this in its name; change the text above.</div>"
     thumbs = "".join(
         f"<div class='thumb{' chosen' if i == query else ''}' data-query='{i}' {press(buttons[slot])}>"
-        f"<img src='{exhibit.thumbnail(task.queries[i].path)}' alt=''>"
+        f"<img src='{workspace.thumbnail(task.queries[i].path)}' alt=''>"
         f"<span>{_sign(task, i)} {escape(task.queries[i].name)}</span></div>"
         for slot, i in enumerate(shown)
     )

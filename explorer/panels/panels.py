@@ -17,7 +17,7 @@ from explorer.panels import pages
 from explorer.session_state import SessionState
 from explorer.stage.cards import SHOWN
 from explorer.web.html import Html
-from explorer.workspace import Answer, Exhibit, Task
+from explorer.workspace import StateAnalysis, Task, Workspace
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
 
@@ -39,15 +39,15 @@ class Panels:
     def __init__(
         self,
         client: viser.ClientHandle,
-        exhibit: Exhibit,
+        workspace: Workspace,
         state: SessionState,
         change: Callable[[Change], None],
         rng: Random,
     ) -> None:
-        self._client, self._exhibit, self._change, self._rng = client, exhibit, change, rng
+        self._client, self._workspace, self._change, self._rng = client, workspace, change, rng
         self._shown: list[int] = []
         self._shown_of: tuple[str, str] | None = None
-        self._answer: Answer | None = None
+        self._analysis: StateAnalysis | None = None
         self.order: Callable[[SessionState], Int64Array | None] = lambda _: None
         """The queries that next and previous go through; None for all of them."""
         self._writer: int | None = None
@@ -70,9 +70,9 @@ class Panels:
         self._add_keys(gui)
 
     def _build_query(self, gui: viser.GuiApi, state: SessionState) -> None:
-        exhibit = self._exhibit
+        workspace = self._workspace
         self._task = gui.add_dropdown(
-            "Task", tuple(exhibit.tasks), initial_value=state.task, visible=len(exhibit.tasks) > 1
+            "Task", tuple(workspace.tasks), initial_value=state.task, visible=len(workspace.tasks) > 1
         )
         walk = gui.add_button_group("Go to", ("‹ Previous", "Next ›", "Random", "Failure"))
         moves: dict[str, Change] = {
@@ -83,9 +83,9 @@ class Panels:
         }
         walk.on_click(lambda _: self._change(moves.get(walk.value, lambda s: s)))
         gui.add_button("Failure laboratory", icon=viser.Icon.FLASK).on_click(lambda _: self._change(self.flip_lab))
-        live = exhibit.model is not None
+        live = workspace.model is not None
         self._angle = gui.add_slider("Rotate", -180, 180, 1, state.angle, visible=live)
-        self._reach = exhibit.spec.input_size[1] // 2, exhibit.spec.input_size[0] // 2
+        self._reach = workspace.spec.input_size[1] // 2, workspace.spec.input_size[0] // 2
         with gui.add_folder("Shift and zoom", expand_by_default=False, visible=live):
             self._shift = gui.add_slider("Shift right", -self._reach[0], self._reach[0], 1, state.shift)
             self._down = gui.add_slider("Shift down", -self._reach[1], self._reach[1], 1, state.down)
@@ -111,13 +111,13 @@ class Panels:
         with gui.add_folder("Look"):
             self._rings = gui.add_checkbox("Rings", state.rings)
             self._exploded = gui.add_checkbox("Take apart", state.exploded)
-            mapped = any(task.places is not None for task in exhibit.tasks.values())
+            mapped = any(task.places is not None for task in workspace.tasks.values())
             self._map = gui.add_checkbox("Map", state.map, visible=mapped)
             self._city = gui.add_checkbox("City", state.city, visible=False)
             self._heat = gui.add_checkbox("Heatmap", state.heat, visible=live)
             first = next(iter(HEAT))
             self._kind = gui.add_dropdown("Shows", tuple(HEAT), visible=live, initial_value=first, hint=pages.HEAT_NOTE)
-            choices = (ALL_PARTS, *exhibit.part_names)
+            choices = (ALL_PARTS, *workspace.part_names)
             self._heat_part = gui.add_dropdown("Heat of", choices, visible=live, initial_value=ALL_PARTS)
             self._opacity = gui.add_slider("Opacity", 0.0, 1.0, 0.05, state.opacity, visible=live)
             if not live:
@@ -128,7 +128,7 @@ class Panels:
     def _build_parts(self, gui: viser.GuiApi, state: SessionState) -> None:
         gui.add_html(pages.PARTS_NOTE)
         self._enabled, self._weights = [], []
-        for name, on, weight in zip(self._exhibit.part_names, state.enabled, state.weights, strict=True):
+        for name, on, weight in zip(self._workspace.part_names, state.enabled, state.weights, strict=True):
             self._enabled.append(gui.add_checkbox(f"Part {name}", on))
             self._weights.append(gui.add_slider(f"Weight {name}", 0.0, session_state.MAX_WEIGHT, 0.05, weight))
         reset = gui.add_button("All parts equal")
@@ -152,7 +152,7 @@ class Panels:
         with gui.add_folder("Compared pair"):
             self._table = Html(gui)
             why = gui.add_button(
-                "Why this tile?", icon=viser.Icon.ZOOM_QUESTION, visible=self._exhibit.model is not None
+                "Why this tile?", icon=viser.Icon.ZOOM_QUESTION, visible=self._workspace.model is not None
             )
             why.on_click(lambda _: self._change(self.flip_why))
         gui.add_html(pages.KEYS)
@@ -191,8 +191,8 @@ class Panels:
         return read
 
     def _read(self, state: SessionState) -> SessionState:
-        task = self._task.value if self._task.value in self._exhibit.tasks else state.task
-        names = self._exhibit.part_names
+        task = self._task.value if self._task.value in self._workspace.tasks else state.task
+        names = self._workspace.part_names
         part = names.index(self._heat_part.value) if self._heat_part.value in names else None
         read = replace(
             state,
@@ -242,7 +242,7 @@ class Panels:
             (self._down, state.down),
             (self._zoom, state.zoom),
             (self._kind, next(name for name, kind in HEAT.items() if kind == state.heat_kind)),
-            (self._heat_part, ALL_PARTS if state.heat_part is None else self._exhibit.part_names[state.heat_part]),
+            (self._heat_part, ALL_PARTS if state.heat_part is None else self._workspace.part_names[state.heat_part]),
             *zip(self._enabled, state.enabled, strict=True),
             *zip(self._weights, state.weights, strict=True),
         ]
@@ -254,23 +254,23 @@ class Panels:
         if self._city.visible != stands:
             self._city.visible = stands
 
-    def show(self, answer: Answer, sequence: int, started: float) -> None:
+    def show(self, analysis: StateAnalysis, sequence: int, started: float) -> None:
         """Show an answer; `started` is when drawing began, by `time.perf_counter`."""
-        exhibit = self._exhibit
-        self._answer = answer
+        workspace = self._workspace
+        self._analysis = analysis
         with self._client.atomic():
-            self._header.show(pages.header(exhibit, answer.task))
-            self._verdict.show(pages.verdict(answer, exhibit))
-            self._matches.show(pages.matches(answer, exhibit, self._match_buttons))
-            self._table.show(pages.parts_table(answer, exhibit))
-            self._show_picker(answer)
-            self._said = pages.status(answer, sequence, time.perf_counter() - started)
+            self._header.show(pages.header(workspace, analysis.task))
+            self._verdict.show(pages.verdict(analysis, workspace))
+            self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
+            self._table.show(pages.parts_table(analysis, workspace))
+            self._show_picker(analysis)
+            self._said = pages.status(analysis, sequence, time.perf_counter() - started)
             self._status.show(self._said)
 
     def show_results(self, task: Task) -> None:
         """Say how good the model is on a task, or how far the ranking is that says so."""
         with self._client.atomic():
-            self._header.show(pages.header(self._exhibit, task))
+            self._header.show(pages.header(self._workspace, task))
 
     def busy(self) -> None:
         """Show that the next answer is being computed; the one that is shown stays until then."""
@@ -320,7 +320,7 @@ class Panels:
 
     def failure(self, state: SessionState) -> SessionState | None:
         """Any other query whose true tile is not first."""
-        task = self._exhibit.tasks[state.task]
+        task = self._workspace.tasks[state.task]
         if task.found is None:
             self._client.add_notification(
                 "Not known yet", "All queries are still being ranked; ask again when they are."
@@ -333,7 +333,7 @@ class Panels:
 
     def flip_map(self, state: SessionState) -> SessionState:
         """Map in place of pair, or back, where positions are known."""
-        return replace(state, map=not state.map and self._exhibit.tasks[state.task].places is not None)
+        return replace(state, map=not state.map and self._workspace.tasks[state.task].places is not None)
 
     def flip_why(self, state: SessionState) -> SessionState:
         """The window of reasons, open or closed."""
@@ -352,25 +352,25 @@ class Panels:
         return replace(state, city=not state.city) if self._has_city(state) else state
 
     def _has_city(self, state: SessionState) -> bool:
-        return state.map and self._exhibit.city is not None and self._exhibit.tasks[state.task].places is not None
+        return state.map and self._workspace.city is not None and self._workspace.tasks[state.task].places is not None
 
     def _queries(self, state: SessionState) -> int:
-        return len(self._exhibit.tasks[state.task].queries)
+        return len(self._workspace.tasks[state.task].queries)
 
     def _searched(self, state: SessionState) -> SessionState:
         """A name typed in full is chosen at once."""
-        names = self._exhibit.tasks[state.task].names
+        names = self._workspace.tasks[state.task].names
         hits = session_state.found(names, state.find) if state.find.strip() else []
         return session_state.choose(state, hits[0], len(names)) if len(hits) == 1 else state
 
-    def _show_picker(self, answer: Answer) -> None:
-        state, task = answer.state, answer.task
+    def _show_picker(self, analysis: StateAnalysis) -> None:
+        state, task = analysis.state, analysis.task
         hits = session_state.found(task.names, state.find)
         last = max(-(-len(hits) // THUMBS), 1)
         page = state.page % last
         self._shown, self._shown_of = hits[page * THUMBS : (page + 1) * THUMBS], (state.task, state.find)
         query = None if state.upload else state.query
-        self._picker.show(pages.picker(self._exhibit, task, self._shown, query, page, last, self._picker_buttons))
+        self._picker.show(pages.picker(self._workspace, task, self._shown, query, page, last, self._picker_buttons))
 
     def _pick(self, slot: int) -> Callable[[Any], None]:
         def picked(_: Any) -> None:
@@ -388,10 +388,10 @@ class Panels:
 
     def _compare(self, slot: int) -> Callable[[Any], None]:
         def compared(_: Any) -> None:
-            answer = self._answer
-            if answer is not None and slot < len(answer.matches):
-                index = answer.matches[slot].index
-                self._change(lambda s: session_state.compare(s, answer.state, index))
+            analysis = self._analysis
+            if analysis is not None and slot < len(analysis.matches):
+                index = analysis.matches[slot].index
+                self._change(lambda s: session_state.compare(s, analysis.state, index))
 
         return compared
 

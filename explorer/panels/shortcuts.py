@@ -12,7 +12,7 @@ from explorer import session_state
 from explorer.panels.panels import Change, Panels
 from explorer.session_state import SessionState
 from explorer.web.bridge import Bridge
-from explorer.workspace import Exhibit
+from explorer.workspace import Workspace
 
 _SHIFT = 8
 _ZOOM = 1.1
@@ -20,14 +20,14 @@ _ZOOM = 1.1
 
 def add(
     gui: viser.GuiApi,
-    exhibit: Exhibit,
+    workspace: Workspace,
     panels: Panels,
     change: Callable[[Change], None],
     bridge: Bridge,
     further: Sequence[tuple[str, Callable[[], None]]],
 ) -> None:
     """Register them for one browser; `further` are those of the windows."""
-    live = exhibit.model is not None
+    live = workspace.model is not None
     orders: list[tuple[str, str | None, Callable[[], None]]] = [
         ("Copy link to what is shown", "I", lambda: bridge.order("copy")),
         ("Show the tour", None, lambda: bridge.order("tour")),
@@ -39,20 +39,20 @@ def add(
     for label, key, order in orders:
         gui.add_command(label, hotkey=cast(Any, key)).on_trigger(_calls(order))
     changes: list[tuple[str, str | None, Change]] = [("Light or dark", "O", session_state.flip_dark)]
-    if len(exhibit.tasks) > 1:
-        changes += [(f"Task: {name}", None, _task(name)) for name in exhibit.tasks]
-    changes += [(f"Part {name} on or off", None, _flip_part(part)) for part, name in enumerate(exhibit.part_names)]
+    if len(workspace.tasks) > 1:
+        changes += [(f"Task: {name}", None, _task(name)) for name in workspace.tasks]
+    changes += [(f"Part {name} on or off", None, _flip_part(part)) for part, name in enumerate(workspace.part_names)]
     changes.append(("All parts equal", None, lambda state: replace(state, weights=(), enabled=())))
     if live:
-        changes += [(f"Heatmap of part {name}", None, _heat_of(part)) for part, name in enumerate(exhibit.part_names)]
+        changes += [(f"Heatmap of part {name}", None, _heat_of(part)) for part, name in enumerate(workspace.part_names)]
         changes += [
             ("Heatmap of all parts", None, _heat_of(None)),
             ("Zoom in", None, _zoom(_ZOOM)),
             ("Zoom out", None, _zoom(1 / _ZOOM)),
-            (f"Shift right by {_SHIFT} pixels", None, _shift(exhibit, _SHIFT, 0)),
-            (f"Shift left by {_SHIFT} pixels", None, _shift(exhibit, -_SHIFT, 0)),
-            (f"Shift down by {_SHIFT} pixels", None, _shift(exhibit, 0, _SHIFT)),
-            (f"Shift up by {_SHIFT} pixels", None, _shift(exhibit, 0, -_SHIFT)),
+            (f"Shift right by {_SHIFT} pixels", None, _shift(workspace, _SHIFT, 0)),
+            (f"Shift left by {_SHIFT} pixels", None, _shift(workspace, -_SHIFT, 0)),
+            (f"Shift down by {_SHIFT} pixels", None, _shift(workspace, 0, _SHIFT)),
+            (f"Shift up by {_SHIFT} pixels", None, _shift(workspace, 0, -_SHIFT)),
         ]
     for label, key, changed in changes:
         gui.add_command(label, hotkey=cast(Any, key)).on_trigger(_changes(change, changed))
@@ -87,8 +87,8 @@ def _zoom(factor: float) -> Change:
     return lambda state: replace(state, zoom=min(max(round(state.zoom * factor, 2), low), high))
 
 
-def _shift(exhibit: Exhibit, right: int, down: int) -> Change:
-    reach = exhibit.spec.input_size[1] // 2, exhibit.spec.input_size[0] // 2
+def _shift(workspace: Workspace, right: int, down: int) -> Change:
+    reach = workspace.spec.input_size[1] // 2, workspace.spec.input_size[0] // 2
 
     def shifted(state: SessionState) -> SessionState:
         across = min(max(state.shift + right, -reach[0]), reach[0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from explorer.stage.layout import Layout, Point
-from explorer.workspace import Exhibit
+from explorer.workspace import Workspace
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,11 @@ class Step:
     box: tuple[float, float, float, float] | None = None
 
 
-def steps(exhibit: Exhibit) -> list[Step]:
+def steps(workspace: Workspace) -> list[Step]:
     """The five steps for a model and data set; what these do not have is not spoken of."""
-    layout, task = exhibit.layout, next(iter(exhibit.tasks.values()))
-    live, mapped = exhibit.model is not None, task.places is not None
-    rings = exhibit.spec.partition(task.query_view).kind == "rings" and exhibit.spec.n_parts > 1
+    layout, task = workspace.layout, next(iter(workspace.tasks.values()))
+    live, mapped = workspace.model is not None, task.places is not None
+    rings = workspace.spec.partition(task.query_view).kind == "rings" and workspace.spec.n_parts > 1
     parts = "square rings around the centre" if rings else "parts"
     query = Step(
         "A picture goes in",

@@ -12,7 +12,7 @@ import viser
 from explorer.session_state import SessionState
 from explorer.stage.image_planes import UPRIGHT, Plane
 from explorer.stage.layout import Layout
-from explorer.workspace import Answer, Exhibit
+from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import UInt8Array
 from lpn.drawing import overlays
 from lpn.drawing.overlays import Colour, Palette
@@ -28,10 +28,12 @@ _MARGIN = 0.04
 class Cards:
     """One browser's ranked tiles; `on_select` is called with the state shown and the gallery position of a clicked one."""
 
-    def __init__(self, scene: viser.SceneApi, exhibit: Exhibit, on_select: Callable[[SessionState, int], None]) -> None:
-        self._exhibit, self._on_select = exhibit, on_select
-        self._layout = layout = exhibit.layout
-        self._shown: Answer | None = None
+    def __init__(
+        self, scene: viser.SceneApi, workspace: Workspace, on_select: Callable[[SessionState, int], None]
+    ) -> None:
+        self._workspace, self._on_select = workspace, on_select
+        self._layout = layout = workspace.layout
+        self._shown: StateAnalysis | None = None
         width, height, above = layout.card
         across = (layout.columns - 1) * layout.step[0] + width
         self._rows: list[tuple[Plane, Plane]] = []
@@ -61,51 +63,53 @@ class Cards:
         handle.on_click(self._clicked(slot))
         return handle
 
-    def show(self, answer: Answer) -> None:
+    def show(self, analysis: StateAnalysis) -> None:
         """Draw an answer's matches."""
-        self._shown = answer
-        state, layout, matches = answer.state, self._layout, answer.matches
+        self._shown = analysis
+        state, layout, matches = analysis.state, self._layout, analysis.matches
         ground = state.palette.background
         full = max(match.distance2 for match in matches)
-        self._mark(answer)
+        self._mark(analysis)
         for slot, target in enumerate(self._targets):
             target.visible = slot < len(matches)
         gap = (layout.step[0] - layout.card[0]) / layout.card[0]
         for row, (photos, labels) in enumerate(self._rows):
             some = matches[row * layout.columns : (row + 1) * layout.columns]
             photos.handle.visible = labels.handle.visible = bool(some)
-            drawn = (answer.task.name, state.rings, ground, tuple((match.index, match.true) for match in some))
+            drawn = (analysis.task.name, state.rings, ground, tuple((match.index, match.true) for match in some))
             if some and self._drawn[row] != drawn:
-                photos.show(_beside([self._photo(answer, match) for match in some], layout.columns, gap, ground))
+                photos.show(_beside([self._photo(analysis, match) for match in some], layout.columns, gap, ground))
                 self._drawn[row] = drawn
             if some:
-                labels.show(_beside([self._label(answer, match, full) for match in some], layout.columns, gap, ground))
+                labels.show(
+                    _beside([self._label(analysis, match, full) for match in some], layout.columns, gap, ground)
+                )
 
-    def _mark(self, answer: Answer) -> None:
+    def _mark(self, analysis: StateAnalysis) -> None:
         """Frame the card that is compared, where it is among those shown."""
-        slots = [slot for slot, match in enumerate(answer.matches) if match.index == answer.chosen.index]
+        slots = [slot for slot, match in enumerate(analysis.matches) if match.index == analysis.chosen.index]
         self._marker.handle.visible = bool(slots)
         if slots:
             x, y = self._layout.card_centre(slots[0])
             self._marker.handle.position = (x, y, 0.02)
-            self._marker.show(_frame(self._layout, answer.state.palette.text))
+            self._marker.show(_frame(self._layout, analysis.state.palette.text))
 
-    def _photo(self, answer: Answer, match: Match) -> UInt8Array:
-        task, exhibit = answer.task, self._exhibit
-        picture = exhibit.card(task, match.index)
-        if answer.state.rings:
-            partition, cells = exhibit.spec.partition(task.gallery_view), exhibit.map_sizes[task.gallery_view]
+    def _photo(self, analysis: StateAnalysis, match: Match) -> UInt8Array:
+        task, workspace = analysis.task, self._workspace
+        picture = workspace.card(task, match.index)
+        if analysis.state.rings:
+            partition, cells = workspace.spec.partition(task.gallery_view), workspace.map_sizes[task.gallery_view]
             picture = overlays.with_rings(picture, partition, cells, 1)
         return overlays.framed(picture, overlays.verdict_colour(match.true), 7)
 
-    def _label(self, answer: Answer, match: Match, full: float) -> UInt8Array:
-        return _card_label(self._layout, match, answer.task.gallery[match.index].name, full, answer.state.palette)
+    def _label(self, analysis: StateAnalysis, match: Match, full: float) -> UInt8Array:
+        return _card_label(self._layout, match, analysis.task.gallery[match.index].name, full, analysis.state.palette)
 
     def _clicked(self, slot: int) -> Callable[[Any], None]:
         def clicked(_: Any) -> None:
-            answer = self._shown
-            if answer is not None and slot < len(answer.matches):
-                self._on_select(answer.state, answer.matches[slot].index)
+            analysis = self._shown
+            if analysis is not None and slot < len(analysis.matches):
+                self._on_select(analysis.state, analysis.matches[slot].index)
 
         return clicked
 

@@ -13,7 +13,7 @@ from explorer.session_state import SessionState
 from explorer.stage.camera import AT, PICTURE, SIDE, Viewpoint, over
 from explorer.stage.gallery_geometry import Places
 from explorer.stage.image_planes import Plane, Rotation
-from explorer.workspace import Answer, Exhibit
+from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
 from lpn.datasets import geo
 from lpn.drawing import overlays
@@ -31,10 +31,14 @@ class GalleryMap:
     """One browser's map, built when it is first shown. `on_select` is told the state shown and a clicked tile."""
 
     def __init__(
-        self, client: viser.ClientHandle, exhibit: Exhibit, shown: int, on_select: Callable[[SessionState, int], None]
+        self,
+        client: viser.ClientHandle,
+        workspace: Workspace,
+        shown: int,
+        on_select: Callable[[SessionState, int], None],
     ) -> None:
-        self._exhibit = exhibit
-        self._answer: Answer | None = None
+        self._workspace = workspace
+        self._analysis: StateAnalysis | None = None
         self._task = ""
         self._scale, self._middle = 1.0, np.zeros(2)
         self._scene = scene = client.scene
@@ -63,43 +67,43 @@ class GalleryMap:
             cast_shadow=False,
         )
 
-    def show(self, answer: Answer) -> Viewpoint:
+    def show(self, analysis: StateAnalysis) -> Viewpoint:
         """Draw an answer whose task has places; returns from where to look at it."""
-        places = answer.task.places
+        places = analysis.task.places
         assert places is not None
-        self._answer = answer
-        if self._task != answer.task.name:
-            self._lay_out(answer, places)
-        city = self._show_city(answer, places)
-        self._show_tiles(answer, places, city, _ROOFS * self._scale if city else 0.03)
-        camera = self._show_camera(answer, places)
-        self._show_lines(answer, places, camera, _ROOFS * self._scale if city else _LINES)
+        self._analysis = analysis
+        if self._task != analysis.task.name:
+            self._lay_out(analysis, places)
+        city = self._show_city(analysis, places)
+        self._show_tiles(analysis, places, city, _ROOFS * self._scale if city else 0.03)
+        camera = self._show_camera(analysis, places)
+        self._show_lines(analysis, places, camera, _ROOFS * self._scale if city else _LINES)
         self._lines.thickness = 5.0 if city else 3.0
-        viewpoint = self._over_city(answer, places, camera) if city else self._whole(places)
+        viewpoint = self._over_city(analysis, places, camera) if city else self._whole(places)
         self._camera.scale = 0.5 * viewpoint.ratio
-        self._caption.show(self._words(answer))
-        palette = answer.state.palette
+        self._caption.show(self._words(analysis))
+        palette = analysis.state.palette
         self._camera.color = palette.text
-        self._query.show(overlays.framed(overlays.square(answer.query.picture, 256), palette.text, 4))
-        colour = overlays.verdict_colour(answer.chosen.true)
-        self._tile.show(overlays.framed(overlays.square(answer.tile.picture, 256), colour, 6))
+        self._query.show(overlays.framed(overlays.square(analysis.query.picture, 256), palette.text, 4))
+        colour = overlays.verdict_colour(analysis.chosen.true)
+        self._tile.show(overlays.framed(overlays.square(analysis.tile.picture, 256), colour, 6))
         return viewpoint
 
-    def _lay_out(self, answer: Answer, places: Places) -> None:
+    def _lay_out(self, analysis: StateAnalysis, places: Places) -> None:
         west, south, east, north = places.bounds()
         self._scale = SIDE / max(east - west, north - south)
         self._middle = np.array([west + east, south + north]) / 2
         handle = self._ground.handle
         handle.render_width, handle.render_height = (east - west) * self._scale, (north - south) * self._scale
-        self._task = answer.task.name
+        self._task = analysis.task.name
 
-    def _show_city(self, answer: Answer, places: Places) -> bool:
+    def _show_city(self, analysis: StateAnalysis, places: Places) -> bool:
         """Put the city in the ground's place, or take it away; it is sent when it is first shown."""
-        model = self._exhibit.city
-        shown = answer.state.city and model is not None
+        model = self._workspace.city
+        shown = analysis.state.city and model is not None
         self._ground.handle.visible = not shown
         if not shown:
-            self._ground.show(self._exhibit.mosaic(answer.task))
+            self._ground.show(self._workspace.mosaic(analysis.task))
         if shown and model is not None:
             self._city = self._city or self._scene.add_glb(
                 "/map/city", model.data, wxyz=_UPRIGHT, cast_shadow=False, receive_shadow=False
@@ -114,10 +118,10 @@ class GalleryMap:
         _, south, _, north = places.bounds()
         return Viewpoint(depth=(north - south) * self._scale)
 
-    def _over_city(self, answer: Answer, places: Places, camera: Float64Array | None) -> Viewpoint:
+    def _over_city(self, analysis: StateAnalysis, places: Places, camera: Float64Array | None) -> Viewpoint:
         """A view in which the drone, the compared tile, and the true one are."""
         half = 0.6 * places.width
-        tiles = [answer.chosen.index, *([answer.truth.index] if answer.truth is not None else [])]
+        tiles = [analysis.chosen.index, *([analysis.truth.index] if analysis.truth is not None else [])]
         around = [places.ground[tile] + np.array(off) * half for tile in tiles for off in ((-1, -1), (1, 1))]
         points = [self._place(point, 0.0) for point in around]
         if camera is not None and float(np.abs(camera - points[0]).max()) < _FAR * self._scale:
@@ -141,20 +145,20 @@ class GalleryMap:
         x, y = (ground - self._middle) * self._scale
         return np.asarray(AT + np.array([x, y, up * self._scale + lift]), np.float64)
 
-    def _show_tiles(self, answer: Answer, places: Places, city: bool, lift: float) -> None:
+    def _show_tiles(self, analysis: StateAnalysis, places: Places, city: bool, lift: float) -> None:
         """The ranked tiles as pictures on the ground, or as frames above the roofs."""
         side = max(places.width * self._scale, 0.12)
         for slot, plane in enumerate(self._tiles):
-            plane.handle.visible = slot < len(answer.matches)
+            plane.handle.visible = slot < len(analysis.matches)
             if not plane.handle.visible:
                 continue
-            match = answer.matches[slot]
+            match = analysis.matches[slot]
             colour = overlays.verdict_colour(match.true)
             if city:
-                chosen = match.index == answer.chosen.index
+                chosen = match.index == analysis.chosen.index
                 framed = overlays.outlined(160, colour, 7 if chosen else 4, 0.12 if chosen else 0.03)
             else:
-                picture = overlays.square(self._exhibit.entry_picture(answer.task.gallery[match.index].path), 96)
+                picture = overlays.square(self._workspace.entry_picture(analysis.task.gallery[match.index].path), 96)
                 framed = overlays.framed(picture, colour, 5)
             plane.show(overlays.numbered(framed, match.rank))
             plane.handle.render_width = plane.handle.render_height = side
@@ -162,9 +166,9 @@ class GalleryMap:
             height = (0.001 if city else 0.012) * (len(self._tiles) - slot)
             plane.handle.position = self._place(places.ground[match.index], 0.0, lift + height)
 
-    def _show_camera(self, answer: Answer, places: Places) -> Float64Array | None:
+    def _show_camera(self, analysis: StateAnalysis, places: Places) -> Float64Array | None:
         """The frustum at the query's pose; None when it is not known."""
-        place = None if answer.state.upload else places.queries[answer.state.query]
+        place = None if analysis.state.upload else places.queries[analysis.state.query]
         stands = None if place is None else geo.camera(place, places.origin)
         self._camera.visible = stands is not None
         if place is None or stands is None:
@@ -178,42 +182,42 @@ class GalleryMap:
         self._camera.fov = math.radians(place.fov or 40.0)
         self._camera.position = at
         self._camera.wxyz = _quaternion(np.stack([right, np.cross(forward, right), forward], axis=1))
-        self._camera.image = overlays.square(answer.query.picture, 128)
+        self._camera.image = overlays.square(analysis.query.picture, 128)
         return at
 
-    def _show_lines(self, answer: Answer, places: Places, camera: Float64Array | None, lift: float) -> None:
+    def _show_lines(self, analysis: StateAnalysis, places: Places, camera: Float64Array | None, lift: float) -> None:
         """From the camera, or from the true place, to the compared tile; a frame around the true tile."""
         segments: list[tuple[AnyArray, AnyArray, overlays.Colour]] = []
-        chosen = self._place(places.ground[answer.chosen.index], 0.0, lift)
+        chosen = self._place(places.ground[analysis.chosen.index], 0.0, lift)
         truth = None
-        if answer.truth is not None:
-            truth = self._place(places.ground[answer.truth.index], 0.0, lift)
+        if analysis.truth is not None:
+            truth = self._place(places.ground[analysis.truth.index], 0.0, lift)
             half = max(places.width * self._scale, 0.12) / 2
             signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
             corners = [np.add(truth, (x * half, y * half, 0.0)) for x, y in signs]
             segments += [(corners[i], corners[(i + 1) % 4], overlays.TRUE_COLOUR) for i in range(4)]
         start = camera if camera is not None else truth
         if start is not None:
-            segments.append((start, chosen, overlays.verdict_colour(answer.chosen.true)))
-        if camera is not None and truth is not None and not answer.chosen.true:
+            segments.append((start, chosen, overlays.verdict_colour(analysis.chosen.true)))
+        if camera is not None and truth is not None and not analysis.chosen.true:
             segments.append((camera, truth, overlays.TRUE_COLOUR))
         self._lines.visible = bool(segments)
         if segments:
             self._lines.points = np.array([(a, b) for a, b, _ in segments], np.float32)
             self._lines.colors = np.array([(c, c) for *_, c in segments], np.uint8)
 
-    def _words(self, answer: Answer) -> UInt8Array:
+    def _words(self, analysis: StateAnalysis) -> UInt8Array:
         """What the two pictures above the map are, and how far apart they lie."""
-        chosen = answer.chosen
-        name = answer.task.gallery[chosen.index].name
-        palette = answer.state.palette
+        chosen = analysis.chosen
+        name = analysis.task.gallery[chosen.index].name
+        palette = analysis.state.palette
         image, draw = overlays.caption(456, 252, palette)
-        source = "your picture" if answer.state.upload else answer.task.query_view
+        source = "your picture" if analysis.state.upload else analysis.task.query_view
         draw.text((18, 30), "‹", palette.dim, overlays.font(34), anchor="lm")
         draw.text((44, 30), "QUERY", palette.text, overlays.font(30), anchor="lm")
         draw.text(
             (44, 66),
-            overlays.fitted(draw, f"{source} {answer.name}", 24, 394),
+            overlays.fitted(draw, f"{source} {analysis.name}", 24, 394),
             palette.dim,
             overlays.font(24),
             anchor="lm",
@@ -222,18 +226,18 @@ class GalleryMap:
         draw.text((412, 186), f"RANK {chosen.rank}", palette.text, overlays.font(30), anchor="rm")
         left = 412 - draw.textlength(f"RANK {chosen.rank}", font=overlays.font(30))
         overlays.draw_sign(draw, left - 40, 174, 24, chosen.true, palette)
-        tile = overlays.fitted(draw, f"{answer.task.gallery_view} {name}", 24, 394)
+        tile = overlays.fitted(draw, f"{analysis.task.gallery_view} {name}", 24, 394)
         draw.text((412, 222), tile, palette.dim, overlays.font(24), anchor="rm")
-        if answer.off is not None:
+        if analysis.off is not None:
             colour = palette.ink(overlays.verdict_colour(chosen.true))
-            draw.text((228, 126), f"{answer.off[chosen.index]:,.0f} m off", colour, overlays.font(40), anchor="mm")
+            draw.text((228, 126), f"{analysis.off[chosen.index]:,.0f} m off", colour, overlays.font(40), anchor="mm")
         return np.asarray(image)
 
     def _clicked(self, slot: int, on_select: Callable[[SessionState, int], None]) -> Callable[[Any], None]:
         def clicked(_: Any) -> None:
-            answer = self._answer
-            if answer is not None and slot < len(answer.matches):
-                on_select(answer.state, answer.matches[slot].index)
+            analysis = self._analysis
+            if analysis is not None and slot < len(analysis.matches):
+                on_select(analysis.state, analysis.matches[slot].index)
 
         return clicked
 

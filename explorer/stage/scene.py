@@ -17,14 +17,14 @@ from explorer.stage.cards import SHOWN, Cards
 from explorer.stage.image_planes import UPRIGHT, Plane, Rotation, title
 from explorer.stage.layout import CAPTION, Layout, Point
 from explorer.stage.map_view import GalleryMap
-from explorer.workspace import Answer, Exhibit
+from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.core.views import View
 from lpn.drawing import overlays
 from lpn.drawing.overlays import Palette
 from lpn.explain import Evidence
-from lpn.retrieval import Described, Match
+from lpn.retrieval import DescribedPicture, Match
 
 _LIFT = 0.5
 _STEP = 0.12
@@ -37,13 +37,13 @@ SCENE = {"width": _WIDTH, "height": _HEIGHT, "middle": _MIDDLE}
 """What of the stage is in view at least, and its middle, in stage units."""
 
 
-class Exhibited:
+class StagePicture:
     """One large picture: flat, with a caption, or taken apart into its rings along the axis."""
 
     def __init__(
-        self, client: viser.ClientHandle, exhibit: Exhibit, name: str, centre: Point, caption: Point, n_parts: int
+        self, client: viser.ClientHandle, workspace: Workspace, name: str, centre: Point, caption: Point, n_parts: int
     ) -> None:
-        self._exhibit, self._n, self._centre, self._layout = exhibit, n_parts, centre, exhibit.layout
+        self._workspace, self._n, self._centre, self._layout = workspace, n_parts, centre, workspace.layout
         scene = client.scene
         size = self._layout.picture
         self._group = scene.add_frame(f"/{name}", show_axes=False, position=(*centre, 0.0))
@@ -75,7 +75,7 @@ class Exhibited:
         self._group.position = (self._centre[0] + inward, self._centre[1], 0.0)
         if not exploded:
             self._flat.show(picture)
-        masks = self._exhibit.masks(view)
+        masks = self._workspace.masks(view)
         for part, layer in enumerate(self._layers):
             shown = self._layer_pictures[part]
             if exploded and (shown is None or not np.array_equal(shown, picture)):
@@ -88,7 +88,7 @@ class Exhibited:
         """How far a part stands off the picture's plane, towards the camera: the centre furthest."""
         if not exploded:
             return 0.0
-        order = part if self._exhibit.spec.partition(view).outside_in else self._n - 1 - part
+        order = part if self._workspace.spec.partition(view).outside_in else self._n - 1 - part
         return (order - (self._n - 1) / 2) * (_STEP if self._layout.stacked else _LIFT)
 
     @property
@@ -99,7 +99,7 @@ class Exhibited:
     def anchor(self, part: int, along: float, side: float, exploded: bool, view: View) -> tuple[float, float, float]:
         """Where a link leaves a part: on its left (-1) or right (1) border at the height `along`, in stage coordinates; on
         its lower (-1) or upper (1) border at the middle of the part where pictures are stacked."""
-        left, top, right, bottom = self._exhibit.spec.partition(view).boxes(*self._exhibit.map_sizes[view])[part]
+        left, top, right, bottom = self._workspace.spec.partition(view).boxes(*self._workspace.map_sizes[view])[part]
         width, height = self._layout.picture
         z = self.depth(part, exploded, view) + 0.01
         angle = math.radians(self._angle) if exploded else 0.0
@@ -118,15 +118,15 @@ class Stage:
     """One browser's 3-D view. `on_select` is called with the state shown and the gallery position of a clicked tile."""
 
     def __init__(
-        self, client: viser.ClientHandle, exhibit: Exhibit, on_select: Callable[[SessionState, int], None]
+        self, client: viser.ClientHandle, workspace: Workspace, on_select: Callable[[SessionState, int], None]
     ) -> None:
-        self._client, self._exhibit = client, exhibit
-        self._n = exhibit.spec.n_parts
+        self._client, self._workspace = client, workspace
+        self._n = workspace.spec.n_parts
         scene = client.scene
         scene.configure_default_lights(cast_shadow=False)
-        self._layout = layout = exhibit.layout
-        self._query = Exhibited(client, exhibit, "query", layout.query, layout.query_caption, self._n)
-        self._tile = Exhibited(client, exhibit, "tile", layout.tile, layout.tile_caption, self._n)
+        self._layout = layout = workspace.layout
+        self._query = StagePicture(client, workspace, "query", layout.query, layout.query_caption, self._n)
+        self._tile = StagePicture(client, workspace, "tile", layout.tile, layout.tile_caption, self._n)
         (x, y), size = layout.gutter
         self._gutter = Plane(scene, "/gutter", *size, (x, y, 0.02))
         self._links: viser.LineSegmentsHandle = scene.add_line_segments(
@@ -136,10 +136,10 @@ class Stage:
             thickness=2.5,
             thickness_units="screen",
         )
-        self._cards = Cards(scene, exhibit, on_select)
+        self._cards = Cards(scene, workspace, on_select)
         self._aspect, self._on_select = 0.0, on_select
         self._framing = RLock()
-        self._drawn: list[tuple[Described, Evidence | None, View, object, UInt8Array] | None] = [None, None]
+        self._drawn: list[tuple[DescribedPicture, Evidence | None, View, object, UInt8Array] | None] = [None, None]
         self._viewpoint: Viewpoint | None = None
         self._map: GalleryMap | None = None
         client.camera.on_update(lambda _: self.fit())
@@ -170,65 +170,73 @@ class Stage:
             camera.position = position
             camera.look_at = target
 
-    def show(self, answer: Answer) -> None:
+    def show(self, analysis: StateAnalysis) -> None:
         """Draw an answer."""
-        state, task = answer.state, answer.task
+        state, task = analysis.state, analysis.task
         viewpoint = None
         if state.map and task.places is not None:
-            self._map = self._map or GalleryMap(self._client, self._exhibit, SHOWN, self._on_select)
+            self._map = self._map or GalleryMap(self._client, self._workspace, SHOWN, self._on_select)
             with self._client.atomic():
-                viewpoint = self._map.show(answer)
+                viewpoint = self._map.show(analysis)
         with self._framing:
             if viewpoint != self._viewpoint:
                 self._viewpoint = viewpoint
                 self._aim()
         if viewpoint is not None:
             return
-        left = self._decorated(answer, 0, answer.query, task.query_view)
-        right = self._decorated(answer, 1, answer.tile, task.gallery_view)
-        right = overlays.framed(right, overlays.verdict_colour(answer.chosen.true), 6)
+        left = self._decorated(analysis, 0, analysis.query, task.query_view)
+        right = self._decorated(analysis, 1, analysis.tile, task.gallery_view)
+        right = overlays.framed(right, overlays.verdict_colour(analysis.chosen.true), 6)
         with self._client.atomic():
-            self._query.show(left, self._query_caption(answer), task.query_view, state.exploded, 1.0)
-            self._tile.show(right, self._tile_caption(answer), task.gallery_view, state.exploded, -1.0)
+            self._query.show(left, self._query_caption(analysis), task.query_view, state.exploded, 1.0)
+            self._tile.show(right, self._tile_caption(analysis), task.gallery_view, state.exploded, -1.0)
             draw = self._gutter_row if self._layout.stacked else self._gutter_picture
-            self._gutter.show(draw(answer.chosen, state.palette))
-            self._links.points = self._link_points(answer)
-            self._links.colors = _link_colours(answer.ranking.weights, state.palette)
-            self._cards.show(answer)
+            self._gutter.show(draw(analysis.chosen, state.palette))
+            self._links.points = self._link_points(analysis)
+            self._links.colors = _link_colours(analysis.ranking.weights, state.palette)
+            self._cards.show(analysis)
 
-    def _decorated(self, answer: Answer, side: int, described: Described, view: View) -> UInt8Array:
+    def _decorated(self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View) -> UInt8Array:
         """A side's large picture under its heatmap and rings, drawn again only when one of them changed."""
-        state = answer.state
-        evidence = answer.reasons.evidence if answer.reasons is not None and state.heat_kind == "evidence" else None
+        state = analysis.state
+        evidence = (
+            analysis.pair_evidence.evidence
+            if analysis.pair_evidence is not None and state.heat_kind == "evidence"
+            else None
+        )
         look = (state.heat, state.heat_kind, state.heat_part, state.opacity, state.rings)
         before = self._drawn[side]
         if before is None or before[0] is not described or before[1] is not evidence or before[2:4] != (view, look):
-            before = self._drawn[side] = (described, evidence, view, look, self._draw(answer, side, described, view))
+            before = self._drawn[side] = (described, evidence, view, look, self._draw(analysis, side, described, view))
         return before[4]
 
-    def _draw(self, answer: Answer, side: int, described: Described, view: View) -> UInt8Array:
-        state = answer.state
-        picture = images.resize(self._exhibit.cut(described.picture, view), *self._layout.pixels)
-        if state.heat and state.heat_kind == "evidence" and answer.reasons is not None:
-            cells, limit = evidence.maps(answer.reasons.evidence, state.heat_part)
+    def _draw(self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View) -> UInt8Array:
+        state = analysis.state
+        picture = images.resize(self._workspace.cut(described.picture, view), *self._layout.pixels)
+        if state.heat and state.heat_kind == "evidence" and analysis.pair_evidence is not None:
+            cells, limit = evidence.maps(analysis.pair_evidence.evidence, state.heat_part)
             picture = overlays.with_evidence(picture, cells[side], limit, state.opacity)
         elif state.heat and described.activation is not None:
             picture = overlays.with_heat(
-                picture, described.activation, self._exhibit.masks(view), state.heat_part, state.opacity
+                picture, described.activation, self._workspace.masks(view), state.heat_part, state.opacity
             )
         if state.rings:
-            picture = overlays.with_rings(picture, self._exhibit.spec.partition(view), self._exhibit.map_sizes[view], 3)
+            picture = overlays.with_rings(
+                picture, self._workspace.spec.partition(view), self._workspace.map_sizes[view], 3
+            )
         return picture
 
-    def _query_caption(self, answer: Answer) -> UInt8Array:
-        changed = answer.state.change.describe()
-        source = "your picture" if answer.state.upload else answer.task.query_view
-        return title("QUERY", f"{source} {answer.name}{', ' if changed else ''}{changed}", None, answer.state.palette)
+    def _query_caption(self, analysis: StateAnalysis) -> UInt8Array:
+        changed = analysis.state.change.describe()
+        source = "your picture" if analysis.state.upload else analysis.task.query_view
+        return title(
+            "QUERY", f"{source} {analysis.name}{', ' if changed else ''}{changed}", None, analysis.state.palette
+        )
 
-    def _tile_caption(self, answer: Answer) -> UInt8Array:
-        chosen = answer.chosen
-        name = answer.task.gallery[chosen.index].name
-        text, palette = f"{answer.task.gallery_view} {name}", answer.state.palette
+    def _tile_caption(self, analysis: StateAnalysis) -> UInt8Array:
+        chosen = analysis.chosen
+        name = analysis.task.gallery[chosen.index].name
+        text, palette = f"{analysis.task.gallery_view} {name}", analysis.state.palette
         return title(f"RANK {chosen.rank}", text, chosen.true, palette, chosen.distance2)
 
     def _gutter_picture(self, chosen: Match, palette: Palette) -> UInt8Array:
@@ -266,7 +274,7 @@ class Stage:
         left, right = sides
         (size, small), middle = sizes, (left + right) / 2
         colour = overlays.part_colour(part)
-        name = overlays.fitted(draw, self._exhibit.part_names[part], size, right - left)
+        name = overlays.fitted(draw, self._workspace.part_names[part], size, right - left)
         draw.text((middle, y - 6), name, palette.ink(colour), overlays.font(size), anchor="mb")
         draw.rectangle((left, y, right, y + 9), fill=palette.track)
         full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)
@@ -281,9 +289,9 @@ class Stage:
             draw.text((left, below), cosine, palette.dim, overlays.font(small), anchor="lm")
             overlays.draw_squared(draw, right, below, f"{chosen.shares[part]:.3f}", small, palette.dim)
 
-    def _link_points(self, answer: Answer) -> Float32Array:
+    def _link_points(self, analysis: StateAnalysis) -> Float32Array:
         """Two segments per part: query ring to its place in the gutter, and from there to the tile's ring."""
-        state, task = answer.state, answer.task
+        state, task = analysis.state, analysis.task
         points = np.zeros((2 * self._n, 2, 3), np.float32)
         (x, y), (width, height) = self._layout.gutter
         for part, along in enumerate(_row_heights(self._layout, self._n)):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from lpn.explain import Evidence
     from lpn.models.base import Model
-    from lpn.retrieval import Described
+    from lpn.retrieval import DescribedPicture
 
 
 @dataclass
@@ -97,7 +97,9 @@ def part_values(text: str | None) -> list[float] | None:
         raise InputError(f"The weights are {text!r}; expected a number for each part, such as 1,1,0,1.") from error
 
 
-def _losses(model: Model, query: Described, view: View, tile: Described, console: Console) -> Float32Array:
+def _losses(
+    model: Model, query: DescribedPicture, view: View, tile: DescribedPicture, console: Console
+) -> Float32Array:
     """What each part's cosine loses where a square is covered, measured to the end."""
     from rich.progress import Progress
 

@@ -29,7 +29,7 @@ _WORTH_OPENING = 32
 """Pictures for each stream from which a network of its own for streams pays for being opened."""
 
 
-class Described(NamedTuple):
+class DescribedRow(NamedTuple):
     """A few pictures.
 
     Attributes:
@@ -45,7 +45,7 @@ class Described(NamedTuple):
 
 def describe_each(
     model: Model, items: Sequence[T], prepare: Callable[[T], Float32Array], view: View, streams: int | None = None
-) -> Iterator[Described]:
+) -> Iterator[DescribedRow]:
     """Descriptors of all items, mirror included, a few at a time, in the order in which they are done.
 
     After an error what is in hand is finished and given before it is raised, so that it need not be computed again.
@@ -64,7 +64,7 @@ def describe_each(
     turn = nullcontext() if model.parallel else threading.Lock()
     batches = iter([range(a, min(a + model.batch, len(items))) for a in range(0, len(items), model.batch)])
 
-    def work(batch: range) -> Described:
+    def work(batch: range) -> DescribedRow:
         described, inputs, broken = [], [], []
         for i in batch:
             try:
@@ -73,16 +73,16 @@ def describe_each(
             except PictureError as error:
                 broken.append((i, error))
         if not inputs:
-            return Described([], np.zeros((0, model.n_parts, model.spec.embedding), np.float32), broken)
+            return DescribedRow([], np.zeros((0, model.n_parts, model.spec.embedding), np.float32), broken)
         stacked = np.stack(inputs)
         with turn:
-            return Described(described, model.descriptors(stacked, view), broken)
+            return DescribedRow(described, model.descriptors(stacked, view), broken)
 
     failed: BaseException | None = None
     pool = ThreadPoolExecutor(streams, "lpn-stream")
     try:
         # One more than there are threads, so that none waits for this one to wake up.
-        waiting: set[Future[Described]] = {pool.submit(work, batch) for batch in islice(batches, streams + 1)}
+        waiting: set[Future[DescribedRow]] = {pool.submit(work, batch) for batch in islice(batches, streams + 1)}
         while waiting:
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             if failed is None:

@@ -3,6 +3,6 @@
 It imports `retrieval` and the packages below it.
 """
 
-from lpn.explain.attribution import Evidence, Mates, Side, counterparts, evidence, links, side
+from lpn.explain.attribution import Correspondences, Evidence, Side, counterparts, evidence, links, side
 
-__all__ = ["Evidence", "Mates", "Side", "counterparts", "evidence", "links", "side"]
+__all__ = ["Correspondences", "Evidence", "Side", "counterparts", "evidence", "links", "side"]

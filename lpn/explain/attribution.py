@@ -142,7 +142,7 @@ def links(query: Trace, tile: Trace, part: int) -> Float32Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Mates:
+class Correspondences:
     """For each cell of one picture, row by row, the cell of the other that it shares most of the score with.
 
     Attributes:
@@ -154,32 +154,32 @@ class Mates:
     shares: Float32Array
 
 
-def counterparts(query: Trace, tile: Trace, weights: Float32Array) -> tuple[Mates, Mates]:
-    """The mates of the query's cells and those of the tile's, among cells of the same part.
+def counterparts(query: Trace, tile: Trace, weights: Float32Array) -> tuple[Correspondences, Correspondences]:
+    """The correspondences of the query's cells and those of the tile's, among cells of the same part.
 
     Args:
         weights: part weights that sum to one, (n,); a part of weight 0 does not count.
     """
-    found = [_no_mates(trace) for trace in (query, tile)]
+    found = [_no_correspondences(trace) for trace in (query, tile)]
     for part in np.flatnonzero(weights):
         inside = [_within(trace, int(part)) for trace in (query, tile)]
         shared = links(query, tile, int(part)) * weights[part]
-        for mates, values, own, other in (
+        for correspondences, values, own, other in (
             (found[0], shared, *inside),
             (found[1], shared.T, *reversed(inside)),
         ):
             candidates = np.where(other, values, -np.inf)
             best = candidates.argmax(axis=1)
             shares = candidates[np.arange(len(best)), best]
-            # A cell of several parts has its mate in the one where they share most.
-            better = own & ((mates.cells < 0) | (shares > mates.shares))
-            mates.cells[better], mates.shares[better] = best[better], shares[better]
+            # A cell of several parts has its correspondence in the one where they share most.
+            better = own & ((correspondences.cells < 0) | (shares > correspondences.shares))
+            correspondences.cells[better], correspondences.shares[better] = best[better], shares[better]
     return found[0], found[1]
 
 
-def _no_mates(trace: Trace) -> Mates:
+def _no_correspondences(trace: Trace) -> Correspondences:
     cells = trace.size[0] * trace.size[1]
-    return Mates(np.full(cells, -1, np.int64), np.zeros(cells, np.float32))
+    return Correspondences(np.full(cells, -1, np.int64), np.zeros(cells, np.float32))
 
 
 def _within(trace: Trace, part: int) -> BoolArray:

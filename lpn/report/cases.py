@@ -21,7 +21,7 @@ from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Evidence, counterfactual, sweeps
 from lpn.explain.counterfactual import Effect, Margin, Reweighting, Without
 from lpn.explain.sweeps import Profile
-from lpn.retrieval import Described, Match, Ranking
+from lpn.retrieval import DescribedPicture, Match, Ranking
 
 
 @dataclass(frozen=True)
@@ -192,29 +192,29 @@ class Cases:
         entry = self._study.queries[query]
         return entry.name, shown(entry)
 
-    def _described(self, picture: UInt8Array, index: int | None) -> Described:
+    def _described(self, picture: UInt8Array, index: int | None) -> DescribedPicture:
         study = self._study
         if study.model is None:
             if index is None:
                 raise InputError(
                     f"{study.model_name} holds descriptors without their network; choose a query of its own."
                 )
-            return Described(picture, study.asked[index], None, None)
+            return DescribedPicture(picture, study.asked[index], None, None)
         change = self._options.change.of(study.queries[index or 0])
         return retrieval.describe_picture(study.model, picture, study.views[0], change)
 
-    def _describe_tile(self, index: int) -> Described:
+    def _describe_tile(self, index: int) -> DescribedPicture:
         study = self._study
         picture = shown(study.gallery[index])
         if study.model is None:
-            return Described(picture, study.tiles[index], None, None)
+            return DescribedPicture(picture, study.tiles[index], None, None)
         return retrieval.describe_picture(study.model, picture, study.views[1])
 
     def _cut(self, picture: UInt8Array, side: int) -> UInt8Array:
         study = self._study
         return picture if study.model is None else study.model.cut(picture, study.views[side])
 
-    def _pair(self, seen: Described, match: Match) -> Pair:
+    def _pair(self, seen: DescribedPicture, match: Match) -> Pair:
         tile = self._tile(match.index)
         evidence = None
         if seen.trace is not None and tile.trace is not None:

@@ -3,6 +3,6 @@
 It imports `core`, `datasets`, `models`, and `descriptors`.
 """
 
-from lpn.retrieval.gallery_search import Described, Match, Ranking, describe_picture, rank
+from lpn.retrieval.gallery_search import DescribedPicture, Match, Ranking, describe_picture, rank
 
-__all__ = ["Described", "Match", "Ranking", "describe_picture", "rank"]
+__all__ = ["DescribedPicture", "Match", "Ranking", "describe_picture", "rank"]

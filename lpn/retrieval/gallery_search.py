@@ -18,7 +18,7 @@ from lpn.retrieval.metrics import JUNK
 
 
 @dataclass(frozen=True)
-class Described:
+class DescribedPicture:
     """A picture as the network sees it.
 
     Attributes:
@@ -115,7 +115,9 @@ class Ranking:
         return self.match(int(np.argmax(self.relevant[self.order])))
 
 
-def describe_picture(model: Model, picture: UInt8Array, view: View, change: Change | float = UNCHANGED) -> Described:
+def describe_picture(
+    model: Model, picture: UInt8Array, view: View, change: Change | float = UNCHANGED
+) -> DescribedPicture:
     """Change a picture and describe it, with its mirror in one batch of two.
 
     Args:
@@ -130,7 +132,7 @@ def describe_picture(model: Model, picture: UInt8Array, view: View, change: Chan
     batch = [prepared, prepared[..., ::-1]] if model.spec.mirrored else [prepared]
     trace = Trace.of(model, model.run(np.stack(batch), view), view)
     shown = turned if model.spec.unrolled(view) else change.show(turned, model.input_size)
-    return Described(shown, normalise(trace.embedding), scoring.activation(trace.features[0]), trace)
+    return DescribedPicture(shown, normalise(trace.embedding), scoring.activation(trace.features[0]), trace)
 
 
 def rank(

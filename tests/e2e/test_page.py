@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, BrowserContext, FloatRect, Locator, exp
 from explorer.app import App
 from explorer.opening import open_model
 from explorer.session_state import SessionState
-from explorer.workspace import Analyst, Answer
+from explorer.workspace import StateAnalyser, StateAnalysis
 from tests.e2e.conftest import Explorer, Running, started
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import free_port
@@ -257,16 +257,16 @@ def test_a_phone_held_sideways(app: Running, contexts: Callable[..., BrowserCont
 def test_a_slow_answer_is_said_to_be_on_its_way(
     app: Running, contexts: Callable[..., BrowserContext], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answer = Analyst.answer
+    answer = StateAnalyser.analyse
 
-    def slowly(analyst: Analyst, state: SessionState, k: int) -> Answer:
+    def slowly(analyser: StateAnalyser, state: SessionState, k: int) -> StateAnalysis:
         time.sleep(2.0 if state.angle == 33 else 0)
         if state.angle == 44:
             time.sleep(0.7)
             raise RuntimeError("on purpose")
-        return answer(analyst, state, k)
+        return answer(analyser, state, k)
 
-    monkeypatch.setattr(Analyst, "answer", slowly)
+    monkeypatch.setattr(StateAnalyser, "analyse", slowly)
     monkeypatch.setenv("LPN_CACHE", str(app.model.parent / "cache"))
     served = App(open_model(app.data, app.model), "127.0.0.1", free_port())
     try:

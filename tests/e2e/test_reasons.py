@@ -48,12 +48,12 @@ def test_evidence_of_the_compared_pair_is_exact_and_its_cursor_linked(explorer: 
     for shown, side in zip(maps.all(), (found.query, found.tile), strict=True):
         cells = json.loads(shown.get_attribute("data-cells") or "[]")
         np.testing.assert_allclose(cells, side.total(found.weights).reshape(-1), atol=1e-4)
-    mates, _ = explain.counterparts(one.trace, other.trace, found.weights)
+    correspondences, _ = explain.counterparts(one.trace, other.trace, found.weights)
     read = explorer.page.locator(".lpn-read")
     explorer.page.mouse.move(*middle(maps.first, 0.3, 0.6))  # row 3, column 2 of 4 x 4
     expect(read).to_contain_text("query, row 3, column 2")
-    mate = int(mates.cells[2 * 4 + 1])
-    expect(read).to_contain_text(f"tile’s row {mate // 4 + 1}, column {mate % 4 + 1}")
+    correspondence = int(correspondences.cells[2 * 4 + 1])
+    expect(read).to_contain_text(f"tile’s row {correspondence // 4 + 1}, column {correspondence % 4 + 1}")
     expect(maps.last.locator(".there")).to_be_visible()
     explorer.page.mouse.click(*middle(maps.first, 0.3, 0.6))
     explorer.page.mouse.move(*middle(maps.first, 0.9, 0.9))

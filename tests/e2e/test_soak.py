@@ -16,7 +16,7 @@ from playwright.sync_api import Browser
 from explorer.app import App
 from explorer.opening import open_model
 from explorer.session_state import SessionState
-from explorer.workspace import Analyst, Answer
+from explorer.workspace import StateAnalyser, StateAnalysis
 from lpn.core.files import write_whole
 from tools.fixtures import small_worlds
 from tools.soak.asked import Asked
@@ -82,16 +82,16 @@ def test_a_page_notices_anothers_state_even_when_the_right_one_follows(
         tab.fill("Rotate", 30.0)
         asked = replace(asked, angle=30.0)
         assert reference.flaws(asked, tab.settle(asked).shown) == []
-        right, seen = Analyst.answer, []
+        right, seen = StateAnalyser.analyse, []
 
-        def another(self: Analyst, state: SessionState, k: int) -> Answer:
+        def another(self: StateAnalyser, state: SessionState, k: int) -> StateAnalysis:
             seen.append(state)
             if len(seen) > 1:
                 time.sleep(2)  # what is replaced before the page has drawn it is not shown
                 return right(self, state, k)
             return right(self, replace(state, weights=(0.5, 1.0, 1.0, 1.0)), k)
 
-        monkeypatch.setattr(Analyst, "answer", another)
+        monkeypatch.setattr(StateAnalyser, "analyse", another)
         tab.fill("Rotate", 31.0)
         tab.fill("Rotate", 40.0)
         asked = replace(asked, angle=40.0)

@@ -20,9 +20,9 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
 ) -> None:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(ranking_job, "QUICK", 0)
-    exhibit = open_model(small_worlds.make_dataset(tmp_path / "places"), model_file)
-    task = exhibit.tasks["drone-to-satellite"]
-    app = App(exhibit, "127.0.0.1", 0)
+    workspace = open_model(small_worlds.make_dataset(tmp_path / "places"), model_file)
+    task = workspace.tasks["drone-to-satellite"]
+    app = App(workspace, "127.0.0.1", 0)
     try:
         explorer = Explorer(contexts().new_page())
         header, picker = explorer.page.locator("#lpn-header"), explorer.page.locator("#lpn-picker")

@@ -9,7 +9,7 @@ import pytest
 from explorer.opening import open_model, open_saved
 from explorer.panels import answer_text, pages
 from explorer.session_state import SessionState, Upload
-from explorer.workspace import Analyst, Exhibit
+from explorer.workspace import StateAnalyser, Workspace
 from lpn.core.errors import DataError, InputError
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
@@ -17,44 +17,44 @@ from tools.fixtures.published_results import save_result
 
 
 @pytest.fixture(scope="module")
-def exhibit(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Exhibit:
+def workspace(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """What the model of the other tests finds, without the model."""
     file = tmp_path_factory.mktemp("saved") / "pytorch_result.mat"
     save_result(file, data, model_file)
     return open_saved(data, load_saved(file, 4))
 
 
-def test_a_saved_result_is_ranked_as_its_model_ranks(exhibit: Exhibit, data: Path, model_file: Path) -> None:
+def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data: Path, model_file: Path) -> None:
     live = open_model(data, model_file)
-    assert list(exhibit.tasks) == ["drone-to-satellite"]
-    saved, task = exhibit.tasks["drone-to-satellite"], live.tasks["drone-to-satellite"]
+    assert list(workspace.tasks) == ["drone-to-satellite"]
+    saved, task = workspace.tasks["drone-to-satellite"], live.tasks["drone-to-satellite"]
     assert saved.results == pytest.approx(task.results)
     np.testing.assert_array_equal(saved.ranks, task.ranks)
     for query in (0, 5):
         state = SessionState("drone-to-satellite", 4, query=query, enabled=(True, False, True, True))
-        one, other = (Analyst(shown).answer(shown.possible(state), 10) for shown in (exhibit, live))
+        one, other = (StateAnalyser(shown).analyse(shown.possible(state), 10) for shown in (workspace, live))
         assert [saved.gallery[m.index] for m in one.matches] == [task.gallery[m.index] for m in other.matches]
         for match, expected in zip(one.matches, other.matches, strict=True):
             np.testing.assert_allclose(match.shares, expected.shares, atol=1e-5)
             assert match.true == expected.true
         assert one.tile.activation is None
         np.testing.assert_array_equal(one.tile.picture, other.tile.picture)
-        assert answer_text.verdict(one, exhibit.part_names)[:2] == answer_text.verdict(other, live.part_names)[:2]
+        assert answer_text.verdict(one, workspace.part_names)[:2] == answer_text.verdict(other, live.part_names)[:2]
 
 
-def test_what_needs_a_network_cannot_be_asked_for(exhibit: Exhibit, data: Path, model_file: Path) -> None:
+def test_what_needs_a_network_cannot_be_asked_for(workspace: Workspace, data: Path, model_file: Path) -> None:
     upload = Upload("mine", np.zeros((2, 2, 3), np.uint8))
     wanted = SessionState("drone-to-satellite", 4, query=3, angle=20, heat=True, upload=upload)
-    got = exhibit.possible(wanted)
+    got = workspace.possible(wanted)
     assert (got.angle, got.heat, got.upload, got.query) == (0, False, None, 3)
     assert open_model(data, model_file).possible(wanted) is wanted
-    assert "no network" in pages.header(exhibit, exhibit.tasks["drone-to-satellite"])
+    assert "no network" in pages.header(workspace, workspace.tasks["drone-to-satellite"])
 
 
-def test_pictures_of_equal_files_are_told_apart_by_their_query(exhibit: Exhibit) -> None:
-    analyst, state = Analyst(exhibit), SessionState("drone-to-satellite", 4)
-    first = analyst.answer(state, 3)
-    assert analyst.answer(replace(state, query=1), 3).query is not first.query
+def test_pictures_of_equal_files_are_told_apart_by_their_query(workspace: Workspace) -> None:
+    analyser, state = StateAnalyser(workspace), SessionState("drone-to-satellite", 4)
+    first = analyser.analyse(state, 3)
+    assert analyser.analyse(replace(state, query=1), 3).query is not first.query
 
 
 def test_results_that_cannot_be_explored_are_refused(data: Path, model_file: Path, tmp_path: Path) -> None:

@@ -24,14 +24,14 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are POS
 TASK = "drone-to-satellite"
 SLOW_ANSWERS = """
 import time
-from explorer.workspace import Analyst
-answer = Analyst.answer
+from explorer.workspace import StateAnalyser
+answer = StateAnalyser.analyse
 def slow(self, state, k):
     if state.angle:
         print("answering", flush=True)
         time.sleep(30)
     return answer(self, state, k)
-Analyst.answer = slow
+StateAnalyser.analyse = slow
 """
 SLOW_RANKING = """
 import time, explorer.compute.ranking_job as standing

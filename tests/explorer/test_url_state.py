@@ -12,22 +12,22 @@ from explorer import session_state, url_state
 from explorer.opening import open_model
 from explorer.session_state import TRUTH, SessionState, Upload
 from explorer.url_state import UrlState
-from explorer.workspace import Exhibit
+from explorer.workspace import Workspace
 
 
 @pytest.fixture(scope="module")
-def exhibit(data: Path, model_file: Path) -> Exhibit:
+def workspace(data: Path, model_file: Path) -> Workspace:
     return open_model(data, model_file)
 
 
 @pytest.fixture(scope="module")
-def links(exhibit: Exhibit) -> UrlState:
-    return UrlState(exhibit)
+def links(workspace: Workspace) -> UrlState:
+    return UrlState(workspace)
 
 
-def any_state(exhibit: Exhibit, rng: Random) -> SessionState:
-    task = exhibit.tasks[rng.choice(list(exhibit.tasks))]
-    count = exhibit.sizes(task)[0] * exhibit.sizes(task)[1]
+def any_state(workspace: Workspace, rng: Random) -> SessionState:
+    task = workspace.tasks[rng.choice(list(workspace.tasks))]
+    count = workspace.sizes(task)[0] * workspace.sizes(task)[1]
     chance = [True, False]
     return SessionState(
         task.name,
@@ -54,33 +54,33 @@ def any_state(exhibit: Exhibit, rng: Random) -> SessionState:
     )
 
 
-def start(exhibit: Exhibit) -> SessionState:
-    return SessionState(next(iter(exhibit.tasks)), 4)
+def start(workspace: Workspace) -> SessionState:
+    return SessionState(next(iter(workspace.tasks)), 4)
 
 
-def test_what_is_written_is_read_back(exhibit: Exhibit, links: UrlState) -> None:
+def test_what_is_written_is_read_back(workspace: Workspace, links: UrlState) -> None:
     rng = Random(0)
     for _ in range(300):
-        state = any_state(exhibit, rng)
+        state = any_state(workspace, rng)
         written = links.write(state)
-        assert links.read("?" + written, start(exhibit)) == (state, [])
+        assert links.read("?" + written, start(workspace)) == (state, [])
         assert set(parse_qs(written)) <= set(links.keys)
 
 
-def test_pictures_are_called_by_name_and_what_is_usual_is_not_said(exhibit: Exhibit, links: UrlState) -> None:
+def test_pictures_are_called_by_name_and_what_is_usual_is_not_said(workspace: Workspace, links: UrlState) -> None:
     state = SessionState("drone-to-satellite", 4, query=3, selected=2)
-    names = [entry.name for entry in exhibit.tasks["drone-to-satellite"].queries]
-    tile = exhibit.tasks["drone-to-satellite"].gallery[2].name
+    names = [entry.name for entry in workspace.tasks["drone-to-satellite"].queries]
+    tile = workspace.tasks["drone-to-satellite"].gallery[2].name
     assert links.write(state) == f"task=drone-to-satellite&query={names[3]}&with={tile}"
     assert links.write(replace(state, selected=TRUTH)).endswith("with=truth")
 
 
-def test_names_that_are_shared_or_mean_something_else_are_called_by_position(exhibit: Exhibit) -> None:
-    task = exhibit.tasks["drone-to-satellite"]
+def test_names_that_are_shared_or_mean_something_else_are_called_by_position(workspace: Workspace) -> None:
+    task = workspace.tasks["drone-to-satellite"]
     names = ["own", "twin", "twin", "~2", "a&b=c#d%20e", "häuser", "bad\udcff"]
     queries = [replace(task.queries[0], name=name) for name in names]
-    fake = Exhibit(
-        "m", "d", [replace(task, queries=queries)], exhibit.spec, exhibit.map_sizes, None, None, exhibit.root
+    fake = Workspace(
+        "m", "d", [replace(task, queries=queries)], workspace.spec, workspace.map_sizes, None, None, workspace.root
     )
     own = UrlState(fake)
     state = SessionState(task.name, 4)
@@ -118,30 +118,30 @@ def test_names_that_are_shared_or_mean_something_else_are_called_by_position(exh
         ("query=own", "ask them for the file"),
     ],
 )
-def test_a_wrong_value_is_dropped_alone_and_said(exhibit: Exhibit, links: UrlState, wrong: str, says: str) -> None:
-    read, said = links.read(f"angle=30&{wrong}&rings=0", start(exhibit))
+def test_a_wrong_value_is_dropped_alone_and_said(workspace: Workspace, links: UrlState, wrong: str, says: str) -> None:
+    read, said = links.read(f"angle=30&{wrong}&rings=0", start(workspace))
     assert len(said) == 1
     assert says in said[0]
     assert wrong.split("=")[0] in said[0]
-    expected = replace(start(exhibit), angle=30.0, rings=False)
+    expected = replace(start(workspace), angle=30.0, rings=False)
     assert read == (replace(expected, angle=0.0) if wrong.startswith("angle") else expected)
 
 
-def test_foreign_keys_and_rubbish_are_passed_over(exhibit: Exhibit, links: UrlState) -> None:
+def test_foreign_keys_and_rubbish_are_passed_over(workspace: Workspace, links: UrlState) -> None:
     for text in ("", "?", "websocket=ws://x&utm=1", "&&==&%", "%ff%00=%zz", "x" * 100_000):
-        assert links.read(text, start(exhibit)) == (start(exhibit), [])
-    state, said = links.read("&".join(["a=1"] * 1000), start(exhibit))
-    assert (state, len(said)) == (start(exhibit), 1)
+        assert links.read(text, start(workspace)) == (start(workspace), [])
+    state, said = links.read("&".join(["a=1"] * 1000), start(workspace))
+    assert (state, len(said)) == (start(workspace), 1)
 
 
-def test_another_task_starts_with_its_own_first_query(exhibit: Exhibit, links: UrlState) -> None:
-    shown = replace(start(exhibit), query=5)
+def test_another_task_starts_with_its_own_first_query(workspace: Workspace, links: UrlState) -> None:
+    shown = replace(start(workspace), query=5)
     assert links.read("task=satellite-to-drone", shown)[0].query == 0
     assert links.read("angle=9", shown)[0].query == 5
 
 
-def test_ones_own_picture_is_not_in_the_link(exhibit: Exhibit, links: UrlState) -> None:
-    own = replace(start(exhibit), upload=Upload("secret.jpg", np.zeros((2, 2, 3), np.uint8)), angle=5)
+def test_ones_own_picture_is_not_in_the_link(workspace: Workspace, links: UrlState) -> None:
+    own = replace(start(workspace), upload=Upload("secret.jpg", np.zeros((2, 2, 3), np.uint8)), angle=5)
     written = links.write(own)
     assert "query=own" in written
     assert "secret" not in written

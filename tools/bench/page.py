@@ -80,7 +80,7 @@ IDLE = f"""{_COUNTED}
 def work(self):
     self._sequence += 1
     if self._sequence == 1:
-        self._idle = self._analyst.answer(self._state, app.SHOWN)
+        self._idle = self._analyser.analyse(self._state, app.SHOWN)
         show(self, self._idle)
         with open(os.environ["LPN_BENCH_COUNTS"], "w") as file:
             file.write(" ".join(str(count) for count in counts.values()))
@@ -92,7 +92,7 @@ def work(self):
     self._sequence += 1
     if self._sequence == 1:
         turned = replace(self._state, angle=90.0)
-        self._ready = [self._analyst.answer(state, app.SHOWN) for state in (self._state, turned)]
+        self._ready = [self._analyser.analyse(state, app.SHOWN) for state in (self._state, turned)]
     show(self, replace(self._ready[self._sequence % 2], state=self._state))
 {_RUN}"""
 CLOCK = "document.addEventListener('input', () => { window.changedAt = performance.now(); }, true)"

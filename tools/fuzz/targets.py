@@ -384,9 +384,9 @@ def links(folder: Path) -> list[Case]:
     os.environ["LPN_CACHE"] = str(folder / "cache")
     (folder / "model.onnx").write_bytes(onnx_file(seal=True))
     data = small_worlds.make_dataset(folder / "places", train=1, test=3)
-    exhibit = open_model(data, folder / "model.onnx")
-    made = UrlState(exhibit)
-    start = SessionState(next(iter(exhibit.tasks)), exhibit.spec.n_parts)
+    workspace = open_model(data, folder / "model.onnx")
+    made = UrlState(workspace)
+    start = SessionState(next(iter(workspace.tasks)), workspace.spec.n_parts)
     seeds = [
         b"?task=drone-to-satellite&query=0003&with=0002&angle=-30.5&shift=3&down=-4&zoom=2&weights=1,0.5&off=1&region=0-1,3",
         b"query=~1&with=truth&why=1&lab=1&apart=1&rings=0&heat=0&shows=evidence&part=2&opacity=0.3&theme=dark&map=1&city=0",

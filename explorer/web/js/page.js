@@ -57,7 +57,7 @@
     const pair = map.closest(".lpn-pair");
     if (pair.dataset.held && !held) return;
     const cell = lpn.cell(map, event);
-    const mate = numbers(map, "mates")[cell];
+    const mate = numbers(map, "correspondences")[cell];
     const [, columns] = sized(map);
     mark(map, "here", cell);
     mark(other(map), "there", mate);

@@ -37,7 +37,7 @@ from explorer.server.message_filter import MessageFilter
 from explorer.server.viser_compat import Buffer
 from explorer.session_state import SessionState, Upload
 from explorer.stage.scene import Stage
-from explorer.workspace import Analyst, Exhibit
+from explorer.workspace import StateAnalyser, Workspace
 from lpn import retrieval
 from lpn.core import images
 from lpn.core.arrays import Float32Array
@@ -52,7 +52,7 @@ from tools.fixtures.websocket_client import CHUNK, Talker
 
 TASK = "drone-to-satellite"
 HELD = (
-    Visitor, Analyst, Stage, Panels, ExplainWindow, Lab, RequestContext, Upload, Sweep, MessageFilter, Talker, _Connection,
+    Visitor, StateAnalyser, Stage, Panels, ExplainWindow, Lab, RequestContext, Upload, Sweep, MessageFilter, Talker, _Connection,
     viser.ClientHandle, GuiApi, SceneApi, Buffer,
 )  # fmt: skip
 """What a browser has for itself."""
@@ -95,23 +95,23 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def exhibit(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Exhibit:
+def workspace(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("cache")))
         return open_model(places, model_file)
 
 
 @pytest.fixture(scope="module")
-def app(exhibit: Exhibit) -> Iterator[App]:
-    served = App(exhibit, "127.0.0.1", 0)
+def app(workspace: Workspace) -> Iterator[App]:
+    served = App(workspace, "127.0.0.1", 0)
     yield served
     served.close()
 
 
 @pytest.fixture(scope="module")
-def standing_gate(exhibit: Exhibit) -> Gate:
-    assert exhibit.model is not None
-    return Gate(exhibit.model.own)
+def standing_gate(workspace: Workspace) -> Gate:
+    assert workspace.model is not None
+    return Gate(workspace.model.own)
 
 
 @pytest.fixture
@@ -159,8 +159,8 @@ def visitor_of(app: App, browser: Talker) -> Visitor:
 class Direct:
     """The same answers, computed with a model of one's own and no explorer."""
 
-    def __init__(self, exhibit: Exhibit, model_file: Path) -> None:
-        self.model, self.task = lpn.load(model_file), exhibit.tasks[TASK]
+    def __init__(self, workspace: Workspace, model_file: Path) -> None:
+        self.model, self.task = lpn.load(model_file), workspace.tasks[TASK]
         tiles = [images.load_picture(entry.path) for entry in self.task.gallery]
         described = [retrieval.describe_picture(self.model, tile, "satellite").descriptor for tile in tiles]
         self.gallery = np.stack(described)
@@ -177,8 +177,10 @@ class Direct:
         assert float(found[1]) == pytest.approx(ranking.scores[int(top)], abs=6e-4)
 
 
-def test_twenty_browsers_at_once_end_each_on_its_own_right_answer(app: App, exhibit: Exhibit, model_file: Path) -> None:
-    direct, count, flaws = Direct(exhibit, model_file), 20, []
+def test_twenty_browsers_at_once_end_each_on_its_own_right_answer(
+    app: App, workspace: Workspace, model_file: Path
+) -> None:
+    direct, count, flaws = Direct(workspace, model_file), 20, []
 
     def drag(number: int) -> None:
         try:
@@ -212,9 +214,9 @@ def test_twenty_browsers_at_once_end_each_on_its_own_right_answer(app: App, exhi
 
 
 def test_a_full_queue_says_busy_and_answers_the_newest_state_by_itself(
-    app: App, exhibit: Exhibit, gate: Gate, model_file: Path, monkeypatch: pytest.MonkeyPatch
+    app: App, workspace: Workspace, gate: Gate, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(exhibit.inference, "_room", 1)
+    monkeypatch.setattr(workspace.inference, "_room", 1)
     with Browser(url(app)) as one, Browser(url(app)) as two, Browser(url(app)) as three:
         for browser in (one, two, three):
             browser.greet()
@@ -222,7 +224,7 @@ def test_a_full_queue_says_busy_and_answers_the_newest_state_by_itself(
         one.set("Rotate", 31)
         assert gate.began.wait(20)
         two.set("Rotate", 32)
-        until(lambda: exhibit.inference.waiting == 1)
+        until(lambda: workspace.inference.waiting == 1)
         three.set("Rotate", 33)
         three.wait(lambda: "Busy: too many people" in three.html())
         assert three.status("angle") == "0", "what it showed stays"
@@ -235,13 +237,13 @@ def test_a_full_queue_says_busy_and_answers_the_newest_state_by_itself(
         for browser, angle in ((one, "31"), (two, "32"), (three, "34")):
             browser.wait(lambda browser=browser, angle=angle: browser.status("angle") == angle)
             assert "Busy" not in browser.html()
-            Direct(exhibit, model_file).check(browser)
+            Direct(workspace, model_file).check(browser)
 
 
 def test_the_first_picture_waits_for_room_too(
-    app: App, exhibit: Exhibit, gate: Gate, monkeypatch: pytest.MonkeyPatch
+    app: App, workspace: Workspace, gate: Gate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(exhibit.inference, "_room", 0)
+    monkeypatch.setattr(workspace.inference, "_room", 0)
     gate.close()
     with Browser(url(app)) as browser:
         browser.camera()
@@ -250,7 +252,7 @@ def test_the_first_picture_waits_for_room_too(
         browser.wait(lambda: "Busy: too many people" in browser.html())
         assert browser.status("seq") == "0"
         gate.open.set()
-        monkeypatch.setattr(exhibit.inference, "_room", 1)
+        monkeypatch.setattr(workspace.inference, "_room", 1)
         browser.wait(lambda: browser.status("seq") == "1")
 
 
@@ -316,11 +318,11 @@ def test_a_profile_that_fails_is_not_computed_for_ever(app: App, gate: Gate) -> 
 
 
 def test_a_browser_that_moves_on_while_it_waits_is_computed_for_once(
-    app: App, exhibit: Exhibit, gate: Gate, model_file: Path, monkeypatch: pytest.MonkeyPatch
+    app: App, workspace: Workspace, gate: Gate, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert exhibit.model is not None
+    assert workspace.model is not None
     monkeypatch.setattr(request_context, "STALE", 0.0)
-    monkeypatch.setattr(exhibit.model.own, "batch", 2)
+    monkeypatch.setattr(workspace.model.own, "batch", 2)
     with Browser(url(app)) as one, Browser(url(app)) as other:
         for browser in (one, other):
             browser.greet()
@@ -328,15 +330,15 @@ def test_a_browser_that_moves_on_while_it_waits_is_computed_for_once(
         one.set("Rotate", 31)
         assert gate.began.wait(20)
         other.set("Rotate", 32)
-        until(lambda: exhibit.inference.waiting == 1)
+        until(lambda: workspace.inference.waiting == 1)
         one.set("Rotate", 41)
         other.set("Rotate", 42)
         until(lambda: [visitor_of(app, one)._state.angle, visitor_of(app, other)._state.angle] == [41, 42])
         gate.open.set()
         for browser, angle in ((one, "41"), (other, "42")):
             browser.wait(lambda browser=browser, angle=angle: browser.status("angle") == angle)
-            Direct(exhibit, model_file).check(browser)
-        assert not exhibit.inference._held
+            Direct(workspace, model_file).check(browser)
+        assert not workspace.inference._held
 
 
 def test_a_saved_result_without_a_network_serves_many(places: Path, model_file: Path, tmp_path: Path) -> None:
@@ -471,7 +473,7 @@ def test_browsers_that_vanish_leave_nothing(app: App) -> None:
     assert not app.server._websock_server._live_connections
 
 
-def test_a_browser_that_left_is_not_computed_for(app: App, exhibit: Exhibit, gate: Gate) -> None:
+def test_a_browser_that_left_is_not_computed_for(app: App, workspace: Workspace, gate: Gate) -> None:
     with Browser(url(app)) as stays:
         stays.greet()
         with Browser(url(app)) as goes:
@@ -480,10 +482,10 @@ def test_a_browser_that_left_is_not_computed_for(app: App, exhibit: Exhibit, gat
             stays.set("Rotate", 61)
             assert gate.began.wait(20)
             goes.set("Rotate", 62)
-            until(lambda: exhibit.inference.waiting == 1)
+            until(lambda: workspace.inference.waiting == 1)
             visitor = weakref.ref(visitor_of(app, goes))
             passes = gate.passes
-        until(lambda: exhibit.inference.waiting == 0)
+        until(lambda: workspace.inference.waiting == 0)
         until(lambda: (gc.collect(), visitor() is None)[1])
         gate.open.set()
         stays.wait(lambda: stays.status("angle") == "61")

@@ -14,7 +14,7 @@ from explorer.explain_window import model_comparison
 from explorer.failure_lab.service import Laboratory
 from explorer.opening import open_model
 from explorer.panels import pages
-from explorer.workspace import Exhibit, Task
+from explorer.workspace import Task, Workspace
 from lpn.core.errors import LPNError
 from lpn.retrieval import ranking_cache
 from tools.fixtures import small_worlds
@@ -32,7 +32,7 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def exhibit(data: Path, model_file: Path) -> Exhibit:
+def workspace(data: Path, model_file: Path) -> Workspace:
     return open_model(data, model_file)
 
 
@@ -49,9 +49,9 @@ def until(true: Callable[[], bool]) -> None:
 
 
 def test_long_rankings_are_made_when_somebody_waits_and_are_the_same(
-    data: Path, exhibit: Exhibit, model_file: Path, monkeypatch: pytest.MonkeyPatch
+    data: Path, workspace: Workspace, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    task = exhibit.tasks[TASK]
+    task = workspace.tasks[TASK]
     assert task.found is None
     job = task.standing.ask("me")
     assert job is task.standing.ask("you")
@@ -64,32 +64,32 @@ def test_long_rankings_are_made_when_somebody_waits_and_are_the_same(
 
 
 def test_the_next_start_has_them_at_once_unless_a_picture_changed(
-    data: Path, exhibit: Exhibit, model_file: Path
+    data: Path, workspace: Workspace, model_file: Path
 ) -> None:
-    assert exhibit.tasks[TASK].standing.ask("me").wait(20)
+    assert workspace.tasks[TASK].standing.ask("me").wait(20)
     again = open_model(data, model_file).tasks
-    assert again[TASK].results == exhibit.tasks[TASK].results
+    assert again[TASK].results == workspace.tasks[TASK].results
     assert again["satellite-to-drone"].found is None
-    file = exhibit.tasks[TASK].queries[3].path
+    file = workspace.tasks[TASK].queries[3].path
     small_worlds.write(file, small_worlds.place(99))
     assert open_model(data, model_file).tasks[TASK].found is None
 
 
-def test_pages_say_how_far_it_is_and_mark_nothing_that_is_not_known(exhibit: Exhibit) -> None:
-    task = exhibit.tasks[TASK]
+def test_pages_say_how_far_it_is_and_mark_nothing_that_is_not_known(workspace: Workspace) -> None:
+    task = workspace.tasks[TASK]
     buttons = [f"b{i}" for i in range(4)]
-    assert "Results: ranking 0 of 9 queries" in pages.header(exhibit, task)
-    before = pages.picker(exhibit, task, [0, 1], 0, 0, 1, buttons)
+    assert "Results: ranking 0 of 9 queries" in pages.header(workspace, task)
+    before = pages.picker(workspace, task, [0, 1], 0, 0, 1, buttons)
     assert not any(sign in before for sign in ("✓", "✗"))
-    assert "when both have ranked" in model_comparison._changes(task, task, ("a", "b"), exhibit)
+    assert "when both have ranked" in model_comparison._changes(task, task, ("a", "b"), workspace)
     assert task.standing.ask("me").wait(20)
-    assert "R@1" in pages.header(exhibit, task)
-    assert any(sign in pages.picker(exhibit, task, [0, 1], 0, 0, 1, buttons) for sign in ("✓", "✗"))
-    assert "alone finds" in model_comparison._changes(task, task, ("a", "b"), exhibit)
+    assert "R@1" in pages.header(workspace, task)
+    assert any(sign in pages.picker(workspace, task, [0, 1], 0, 0, 1, buttons) for sign in ("✓", "✗"))
+    assert "alone finds" in model_comparison._changes(task, task, ("a", "b"), workspace)
 
 
-def test_a_ranking_that_nobody_waits_for_stands_still_and_goes_on(exhibit: Exhibit) -> None:
-    task = exhibit.tasks[TASK]
+def test_a_ranking_that_nobody_waits_for_stands_still_and_goes_on(workspace: Workspace) -> None:
+    task = workspace.tasks[TASK]
     with task.standing._turn:  # so that it cannot begin
         given_up = task.standing.ask("me")
         task.standing.leave("me")
@@ -101,8 +101,8 @@ def test_a_ranking_that_nobody_waits_for_stands_still_and_goes_on(exhibit: Exhib
     assert task.found is not None
 
 
-def test_the_laboratory_waits_for_the_same_ranking(exhibit: Exhibit) -> None:
-    laboratory, task = Laboratory(exhibit), exhibit.tasks[TASK]
+def test_the_laboratory_waits_for_the_same_ranking(workspace: Workspace) -> None:
+    laboratory, task = Laboratory(workspace), workspace.tasks[TASK]
     job = laboratory.build(TASK, "me")
     assert job.wait(20)
     assert job.flaw is None
@@ -111,8 +111,8 @@ def test_the_laboratory_waits_for_the_same_ranking(exhibit: Exhibit) -> None:
     np.testing.assert_array_equal(found.outcomes.rank, task.ranks)
 
 
-def test_a_page_is_told_of_progress_and_of_the_end(exhibit: Exhibit) -> None:
-    one, other = exhibit.tasks.values()
+def test_a_page_is_told_of_progress_and_of_the_end(workspace: Workspace) -> None:
+    one, other = workspace.tasks.values()
     told, ends = [], threading.Semaphore(0)
     follower = RankingProgress(lambda task: told.append(task.name), ends.release)
     follower.follow(one, other)
@@ -125,8 +125,8 @@ def test_a_page_is_told_of_progress_and_of_the_end(exhibit: Exhibit) -> None:
     until(lambda: follower._thread is None)
 
 
-def test_a_page_that_is_gone_waits_no_longer(exhibit: Exhibit) -> None:
-    task = exhibit.tasks[TASK]
+def test_a_page_that_is_gone_waits_no_longer(workspace: Workspace) -> None:
+    task = workspace.tasks[TASK]
     ended: list[int] = []
     follower = RankingProgress(lambda _: None, lambda: ended.append(1))
     with task.standing._turn:
@@ -144,8 +144,8 @@ def test_a_page_that_is_gone_waits_no_longer(exhibit: Exhibit) -> None:
     assert task.standing._job is job
 
 
-def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(exhibit: Exhibit) -> None:
-    task = exhibit.tasks[TASK]
+def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(workspace: Workspace) -> None:
+    task = workspace.tasks[TASK]
     spoilt = np.array(task.descriptors)
     spoilt[0, 0, 0] = np.nan
     broken = ranking_job.RankingJob(ranking_cache.Sides(task.asked, spoilt, task.query_labels, task.labels), None)
@@ -154,8 +154,10 @@ def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(exhibit: Exh
     assert "not finite" in broken.flaw
 
 
-def test_a_ranking_that_failed_once_can_be_asked_for_again(exhibit: Exhibit, monkeypatch: pytest.MonkeyPatch) -> None:
-    task = exhibit.tasks[TASK]
+def test_a_ranking_that_failed_once_can_be_asked_for_again(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = workspace.tasks[TASK]
     with monkeypatch.context() as patched:
         patched.setattr(ranking_cache, "keep", lambda *_: 1 / 0)
         with pytest.raises(LPNError, match="ZeroDivisionError"):
@@ -163,8 +165,8 @@ def test_a_ranking_that_failed_once_can_be_asked_for_again(exhibit: Exhibit, mon
     assert task.standing.wait("me", lambda *_: None) is task.standing.found
 
 
-def test_a_page_whose_telling_fails_can_follow_again(exhibit: Exhibit, monkeypatch: pytest.MonkeyPatch) -> None:
-    task, told = exhibit.tasks[TASK], []
+def test_a_page_whose_telling_fails_can_follow_again(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    task, told = workspace.tasks[TASK], []
 
     def tell(shown: Task) -> None:
         told.append(shown)

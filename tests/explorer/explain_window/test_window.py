@@ -20,7 +20,7 @@ from explorer.opening import open_model
 from explorer.panels.viewport import Viewport
 from explorer.session_state import SessionState, Upload
 from explorer.web.bridge import LONGEST, Bridge
-from explorer.workspace import Analyst, Answer, Exhibit
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
@@ -30,14 +30,14 @@ from tools.fixtures import small_worlds
 
 
 @pytest.fixture(scope="module")
-def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Any) -> Exhibit:
+def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Any) -> Workspace:
     folder = tmp_path_factory.mktemp("reasons")
     return open_model(small_worlds.make_dataset(folder / "places", train=1, test=13), model_file)
 
 
-def answered(exhibit: Exhibit, **changes: Any) -> Answer:
+def analysed(workspace: Workspace, **changes: Any) -> StateAnalysis:
     state = SessionState("drone-to-satellite", 4, why=True)
-    return Analyst(exhibit).answer(replace(state, **changes), 10)
+    return StateAnalyser(workspace).analyse(replace(state, **changes), 10)
 
 
 def data_of(html: str, name: str) -> list[Any]:
@@ -45,55 +45,55 @@ def data_of(html: str, name: str) -> list[Any]:
     return [json.loads(found) for found in re.findall(f"data-{name}='([^']*)'", html)]
 
 
-def test_evidence_is_computed_for_those_who_look(exhibit: Exhibit) -> None:
-    assert answered(exhibit, why=False).reasons is None
-    assert answered(exhibit, why=False, heat_kind="evidence").reasons is not None
-    assert answered(exhibit, why=False, heat_kind="evidence", heat=False).reasons is None
-    answer = answered(exhibit)
-    assert answer.reasons is not None
-    assert answer.reasons.evidence.score == pytest.approx(answer.chosen.score, abs=1e-5)
+def test_evidence_is_computed_for_those_who_look(workspace: Workspace) -> None:
+    assert analysed(workspace, why=False).pair_evidence is None
+    assert analysed(workspace, why=False, heat_kind="evidence").pair_evidence is not None
+    assert analysed(workspace, why=False, heat_kind="evidence", heat=False).pair_evidence is None
+    analysis = analysed(workspace)
+    assert analysis.pair_evidence is not None
+    assert analysis.pair_evidence.evidence.score == pytest.approx(analysis.chosen.score, abs=1e-5)
 
 
-def test_the_page_holds_every_cell_and_its_mate(exhibit: Exhibit) -> None:
-    answer = answered(exhibit, weights=(1.0, 1.0, 0.5, 0.0))
-    assert answer.reasons is not None
-    found, html = answer.reasons.evidence, evidence.page(answer, exhibit)
+def test_the_page_holds_every_cell_and_its_mate(workspace: Workspace) -> None:
+    analysis = analysed(workspace, weights=(1.0, 1.0, 0.5, 0.0))
+    assert analysis.pair_evidence is not None
+    found, html = analysis.pair_evidence.evidence, evidence.page(analysis, workspace)
     cells = data_of(html, "cells")
     for held, side in zip(cells, (found.query, found.tile), strict=True):
         np.testing.assert_allclose(held, side.total(found.weights).reshape(-1), atol=6e-6)
-        assert sum(held) + side.constants @ found.weights == pytest.approx(answer.chosen.score, abs=1e-3)
-    assert [len(mates) for mates in data_of(html, "mates")] == [16, 16]
-    of_part = evidence.page(answered(exhibit, heat_part=1), exhibit)
+        assert sum(held) + side.constants @ found.weights == pytest.approx(analysis.chosen.score, abs=1e-3)
+    assert [len(correspondences) for correspondences in data_of(html, "correspondences")] == [16, 16]
+    of_part = evidence.page(analysed(workspace, heat_part=1), workspace)
     assert data_of(of_part, "cells") != cells
     assert f"{found.score:+.3f}" in html
 
 
-def test_a_contest_is_between_the_truth_and_what_it_is_compared_with(exhibit: Exhibit) -> None:
-    task = exhibit.tasks["drone-to-satellite"]
+def test_a_contest_is_between_the_truth_and_what_it_is_compared_with(workspace: Workspace) -> None:
+    task = workspace.tasks["drone-to-satellite"]
     late = int(np.argmax(task.ranks))
     assert task.ranks[late] > 0
-    contest = Comparison.of(answered(exhibit, query=late))
+    contest = Comparison.of(analysed(workspace, query=late))
     assert contest is not None
     assert (contest.ahead.true, contest.rival.rank) == (True, 1)
     # Compared with the truth itself, its rival is the nearest wrong tile.
-    contest = Comparison.of(answered(exhibit, query=late, selected="truth"))
+    contest = Comparison.of(analysed(workspace, query=late, selected="truth"))
     assert contest is not None
     assert (contest.ahead.true, contest.rival.rank) == (True, 1)
     # A picture of one's own has no truth: the compared tile is followed.
-    own = answered(exhibit, upload=Upload("own", small_worlds.place(50)), selected=3)
+    own = analysed(workspace, upload=Upload("own", small_worlds.place(50)), selected=3)
     contest = Comparison.of(own)
     assert contest is not None
     assert contest.ahead.index == 3
     assert contest.without is not None
 
 
-def test_the_waterfall_and_the_smallest_change_are_said(exhibit: Exhibit) -> None:
-    task = exhibit.tasks["drone-to-satellite"]
+def test_the_waterfall_and_the_smallest_change_are_said(workspace: Workspace) -> None:
+    task = workspace.tasks["drone-to-satellite"]
     for query in np.flatnonzero(task.ranks > 0):
-        answer = answered(exhibit, query=int(query))
-        contest = Comparison.of(answer)
+        analysis = analysed(workspace, query=int(query))
+        contest = Comparison.of(analysis)
         assert contest is not None
-        html = comparison.page(answer, exhibit, contest, None, False)
+        html = comparison.page(analysis, workspace, contest, None, False)
         behind = contest.rival.distance2 - contest.ahead.distance2
         assert f"{-behind:.3f} (d²) behind" in html
         widths = [float(value) for value in re.findall(r"max\(1px,([\d.]+)%\)", html)]
@@ -103,37 +103,37 @@ def test_the_waterfall_and_the_smallest_change_are_said(exhibit: Exhibit) -> Non
             continue
         assert "The smallest change" in html
         effect = Effect(50.0, 40.0, np.array([1]), np.array([2, 3]), 13)
-        assert "it harms" in comparison.page(answer, exhibit, contest, effect, False)
-    first = answered(exhibit, query=int(np.flatnonzero(task.ranks == 0)[0]))
-    assert "first already" in comparison.page(first, exhibit, Comparison.of(first), None, False)
+        assert "it harms" in comparison.page(analysis, workspace, contest, effect, False)
+    first = analysed(workspace, query=int(np.flatnonzero(task.ranks == 0)[0]))
+    assert "first already" in comparison.page(first, workspace, Comparison.of(first), None, False)
 
 
-def test_a_profile_is_drawn_from_its_first_point_on(exhibit: Exhibit) -> None:
-    assert exhibit.model is not None
-    answer = answered(exhibit)
-    task = answer.task
+def test_a_profile_is_drawn_from_its_first_point_on(workspace: Workspace) -> None:
+    assert workspace.model is not None
+    analysis = analysed(workspace)
+    task = analysis.task
     changes = sweeps.changes_over("rotation", 45)
     steps = sweeps.profile(
-        exhibit.model, answer.source, "drone", task.descriptors, answer.ranking.weights, changes, task.labels,
+        workspace.model, analysis.source, "drone", task.descriptors, analysis.ranking.weights, changes, task.labels,
         int(task.query_labels[0]),
     )  # fmt: skip
     points = [next(steps)]
-    one = sweep_page.page(answer, "rotation", sweeps.Profile("rotation", tuple(points)), 8, exhibit.part_names)
+    one = sweep_page.page(analysis, "rotation", sweeps.Profile("rotation", tuple(points)), 8, workspace.part_names)
     assert "data-done='1' data-of='8'" in one
     assert "Cancel" in one
     points += list(steps)
-    whole = sweep_page.page(answer, "rotation", sweeps.Profile("rotation", tuple(points)), 8, exhibit.part_names)
+    whole = sweep_page.page(analysis, "rotation", sweeps.Profile("rotation", tuple(points)), 8, workspace.part_names)
     assert "Cancel" not in whole
     assert whole.count("class='point'") == 2 * 8
     assert "clockwise from north" in whole
-    assert "Choose what to change" in sweep_page.page(answer, None, None, 0, exhibit.part_names)
+    assert "Choose what to change" in sweep_page.page(analysis, None, None, 0, workspace.part_names)
 
 
-def test_a_region_ranks_by_what_its_cells_add(exhibit: Exhibit) -> None:
-    analyst = Analyst(exhibit)
+def test_a_region_ranks_by_what_its_cells_add(workspace: Workspace) -> None:
+    analyser = StateAnalyser(workspace)
     state = SessionState("drone-to-satellite", 4, why=True)
-    whole = analyst.answer(state, 10)
-    part = analyst.answer(replace(state, region=(5, 6, 9)), 10)
+    whole = analyser.analyse(state, 10)
+    part = analyser.analyse(replace(state, region=(5, 6, 9)), 10)
     assert part.query is whole.query
     assert whole.query.trace is not None
     cells = np.zeros((4, 4), bool)
@@ -143,16 +143,16 @@ def test_a_region_ranks_by_what_its_cells_add(exhibit: Exhibit) -> None:
     for match in part.matches:
         assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-5)
         assert match.shares.min() >= -1e-6
-    assert "3 of 16 cells" in region.page(part, exhibit)
-    assert "whole query" in evidence.page(part, exhibit)
-    np.testing.assert_array_equal(analyst.answer(state, 10).ranking.scores, whole.ranking.scores)
+    assert "3 of 16 cells" in region.page(part, workspace)
+    assert "whole query" in evidence.page(part, workspace)
+    np.testing.assert_array_equal(analyser.analyse(state, 10).ranking.scores, whole.ranking.scores)
 
 
-def test_shift_and_zoom_are_of_the_described_query(exhibit: Exhibit) -> None:
-    moved = answered(exhibit, shift=8, down=-4, zoom=1.5)
+def test_shift_and_zoom_are_of_the_described_query(workspace: Workspace) -> None:
+    moved = analysed(workspace, shift=8, down=-4, zoom=1.5)
     expected = Change(0, 8, 1.5, -4)
     assert moved.state.change == expected
-    assert not np.allclose(moved.query.descriptor, answered(exhibit).query.descriptor, atol=1e-3)
+    assert not np.allclose(moved.query.descriptor, analysed(workspace).query.descriptor, atol=1e-3)
     assert session_state.upright(moved.state).change == Change()
 
 
@@ -209,18 +209,18 @@ def test_a_bridge_hands_on_messages_and_drops_everything_else() -> None:
     assert got == [[1]]
 
 
-def test_a_profile_without_a_point_says_whether_it_is_still_being_computed(exhibit: Exhibit) -> None:
-    answer = answered(exhibit)
-    assert "computing" in sweep_page.page(answer, "zoom", None, 8, exhibit.part_names)
-    stopped = sweep_page.page(answer, "zoom", None, 8, exhibit.part_names, stopped=True)
+def test_a_profile_without_a_point_says_whether_it_is_still_being_computed(workspace: Workspace) -> None:
+    analysis = analysed(workspace)
+    assert "computing" in sweep_page.page(analysis, "zoom", None, 8, workspace.part_names)
+    stopped = sweep_page.page(analysis, "zoom", None, 8, workspace.part_names, stopped=True)
     assert "computing" not in stopped
     assert "Stopped before the first step" in stopped
 
 
-def test_a_profile_ends_where_it_is_cancelled_and_is_of_one_query(exhibit: Exhibit) -> None:
-    turned = answered(exhibit, angle=37.0, shift=4)
+def test_a_profile_ends_where_it_is_cancelled_and_is_of_one_query(workspace: Workspace) -> None:
+    turned = analysed(workspace, angle=37.0, shift=4)
     sweep = Sweep("rotation", turned)
-    steps = sweep.points_of(exhibit)
+    steps = sweep.points_of(workspace)
     first = next(steps)
     assert (first.change.rotate, first.change.shift, sweep.of) == (37.0, 4, 25)
     found = sweep.profile(turned)
@@ -229,16 +229,18 @@ def test_a_profile_ends_where_it_is_cancelled_and_is_of_one_query(exhibit: Exhib
     sweep.cancelled.set()
     assert list(steps) == []
     assert sweep.stopped
-    page = sweep_page.page(turned, "rotation", found, sweep.of, exhibit.part_names, sweep.stopped)
+    page = sweep_page.page(turned, "rotation", found, sweep.of, workspace.part_names, sweep.stopped)
     assert "stopped at" in page
     assert "1 of 25" in page
-    assert sweep.is_of(answered(exhibit, angle=-75.0, shift=4))
+    assert sweep.is_of(analysed(workspace, angle=-75.0, shift=4))
     for other in ({"shift": 5, "angle": 37.0}, {"query": 1}, {"shift": 4, "weights": (1.0, 1.0, 1.0, 0.0)}):
-        assert not sweep.is_of(answered(exhibit, **other))
+        assert not sweep.is_of(analysed(workspace, **other))
     # Where the truth is known it is followed, whatever is compared; else the compared tile is.
-    assert sweep.is_of(answered(exhibit, shift=4, selected=3))
+    assert sweep.is_of(analysed(workspace, shift=4, selected=3))
     own = Upload("own", small_worlds.place(50))
-    assert not Sweep("zoom", answered(exhibit, upload=own, selected=3)).is_of(answered(exhibit, upload=own, selected=4))
+    assert not Sweep("zoom", analysed(workspace, upload=own, selected=3)).is_of(
+        analysed(workspace, upload=own, selected=4)
+    )
 
 
 def test_weights_that_change_nothing_neither_help_nor_harm() -> None:

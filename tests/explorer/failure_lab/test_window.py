@@ -19,7 +19,7 @@ from explorer.failure_lab.views import MapView, NoteView
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.web.html import Html
-from explorer.workspace import Exhibit
+from explorer.workspace import Workspace
 from lpn.analysis import breakdown, notes
 from lpn.core.errors import InputError, OutputError
 from lpn.core.tables import Column, Table, number_column, text_column
@@ -31,7 +31,7 @@ WEATHERS = ("<b>rain", 'say "hi"', "sun")
 
 
 @pytest.fixture(scope="module")
-def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Exhibit:
+def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Workspace:
     data = small_worlds.map_dataset(
         small_worlds.make_dataset(tmp_path_factory.mktemp("lab") / "places", train=1, test=13)
     )
@@ -48,8 +48,8 @@ def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Exhib
 
 
 @pytest.fixture
-def laboratory(exhibit: Exhibit) -> Laboratory:
-    return Laboratory(exhibit)
+def laboratory(workspace: Workspace) -> Laboratory:
+    return Laboratory(workspace)
 
 
 @pytest.fixture
@@ -77,9 +77,9 @@ def test_the_table_is_made_once_for_all_who_ask(laboratory: Laboratory) -> None:
     assert laboratory.findings(TASK) is laboratory.findings(TASK)
 
 
-def test_ranks_are_those_of_the_explorer(exhibit: Exhibit, found: Findings) -> None:
-    np.testing.assert_array_equal(found.outcomes.rank, exhibit.tasks[TASK].ranks)
-    assert found.table.columns["part"].values[0] in exhibit.part_names
+def test_ranks_are_those_of_the_explorer(workspace: Workspace, found: Findings) -> None:
+    np.testing.assert_array_equal(found.outcomes.rank, workspace.tasks[TASK].ranks)
+    assert found.table.columns["part"].values[0] in workspace.part_names
     assert {"distance", "altitude", "weather", "tags"} <= set(found.table.columns)
 
 
@@ -181,12 +181,12 @@ def test_a_value_called_not_known_is_not_what_is_not_known(found: Findings, lab:
     assert rows == {(0, 1, 2, 3), (4, 5, 6, 7, 8), (9, 10, 11, 12)}
 
 
-def test_a_chart_says_which_queries_it_counts(exhibit: Exhibit, found: Findings, lab: LabState) -> None:
+def test_a_chart_says_which_queries_it_counts(workspace: Workspace, found: Findings, lab: LabState) -> None:
     some = Pick("some", "some", np.array([failures(found)[0], np.flatnonzero(~found.outcomes.failed)[0]]))
-    assert "Failures by weather, of all 13 queries" in charts.page(found, lab, exhibit)
-    assert "Failures by weather, of 2 queries" in charts.page(found, lab_state.picked(lab, some), exhibit)
+    assert "Failures by weather, of all 13 queries" in charts.page(found, lab, workspace)
+    assert "Failures by weather, of 2 queries" in charts.page(found, lab_state.picked(lab, some), workspace)
     # Among failures alone every rate would be 100 %.
-    assert "Failures by weather, of all 13 queries" in charts.page(found, replace(lab, where="rank > 1"), exhibit)
+    assert "Failures by weather, of all 13 queries" in charts.page(found, replace(lab, where="rank > 1"), workspace)
 
 
 def test_a_report_says_all_that_chose_and_ordered_its_queries(found: Findings, lab: LabState) -> None:
@@ -202,7 +202,7 @@ def test_a_report_says_all_that_chose_and_ordered_its_queries(found: Findings, l
     assert lab_state.words(found, replace(lab, sort="gone")) == "all, sorted by margin"
 
 
-def test_pairs_and_parts_choose_the_failures_they_count(exhibit: Exhibit, found: Findings, lab: LabState) -> None:
+def test_pairs_and_parts_choose_the_failures_they_count(workspace: Workspace, found: Findings, lab: LabState) -> None:
     task = found.task
     for one in breakdown.confusions(found.outcomes, task.query_labels, task.labels):
         pick = lab_state.pick_pair(found, lab, one.place, one.answered)
@@ -210,7 +210,7 @@ def test_pairs_and_parts_choose_the_failures_they_count(exhibit: Exhibit, found:
         assert pick.rows.tolist() == one.queries.tolist()
         assert pick.words == f"{one.place:04d} taken for {one.answered:04d}"
     assert lab_state.pick_pair(found, lab, 1, 999) is None
-    blamed = [lab_state.pick_part(found, part, name) for part, name in enumerate(exhibit.part_names)]
+    blamed = [lab_state.pick_part(found, part, name) for part, name in enumerate(workspace.part_names)]
     assert [len(pick.rows) for pick in blamed] == breakdown.blame(found.outcomes).tolist()
     assert sorted(row for pick in blamed for row in pick.rows) == failures(found)
 
@@ -342,10 +342,10 @@ def test_a_map_is_kept_until_something_on_it_changes(laboratory: Laboratory, fou
     assert messages.map_kind(lab, replace(found, task=replace(found.task, places=None)), "ground") is None
 
 
-def test_names_and_metadata_never_become_html(exhibit: Exhibit, found: Findings, lab: LabState) -> None:
+def test_names_and_metadata_never_become_html(workspace: Workspace, found: Findings, lab: LabState) -> None:
     chosen = replace(lab, columns=("weather",))
-    html = table.table(found, chosen, exhibit, found.table.rows(), 3)
-    html += charts.page(found, chosen, exhibit) + table.columns(found, chosen)
+    html = table.table(found, chosen, workspace, found.table.rows(), 3)
+    html += charts.page(found, chosen, workspace) + table.columns(found, chosen)
     assert "<b>rain" not in html
     assert "&lt;b&gt;rain" in html
     assert html.count("class='chosen' data-row='3'") == 1
@@ -356,13 +356,13 @@ def test_names_and_metadata_never_become_html(exhibit: Exhibit, found: Findings,
 
 
 def test_a_page_has_as_many_rows_as_are_shown_and_an_empty_one_says_what_to_do(
-    exhibit: Exhibit, found: Findings, lab: LabState
+    workspace: Workspace, found: Findings, lab: LabState
 ) -> None:
-    assert table.table(found, lab, exhibit, found.table.rows()[:5], None).count("<tr class") == 5
-    assert "lab-clear" in table.table(found, lab, exhibit, found.table.rows()[:0], None)
+    assert table.table(found, lab, workspace, found.table.rows()[:5], None).count("<tr class") == 5
+    assert "lab-clear" in table.table(found, lab, workspace, found.table.rows()[:0], None)
 
 
-def test_notes_reach_every_table_and_the_disk(exhibit: Exhibit, laboratory: Laboratory, found: Findings) -> None:
+def test_notes_reach_every_table_and_the_disk(workspace: Workspace, laboratory: Laboratory, found: Findings) -> None:
     path = found.table.paths[2]
     laboratory.say(path, "night, blur", "Looks like\nthe twin.")
     try:
@@ -370,23 +370,23 @@ def test_notes_reach_every_table_and_the_disk(exhibit: Exhibit, laboratory: Labo
         assert newest is not None
         assert newest.note(2) == notes.Note(("night", "blur"), "Looks like\nthe twin.")
         assert newest.table.filter(newest.table.rows(), "tags ~ night").tolist() == [2]
-        assert notes.read_notes(exhibit.root / "notes.csv")[path].tags == ("night", "blur")
-        other = Laboratory(exhibit)
+        assert notes.read_notes(workspace.root / "notes.csv")[path].tags == ("night", "blur")
+        other = Laboratory(workspace)
         other.build(TASK, None).wait(30)
         again = other.findings(TASK)
         assert again is not None
         assert again.note(2) == newest.note(2)
         with pytest.raises(InputError, match="no/word"):
             laboratory.say(path, "no/word", "")
-        (exhibit.root / "notes.csv").write_text("what,is\n")
-        damaged = Laboratory(exhibit)
+        (workspace.root / "notes.csv").write_text("what,is\n")
+        damaged = Laboratory(workspace)
         damaged.build(TASK, None).wait(30)
         without = damaged.findings(TASK)
         assert without is not None
         assert "expected path,tags,note" in without.flaw
         assert "left out" in table.said(without, LabState(TASK), without.table.rows(), (0, 5))
     finally:
-        (exhibit.root / "notes.csv").unlink()
+        (workspace.root / "notes.csv").unlink()
 
 
 class Gui:
@@ -409,7 +409,7 @@ class Gui:
 
 
 def test_a_name_that_is_not_utf8_is_shown_and_a_note_on_it_refused_in_words(
-    exhibit: Exhibit, laboratory: Laboratory, found: Findings, monkeypatch: pytest.MonkeyPatch
+    workspace: Workspace, laboratory: Laboratory, found: Findings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     named = list(found.table.paths)
     named[2] = "test/query_drone/0002/caf\udce9.webp"
@@ -434,17 +434,17 @@ def test_a_name_that_is_not_utf8_is_shown_and_a_note_on_it_refused_in_words(
         [[], 2, "", ""],
     ):
         assert not view.say(wrong)
-    assert not (exhibit.root / "notes.csv").exists()
+    assert not (workspace.root / "notes.csv").exists()
     assert view.say([TASK, 3, "night", "text"])
-    assert notes.read_notes(exhibit.root / "notes.csv") == {named[3]: notes.Note(("night",), "text")}
-    (exhibit.root / "notes.csv").unlink()
+    assert notes.read_notes(workspace.root / "notes.csv") == {named[3]: notes.Note(("night",), "text")}
+    (workspace.root / "notes.csv").unlink()
 
 
-def test_notes_that_cannot_be_written_are_said_and_nothing_is_changed(exhibit: Exhibit) -> None:
-    file = exhibit.root / "notes.csv"
+def test_notes_that_cannot_be_written_are_said_and_nothing_is_changed(workspace: Workspace) -> None:
+    file = workspace.root / "notes.csv"
     file.mkdir()
     try:
-        laboratory = Laboratory(exhibit)
+        laboratory = Laboratory(workspace)
         laboratory.build(TASK, None).wait(30)
         found = laboratory.findings(TASK)
         assert found is not None

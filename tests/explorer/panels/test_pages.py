@@ -13,7 +13,7 @@ from explorer.panels import pages, tour
 from explorer.session_state import SessionState
 from explorer.web import style
 from explorer.web.bridge import Bridge
-from explorer.workspace import Exhibit
+from explorer.workspace import Workspace
 from lpn.drawing import overlays
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
@@ -21,7 +21,7 @@ from tools.fixtures.published_results import save_result
 
 
 @pytest.fixture(scope="module")
-def exhibit(data: Path, model_file: Path) -> Exhibit:
+def workspace(data: Path, model_file: Path) -> Workspace:
     return open_model(data, model_file)
 
 
@@ -55,9 +55,9 @@ def test_every_ink_of_the_html_is_in_the_styles() -> None:
 
 
 def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
-    exhibit: Exhibit, data: Path, model_file: Path, tmp_path: Path
+    workspace: Workspace, data: Path, model_file: Path, tmp_path: Path
 ) -> None:
-    live = tour.steps(exhibit)
+    live = tour.steps(workspace)
     assert len(live) == 5
     assert all(step.selectors or step.box for step in live)
     assert not any("map" in step.text + step.keys for step in live)

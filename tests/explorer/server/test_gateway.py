@@ -33,7 +33,7 @@ from explorer.server.gateway import Gateway
 from explorer.server.message_filter import BURST, FIELDS, RATE, UPLOADS, MessageFilter, RejectedMessageError, strange
 from explorer.server.rate_limiter import ALL_WAITING, FIRST, FORGET, KEPT, LONGEST, WAITING, RateLimiter
 from explorer.session_state import SessionState, Upload
-from explorer.workspace import Analyst, Exhibit
+from explorer.workspace import StateAnalyser, Workspace
 from lpn.core.errors import InputError, MissingPackageError, PictureError
 from tools.fixtures import small_worlds
 from tools.fixtures.websocket_client import Talker
@@ -596,16 +596,16 @@ def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[Talker]:
         assert not shown, "it was sent something"
         talker.set("Rotate", 30)
         talker.wait(lambda: talker.status("angle") == "30")
-        exhibit = app_exhibit(app)
-        task = exhibit.tasks["drone-to-satellite"]
+        workspace = app_workspace(app)
+        task = workspace.tasks["drone-to-satellite"]
         state = SessionState(task.name, 4, query=task.names.index("0005"), angle=30.0)
-        answer = Analyst(exhibit).answer(state, 10)
+        answer = StateAnalyser(workspace).analyse(state, 10)
         assert talker.status("top") == str(answer.matches[0].index)
         assert "Traceback" not in capfd.readouterr().err
 
 
-def app_exhibit(app: App) -> Exhibit:
-    return next(iter(app._visitors.values()))._exhibit
+def app_workspace(app: App) -> Workspace:
+    return next(iter(app._visitors.values()))._workspace
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 from explorer.opening import open_model
 from explorer.panels import answer_text, pages
 from explorer.session_state import SessionState, Upload
-from explorer.workspace import Analyst, Exhibit
+from explorer.workspace import StateAnalyser, Workspace
 from lpn.core.errors import DataError, InputError
 from lpn.drawing import overlays
 from lpn.models.partition import Partition
@@ -17,8 +17,8 @@ from tools.fixtures import small_worlds
 
 
 @pytest.fixture(scope="module")
-def exhibit(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Exhibit:
-    folder = tmp_path_factory.mktemp("exhibit")
+def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Workspace:
+    folder = tmp_path_factory.mktemp("workspace")
     return open_model(small_worlds.make_dataset(folder / "<i>places", train=1, test=13), model_file)
 
 
@@ -46,61 +46,62 @@ def test_heat_of_one_part_leaves_the_others_without_colour() -> None:
     np.testing.assert_array_equal(overlays.with_heat(grey, activation, masks, None, 0.0), grey)
 
 
-def test_answers_reuse_what_did_not_change_and_are_exact(exhibit: Exhibit) -> None:
-    analyst = Analyst(exhibit)
+def test_answers_reuse_what_did_not_change_and_are_exact(workspace: Workspace) -> None:
+    analyser = StateAnalyser(workspace)
     state = SessionState("drone-to-satellite", 4)
-    first = analyst.answer(state, 10)
-    reweighted = analyst.answer(replace(state, enabled=(True, True, False, True)), 10)
+    first = analyser.analyse(state, 10)
+    reweighted = analyser.analyse(replace(state, enabled=(True, True, False, True)), 10)
     assert reweighted.query is first.query
     assert reweighted.ranking is not first.ranking
     assert (
-        analyst.answer(replace(state, enabled=(True, True, False, True), rings=False), 10).ranking is reweighted.ranking
+        analyser.analyse(replace(state, enabled=(True, True, False, True), rings=False), 10).ranking
+        is reweighted.ranking
     )
-    turned = analyst.answer(replace(state, angle=40), 10)
+    turned = analyser.analyse(replace(state, angle=40), 10)
     assert turned.query is not first.query
-    again = analyst.answer(state, 10)
+    again = analyser.analyse(state, 10)
     np.testing.assert_array_equal(again.ranking.scores, first.ranking.scores)
     for match in first.matches:
         assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-6)
-    task = exhibit.tasks["drone-to-satellite"]
-    found = [analyst.answer(replace(state, query=q), 10).truth for q in range(len(task.queries))]
+    task = workspace.tasks["drone-to-satellite"]
+    found = [analyser.analyse(replace(state, query=q), 10).truth for q in range(len(task.queries))]
     assert [truth.rank - 1 for truth in found if truth] == task.ranks.tolist()
 
 
-def test_words_name_the_part_that_decides(exhibit: Exhibit) -> None:
-    task = exhibit.tasks["drone-to-satellite"]
-    analyst = Analyst(exhibit)
+def test_words_name_the_part_that_decides(workspace: Workspace) -> None:
+    task = workspace.tasks["drone-to-satellite"]
+    analyser = StateAnalyser(workspace)
     seen = set()
     for query in range(len(task.queries)):
-        answer = analyst.answer(SessionState(task.name, 4, query=query), 10)
-        true, headline, reason = answer_text.verdict(answer, exhibit.part_names)
+        analysis = analyser.analyse(SessionState(task.name, 4, query=query), 10)
+        true, headline, reason = answer_text.verdict(analysis, workspace.part_names)
         assert true == (task.ranks[query] == 0)
-        assert any(f"part {name}" in reason for name in exhibit.part_names)
+        assert any(f"part {name}" in reason for name in workspace.part_names)
         seen.add(true)
         if not true:
             assert answer_text.ordinal(int(task.ranks[query]) + 1) in headline
-    own = analyst.answer(SessionState(task.name, 4, upload=Upload("own", small_worlds.place(50))), 10)
-    assert answer_text.verdict(own, exhibit.part_names)[0] is None
+    own = analyser.analyse(SessionState(task.name, 4, upload=Upload("own", small_worlds.place(50))), 10)
+    assert answer_text.verdict(own, workspace.part_names)[0] is None
     assert [answer_text.ordinal(i) for i in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
         *("1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "111th")
     ]
 
 
-def test_names_from_files_never_become_html(exhibit: Exhibit) -> None:
-    task = exhibit.tasks["drone-to-satellite"]
+def test_names_from_files_never_become_html(workspace: Workspace) -> None:
+    task = workspace.tasks["drone-to-satellite"]
     own = Upload("<img src=x onerror=alert(1)>.png", small_worlds.place(51))
-    answer = Analyst(exhibit).answer(SessionState(task.name, 4, upload=own), 10)
-    assert "<i>places" not in pages.header(exhibit, task)
-    assert "&lt;i&gt;places" in pages.header(exhibit, task)
-    assert "<img src=x" not in pages.status(answer, 1, 0.0)
+    analysis = StateAnalyser(workspace).analyse(SessionState(task.name, 4, upload=own), 10)
+    assert "<i>places" not in pages.header(workspace, task)
+    assert "&lt;i&gt;places" in pages.header(workspace, task)
+    assert "<img src=x" not in pages.status(analysis, 1, 0.0)
 
 
-def test_a_true_tile_below_the_list_is_offered(exhibit: Exhibit) -> None:
-    task = exhibit.tasks["drone-to-satellite"]
-    analyst = Analyst(exhibit)
+def test_a_true_tile_below_the_list_is_offered(workspace: Workspace) -> None:
+    task = workspace.tasks["drone-to-satellite"]
+    analyser = StateAnalyser(workspace)
     late = int(np.argmax(task.ranks))
-    answer = analyst.answer(SessionState(task.name, 4, query=late), 1)
-    html = pages.matches(answer, exhibit, ["first", "truth"])
+    analysis = analyser.analyse(SessionState(task.name, 4, query=late), 1)
+    html = pages.matches(analysis, workspace, ["first", "truth"])
     assert ("lpn-truth" in html) == (task.ranks[late] > 0)
     assert ("getElementById('truth')" in html) == (task.ranks[late] > 0)
 

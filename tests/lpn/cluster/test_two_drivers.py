@@ -24,7 +24,7 @@ from lpn.cluster.worker import DescribeWorker, PartitionTask, _UnreadError
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import PictureError, StoreError
 from lpn.descriptors import Row
-from lpn.descriptors.parallel_inference import Described
+from lpn.descriptors.parallel_inference import DescribedRow
 from lpn.models.base import normalise
 
 KIND = Plan("f" * 16, "drone", 2, 4, "float32", 1)
@@ -161,12 +161,12 @@ class Place:
         """What tells whether a file was written anew, by its name."""
         return {path.name: (path.stat().st_mtime_ns, path.stat().st_ino) for path in self.folder.glob("*.*")}
 
-    def _describe_each(self, _: object, items: Sequence[ShardItem], *__: object) -> Iterator[Described]:
+    def _describe_each(self, _: object, items: Sequence[ShardItem], *__: object) -> Iterator[DescribedRow]:
         good = [i for i, item in enumerate(items) if item.row.file not in self.unread]
         self.computed += [items[i].row.file for i in good]
         unread = _UnreadError("cannot be read (nobody is there)")
         broken: list[tuple[int, PictureError]] = [(i, unread) for i in range(len(items)) if i not in good]
-        yield Described(good, described([items[i] for i in good]), broken)
+        yield DescribedRow(good, described([items[i] for i in good]), broken)
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from lpn.models.export import export
 from lpn.models.network import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
-from lpn.retrieval import Described, scoring
+from lpn.retrieval import DescribedPicture, scoring
 
 SPECS = {
     "rings": ModelSpec("resnet18", "layer3", n_parts=4, embedding=24, classes=5, input_size=(64, 64)),
@@ -60,7 +60,7 @@ def network(spec: ModelSpec, seed: int = 0) -> LPN:
     return made
 
 
-def pair(model: Model, seed: int = 1) -> tuple[Described, Described]:
+def pair(model: Model, seed: int = 1) -> tuple[DescribedPicture, DescribedPicture]:
     """A query and a tile of noise and shapes, described."""
     rng = np.random.default_rng(seed)
     query_view: View = "drone" if "drone" in model.views else "street"
@@ -71,7 +71,7 @@ def pair(model: Model, seed: int = 1) -> tuple[Described, Described]:
     )
 
 
-def evidence(one: Described, other: Described, weights: Float32Array | None = None) -> explain.Evidence:
+def evidence(one: DescribedPicture, other: DescribedPicture, weights: Float32Array | None = None) -> explain.Evidence:
     assert one.trace is not None
     assert other.trace is not None
     return explain.evidence(one.trace, other.trace, weights)

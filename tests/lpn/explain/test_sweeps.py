@@ -115,7 +115,7 @@ def test_a_sweep_computes_no_further_than_it_is_asked(
     asked: list[Change] = []
     describe = retrieval.describe_picture
 
-    def counted(model: Model, picture: UInt8Array, view: lpn.View, change: Change) -> retrieval.Described:
+    def counted(model: Model, picture: UInt8Array, view: lpn.View, change: Change) -> retrieval.DescribedPicture:
         asked.append(change)
         return describe(model, picture, view, change)
 
