@@ -17,7 +17,7 @@ import cv2
 import lpn
 from lpn import descriptors
 from lpn.core import images
-from lpn.core.files import write_whole
+from lpn.core.files import write_atomic
 from lpn.datasets import open_dataset
 from lpn.world.atlas import Settings, make_atlas
 from lpn.world.model3d import city_model, test_window
@@ -43,17 +43,17 @@ def main() -> None:
             data = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, QUALITY[view]])[1].tobytes()
             inside = source.relative_to(world)
             kept[inside.as_posix()] = inside.with_suffix(".webp").as_posix()
-            write_whole(out / kept[inside.as_posix()], data)
+            write_atomic(out / kept[inside.as_posix()], data)
     with (world / "geo.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
     lines = [header, *([kept[row[0]], *row[1:]] for row in rows if row[0] in kept)]
-    write_whole(out / "geo.csv", ("\n".join(",".join(line) for line in lines) + "\n").encode())
+    write_atomic(out / "geo.csv", ("\n".join(",".join(line) for line in lines) + "\n").encode())
     plan = json.loads((world / "world.json").read_bytes())
     plan["buildings"] = [building for building in plan["buildings"] if building["split"] == "test"]
     plan["pictures"] = [{**shot, "path": kept[shot["path"]]} for shot in plan["pictures"] if shot["path"] in kept]
-    write_whole(out / "world.json", json.dumps(plan, separators=(",", ":")).encode())
+    write_atomic(out / "world.json", json.dumps(plan, separators=(",", ":")).encode())
     atlas = make_atlas(Settings(**plan["settings"]))
-    write_whole(out / "city.glb", city_model(atlas.city, atlas.site, test_window(atlas), LARGEST_CITY))
+    write_atomic(out / "city.glb", city_model(atlas.city, atlas.site, test_window(atlas), LARGEST_CITY))
     shutil.copy(model, out / "lpn.onnx")
     opened, dataset = lpn.load(out / "lpn.onnx"), open_dataset(out)
     # Distances are shown of the gallery's; those of the queries only rank each one for the header and the picker.

@@ -46,7 +46,7 @@ from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.core.log import conceal
 from lpn.core.resources import pool_memory, port_taken, return_memory
-from lpn.core.shutdown import finished
+from lpn.core.shutdown import writes_finished
 from lpn.retrieval.published_results import load_saved
 
 log = logging.getLogger(__name__)
@@ -254,7 +254,7 @@ class App:
         with redirect_stdout(io.StringIO()):  # it announces its end, too
             stopping.start()
             stopping.join(CLOSING)
-        if not finished(max(until - time.monotonic(), 0)):
+        if not writes_finished(max(until - time.monotonic(), 0)):
             log.warning("A file is still being written")
 
     def _connected(

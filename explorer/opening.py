@@ -20,7 +20,7 @@ from lpn.core.files import printable
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, geo, open_dataset
 from lpn.datasets.city_model import CityModel, city_model
-from lpn.descriptors import Side
+from lpn.descriptors import StoredDescriptors
 from lpn.models.spec import Layout, ModelSpec
 from lpn.retrieval.published_results import Saved
 from lpn.retrieval.ranking_cache import Sides
@@ -56,8 +56,8 @@ def open_model(data: Path, model: Path, query: str | None = None, beside: Path |
     tasks = []
     for views in known:
         queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
-        asked = descriptors.known_side(opened, queries, views[0], data, "query")
-        tiles = descriptors.known_side(opened, gallery, views[1], data, "gallery")
+        asked = descriptors.stored_side(opened, queries, views[0], data, "query")
+        tiles = descriptors.stored_side(opened, gallery, views[1], data, "gallery")
         tasks.append(_task(dataset, where, views, queries, gallery, asked, tiles))
     map_sizes = {view: opened.map_size(view) for view in opened.views}
     city = None if where is None else _city(data)
@@ -81,7 +81,7 @@ def open_saved(data: Path, saved: Saved, query: str | None = None) -> Workspace:
     views, queries, gallery = saved.pictures(dataset)
     where = geo.positions(data)
     labels = saved.query_labels, saved.gallery_labels
-    asked, tiles = (descriptors.Side(values, "") for values in (saved.query, saved.gallery))
+    asked, tiles = (descriptors.StoredDescriptors(values, "") for values in (saved.query, saved.gallery))
     task = _task(dataset, where, views, queries, gallery, asked, tiles, labels)
     layout: Layout = "cvusa" if dataset.panoramas else "university"
     spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)
@@ -98,8 +98,8 @@ def _task(
     views: tuple[View, View],
     queries: list[Picture],
     gallery: list[Picture],
-    asked: Side,
-    tiles: Side,
+    asked: StoredDescriptors,
+    tiles: StoredDescriptors,
     given: tuple[Int64Array, Int64Array] | None = None,
 ) -> Task:
     """Everything about one direction; labels are the pictures' own unless others are given."""

@@ -177,7 +177,7 @@ class Workspace:
 
     def cut(self, picture: UInt8Array, view: View) -> UInt8Array:
         """A picture as its parts are cut from it: unrolled where the network sees it so (SAFA), else as it is."""
-        return picture if self.model is None else self.model.cut(picture, view)
+        return picture if self.model is None else self.model.as_partitioned(picture, view)
 
     def card(self, task: Task, index: int) -> UInt8Array:
         """A gallery picture as small as a card shows it, its parts not drawn; not to be changed."""
@@ -345,5 +345,5 @@ class StateAnalyser:
         if self._asked is None:
             return DescribedPicture(self._picture, task.asked[state.query], None, None)
         # A picture of one's own is what the task's queries are.
-        change = state.change.of(task.queries[state.query])
+        change = state.change.for_picture(task.queries[state.query])
         return retrieval.describe_picture(self._asked, self._picture, task.query_view, change)

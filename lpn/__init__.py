@@ -1,8 +1,14 @@
-"""LPN: the Local Pattern Network for cross-view geo-localization, and everything that can be computed with it.
+"""The Local Pattern Network (LPN) for cross-view geo-localization, as a library.
 
-`load` opens a trained model, `Partition` says how it cuts a feature map, `metrics` scores a retrieval, and the
-`lpn` command does the rest. Nothing here knows a browser, and torch is imported only where it is needed. What needs
-NumPy is imported when it is asked for, so that `lpn doctor` can say that it is missing or broken.
+    model = lpn.load("model.onnx")                                  # a trained LPN
+    dataset = lpn.open_dataset("University-1652")                   # pictures, tasks, true matches
+    result = lpn.evaluate(model, dataset, "drone-to-satellite")     # recall and AP by the published protocol
+    evidence = lpn.evidence(query.trace, tile.trace)                # one score as a sum over parts and cells
+    ranking = lpn.rank(query, gallery)                              # one query against a gallery
+
+`metrics` scores any descriptors, `Partition` cuts a feature map into parts, `ModelSpec` describes an architecture, and every
+error that a user can correct derives from `LPNError` (see `errors`). Nothing here knows a browser. Names are imported on first
+use, so `import lpn` needs neither NumPy nor torch.
 """
 
 from __future__ import annotations
@@ -11,23 +17,45 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lpn.core import errors
 from lpn.core.errors import LPNError, MissingPackageError
 from lpn.core.version import __version__
 
 if TYPE_CHECKING:
     from lpn.core.views import View
+    from lpn.datasets import open_dataset
+    from lpn.explain import evidence
     from lpn.models.base import Model
     from lpn.models.partition import Partition
     from lpn.models.spec import ModelSpec
-    from lpn.retrieval import metrics
+    from lpn.retrieval import metrics, rank
+    from lpn.retrieval.evaluate import evaluate
 
-__all__ = ["LPNError", "Model", "ModelSpec", "Partition", "View", "__version__", "load", "metrics"]
+__all__ = [
+    "LPNError",
+    "Model",
+    "ModelSpec",
+    "Partition",
+    "View",
+    "__version__",
+    "errors",
+    "evaluate",
+    "evidence",
+    "load",
+    "metrics",
+    "open_dataset",
+    "rank",
+]
 
-_HOMES = {
+_MODULE_OF = {
     "Model": "lpn.models.base",
     "ModelSpec": "lpn.models.spec",
     "Partition": "lpn.models.partition",
     "View": "lpn.core.views",
+    "evaluate": "lpn.retrieval.evaluate",
+    "evidence": "lpn.explain",
+    "open_dataset": "lpn.datasets",
+    "rank": "lpn.retrieval",
 }
 
 if not TYPE_CHECKING:
@@ -35,19 +63,19 @@ if not TYPE_CHECKING:
     def __getattr__(name: str) -> object:
         if name == "metrics":
             return import_module("lpn.retrieval.metrics")
-        if name in _HOMES:
-            return getattr(import_module(_HOMES[name]), name)
+        if name in _MODULE_OF:
+            return getattr(import_module(_MODULE_OF[name]), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def load(path: str | Path) -> Model:
     """Open a trained LPN: an exported `.onnx`, our `.safetensors`, or a published `.pth`.
 
-    The `.onnx` runs without torch, on the CPU; the other two need the extra `train`, and use a GPU where there is one.
+    An `.onnx` runs on the CPU without torch. The others need the extra `train`, and use a GPU if there is one.
 
     Raises:
-        ModelFileError: when the file is missing, is not a model, is truncated, or lacks entries.
-        MissingPackageError: when torch is needed and not installed.
+        ModelFileError: if the file is missing, is not a model, is truncated, or lacks entries.
+        MissingPackageError: if torch is needed and not installed.
     """
     if Path(path).suffix == ".onnx":
         from lpn.models.onnx_engine import Engine

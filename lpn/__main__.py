@@ -1,4 +1,4 @@
-"""`lpn`, and `python -m lpn`: the command line, or one sentence where a package that all of it needs is missing or broken."""
+"""The console script `lpn`, also `python -m lpn`."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ import sys
 
 
 def run() -> None:
-    """The console script."""
+    """Run the command line; if it cannot be imported, report the broken package in one sentence."""
     try:
         from lpn.cli import main
     except KeyboardInterrupt:
         sys.exit(130)
-    except Exception as error:  # a package that is broken, or built for another, raises anything
+    except Exception as error:  # a broken package may raise anything
         failure = error
     else:
         main.run()
-    sys.exit(_without(failure))
+    sys.exit(_report(failure))
 
 
-def _without(error: Exception) -> int:
-    if sys.argv[1:] == ["doctor"]:
-        from lpn.cli.doctor import Doctor
+def _report(error: Exception) -> int:
+    if sys.argv[1:] == ["doctor"]:  # `lpn doctor` works without any package, to say which one is broken
+        from lpn.cli.doctor import DoctorCommand
 
-        return Doctor().run()
-    from lpn.core.requirements import flaw
+        return DoctorCommand().run()
+    from lpn.core.requirements import broken_package
 
-    print(f"lpn: {flaw(error)}", file=sys.stderr)
+    print(f"lpn: {broken_package(error)}", file=sys.stderr)
     return 2
 
 

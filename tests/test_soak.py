@@ -210,13 +210,13 @@ def test_two_queries_of_one_picture_are_described_each_within_its_box(data: Path
 def test_descriptors_that_are_not_of_their_pictures_are_no_reference(
     data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right = descriptors.known_side
+    right = descriptors.stored_side
 
     def wrong(*asked: Any) -> Any:
         found = right(*asked)
         return replace(found, descriptors=found.descriptors[::-1])
 
-    monkeypatch.setattr(descriptors, "known_side", wrong)
+    monkeypatch.setattr(descriptors, "stored_side", wrong)
     with pytest.raises(LPNError, match="is not that of its picture"):
         Reference(data, model_file)
 

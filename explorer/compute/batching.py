@@ -12,7 +12,7 @@ import numpy as np
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
 from lpn.core.views import View
-from lpn.models.base import Model, Pass
+from lpn.models.base import ForwardPass, Model
 
 if TYPE_CHECKING:
     from explorer.compute.request_context import RequestContext
@@ -42,15 +42,15 @@ class InferenceRequest:
         self.kind: Hashable = (model, view, images.shape[1:], images.dtype)
         """Requests of one kind can be computed in one pass."""
         self._ended = threading.Event()
-        self._found: Pass | None = None
+        self._found: ForwardPass | None = None
         self._error: Exception | None = None
 
-    def end(self, found: Pass | None = None, error: Exception | None = None) -> None:
+    def end(self, found: ForwardPass | None = None, error: Exception | None = None) -> None:
         """Hand over the outcome."""
         self._found, self._error = found, error
         self._ended.set()
 
-    def wait(self) -> Pass:
+    def wait(self) -> ForwardPass:
         """The outcome, waited for; raises what went wrong."""
         self._ended.wait()
         if self._error is not None:
@@ -98,16 +98,16 @@ def compute(batch: list[InferenceRequest]) -> None:
         request.end(own)
 
 
-def _divided(found: Pass, sizes: list[int]) -> list[Pass]:
+def _divided(found: ForwardPass, sizes: list[int]) -> list[ForwardPass]:
     """Each request's rows, copied: a row that is kept would keep the whole batch."""
     ends = np.cumsum([0, *sizes])
     return [
-        Pass(*(None if array is None else array[begin:end].copy() for array in found))  # type: ignore[arg-type]
+        ForwardPass(*(None if array is None else array[begin:end].copy() for array in found))  # type: ignore[arg-type]
         for begin, end in pairwise(ends)
     ]
 
 
-def joined(passes: list[Pass]) -> Pass:
+def joined(passes: list[ForwardPass]) -> ForwardPass:
     """The passes of pictures that were too many for one, as if they had been one."""
     if len(passes) == 1:
         return passes[0]
@@ -115,4 +115,4 @@ def joined(passes: list[Pass]) -> Pass:
     parts, features, attention = (
         None if c[0] is None else np.concatenate(cast("list[Float32Array]", c)) for c in columns
     )
-    return Pass(cast(Float32Array, parts), cast(Float32Array, features), attention)
+    return ForwardPass(cast(Float32Array, parts), cast(Float32Array, features), attention)

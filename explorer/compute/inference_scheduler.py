@@ -22,7 +22,7 @@ from explorer.compute.batching import InferenceRequest, SupersededError, compute
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
 from lpn.core.views import View
-from lpn.models.base import Heads, Model, Pass
+from lpn.models.base import ForwardPass, Heads, Model
 
 if TYPE_CHECKING:
     from explorer.compute.request_context import RequestContext
@@ -95,7 +95,7 @@ class InferenceScheduler:
         view: View,
         patient: bool = False,
         replaceable: bool = False,
-    ) -> Pass:
+    ) -> ForwardPass:
         """One pass, waited for.
 
         Raises:

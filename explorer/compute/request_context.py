@@ -9,7 +9,7 @@ from explorer.compute.batching import SupersededError, joined
 from explorer.compute.inference_scheduler import InferenceScheduler
 from lpn.core.arrays import Float32Array
 from lpn.core.views import View
-from lpn.models.base import Heads, Model, Pass
+from lpn.models.base import ForwardPass, Heads, Model
 
 T = TypeVar("T")
 
@@ -90,7 +90,7 @@ class QueuedModel(Model):
         """The same for passes that are of one state alone: SupersededError where another is wanted meanwhile, see `RequestContext.newest`."""
         return QueuedModel(self.own, self._inference, self._asker, self._patient, replaceable=True)
 
-    def run(self, images: Float32Array, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> ForwardPass:
         """One pass of pictures (B, 3, H, W), waited for; more pictures than one pass has are several.
 
         Raises:

@@ -39,7 +39,7 @@ class Sweep:
         assert model is not None
         height, width = workspace.spec.input_size
         changes = sweeps.changes_over(self.over, side=height if self.over == "shift-down" else width)
-        changes = [change.of(self._entry) for change in sweeps.around(self.over, state.change, changes)]
+        changes = [change.for_picture(self._entry) for change in sweeps.around(self.over, state.change, changes)]
         self.of = len(changes)
         known = None if state.upload else state.query
         try:
@@ -69,7 +69,7 @@ class Sweep:
             return None
         now = sweeps.value(self.over, analysis.state.change)
         shown = next((p.change for p in points if abs(sweeps.value(self.over, p.change) - now) < 1e-6), None)
-        return Profile(self.over, points, shown or self.analysis.state.change.of(self._entry))
+        return Profile(self.over, points, shown or self.analysis.state.change.for_picture(self._entry))
 
     def is_of(self, analysis: StateAnalysis) -> bool:
         """Whether it says something about what the page shows now."""

@@ -103,7 +103,7 @@ class Laboratory:
         said = notes.set_note(self.notes, path, tags, text)
         with self._lock:
             for name, found in self._findings.items():
-                table = found.table.plus(notes.columns(said, found.table.paths))
+                table = found.table.with_columns(notes.columns(said, found.table.paths))
                 self._findings[name] = replace(found, table=table, flaw="")
 
     def _build(self, task: Task, progress: ReportProgress) -> None:
@@ -116,7 +116,7 @@ class Laboratory:
         )
         with self._lock:
             said, flaw = self._said()
-            table = made.plus(notes.columns(said, made.paths))
+            table = made.with_columns(notes.columns(said, made.paths))
             self._findings[task.name] = Findings(task, outcomes, table, flaw)
 
     def _said(self) -> tuple[dict[str, Note], str]:

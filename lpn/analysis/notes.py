@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lpn.core.errors import DataError, InputError, OutputError
-from lpn.core.files import alone, check_writable, printable, write_whole
-from lpn.core.shutdown import finishing
+from lpn.core.files import check_writable, exclusive_lock, printable, write_atomic
+from lpn.core.shutdown import uninterrupted
 from lpn.core.tables import Column, text_column
 from lpn.datasets.metadata import NOTE, TAGS
 
@@ -90,12 +90,12 @@ def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dic
         raise InputError(f"The note has {len(note.text)} letters; expected {LONGEST_NOTE} at most.")
     check_writable(file)
     try:
-        with alone(file.parent, wait=True), finishing():
+        with exclusive_lock(file.parent, wait=True), uninterrupted():
             notes = read_notes(file)
             notes.pop(path, None)
             if note != Note():
                 notes[path] = note
-            write_whole(file, _written(notes))
+            write_atomic(file, _written(notes))
     except OSError as error:
         raise OutputError(
             f"{file} cannot be written ({error.strerror or error}); choose another place for notes."

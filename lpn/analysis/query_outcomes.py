@@ -152,7 +152,7 @@ def table(
         *(number_column(f"margin_{i + 1}", outcomes.parts[:, i]) for i in range(n)),
     ]
     paths = metadata.relative(root, queries)
-    return Table(paths, columns).plus(metadata.columns(root, paths, [column.name for column in columns]))
+    return Table(paths, columns).with_columns(metadata.columns(root, paths, [column.name for column in columns]))
 
 
 def described_by(table: Table) -> list[Column]:

@@ -87,7 +87,7 @@ class Study:
     def table(self) -> Table:
         """One row for each query: outcome, metadata, tags, and notes; see `failures.table` for what is raised."""
         made = query_outcomes.table(self.root, self.queries, self.gallery, self.outcomes, self.part_names)
-        return made.plus(notes.columns(dict(self.notes), made.paths))
+        return made.with_columns(notes.columns(dict(self.notes), made.paths))
 
     @cached_property
     def figures(self) -> dict[str, float]:
@@ -141,8 +141,8 @@ def open_study(
         query_outcomes.labels_of(queries),
         query_outcomes.labels_of(gallery),
         dataset.truth(task),
-        descriptors.known_descriptors(model, queries, views[0], dataset.root, "query"),
-        descriptors.known_descriptors(model, gallery, views[1], dataset.root, "gallery"),
+        descriptors.stored_descriptors(model, queries, views[0], dataset.root, "query"),
+        descriptors.stored_descriptors(model, gallery, views[1], dataset.root, "gallery"),
         weights,
         read,
     )

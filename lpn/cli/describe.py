@@ -14,7 +14,7 @@ _FOR_RAY = ("address", "workers", "threads", "shard", "positions")
 
 
 @dataclass
-class Describe:
+class DescribeCommand:
     """Describe a folder of pictures into descriptors on disk; resumable. With --engine ray on many machines, into shards."""
 
     model: Path
@@ -46,7 +46,7 @@ class Describe:
     def run(self) -> int:
         return self._shards() if self.engine == "ray" else self._store()
 
-    def going_on(self) -> str:
+    def resume_hint(self) -> str:
         """What to do after a stop."""
         return f"What {self.out} has by now is kept; the same command goes on."
 
@@ -92,7 +92,7 @@ class Describe:
 
 
 @dataclass
-class Gather:
+class GatherCommand:
     """Make a store of descriptors on this machine from the shards that describe --engine ray wrote."""
 
     shards: str
@@ -111,6 +111,6 @@ class Gather:
         if shards.broken:
             print(f"{len(shards.broken):,} pictures are broken and not in it; {BROKEN} in {self.shards} names them.")
 
-    def going_on(self) -> str:
+    def resume_hint(self) -> str:
         """What to do after a stop."""
         return f"What {self.out} has by now is kept; the same command goes on."

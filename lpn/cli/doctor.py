@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Doctor:
+class DoctorCommand:
     """Say what this machine lacks, or, of a data set, what it holds and what is broken; ends with status 1 at damage."""
 
     data: Path | None = None
@@ -26,7 +26,7 @@ class Doctor:
     """File to write everything found to, with every name."""
 
     def run(self) -> int:
-        from lpn.core.files import check_writable, write_whole
+        from lpn.core.files import check_writable, write_atomic
 
         if self.json is not None:
             check_writable(self.json)
@@ -47,11 +47,11 @@ class Doctor:
             report = examine(dataset, not self.quick, lambda done, of: bar.update(task, completed=done, total=of))
         show(report, console)
         if self.json is not None:
-            write_whole(self.json, (json.dumps(report.to_dict(), indent=1) + "\n").encode())
+            write_atomic(self.json, (json.dumps(report.to_dict(), indent=1) + "\n").encode())
         return 0 if report.healthy else 1
 
     def _machine(self) -> int:
-        from lpn.core.files import write_whole
+        from lpn.core.files import write_atomic
         from lpn.doctor import environment_check
 
         if self.quick:
@@ -63,5 +63,5 @@ class Doctor:
         healthy = environment_check.healthy(findings)
         print("Nothing that is needed is broken." if healthy else "Something is broken: see the problems above.")
         if self.json is not None:
-            write_whole(self.json, (json.dumps(environment_check.to_dict(findings), indent=1) + "\n").encode())
+            write_atomic(self.json, (json.dumps(environment_check.to_dict(findings), indent=1) + "\n").encode())
         return 0 if healthy else 1

@@ -19,7 +19,7 @@ from lpn.retrieval.published_results import check_n_parts
 
 
 @dataclass
-class Evaluate:
+class EvaluateCommand:
     """Recall and AP on the test split, by the published protocol, or of a saved result."""
 
     data: Path | None = None
@@ -50,7 +50,7 @@ class Evaluate:
     """File to write the figures to."""
 
     def run(self) -> None:
-        from lpn.core.files import check_writable, write_whole
+        from lpn.core.files import check_writable, write_atomic
         from lpn.descriptors.transforms import Change
         from lpn.retrieval.protocol import Protocol
 
@@ -67,7 +67,7 @@ class Evaluate:
         title, result = self._saved(self.saved, protocol) if self.saved else self._described(protocol)
         _print_result(title, result)
         if self.json is not None:
-            write_whole(self.json, (json.dumps(result.to_dict(), indent=1) + "\n").encode())
+            write_atomic(self.json, (json.dumps(result.to_dict(), indent=1) + "\n").encode())
 
     def _saved(self, saved: Path, protocol: Protocol) -> tuple[str, Result]:
         from lpn.retrieval.evaluate import evaluate_saved
@@ -85,7 +85,7 @@ class Evaluate:
 
     def _described(self, protocol: Protocol) -> tuple[str, Result]:
         from lpn.datasets import open_dataset
-        from lpn.descriptors import reader
+        from lpn.descriptors import descriptor_reader
         from lpn.retrieval.evaluate import evaluate
 
         _only_saved(self.n_parts)
@@ -97,7 +97,7 @@ class Evaluate:
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
         title = f"{self.model.name} ({model.describe()}) on {self.data.resolve().name}"
-        return title, evaluate(model, dataset, task, protocol, reader(dataset.root))
+        return title, evaluate(model, dataset, task, protocol, descriptor_reader(dataset.root))
 
 
 def _print_result(title: str, result: Result) -> None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Explain:
+class ExplainCommand:
     """Account for the score of one pair of pictures, cell by cell, exactly; from the .onnx alone."""
 
     model: Path
@@ -52,7 +52,7 @@ class Explain:
 
         from lpn import explain, retrieval
         from lpn.core import images
-        from lpn.core.files import check_writable, write_whole
+        from lpn.core.files import check_writable, write_atomic
         from lpn.drawing import pair_figure, verdicts
         from lpn.explain import occlusion
         from lpn.retrieval import scoring
@@ -79,12 +79,12 @@ class Explain:
         _show(console, found, names)
         console.print(verdicts.why(found, names, *views), markup=False)
         if self.json is not None:
-            write_whole(self.json, (json.dumps(values, indent=1) + "\n").encode())
+            write_atomic(self.json, (json.dumps(values, indent=1) + "\n").encode())
         if self.png is not None:
-            cut = [model.cut(one.picture, view) for one, view in zip((query, tile), views, strict=True)]
+            cut = [model.as_partitioned(one.picture, view) for one, view in zip((query, tile), views, strict=True)]
             titles = (f"{self.view_query} {_short(self.query)}", f"{self.view_match} {_short(self.match)}")
             shown = pair_figure.draw(found, (cut[0], cut[1]), titles, views, model.spec, losses)
-            write_whole(self.png, pair_figure.encode(shown))
+            write_atomic(self.png, pair_figure.encode(shown))
 
 
 def part_values(text: str | None) -> list[float] | None:

@@ -9,7 +9,7 @@ from typing import Literal
 
 
 @dataclass
-class Export:
+class ExportCommand:
     """Write a .pth or .safetensors model as .onnx, which needs no torch."""
 
     model: Path
@@ -25,7 +25,7 @@ class Export:
 
 
 @dataclass
-class Quantize:
+class QuantizeCommand:
     """Write an exported model again so that it computes in 8-bit integers, calibrated on real pictures."""
 
     model: Path

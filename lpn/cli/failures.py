@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Failures:
+class FailuresCommand:
     """List the queries of a task with rank, margin, and the part that decides, and say what fails most."""
 
     data: Path
@@ -50,7 +50,7 @@ class Failures:
 
         from lpn.analysis.query_outcomes import OUTCOME
         from lpn.analysis.task import open_study
-        from lpn.core.files import check_writable, write_whole
+        from lpn.core.files import check_writable, write_atomic
         from lpn.datasets import metadata, open_dataset
 
         if self.top < 1:
@@ -67,7 +67,7 @@ class Failures:
         if len(rows):
             _print_breakdown(console, study, rows, self.top)
         if self.csv is not None:
-            write_whole(self.csv, made.to_csv(rows))
+            write_atomic(self.csv, made.to_csv(rows))
 
 
 def _print(console: Console, table: Table, rows: Int64Array, names: list[str], top: int) -> None:

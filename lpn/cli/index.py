@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class MakeIndex:
+class IndexCommand:
     """Put the descriptors of a store into an index that lpn search searches; resumable."""
 
     descriptors: str
@@ -71,13 +71,13 @@ class MakeIndex:
         if tiles.broken:
             print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the shards names them.")
 
-    def going_on(self) -> str:
+    def resume_hint(self) -> str:
         """What to do after a stop."""
         return f"The tiles that {printable(_shown(self.out))} has by now are kept; the same command goes on."
 
 
 @dataclass
-class Search:
+class SearchCommand:
     """Find the tiles of an index that a picture matches best, and each part's share of the distance."""
 
     index: str
@@ -107,7 +107,7 @@ class Search:
     def run(self) -> None:
         from lpn import retrieval
         from lpn.core import images
-        from lpn.core.files import check_writable, write_whole
+        from lpn.core.files import check_writable, write_atomic
         from lpn.index import check_effort, open_index
         from lpn.index.base import check_count
         from lpn.retrieval import scoring
@@ -136,7 +136,7 @@ class Search:
             }
             asked |= {"view": self.view, "rotate": self.rotate, "weights": weights.tolist(), "box": self.box}
             asked |= {"effort": self.effort, "depth": self.depth}
-            write_whole(self.json, (json.dumps(asked | {"matches": matches}, indent=1) + "\n").encode())
+            write_atomic(self.json, (json.dumps(asked | {"matches": matches}, indent=1) + "\n").encode())
 
 
 def _matches(

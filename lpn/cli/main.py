@@ -13,42 +13,42 @@ from typing import Any
 import tyro
 
 import lpn
-from lpn.cli.describe import Describe, Gather
-from lpn.cli.doctor import Doctor
-from lpn.cli.evaluate import Evaluate
-from lpn.cli.explain import Explain
-from lpn.cli.export import Export, Quantize
-from lpn.cli.failures import Failures
-from lpn.cli.index import MakeIndex, Search
-from lpn.cli.report import Report
-from lpn.cli.reproduce import Reproduce
-from lpn.cli.sweep import Sweep
-from lpn.cli.train import Train, parse_train
-from lpn.cli.verify import Verify
-from lpn.cli.world import World
+from lpn.cli.describe import DescribeCommand, GatherCommand
+from lpn.cli.doctor import DoctorCommand
+from lpn.cli.evaluate import EvaluateCommand
+from lpn.cli.explain import ExplainCommand
+from lpn.cli.export import ExportCommand, QuantizeCommand
+from lpn.cli.failures import FailuresCommand
+from lpn.cli.index import IndexCommand, SearchCommand
+from lpn.cli.report import ReportCommand
+from lpn.cli.reproduce import ReproduceCommand
+from lpn.cli.sweep import SweepCommand
+from lpn.cli.train import TrainCommand, parse_train
+from lpn.cli.verify import VerifyCommand
+from lpn.cli.world import WorldCommand
 from lpn.core import log
 from lpn.core.errors import LPNError, MissingPackageError
 from lpn.core.files import printable
-from lpn.core.requirements import flaw
-from lpn.core.shutdown import WRITING, Stop, finished, leave
+from lpn.core.requirements import broken_package
+from lpn.core.shutdown import WRITING, StopSignals, exit_now, writes_finished
 
 COMMANDS: dict[str, type[Any]] = {
-    "train": Train,
-    "evaluate": Evaluate,
-    "explain": Explain,
-    "sweep": Sweep,
-    "failures": Failures,
-    "report": Report,
-    "export": Export,
-    "quantize": Quantize,
-    "describe": Describe,
-    "gather": Gather,
-    "index": MakeIndex,
-    "search": Search,
-    "doctor": Doctor,
-    "verify": Verify,
-    "world": World,
-    "reproduce": Reproduce,
+    "train": TrainCommand,
+    "evaluate": EvaluateCommand,
+    "explain": ExplainCommand,
+    "sweep": SweepCommand,
+    "failures": FailuresCommand,
+    "report": ReportCommand,
+    "export": ExportCommand,
+    "quantize": QuantizeCommand,
+    "describe": DescribeCommand,
+    "gather": GatherCommand,
+    "index": IndexCommand,
+    "search": SearchCommand,
+    "doctor": DoctorCommand,
+    "verify": VerifyCommand,
+    "world": WorldCommand,
+    "reproduce": ReproduceCommand,
 }
 
 
@@ -84,7 +84,7 @@ def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> i
         print(f"lpn has no command {given[0]!r}; it has {', '.join(commands())}.", file=sys.stderr)
         return 2
     parsed: list[Any] = []
-    stop = Stop(lambda number: _stopped(parsed, number))
+    stop = StopSignals(lambda number: _stopped(parsed, number))
     with log.shown(level), stop.listening():
         try:
             return _run(given, parsed)
@@ -93,7 +93,7 @@ def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> i
         except BaseException:  # what a library makes of a signal
             if not stop.signal:
                 raise
-        finished(WRITING)  # what other threads write
+        writes_finished(WRITING)  # what other threads write
         status = stop.end()
         if stop.signal:
             stopped(status)
@@ -112,7 +112,7 @@ def _run(given: list[str], parsed: list[Any]) -> int:
         print(f"lpn: {_missing(error)}", file=sys.stderr)
         return 2
     except ImportError as error:
-        print(f"lpn: {flaw(error)}", file=sys.stderr)
+        print(f"lpn: {broken_package(error)}", file=sys.stderr)
         return 2
     except OSError as error:
         name = f" ({printable(str(error.filename))})" if error.filename else ""
@@ -137,7 +137,9 @@ _AGAIN = "Nothing is half-written; give the same command again."
 
 
 def _parse(command: Callable[..., Any], arguments: list[str], program: str) -> Any:
-    return parse_train(arguments, program) if command is Train else tyro.cli(command, args=arguments, prog=program)
+    return (
+        parse_train(arguments, program) if command is TrainCommand else tyro.cli(command, args=arguments, prog=program)
+    )
 
 
 _EXTRAS = {
@@ -178,7 +180,7 @@ def _help() -> str:
 
 def run() -> None:
     """The console script; after a stop it waits for no thread that still computes."""
-    sys.exit(_attend(None, leave))
+    sys.exit(_attend(None, exit_now))
 
 
 if __name__ == "__main__":

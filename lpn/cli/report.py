@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Report:
+class ReportCommand:
     """Write an HTML file about some queries, pictures inside: matches, parts, evidence, what would change them; it prints."""
 
     data: Path
@@ -56,7 +56,7 @@ class Report:
         from lpn import report
         from lpn.analysis.task import open_study, task_of
         from lpn.cli.explain import part_values
-        from lpn.core.files import check_writable, write_whole
+        from lpn.core.files import check_writable, write_atomic
         from lpn.core.views import views_of
         from lpn.datasets import open_dataset
         from lpn.descriptors.transforms import Change
@@ -78,7 +78,7 @@ class Report:
         with Progress(console=console, transient=True) as bar:
             shown = bar.add_task("Reporting", total=None)
             page = report.build(study, chosen, options, lambda done, of: bar.update(shown, completed=done, total=of))
-        write_whole(self.out, page)
+        write_atomic(self.out, page)
         count = f"{len(chosen)} {'query' if len(chosen) == 1 else 'queries'}"
         console.print(f"{self.out}: {count}, {len(page) / 1e6:.1f} MB", highlight=False, markup=False, soft_wrap=True)
 

@@ -14,7 +14,7 @@ from lpn.core.errors import InputError
 
 
 @dataclass
-class Reproduce:
+class ReproduceCommand:
     """Make the paper's tables and figures again; resumable."""
 
     what: Annotated[tuple[str, ...], tyro.conf.Positional]
@@ -69,7 +69,7 @@ class Reproduce:
         ).run(keys)
         print(f"Wrote {', '.join(file.name for file in made)} to {self.out}.")
 
-    def going_on(self) -> str:
+    def resume_hint(self) -> str:
         """What to do after a stop."""
         return f"Whole epochs and measurements in {self.out} are kept; the same command goes on."
 

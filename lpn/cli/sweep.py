@@ -23,7 +23,7 @@ _BAR = 24
 
 
 @dataclass
-class Sweep:
+class SweepCommand:
     """Turn, shift, or zoom one query step by step: score and rank of its true match, and each part's cosine."""
 
     data: Path
@@ -50,7 +50,7 @@ class Sweep:
     def run(self) -> None:
         from rich.console import Console
 
-        from lpn.core.files import check_writable, write_whole
+        from lpn.core.files import check_writable, write_atomic
         from lpn.datasets import open_dataset
 
         for file in filter(None, (self.csv, self.png)):
@@ -70,9 +70,9 @@ class Sweep:
         title = f"{self.query} ({task}, {model.describe()})"
         _print(found, title, views, console)
         if self.csv is not None:
-            write_whole(self.csv, found.to_csv())
+            write_atomic(self.csv, found.to_csv())
         if self.png is not None:
-            write_whole(self.png, _drawn(found, title))
+            write_atomic(self.png, _drawn(found, title))
 
     def _swept(self, model: Model, dataset: Dataset, task: str, console: Console) -> Profile:
         import numpy as np
@@ -97,7 +97,7 @@ class Sweep:
         position = names.index(self.query)
         entry, truth = queries[position], dataset.truth(task)
         picture = images.crop(images.load_picture(entry.path), entry.box, entry.name)
-        changes = [change.of(entry) for change in sweeps.changes_over(self.over, self.step, self.reach, side)]
+        changes = [change.for_picture(entry) for change in sweeps.changes_over(self.over, self.step, self.reach, side)]
         tiles = descriptors.cached_descriptors(model, gallery, gallery_view)
         labels = np.array([tile.label for tile in gallery], np.int64)
         listed = None if truth is None else truth[position]

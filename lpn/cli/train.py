@@ -28,7 +28,7 @@ MethodName = Literal[
 
 
 @dataclass
-class Train:
+class TrainCommand:
     """Train an LPN by a named recipe, any number of which can be changed."""
 
     data: Path
@@ -75,14 +75,14 @@ class Train:
         if group.leads:
             print(f"The model is in {model}.")
 
-    def going_on(self) -> str:
+    def resume_hint(self) -> str:
         """What to do after a stop."""
         if not (self.out / "state.pt").is_file():
             return "No epoch was whole yet, so nothing is kept; give the same command again."
         return f"The whole epochs in {self.out} are kept; go on with the same command{'' if self.resume else ' and --resume'}."
 
 
-def parse_train(arguments: list[str], program: str) -> Train:
+def parse_train(arguments: list[str], program: str) -> TrainCommand:
     """The options of a training; the recipe and the method named decide what the other flags default to.
 
     Raises:
@@ -94,8 +94,10 @@ def parse_train(arguments: list[str], program: str) -> Train:
     settings = RECIPES[name or "university1652"]
     if chosen is not None:
         settings = method(chosen, settings)
-    named = Train(tyro.MISSING, tyro.MISSING, cast(Any, name or "university1652"), cast(Any, chosen), settings=settings)
-    return tyro.cli(Train, args=arguments, prog=program, default=named)
+    named = TrainCommand(
+        tyro.MISSING, tyro.MISSING, cast(Any, name or "university1652"), cast(Any, chosen), settings=settings
+    )
+    return tyro.cli(TrainCommand, args=arguments, prog=program, default=named)
 
 
 def _given(arguments: Sequence[str], flag: str) -> str | None:

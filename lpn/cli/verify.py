@@ -10,7 +10,7 @@ import tyro
 
 
 @dataclass
-class Verify:
+class VerifyCommand:
     """Read stores, indexes, shards, models, and trainings in full against their checksums; ends with status 1 at damage."""
 
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 @dataclass
-class World:
+class WorldCommand:
     """Plan and render a fictional city as a data set with exact positions; resumable."""
 
     out: Path
@@ -50,6 +50,6 @@ class World:
         tally = build_world(settings, self.out, RenderShare.parse(self.part), self.threads)
         print(f"{tally.describe()} The world is in {self.out}.")
 
-    def going_on(self) -> str:
+    def resume_hint(self) -> str:
         """What to do after a stop."""
         return f"The pictures in {self.out} are kept; the same command goes on."

@@ -44,7 +44,7 @@ from lpn.cluster.storage import Storage
 from lpn.cluster.worker import DescribeWorker, PartitionTask
 from lpn.core import images
 from lpn.core.errors import DataError, InputError, StoreError
-from lpn.core.files import alone
+from lpn.core.files import exclusive_lock
 from lpn.core.views import View
 from lpn.datasets import geo
 from lpn.descriptors import Box
@@ -137,7 +137,7 @@ def describe_shards(
         raise StoreError(
             f"{target.where} cannot be written ({error.strerror or error}); choose another folder."
         ) from error
-    with alone(target.folder, wait=False):
+    with exclusive_lock(target.folder, wait=False):
         return _run(source, target, items, wanted, files, model.name, address, workers, threads, say, worker)
 
 

@@ -33,7 +33,7 @@ from lpn.cluster.storage import Storage
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import StoreError
 from lpn.descriptors import Manifest, Store
-from lpn.descriptors.partial_store import Unfinished
+from lpn.descriptors.partial_store import PartialStore
 from lpn.descriptors.writer import write_store
 
 
@@ -191,7 +191,7 @@ def to_store(shards: Shards, out: str | Path) -> Store:
     position = {row: i for i, row in enumerate(rows)}
     manifest = Manifest(plan.fingerprint, plan.view, 0.0, plan.n_parts, plan.embedding, tuple(rows), plan.precision)
 
-    def fill(unfinished: Unfinished) -> None:
+    def fill(unfinished: PartialStore) -> None:
         for partition in partitions:
             read = shards.read(partition)
             if not all(item.row in position for item in read.items):

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from lpn.core.errors import InputError, OutputError, StoreError
-from lpn.core.files import alone
+from lpn.core.files import exclusive_lock
 from lpn.core.resources import usable_cores
 
 _QUIET = {
@@ -118,11 +118,11 @@ def _folder(short: Path) -> Iterator[Path]:
     for left in short.glob(f"{_PREFIX}*"):
         # Without locks nothing tells a live one, and none is deleted.
         if os.name == "posix" and _OURS.fullmatch(left.name):
-            with suppress(OSError, OutputError), alone(left, wait=False):
+            with suppress(OSError, OutputError), exclusive_lock(left, wait=False):
                 shutil.rmtree(left, ignore_errors=True)
     while True:
         made = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=short))
-        with alone(made, wait=True):
+        with exclusive_lock(made, wait=True):
             if made.is_dir():  # else another process found it before it was locked
                 try:
                     yield made

@@ -32,7 +32,7 @@ import pyarrow.parquet as pq
 from lpn.cluster.storage import Storage
 from lpn.core.arrays import AnyArray, Float32Array
 from lpn.core.errors import StoreError
-from lpn.core.formats import is_newer, newer
+from lpn.core.formats import is_newer, newer_version
 from lpn.descriptors import Row
 
 FORMAT = "lpn-shards/2"
@@ -120,7 +120,7 @@ class Plan:
         try:
             values: Any = json.loads(storage.read(PLAN))
             if is_newer(found := values.get("format"), FORMAT):
-                raise StoreError(newer(f"{PLAN} in {storage.where}", found, FORMAT))
+                raise StoreError(newer_version(f"{PLAN} in {storage.where}", found, FORMAT))
             plan = cls(**values)
             numbers = (plan.n_parts, plan.embedding, plan.partitions, 1 if plan.shard is None else plan.shard)
             whole = all(type(n) is int and 0 < n < 2**31 for n in numbers)

@@ -15,7 +15,7 @@ import pyarrow
 from pyarrow import fs
 
 from lpn.core.errors import DataError, InputError, OutputError
-from lpn.core.files import printable, write_whole
+from lpn.core.files import printable, write_atomic
 from lpn.descriptors import Row
 
 _TRIES = 3
@@ -86,7 +86,7 @@ class Storage:
             OutputError: when it cannot be written.
         """
         if self.folder is not None:
-            write_whole(self.folder / name, data)
+            write_atomic(self.folder / name, data)
             return
         try:
             # Object storage shows a file when it is closed.

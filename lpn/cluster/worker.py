@@ -17,7 +17,7 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError, PictureError
 from lpn.core.views import View
-from lpn.datasets.integrity import DAMAGED, flaw_within
+from lpn.datasets.integrity import DAMAGED, stream_error
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.descriptors.writer import prepared
@@ -112,7 +112,7 @@ class DescribeWorker:
             data = self.images.read(item.row.file)
         except OSError as error:
             raise _UnreadError(f"cannot be read ({(str(error).splitlines() or ['?'])[0]})") from error
-        if (found := flaw_within(io.BytesIO(data))) is not None:
+        if (found := stream_error(io.BytesIO(data))) is not None:
             raise PictureError(found)
         try:
             picture = images.decode_picture(data, item.row.file)

@@ -1,3 +1,31 @@
-"""What every other package builds on: errors, files, pictures, tables, logging, and the machine's resources.
+"""Foundations: errors, views, files, pictures, tables, logging, and the machine's resources.
 
-It imports nothing of `lpn` but itself, and every package may import it."""
+It imports nothing else of `lpn`, and every package may import it. This face needs no installed package.
+"""
+
+from lpn.core.errors import (
+    DataError,
+    InputError,
+    LPNError,
+    MissingPackageError,
+    ModelFileError,
+    OutputError,
+    PictureError,
+    StoreError,
+)
+from lpn.core.views import VIEWS, TaskName, View, views_of
+
+__all__ = [
+    "VIEWS",
+    "DataError",
+    "InputError",
+    "LPNError",
+    "MissingPackageError",
+    "ModelFileError",
+    "OutputError",
+    "PictureError",
+    "StoreError",
+    "TaskName",
+    "View",
+    "views_of",
+]

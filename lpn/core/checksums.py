@@ -23,7 +23,7 @@ SEAL = "seal"
 """The entry of a model file's metadata that holds the seal."""
 _MARK = b"lpn-sha256:"
 _DIGITS = 64
-BLANK = _MARK.decode() + "0" * _DIGITS
+UNSEALED = _MARK.decode() + "0" * _DIGITS
 """What stands there before the file is sealed."""
 _NEAR = 4_000_000
 """Bytes at either end of a file among which the seal is: .safetensors begin with their metadata, ours in .onnx end with it."""
@@ -34,7 +34,7 @@ _PACKED, _SMALL = 8, 1_000_000
 little to matter."""
 
 
-def sealed(data: bytes) -> bytes:
+def seal(data: bytes) -> bytes:
     """A file whose metadata hold `BLANK`, with the seal in its place."""
     start = _found(data)
     assert start is not None
@@ -78,7 +78,7 @@ def check_entries(path: Path, remedy: str) -> bool:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            check_unpacked(path, sum(entry.file_size for entry in archive.infolist()), remedy)
+            check_claimed_size(path, sum(entry.file_size for entry in archive.infolist()), remedy)
             damaged = archive.testzip()
     except zipfile.BadZipFile:  # no archive, or one that PyTorch will refuse
         return False
@@ -89,7 +89,7 @@ def check_entries(path: Path, remedy: str) -> bool:
     return True
 
 
-def check_unpacked(path: Path, claimed: int, remedy: str) -> None:
+def check_claimed_size(path: Path, claimed: int, remedy: str) -> None:
     """Refuse a file whose contents claim far more bytes than it has itself: packed ones, or one entry told many times.
 
     Raises:
@@ -117,7 +117,7 @@ class Checksums:
     manifest: int
 
     @classmethod
-    def of(cls, array: Path, manifest: Mapping[str, Any]) -> Checksums:
+    def compute(cls, array: Path, manifest: Mapping[str, Any]) -> Checksums:
         """Of a file, and of what the manifest says without its checksums."""
         return cls(BLOCK, crc_of_blocks(array, BLOCK), crc_of_values(manifest))
 

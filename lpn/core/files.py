@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from lpn.core.arrays import AnyArray
 from lpn.core.errors import OutputError, StoreError
-from lpn.core.shutdown import finishing
+from lpn.core.shutdown import uninterrupted
 
 if TYPE_CHECKING:
     pass
@@ -51,14 +51,14 @@ def fingerprint(*paths: Path, also: str = "") -> str:
     return digest.hexdigest()[:16]
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_atomic(path: Path, data: bytes) -> None:
     """Write beside `path`, then rename: a reader sees the old file or the new one, never half of it.
 
     Raises:
         OutputError: when it cannot be written; nothing is left behind.
     """
     beside = _beside(path)
-    with finishing():
+    with uninterrupted():
         try:
             _prepare(path)
             beside.write_bytes(data)
@@ -71,7 +71,7 @@ def write_whole(path: Path, data: bytes) -> None:
             _clear(path)
 
 
-def mapped(path: Path) -> AnyArray:
+def open_memmap(path: Path) -> AnyArray:
     """The array of a `.npy` file, memory-mapped, read-only.
 
     Raises:
@@ -89,14 +89,14 @@ def mapped(path: Path) -> AnyArray:
     return found
 
 
-def unreadable(path: Path, error: OSError) -> StoreError:
+def unreadable_error(path: Path, error: OSError) -> StoreError:
     """The sentence about a file that is there and that the system does not let us read, which says nothing of what it holds."""
     too_many = error.errno in (errno.EMFILE, errno.ENFILE)
     remedy = "let more files be open at once (ulimit -n)" if too_many else "check its permissions and its disk"
     return StoreError(f"{path} cannot be read ({error.strerror or error}); {remedy}.")
 
 
-def allow_many_files() -> None:
+def raise_open_file_limit() -> None:
     """Raise this process's limit of open files, where the system lets it: every mapped array counts as one."""
     if resource is None:
         return
@@ -127,7 +127,7 @@ def check_writable(path: Path) -> None:
 
 
 @contextmanager
-def alone(folder: Path, wait: bool) -> Iterator[None]:
+def exclusive_lock(folder: Path, wait: bool) -> Iterator[None]:
     """Two processes that write into one folder take turns; the system lets go of a killed one's lock.
 
     Args:

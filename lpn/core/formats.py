@@ -25,7 +25,7 @@ def is_newer(found: Any, ours: str) -> bool:
     )
 
 
-def newer(what: object, found: str, ours: str) -> str:
+def newer_version(what: object, found: str, ours: str) -> str:
     """One sentence about it.
 
     Args:

@@ -59,7 +59,7 @@ def decode_picture(data: bytes, name: str) -> UInt8Array:
     Raises:
         PictureError: when they are not a picture, or one of more than 50 megapixels.
     """
-    if (found := header_flaw(io.BytesIO(data))) is not None:
+    if (found := header_error(io.BytesIO(data))) is not None:
         raise PictureError(
             f"{name} {found}; expected a JPEG, PNG, or WebP file of at most {MAX_PIXELS // 1_000_000} megapixels."
         )
@@ -72,7 +72,7 @@ def decode_picture(data: bytes, name: str) -> UInt8Array:
     return cast(UInt8Array, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
 
 
-def header_flaw(file: BinaryIO) -> str | None:
+def header_error(file: BinaryIO) -> str | None:
     """What a picture file's header tells against it, as the end of a sentence: no picture, or too large a one; else None.
 
     A decompression bomb is refused here, before anything is decoded.

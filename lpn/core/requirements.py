@@ -68,10 +68,10 @@ def within(version: str, wanted: str) -> bool:
     return SpecifierSet(wanted).contains(version, prereleases=True)
 
 
-def flaw(error: Exception) -> str:
-    """One sentence about a package that something cannot be done without, and that cannot be imported."""
-    said = printable(f"{type(error).__name__}: {error}")[:300]
-    return f"A package is missing or broken ({said}); lpn doctor says more."
+def broken_package(error: Exception) -> str:
+    """Return one sentence about a package that cannot be imported."""
+    reason = printable(f"{type(error).__name__}: {error}")[:300]
+    return f"A package is missing or broken ({reason}); lpn doctor says more."
 
 
 def _look(lines: list[str]) -> Iterator[Package]:

@@ -2,7 +2,7 @@
 
 The first signal raises KeyboardInterrupt in the main thread, though not while it writes a file: then, when the file is whole.
 What still computes two seconds later is not waited for, nor is anything after a second signal: whatever is on the disk
-is whole at any moment, see `lpn.core.files.write_whole`.
+is whole at any moment, see `lpn.core.files.write_atomic`.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _WRITES = _Writes()
 
 
 @contextmanager
-def finishing() -> Iterator[None]:
+def uninterrupted() -> Iterator[None]:
     """What is done here is done to its end, also when the process is asked to stop meanwhile: files that belong together.
 
     Raises:
@@ -76,12 +76,12 @@ def finishing() -> Iterator[None]:
                 raise KeyboardInterrupt
 
 
-def finished(seconds: float) -> bool:
+def writes_finished(seconds: float) -> bool:
     """Whether no file is being written, now or within some seconds."""
     return _WRITES.wait(seconds)
 
 
-class Stop:
+class StopSignals:
     """What becomes of a command that is asked to stop.
 
     Args:
@@ -145,10 +145,10 @@ class Stop:
         self.signal = self.signal or first
         again = self._next(GRACE)
         until = time.monotonic() + WRITING
-        while again is None and not self._over.is_set() and time.monotonic() < until and not finished(0):
+        while again is None and not self._over.is_set() and time.monotonic() < until and not writes_finished(0):
             again = self._next(0.05)
         if not self._over.is_set():
-            leave(128 + self.signal, self.end if again is None else None)
+            exit_now(128 + self.signal, self.end if again is None else None)
 
     def _next(self, seconds: float | None) -> int | None:
         """The next signal that asks to stop; None when none comes in time, or the command is over."""
@@ -164,7 +164,7 @@ class Stop:
                 return number
 
 
-def leave(status: int, say: Callable[[], int] | None = None) -> None:
+def exit_now(status: int, say: Callable[[], int] | None = None) -> None:
     """End the process at once, with the processes that it started, whatever its threads are doing.
 
     Args:

@@ -117,7 +117,7 @@ class Table:
     def __len__(self) -> int:
         return len(self.paths)
 
-    def plus(self, columns: Sequence[Column]) -> Table:
+    def with_columns(self, columns: Sequence[Column]) -> Table:
         """This table with more columns, in place of those of the same name."""
         return Table(self.paths, list((self.columns | {column.name: column for column in columns}).values()))
 

@@ -211,7 +211,7 @@ def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
     return sorted(file for file in found if file.is_file() or (file.is_symlink() and not file.exists()))
 
 
-class Names:
+class FileNames:
     """Which files there are below a root, each folder read once: quick for tens of thousands of names."""
 
     def __init__(self, root: Path) -> None:

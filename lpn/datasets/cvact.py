@@ -17,7 +17,7 @@ from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import matlab
-from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, Size, say_left_out
+from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, Size, say_left_out
 
 NAME = "ACT_data.mat"
 FULL = {
@@ -44,7 +44,7 @@ class CVACT(ListedDataset):
 
     def __init__(self, root: Path) -> None:
         ids, rows = _read(root / NAME)
-        there, left_out = Names(root), []
+        there, left_out = FileNames(root), []
         pictures: dict[str, dict[str, list[Picture]]] = {}
         for split, indices in rows.items():
             of_split: dict[str, list[Picture]] = {view: [] for view in _FILES}
@@ -71,7 +71,7 @@ class CVACT(ListedDataset):
         say_left_out(self, f"files named in {NAME} cannot be used", "their pairs are left out")
 
 
-def _find(there: Names, view: str, name: str) -> str | None:
+def _find(there: FileNames, view: str, name: str) -> str | None:
     """The path of a pair's picture below the root."""
     files = (f"{folder}{_FILES[view].format(name)}{suffix}" for folder in _FOLDERS for suffix in (".jpg", ".png"))
     return next((file for file in files if file in there), None)

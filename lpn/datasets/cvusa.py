@@ -13,7 +13,7 @@ from typing import Literal
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, Size, below, read_rows, say_left_out
+from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, Size, below, read_rows, say_left_out
 from lpn.datasets.rendered import is_rendered
 
 Split = Literal["train", "val"]
@@ -47,7 +47,7 @@ class CVUSA(ListedDataset):
         rendered = is_rendered(root.parent)
         listed: dict[Split, list[tuple[str, str]]] = {"train": _read(root, "train"), "val": _read(root, "val")}
         labels = _labels(listed["train"] + listed["val"])
-        there, left_out = Names(root), []
+        there, left_out = FileNames(root), []
         pictures: dict[Split, dict[str, list[Picture]]] = {}
         for split, pairs in listed.items():
             of_split: dict[str, list[Picture]] = {"satellite": [], "street": []}

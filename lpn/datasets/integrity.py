@@ -27,7 +27,7 @@ DAMAGED = "is damaged"
 """What is wrong with a picture that has a header and an end and still cannot be decoded."""
 
 
-def flaw(path: Path, decode: bool = False) -> str | None:
+def picture_error(path: Path, decode: bool = False) -> str | None:
     """What is wrong with a picture file, such as "is cut short", or None.
 
     Args:
@@ -35,14 +35,14 @@ def flaw(path: Path, decode: bool = False) -> str | None:
     """
     try:
         with path.open("rb") as file:
-            return flaw_within(file, decode)
+            return stream_error(file, decode)
     except OSError as error:
         return f"cannot be read ({error.strerror or error})"
 
 
-def flaw_within(file: BinaryIO, decode: bool = False) -> str | None:
+def stream_error(file: BinaryIO, decode: bool = False) -> str | None:
     """The same of an opened file, or of bytes in memory."""
-    if (found := images.header_flaw(file)) is not None:
+    if (found := images.header_error(file)) is not None:
         return found
     ends = _ends(file)
     if ends and not decode:
@@ -60,7 +60,9 @@ def flaw_within(file: BinaryIO, decode: bool = False) -> str | None:
     return None
 
 
-def flaws(files: Sequence[Path], decode: bool = False, report: Callable[[int], None] | None = None) -> dict[Path, str]:
+def picture_errors(
+    files: Sequence[Path], decode: bool = False, report: Callable[[int], None] | None = None
+) -> dict[Path, str]:
     """What is wrong with picture files, for those with which something is, in their order; see `flaw`.
 
     Args:
@@ -71,7 +73,7 @@ def flaws(files: Sequence[Path], decode: bool = False, report: Callable[[int], N
         for start in range(0, len(files), _AT_ONCE):
             some = files[start : start + _AT_ONCE]
             for position, (file, said) in enumerate(
-                zip(some, pool.map(lambda f: flaw(f, decode), some), strict=True), 1
+                zip(some, pool.map(lambda f: picture_error(f, decode), some), strict=True), 1
             ):
                 if said is not None:
                     found[file] = said
@@ -90,13 +92,13 @@ def check_whole(files: Sequence[Path], said: str, root: Path | None = None) -> N
     Raises:
         PictureError: naming the first of them, each with what is wrong.
     """
-    if broken := flaws(files):
+    if broken := picture_errors(files):
         raise PictureError(
-            f"{len(broken)} of {len(files)} {said} cannot be described: {naming(broken, root)}; mend or remove them."
+            f"{len(broken)} of {len(files)} {said} cannot be described: {list_errors(broken, root)}; mend or remove them."
         )
 
 
-def naming(found: Mapping[Path, str], root: Path | None = None, most: int = 5) -> str:
+def list_errors(found: Mapping[Path, str], root: Path | None = None, most: int = 5) -> str:
     """The first of the files that `flaws` found, each with what is wrong, and how many more there are."""
     some = [
         f"{printable(str(file.relative_to(root) if root else file))} {said}"

@@ -19,7 +19,7 @@ from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, files_below, read_lines, say_left_out
-from lpn.datasets.integrity import flaws
+from lpn.datasets.integrity import picture_errors
 
 PREFIX = "oxc1_"
 TASK = "street-to-street"
@@ -69,7 +69,7 @@ class Landmarks(ListedDataset):
         elif all(query.picture.startswith("paris_") for query in queries):
             self.kind = "Paris6k"
         files = _by_name(root)
-        broken = flaws(list(files.values()))
+        broken = picture_errors(list(files.values()))
         left_out = [
             LeftOut(file.relative_to(root).as_posix(), why, self.kind == "Paris6k" and file.stem in CORRUPT)
             for file, why in broken.items()

@@ -23,7 +23,7 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.formats import WORLD as WORLD_FORMAT
-from lpn.core.formats import is_newer, newer
+from lpn.core.formats import is_newer, newer_version
 from lpn.core.tables import Column, number_column, text_column
 from lpn.datasets import Picture, geo
 from lpn.datasets.base import read_rows
@@ -79,7 +79,7 @@ def _world(root: Path, paths: Sequence[str]) -> list[Column]:
     try:
         plan = json.loads(file.read_bytes())
         if is_newer(plan.get("format"), WORLD_FORMAT):
-            raise DataError(newer(f"{WORLD} in {printable(root.name)}", plan["format"], WORLD_FORMAT))
+            raise DataError(newer_version(f"{WORLD} in {printable(root.name)}", plan["format"], WORLD_FORMAT))
         districts = {int(district["number"]): district for district in plan["districts"]}
         buildings = {int(building["id"]): building for building in plan["buildings"]}
         shown = {str(picture["path"]): buildings.get(int(picture["id"])) for picture in plan["pictures"]}

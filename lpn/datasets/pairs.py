@@ -17,7 +17,7 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.views import VIEWS
-from lpn.datasets.base import LeftOut, ListedDataset, Names, Picture, below, read_rows, say_left_out
+from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, below, read_rows, say_left_out
 
 NAME = "pairs.csv"
 _MOST = 2**62
@@ -43,7 +43,7 @@ class PairsCSV(ListedDataset):
     def __init__(self, root: Path) -> None:
         views, rows = _read(root / NAME)
         places = _places(rows, "satellite" if "satellite" in views else views[0])
-        there = Names(root)
+        there = FileNames(root)
         left_out: dict[str, LeftOut] = {}
         pictures: dict[str, dict[str, dict[str, Picture]]] = {
             split: {view: {} for view in views} for split in ("train", "test")

@@ -1,19 +1,22 @@
-"""Descriptors of many pictures, kept on disk: `store` is what is kept, `describing` fills it, `unfinished` is what a kill
-leaves, and `cache` finds what was described before."""
+"""Descriptors of many pictures on disk: `store` defines the format, `writer` fills a store, `partial_store` resumes one after a
+kill, and `cache` finds what was described before.
+
+It imports `core`, `datasets`, and `models`.
+"""
 
 from __future__ import annotations
 
 from lpn.descriptors.cache import (
     STORES,
     Reader,
-    Side,
+    StoredDescriptors,
     cache_folder,
     cached_descriptors,
-    known_descriptors,
-    known_side,
-    passing_descriptors,
-    reader,
+    descriptor_reader,
     shipped_descriptors,
+    stored_descriptors,
+    stored_side,
+    temporary_descriptors,
 )
 from lpn.descriptors.store import BEFORE, FORMAT, Box, Manifest, Precision, Row, Store, open_store
 from lpn.descriptors.writer import describe, pictures_below
@@ -27,16 +30,16 @@ __all__ = [
     "Precision",
     "Reader",
     "Row",
-    "Side",
     "Store",
+    "StoredDescriptors",
     "cache_folder",
     "cached_descriptors",
     "describe",
-    "known_descriptors",
-    "known_side",
+    "descriptor_reader",
     "open_store",
-    "passing_descriptors",
     "pictures_below",
-    "reader",
     "shipped_descriptors",
+    "stored_descriptors",
+    "stored_side",
+    "temporary_descriptors",
 ]

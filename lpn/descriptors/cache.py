@@ -33,7 +33,7 @@ Reader = Callable[[Model, Sequence[Picture], View, Change], Float32Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class StoredDescriptors:
     """Descriptors (N, n, D) of one side of a test split, and a text that no other descriptors have."""
 
     descriptors: Float32Array
@@ -50,7 +50,7 @@ def cached_descriptors(
     return _cached(model, pictures, view, change).descriptors
 
 
-def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Side:
+def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> StoredDescriptors:
     files = _resolved(pictures)
     # By their folder, not by their list: when a picture is added or mended, the others' rows are taken over.
     common = os.path.commonpath({file.parent for file in files})
@@ -68,7 +68,7 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
         if (held := _held(model, files, view, folder, change, boxes)) is not None:
             return held
         store = describe(model, files, view, folder, change=change, boxes=boxes, title=title)
-        return Side(store.float32, store.identity)
+        return StoredDescriptors(store.float32, store.identity)
     except (StoreError, OutputError) as error:
         raise StoreError(
             f"The cache of descriptors in {cache_folder()} cannot be used ({error}) Set LPN_CACHE to a folder that can be "
@@ -104,7 +104,9 @@ def shipped_descriptors(
     return None if found is None else found.descriptors
 
 
-def _shipped(model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False) -> Side | None:
+def _shipped(
+    model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False
+) -> StoredDescriptors | None:
     try:
         held = open_store(store)
     except StoreError:
@@ -116,21 +118,21 @@ def _shipped(model: Model, pictures: Sequence[Picture], view: View, store: Path,
         return None
     rows = [(printable(str(row.file)), row.size, row.box) for row in manifest.rows]
     these = [(f"{p.path.parent.name}/{p.path.name}", p.path.stat().st_size, p.box) for p in pictures]
-    return Side(held.float32, held.identity) if rows == these else None
+    return StoredDescriptors(held.float32, held.identity) if rows == these else None
 
 
-def known_side(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> Side:
+def stored_side(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> StoredDescriptors:
     """One side of a test split: descriptors that came with the data set in `root`, else from the cache."""
     found = _shipped(model, pictures, view, root / STORES / f"{role}_{view}")
     return _cached(model, pictures, view, UNCHANGED) if found is None else found
 
 
-def known_descriptors(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> Float32Array:
-    """The descriptors (N, n, D) of `known_side` alone."""
-    return known_side(model, pictures, view, root, role).descriptors
+def stored_descriptors(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> Float32Array:
+    """The descriptors (N, n, D) of `stored_side` alone."""
+    return stored_side(model, pictures, view, root, role).descriptors
 
 
-def reader(root: Path) -> Reader:
+def descriptor_reader(root: Path) -> Reader:
     """Reads descriptors of the pictures of the data set in `root` from the stores that came with it, else from the cache.
 
     Only stores in float32 are taken, so that figures do not depend on how a data set was packed.
@@ -146,7 +148,7 @@ def reader(root: Path) -> Reader:
     return read
 
 
-def passing_descriptors(
+def temporary_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED
 ) -> Float32Array:
     """The same for a model that will soon be another, such as one in training: nothing is kept on disk."""
@@ -158,22 +160,22 @@ def passing_descriptors(
 
 def _held(
     model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[Box | None]
-) -> Side | None:
+) -> StoredDescriptors | None:
     """Descriptors of files that a store has, all or some, so that a part of a folder does not replace the whole."""
     store = complete(folder)
     if store is None or len(store.manifest.rows) < len(files):
         return None
-    if not Manifest.of(model, view, change, ()).comparable(store.manifest):
+    if not Manifest.for_model(model, view, change, ()).comparable(store.manifest):
         return None
     asked = tuple(row_of(file, None, box) for file, box in zip(files, boxes, strict=True))
     if asked == store.manifest.rows:
-        return Side(store.float32, store.identity)
+        return StoredDescriptors(store.float32, store.identity)
     rows = {row: position for position, row in enumerate(store.manifest.rows)}
     wanted = [rows.get(row) for row in asked]
     if None in wanted:
         return None
     some = np.array(wanted, np.int64)
-    return Side(store.rows(some), hashlib.sha256(store.identity.encode() + some.tobytes()).hexdigest())
+    return StoredDescriptors(store.rows(some), hashlib.sha256(store.identity.encode() + some.tobytes()).hexdigest())
 
 
 def cache_folder() -> Path:

@@ -60,7 +60,7 @@ def describe_each(
     if not items:
         return
     if streams > 1 and len(items) >= _WORTH_OPENING * streams:
-        model = model.for_streams()
+        model = model.for_parallel_inference()
     turn = nullcontext() if model.parallel else threading.Lock()
     batches = iter([range(a, min(a + model.batch, len(items))) for a in range(0, len(items), model.batch)])
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from lpn.core.arrays import AnyArray, BoolArray, Float32Array
 from lpn.core.errors import LPNError, NewerStoreError, StoreError
-from lpn.core.files import mapped, write_whole
+from lpn.core.files import open_memmap, write_atomic
 from lpn.descriptors.store import FORMAT, Manifest, Store, stored, with_array
 
 _SECONDS = 1.0
@@ -31,7 +31,7 @@ _NAMES = ("descriptors.part", "planned.json", "progress.json")
 """In the order in which new files take the place of old ones."""
 
 
-class Unfinished:
+class PartialStore:
     """The rows of a store to be; those that an interrupted run or an earlier store has are there from the start.
 
     Attributes:
@@ -55,8 +55,8 @@ class Unfinished:
             self._array = _reserved(_new(self._part), manifest.precision, shape)
             self._take(known)
             self._array.flush()
-            write_whole(_new(planned), manifest.to_json())
-            write_whole(_new(self._progress), self._good_ranges())
+            write_atomic(_new(planned), manifest.to_json())
+            write_atomic(_new(self._progress), self._good_ranges())
             _take_place(out)
         self.save()
 
@@ -70,7 +70,7 @@ class Unfinished:
     def save(self) -> None:
         """Bring the rows to the disk, then say so."""
         self._array.flush()
-        write_whole(self._progress, self._good_ranges())
+        write_atomic(self._progress, self._good_ranges())
         self._saved = time.monotonic()
 
     def _good_ranges(self) -> bytes:
@@ -168,7 +168,7 @@ def _interrupted(
     """What an interrupted run with this model, view, and change left: the manifest it planned, the rows, and which are good."""
     try:
         plan = Manifest.from_json(planned.read_bytes(), planned.name)
-        array = mapped(part)
+        array = open_memmap(part)
         expected = (len(plan.rows), manifest.n_parts, manifest.embedding)
         fits = array.shape == expected and array.dtype == np.dtype(manifest.precision)
         if not fits or not manifest.comparable(plan):

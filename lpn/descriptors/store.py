@@ -22,8 +22,8 @@ import numpy as np
 from lpn.core.arrays import AnyArray, BoolArray, Float16Array, Float32Array, Int8Array, IntegerArray
 from lpn.core.checksums import Checksums, crc_of_blocks, crc_of_values
 from lpn.core.errors import InputError, NewerStoreError, PictureError, StoreError
-from lpn.core.files import mapped, unreadable
-from lpn.core.formats import is_newer, newer
+from lpn.core.files import open_memmap, unreadable_error
+from lpn.core.formats import is_newer, newer_version
 from lpn.core.views import View
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
@@ -79,7 +79,7 @@ class Manifest:
     checksums: Checksums | None = field(default=None, compare=False)
 
     @classmethod
-    def of(
+    def for_model(
         cls, model: Model, view: View, change: Change, rows: tuple[Row, ...], precision: Precision = "float32"
     ) -> Manifest:
         """The manifest of files described by a model."""
@@ -106,7 +106,7 @@ class Manifest:
 
     def checked(self, array: Path) -> Manifest:
         """The same with the checksums of the array's file, and of itself."""
-        return replace(self, checksums=Checksums.of(array, self._values()))
+        return replace(self, checksums=Checksums.compute(array, self._values()))
 
     @property
     def damaged(self) -> bool:
@@ -131,7 +131,7 @@ class Manifest:
             values: Any = json.loads(data)
             found = values.pop("format")
             if is_newer(found, FORMAT):
-                raise NewerStoreError(newer(name, found, FORMAT))
+                raise NewerStoreError(newer_version(name, found, FORMAT))
             if found not in (FORMAT, BEFORE):
                 raise ValueError("another format")
             rows = tuple(
@@ -232,11 +232,11 @@ def with_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
     expected = (len(manifest.rows), manifest.n_parts, manifest.embedding)
     try:
         stat = (folder / "descriptors.npy").stat()
-        descriptors = mapped(folder / "descriptors.npy")
+        descriptors = open_memmap(folder / "descriptors.npy")
     except (FileNotFoundError, ValueError) as error:
         raise StoreError(f"descriptors.npy in {folder} is missing or damaged; describe the pictures again.") from error
     except OSError as error:
-        raise unreadable(folder / "descriptors.npy", error) from error
+        raise unreadable_error(folder / "descriptors.npy", error) from error
     if descriptors.shape != expected or descriptors.dtype != np.dtype(manifest.precision):
         raise StoreError(
             f"descriptors.npy in {folder} is {descriptors.dtype} {descriptors.shape}, but its manifest says "

@@ -61,9 +61,9 @@ class Change:
         turned = images.roll(picture, self.rotate) if self.around else images.rotate(picture, self.rotate)
         return images.zoom(turned, self.scale)
 
-    def of(self, entry: Picture) -> Change:
+    def for_picture(self, picture: Picture) -> Change:
         """The same as it is done to that picture, which may be a panorama."""
-        return replace(self, around=entry.panorama)
+        return replace(self, around=picture.panorama)
 
     def move(self, shaped: UInt8Array) -> UInt8Array:
         """Shift a picture that has the network's input size: (height, width, 3) uint8 to the same shape; see `check`."""

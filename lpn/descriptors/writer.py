@@ -12,12 +12,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import DataError, StoreError
-from lpn.core.files import alone, printable, write_whole
+from lpn.core.files import exclusive_lock, printable, write_atomic
 from lpn.core.views import View
 from lpn.datasets import files_below
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.parallel_inference import describe_each
-from lpn.descriptors.partial_store import Unfinished, renamed_only, usable
+from lpn.descriptors.partial_store import PartialStore, renamed_only, usable
 from lpn.descriptors.store import Box, Manifest, Precision, Row, Store, open_store, row_of
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
@@ -57,7 +57,7 @@ def describe(
     change.check(model.input_size)
     out = Path(out)
     rows = tuple(row_of(file, root, box) for file, box in zip(files, boxes or [None] * len(files), strict=True))
-    manifest = Manifest.of(model, view, change, rows, precision)
+    manifest = Manifest.for_model(model, view, change, rows, precision)
     before = usable(out, manifest)
     if before is not None and before.manifest == manifest:
         return before
@@ -65,7 +65,7 @@ def describe(
     return write_store(out, manifest, lambda unfinished: _fill(model, files, manifest, unfinished, title))
 
 
-def write_store(out: Path, manifest: Manifest, fill: Callable[[Unfinished], None]) -> Store:
+def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], None]) -> Store:
     """Write a store, or open the one that is there already.
 
     Args:
@@ -79,13 +79,13 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[Unfinished], None
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
-        with alone(out, wait=True):
+        with exclusive_lock(out, wait=True):
             # Another process may have described the same pictures while this one waited.
             before = usable(out, manifest)
             if before is None or before.manifest != manifest:
                 if renamed_only(out):
                     os.replace(out / "descriptors.npy", out / "descriptors.part")
-                unfinished = Unfinished(out, manifest, before)
+                unfinished = PartialStore(out, manifest, before)
                 try:
                     fill(unfinished)
                 finally:
@@ -108,12 +108,12 @@ def _finish(out: Path, manifest: Manifest) -> None:
     # The old manifest must never lie beside the new rows, even when killed between these lines.
     (out / "manifest.json").unlink(missing_ok=True)
     os.replace(out / "descriptors.part", out / "descriptors.npy")
-    write_whole(out / "manifest.json", checked.to_json())
+    write_atomic(out / "manifest.json", checked.to_json())
     for name in ("progress.json", "planned.json"):
         (out / name).unlink(missing_ok=True)
 
 
-def _fill(model: Model, files: Sequence[Path], manifest: Manifest, unfinished: Unfinished, title: str) -> None:
+def _fill(model: Model, files: Sequence[Path], manifest: Manifest, unfinished: PartialStore, title: str) -> None:
     """Compute the rows that are not there yet."""
     missing = [i for i, good in enumerate(unfinished.good) if not good]
     view = cast(View, manifest.view)
@@ -135,7 +135,7 @@ def _fill(model: Model, files: Sequence[Path], manifest: Manifest, unfinished: U
 def prepared(model: Model, picture: UInt8Array, row: Row, change: Change, view: View) -> Float32Array:
     """A picture (H, W, 3) as the model takes it, (3, H, W): cropped, turned and zoomed, brought to size, shifted, normalised."""
     cut = images.crop(picture, row.box, printable(row.file))
-    return images.normalise(change.move(model.shape(change.apply(cut), view)))
+    return images.normalise(change.move(model.to_input_size(change.apply(cut), view)))
 
 
 def pictures_below(folder: str | Path) -> list[Path]:

@@ -1,3 +1,5 @@
-"""Checks of a machine, of a data set's folder, and of files against their checksums.
+"""Checks of a machine (`environment_check`), of a data set (`dataset_check`), and of written files (`verify`).
 
-It may import every package of `lpn` but `cli`."""
+It imports `training` and the packages below it; only `cli` imports it. `environment_check` must work without any
+installed package, so nothing is imported here.
+"""

@@ -16,7 +16,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, LeftOut, Picture, geo
-from lpn.datasets.integrity import flaws
+from lpn.datasets.integrity import picture_errors
 from lpn.training.recipes import RECIPES
 
 _RECIPES = {
@@ -76,7 +76,7 @@ class Lacking:
 
 
 @dataclass(frozen=True)
-class Report:
+class DataSetReport:
     """What was found; `healthy` when nothing is broken.
 
     Attributes:
@@ -117,7 +117,7 @@ class Report:
         return {"healthy": self.healthy, **asdict(self)}
 
 
-def examine(dataset: Dataset, decode: bool = True, report: Callable[[int, int], None] | None = None) -> Report:
+def examine(dataset: Dataset, decode: bool = True, report: Callable[[int, int], None] | None = None) -> DataSetReport:
     """Look at every picture of a data set and at how its lists fit each other.
 
     Args:
@@ -129,9 +129,9 @@ def examine(dataset: Dataset, decode: bool = True, report: Callable[[int, int], 
     """
     lists = dataset.lists()
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
-    found = flaws(files, decode, None if report is None else lambda done: report(done, len(files)))
+    found = picture_errors(files, decode, None if report is None else lambda done: report(done, len(files)))
     positions, gap = _positions(dataset)
-    return Report(
+    return DataSetReport(
         root=printable(dataset.root.resolve().name),
         kind=dataset.kind,
         counts=tuple(_count(dataset, name, pictures) for name, pictures in lists.items()),
@@ -266,7 +266,7 @@ def _below(root: Path, file: Path) -> str:
     return printable(file.relative_to(root).as_posix())
 
 
-def show(report: Report, console: Console) -> None:
+def show(report: DataSetReport, console: Console) -> None:
     """Print a report for a person: at most five names of each kind, of which `to_dict` has all."""
     console.print(f"{report.root} is {_KINDS.get(report.kind, report.kind)}.", markup=False, highlight=False)
     table = Table()

@@ -38,7 +38,7 @@ def covered(
         How many squares are done, and the losses so far, (n, rows, columns), NaN where not known yet; a positive number says
         that the square speaks for the pair. Stop whenever it has taken long enough.
     """
-    shaped = model.shape(picture, view)
+    shaped = model.to_input_size(picture, view)
     whole = _cosines(model, [shaped], view, other)[0]
     blurred = blur(shaped)
     losses = np.full((model.n_parts, rows, columns), np.nan, np.float32)
@@ -91,7 +91,7 @@ def curve(
     Returns:
         Scores, (steps + 1,).
     """
-    shaped = model.shape(picture, view)
+    shaped = model.to_input_size(picture, view)
     blurred, pictures = blur(shaped), []
     for step in range(steps + 1):
         gone = np.zeros(size[0] * size[1], bool)

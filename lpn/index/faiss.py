@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError, StoreError
-from lpn.core.files import unreadable
+from lpn.core.files import unreadable_error
 from lpn.index.base import Box, Kind, SearchResult, check_box, check_count
 from lpn.index.folder import Candidates, FolderIndex, IndexManifest, IndexSnapshot, create
 from lpn.index.segments import Segment
@@ -183,7 +183,7 @@ class FaissIndex(FolderIndex):
             except FileNotFoundError:
                 pass
             except OSError as why:
-                raise unreadable(file, why) from error
+                raise unreadable_error(file, why) from error
             raise StoreError(
                 f"{FILE} in {segment.folder} is missing or damaged; delete the index and make it again."
             ) from error

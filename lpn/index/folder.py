@@ -33,8 +33,8 @@ import numpy.typing as npt
 from lpn.core.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import OutputError, StoreError
-from lpn.core.files import allow_many_files, alone, printable, unreadable, write_whole
-from lpn.core.formats import is_newer, newer
+from lpn.core.files import exclusive_lock, printable, raise_open_file_limit, unreadable_error, write_atomic
+from lpn.core.formats import is_newer, newer_version
 from lpn.index.base import Index, Kind, SearchResult, best, check_names, check_positions, scores_of
 from lpn.index.scan import PRECISIONS, Precision
 from lpn.index.segment_checksums import NAME, changed, write_sums
@@ -94,7 +94,7 @@ class IndexManifest:
         try:
             values: Any = json.loads((folder / MANIFEST).read_bytes())
             if is_newer(values["format"], FORMAT):
-                raise StoreError(newer(f"{MANIFEST} in {folder}", values["format"], FORMAT))
+                raise StoreError(newer_version(f"{MANIFEST} in {folder}", values["format"], FORMAT))
             if values["format"] != FORMAT or values["precision"] not in PRECISIONS:
                 raise ValueError("another format")
             kind = Kind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"]))
@@ -108,7 +108,7 @@ class IndexManifest:
         except FileNotFoundError as error:
             raise StoreError(f"{folder} has no {MANIFEST}, so it is not an index; make one with lpn index.") from error
         except OSError as error:
-            raise unreadable(folder / MANIFEST, error) from error
+            raise unreadable_error(folder / MANIFEST, error) from error
         except (ValueError, OverflowError, RecursionError, KeyError, TypeError, AttributeError) as error:
             raise StoreError(
                 f"{MANIFEST} in {folder} is damaged or not one of {FORMAT}; make the index again with lpn index."
@@ -133,7 +133,7 @@ def verify(folder: Path) -> bool:
         except FileNotFoundError as error:
             raise StoreError(f"{error.filename} is missing; {_AGAIN}.") from error
         except OSError as error:
-            raise unreadable(Path(error.filename or segment), error) from error
+            raise unreadable_error(Path(error.filename or segment), error) from error
         for name in (*(wrong or ()), *found):
             raise StoreError(f"{name} in {segment} is not what its checksums were made of; {_AGAIN}.")
     return everywhere
@@ -149,7 +149,7 @@ def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
         if folder.exists() and not folder.is_dir():
             raise StoreError(f"{folder} is a file; choose another place for the index.")
         folder.mkdir(parents=True, exist_ok=True)
-        with alone(folder, wait=True):
+        with exclusive_lock(folder, wait=True):
             if (folder / MANIFEST).exists():
                 return _same(folder, IndexManifest.read(folder), manifest)
             # Killed before it had a manifest, an index had nothing else.
@@ -159,7 +159,7 @@ def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
                     f"{folder} holds other files, such as {printable(min(others))}, and no {MANIFEST}; choose another folder "
                     "for the index."
                 )
-            write_whole(folder / MANIFEST, manifest.to_json())
+            write_atomic(folder / MANIFEST, manifest.to_json())
     except (OSError, OutputError) as error:
         raise _unwritable(folder, error) from error
     return manifest
@@ -191,7 +191,7 @@ class FolderIndex(Index):
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
-        allow_many_files()
+        raise_open_file_limit()
         self._state = self._read()
         self.kind = self._state.manifest.kind
         self.precision = self._state.manifest.precision
@@ -213,10 +213,10 @@ class FolderIndex(Index):
         if not names:
             return
         try:
-            with alone(self.folder, wait=True):
+            with exclusive_lock(self.folder, wait=True):
                 self._state = self._read(self._state.segments)
                 self._clear()
-                write_whole(self.folder / MANIFEST, self._write(batch).to_json())
+                write_atomic(self.folder / MANIFEST, self._write(batch).to_json())
                 self._state = self._read(self._state.segments)
                 self._clear()
         except (OSError, OutputError) as error:
@@ -276,7 +276,7 @@ class FolderIndex(Index):
         except FileNotFoundError:
             return ()
         except OSError as error:
-            raise unreadable(self.folder / MANIFEST, error) from error
+            raise unreadable_error(self.folder / MANIFEST, error) from error
         return stat.st_ino, stat.st_mtime_ns, stat.st_size
 
     def _read(self, held: Sequence[Segment] = ()) -> IndexSnapshot:

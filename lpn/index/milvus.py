@@ -37,7 +37,7 @@ import numpy.typing as npt
 from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.errors import InputError, StoreError
 from lpn.core.files import printable
-from lpn.core.formats import is_newer, newer
+from lpn.core.formats import is_newer, newer_version
 from lpn.index.base import (
     ID_LENGTH,
     Box,
@@ -435,7 +435,7 @@ def _read(description: str, shown: str) -> tuple[Kind, Structure]:
     try:
         values: Any = json.loads(description)
         if is_newer(values["format"], FORMAT):
-            raise StoreError(newer(shown, values["format"], FORMAT))
+            raise StoreError(newer_version(shown, values["format"], FORMAT))
         if values["format"] != FORMAT or values["structure"] not in get_args(Structure):
             raise ValueError("another format")
         return Kind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"])), values["structure"]

@@ -8,7 +8,7 @@ from typing import Any
 
 from lpn.core.checksums import BLOCK, crc_of_blocks, crc_of_values
 from lpn.core.errors import StoreError
-from lpn.core.files import unreadable, write_whole
+from lpn.core.files import unreadable_error, write_atomic
 
 NAME = "checksums.json"
 
@@ -17,7 +17,7 @@ def write_sums(segment: Path) -> None:
     """Write those of all files that are in a new segment."""
     blocks = {path.name: crc_of_blocks(path, BLOCK) for path in sorted(segment.iterdir())}
     values = {"block": BLOCK, "files": blocks}
-    write_whole(segment / NAME, json.dumps({**values, "checksum": crc_of_values(values)}).encode())
+    write_atomic(segment / NAME, json.dumps({**values, "checksum": crc_of_values(values)}).encode())
 
 
 def changed(segment: Path) -> list[str] | None:
@@ -40,6 +40,6 @@ def changed(segment: Path) -> list[str] | None:
             return None
         raise StoreError(f"{error.filename} is missing; delete the index and make it again.") from error
     except OSError as error:
-        raise unreadable(Path(error.filename or segment), error) from error
+        raise unreadable_error(Path(error.filename or segment), error) from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise StoreError(f"{NAME} in {segment} is damaged; delete the index and make it again.") from error

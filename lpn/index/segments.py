@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt64Array
 from lpn.core.errors import StoreError
-from lpn.core.files import mapped, unreadable
+from lpn.core.files import open_memmap, unreadable_error
 from lpn.index.base import Box, Kind, covers, overlaps, within
 from lpn.index.scan import Precision, small_copy
 
@@ -81,7 +81,7 @@ class Segment:
         except FileNotFoundError:
             raise
         except OSError as error:
-            raise unreadable(folder / "names.bin", error) from error
+            raise unreadable_error(folder / "names.bin", error) from error
         except ValueError as error:  # it is empty
             raise self._damaged("names.bin") from error
         if len(self._text) != self._ends[-1]:
@@ -146,11 +146,11 @@ class Segment:
 
     def _mapped(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> AnyArray:
         try:
-            found = mapped(self.folder / f"{name}.npy")
+            found = open_memmap(self.folder / f"{name}.npy")
         except FileNotFoundError:
             raise
         except OSError as error:
-            raise unreadable(self.folder / f"{name}.npy", error) from error
+            raise unreadable_error(self.folder / f"{name}.npy", error) from error
         except ValueError as error:
             raise self._damaged(f"{name}.npy") from error
         if found.shape != shape or found.dtype != np.dtype(dtype):
@@ -173,7 +173,7 @@ def identity_of(folder: Path) -> tuple[int, int]:
     except FileNotFoundError:
         raise
     except OSError as error:
-        raise unreadable(folder / "vectors.npy", error) from error
+        raise unreadable_error(folder / "vectors.npy", error) from error
     return stat.st_ino, stat.st_mtime_ns
 
 

@@ -32,7 +32,7 @@ class Heads:
     cells: Float32Array
 
 
-class Pass(NamedTuple):
+class ForwardPass(NamedTuple):
     """What one forward pass gives.
 
     Attributes:
@@ -82,7 +82,7 @@ class Model(ABC):
         return self.spec.views
 
     @abstractmethod
-    def run(self, images: Float32Array, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> ForwardPass:
         """One forward pass of pictures (B, 3, H, W)."""
 
     @abstractmethod
@@ -97,19 +97,19 @@ class Model(ABC):
     def map_size(self, view: View) -> tuple[int, int]:
         """(h, w) of the feature map of a picture of the model's input size."""
 
-    def shape(self, picture: UInt8Array, view: View) -> UInt8Array:
+    def to_input_size(self, picture: UInt8Array, view: View) -> UInt8Array:
         """A picture as the network gets it, before normalisation: (height, width, 3) uint8 of the input size."""
         if self.spec.unrolled(view):
             return pictures.polar(picture, *self.input_size)
         return pictures.resize(picture, *self.input_size)
 
-    def cut(self, picture: UInt8Array, view: View) -> UInt8Array:
+    def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
         """A picture as its parts are cut from it: unrolled where the network sees it so (SAFA), else as it is."""
-        return self.shape(picture, view) if self.spec.unrolled(view) else picture
+        return self.to_input_size(picture, view) if self.spec.unrolled(view) else picture
 
     def prepare(self, picture: UInt8Array, view: View) -> Float32Array:
         """A picture ready for the model: (3, height, width) float32, in the published order."""
-        return pictures.normalise(self.shape(picture, view))
+        return pictures.normalise(self.to_input_size(picture, view))
 
     def part_embeddings(self, images: Any, view: View) -> Float32Array:
         """Raw head outputs of one forward pass, (B, n, D) float32, in the checkpoint's classifier order.
@@ -137,7 +137,7 @@ class Model(ABC):
             raw = raw + self.part_embeddings(np.ascontiguousarray(self._batch(images, view)[..., ::-1]), view)
         return normalise(raw)
 
-    def for_streams(self) -> Model:
+    def for_parallel_inference(self) -> Model:
         """The same model as several threads use it best, see `lpn.descriptors.parallel_inference`; here this one, in turn."""
         return self
 

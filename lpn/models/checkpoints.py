@@ -16,12 +16,12 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor
 
 from lpn.core.arrays import Float32Array
-from lpn.core.checksums import BLANK, SEAL, check_entries, check_seal, check_unpacked, sealed
+from lpn.core.checksums import SEAL, UNSEALED, check_claimed_size, check_entries, check_seal, seal
 from lpn.core.errors import ModelFileError
-from lpn.core.files import fingerprint, write_whole
-from lpn.core.formats import is_newer, newer
+from lpn.core.files import fingerprint, write_atomic
+from lpn.core.formats import is_newer, newer_version
 from lpn.core.views import BRANCH, View
-from lpn.models.base import Heads, Model, Pass
+from lpn.models.base import ForwardPass, Heads, Model
 from lpn.models.network import LPN, map_size
 from lpn.models.published_checkpoints import State, infer_backbone, infer_spec, read_options
 from lpn.models.spec import ModelSpec
@@ -41,7 +41,7 @@ class TorchModel(Model):
         self.fingerprint = fingerprint
         self.batch = 64 if next(network.parameters()).device.type == "cuda" else 8
 
-    def run(self, images: Float32Array, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> ForwardPass:
         """One forward pass of pictures (B, 3, H, W)."""
         device = next(self.network.parameters()).device
         # Left to itself, cuDNN convolves in TF32, whose ten-bit mantissa moves descriptors by more than 1e-4.
@@ -49,7 +49,7 @@ class TorchModel(Model):
         with torch.inference_mode(), precise:
             found = self.network.embed(torch.tensor(images, device=device), view)
         parts, features, attention = (None if tensor is None else tensor.cpu().numpy() for tensor in found)
-        return Pass(cast(Float32Array, parts), cast(Float32Array, features), attention)
+        return ForwardPass(cast(Float32Array, parts), cast(Float32Array, features), attention)
 
     def map_size(self, view: View) -> tuple[int, int]:
         """(h, w) of the feature map of a picture of the model's input size."""
@@ -101,8 +101,8 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None) ->
     """
     own = _own_keys(network)
     tensors = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items() if k in own}
-    metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json(), SEAL: BLANK}
-    write_whole(Path(path), sealed(save_tensors(tensors, metadata)))
+    metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json(), SEAL: UNSEALED}
+    write_atomic(Path(path), seal(save_tensors(tensors, metadata)))
 
 
 def epochs_of(path: Path) -> int | None:
@@ -256,7 +256,7 @@ def _read_pth(path: Path) -> State:
     if not all(isinstance(k, str) and isinstance(v, Tensor) and _plain(v) for k, v in items.items()):
         raise ModelFileError(f"{path.name} holds other things than named tensors; expected a state_dict.")
     # A tensor may repeat one number without end.
-    check_unpacked(path, sum(tensor.numel() * tensor.element_size() for tensor in items.values()), _AGAIN)
+    check_claimed_size(path, sum(tensor.numel() * tensor.element_size() for tensor in items.values()), _AGAIN)
     return {key.removeprefix("module."): value for key, value in cast(State, items).items()}
 
 
@@ -280,7 +280,7 @@ def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
 def _read_safetensors(path: Path) -> tuple[ModelSpec, State]:
     state, metadata = _read_tensors(path)
     if is_newer(found := metadata.get("format"), FORMAT):
-        raise ModelFileError(newer(path.name, str(found), FORMAT))
+        raise ModelFileError(newer_version(path.name, str(found), FORMAT))
     if found != FORMAT:
         raise ModelFileError(
             f"{path.name} holds tensors but is not an LPN of ours (format {found!r}, expected {FORMAT!r}); "

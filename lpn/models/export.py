@@ -15,9 +15,9 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from lpn.core.checksums import BLANK, SEAL, sealed
+from lpn.core.checksums import SEAL, UNSEALED, seal
 from lpn.core.errors import InputError
-from lpn.core.files import check_writable, write_whole
+from lpn.core.files import check_writable, write_atomic
 from lpn.core.views import View
 from lpn.models.checkpoints import TorchModel, load_torch
 from lpn.models.network import weigh
@@ -95,7 +95,7 @@ def export(model: str | Path, out: str | Path, storage: Storage = "float32") -> 
         for path, group in zip(graph_files(out, groups), groups, strict=True)
     }
     for path, graph in reversed(graphs.items()):
-        write_whole(path, graph)
+        write_atomic(path, graph)
     return list(graphs)
 
 
@@ -131,10 +131,10 @@ def _graph(model: TorchModel, view: View, metadata: dict[str, str], storage: Sto
     _forget_origin(proto)
     if storage != "float32":
         _shrink(proto, storage)
-    onnx.helper.set_model_props(proto, metadata | {SEAL: BLANK})
+    onnx.helper.set_model_props(proto, metadata | {SEAL: UNSEALED})
     buffer = io.BytesIO()
     onnx.save_model(proto, buffer)
-    return sealed(buffer.getvalue())
+    return seal(buffer.getvalue())
 
 
 def _forget_origin(proto: onnx.ModelProto) -> None:

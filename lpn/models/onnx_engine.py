@@ -17,10 +17,10 @@ from lpn.core.arrays import Float32Array
 from lpn.core.checksums import SEAL, check_seal
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import fingerprint
-from lpn.core.formats import is_newer, newer
+from lpn.core.formats import is_newer, newer_version
 from lpn.core.resources import usable_cores
 from lpn.core.views import View
-from lpn.models.base import Heads, Model, Pass
+from lpn.models.base import ForwardPass, Heads, Model
 from lpn.models.onnx_check import check_self_contained
 from lpn.models.spec import ModelSpec
 
@@ -72,18 +72,18 @@ class Engine(Model):
             self._sessions.update(dict.fromkeys(group, session))
         self.fingerprint = fingerprint(*files)
 
-    def run(self, images: Float32Array, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> ForwardPass:
         """One forward pass of pictures (B, 3, H, W) of the model's input size."""
         self._check_size(images, view)
         names = [*OUTPUTS, *(SAFA_OUTPUTS if self.spec.pooling == "safa" else ())]
         found = self._outputs(names, images, view)
-        return Pass(found[0], found[1], found[2] if len(found) > 2 else None)
+        return ForwardPass(found[0], found[1], found[2] if len(found) > 2 else None)
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
         self._check_size(images, view)
         return self._outputs(["parts"], images, view)[0]
 
-    def for_streams(self) -> Model:
+    def for_parallel_inference(self) -> Model:
         """The same model with one thread per forward pass."""
         return self if self.parallel else Engine(self._path, threads=1)
 
@@ -159,7 +159,7 @@ def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
     metadata = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map)
     names = {output.name for output in session.get_outputs()}
     if is_newer(found := metadata.get("format"), FORMAT):
-        raise ModelFileError(newer(path.name, str(found), FORMAT))
+        raise ModelFileError(newer_version(path.name, str(found), FORMAT))
     ours = found == FORMAT and {"spec", "source", "group"} <= set(metadata)
     if not ours or not {*OUTPUTS, *extra_outputs(ModelSpec.from_json(metadata["spec"]))} <= names:
         raise ModelFileError(

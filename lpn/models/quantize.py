@@ -20,9 +20,9 @@ from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantTy
 
 from lpn.core import images
 from lpn.core.arrays import Float32Array
-from lpn.core.checksums import BLANK, SEAL, sealed
+from lpn.core.checksums import SEAL, UNSEALED, seal
 from lpn.core.errors import DataError, InputError
-from lpn.core.files import check_writable, printable, write_whole
+from lpn.core.files import check_writable, printable, write_atomic
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import check_whole
@@ -69,7 +69,7 @@ def quantize(
     sources, targets = graph_files(model, groups), graph_files(out, groups)
     graphs = [_quantised(file, engine, some) for file, some in zip(sources, chosen, strict=True)]
     for path, graph in reversed(list(zip(targets, graphs, strict=True))):
-        write_whole(path, graph)
+        write_atomic(path, graph)
     return targets, _agreement(engine, Engine(out), [pair for some in chosen for pair in some])
 
 
@@ -152,8 +152,8 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
         )
         result = onnx.load_model(made)
     del result.metadata_props[:]
-    onnx.helper.set_model_props(result, {**metadata, COMPUTE: "int8", SEAL: BLANK})
-    return sealed(cast(bytes, result.SerializeToString()))
+    onnx.helper.set_model_props(result, {**metadata, COMPUTE: "int8", SEAL: UNSEALED})
+    return seal(cast(bytes, result.SerializeToString()))
 
 
 def _upstream(graph: onnx.GraphProto, output: str) -> set[str]:

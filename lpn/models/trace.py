@@ -10,7 +10,7 @@ import numpy as np
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray
 from lpn.core.errors import InputError
 from lpn.core.views import View
-from lpn.models.base import Heads, Model, Pass
+from lpn.models.base import ForwardPass, Heads, Model
 
 LEAK = 0.1
 """Slope of a head's LeakyReLU below zero."""
@@ -35,7 +35,7 @@ class Trace:
     slopes: Float32Array | None
 
     @classmethod
-    def of(cls, model: Model, found: Pass, view: View) -> Trace:
+    def from_pass(cls, model: Model, found: ForwardPass, view: View) -> Trace:
         """The trace of one forward pass: of a picture alone, or of a picture and its mirror as a batch of two."""
         attention = found.attention
         heads = None if attention is not None else model.heads(view)

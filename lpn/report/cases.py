@@ -200,7 +200,7 @@ class Cases:
                     f"{study.model_name} holds descriptors without their network; choose a query of its own."
                 )
             return DescribedPicture(picture, study.asked[index], None, None)
-        change = self._options.change.of(study.queries[index or 0])
+        change = self._options.change.for_picture(study.queries[index or 0])
         return retrieval.describe_picture(study.model, picture, study.views[0], change)
 
     def _describe_tile(self, index: int) -> DescribedPicture:
@@ -212,7 +212,7 @@ class Cases:
 
     def _cut(self, picture: UInt8Array, side: int) -> UInt8Array:
         study = self._study
-        return picture if study.model is None else study.model.cut(picture, study.views[side])
+        return picture if study.model is None else study.model.as_partitioned(picture, study.views[side])
 
     def _pair(self, seen: DescribedPicture, match: Match) -> Pair:
         tile = self._tile(match.index)
@@ -261,7 +261,7 @@ class Cases:
             return None
         change = options.change
         entry = study.queries[index or 0]
-        turns = [turn.of(entry) for turn in self.turns]
+        turns = [turn.for_picture(entry) for turn in self.turns]
         label = None if index is None else int(study.query_labels[index])
         truth = None if index is None or study.truth is None else study.truth[index]
         follow = first.index if index is None else None
@@ -271,7 +271,7 @@ class Cases:
         ):
             points.append(point)
             tick()
-        return Profile("rotation", tuple(points), change.of(entry))
+        return Profile("rotation", tuple(points), change.for_picture(entry))
 
 
 def nearest_false(ranking: Ranking) -> Match | None:

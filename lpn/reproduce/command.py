@@ -12,7 +12,7 @@ from rich.console import Console
 
 import lpn
 from lpn.core.errors import InputError
-from lpn.core.files import alone, check_writable, write_whole
+from lpn.core.files import check_writable, exclusive_lock, write_atomic
 from lpn.models.base import Model
 from lpn.reproduce import checks, footnotes, paper_figures, pretrained, report, trainings
 from lpn.reproduce.checks import NetworkUse
@@ -69,7 +69,7 @@ class Reproduction:
             )
         wanted = [find(key, self.scale) for key in keys if key not in _SHOWN]
         check_writable(self.out / "measured.json")
-        with alone(self.out, wait=False):
+        with exclusive_lock(self.out, wait=False):
             return self._run(wanted, [key for key in keys if key in _SHOWN])
 
     def _run(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[Path]:
@@ -81,8 +81,8 @@ class Reproduction:
         self._check(wanted, drawn)
         self._jobs = self._planned(uses)
         ours = {job.recipe.backbone for job in self._jobs}
-        alone = [self._alone.backbone for table in wanted for row in table.rows if row.training is None]
-        checks.check_starts(self._starts, ours.union(alone))
+        untrained = [self._alone.backbone for table in wanted for row in table.rows if row.training is None]
+        checks.check_starts(self._starts, ours.union(untrained))
         for job in self._jobs:
             job.check_same()
         to_come = [job for job in self._jobs if self.train and not job.diverged]
@@ -240,5 +240,5 @@ class Reproduction:
             data = paper_figures.heatmaps(shown, places, self.queries)
         else:
             data = paper_figures.retrievals(shown[0][1], places, self.queries)
-        write_whole(self.out / f"{key}.png", data)
+        write_atomic(self.out / f"{key}.png", data)
         return self.out / f"{key}.png"

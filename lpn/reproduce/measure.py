@@ -11,8 +11,8 @@ from typing import Any, cast
 
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import InputError
-from lpn.core.files import write_whole
-from lpn.core.formats import is_newer, newer
+from lpn.core.files import write_atomic
+from lpn.core.formats import is_newer, newer_version
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
 from lpn.reproduce.paper_values import Values
@@ -66,7 +66,7 @@ class MeasurementStore:
             self._held[key] = MeasuredFigures(tuple(values), results[0].said)
             figures = {key: asdict(figures) for key, figures in self._held.items()}
             whole = {"format": FORMAT, "checksum": crc_of_values(figures), "figures": figures}
-            write_whole(self.path, (json.dumps(whole, indent=1) + "\n").encode())
+            write_atomic(self.path, (json.dumps(whole, indent=1) + "\n").encode())
         return self._held[key]
 
 
@@ -74,7 +74,7 @@ def _figures(held: Any, path: Path) -> dict[str, MeasuredFigures]:
     """What a notebook's file holds; an earlier version's is the figures alone."""
     if "format" in held:
         if is_newer(held["format"], FORMAT):
-            raise InputError(newer(path, held["format"], FORMAT))
+            raise InputError(newer_version(path, held["format"], FORMAT))
         figures = held["figures"]
         if held["format"] != FORMAT or held["checksum"] != crc_of_values(figures):
             raise ValueError("another format or checksum")

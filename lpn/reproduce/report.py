@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lpn.core.files import write_whole
+from lpn.core.files import write_atomic
 from lpn.drawing.plots import png, pyplot
 from lpn.reproduce.measure import Measured, by_column
 from lpn.reproduce.paper_values import CLAIMS, Claim
@@ -42,9 +42,9 @@ def write(
         foot: sentences printed under the table: protocol, scale, data.
     """
     files = [out / f"{table.key}.{suffix}" for suffix in ("md", "csv", "png")]
-    write_whole(files[0], markdown(table, measured, columns, foot).encode())
-    write_whole(files[1], _csv(table, measured, columns))
-    write_whole(files[2], figure(table, measured, columns))
+    write_atomic(files[0], markdown(table, measured, columns, foot).encode())
+    write_atomic(files[1], _csv(table, measured, columns))
+    write_atomic(files[2], figure(table, measured, columns))
     return files
 
 

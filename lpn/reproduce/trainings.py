@@ -14,8 +14,8 @@ from typing import Any
 from rich.console import Console
 
 from lpn.core.errors import DivergedError, InputError
-from lpn.core.files import fingerprint, write_whole
-from lpn.core.formats import is_newer, newer
+from lpn.core.files import fingerprint, write_atomic
+from lpn.core.formats import is_newer, newer_version
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.training.recipes import Recipe
@@ -89,7 +89,7 @@ class TrainingJob:
         if not any((self.folder / name).is_file() for name in ("job.json", "state.pt")):
             return
         if is_newer(found := self._noted("format"), FORMAT):
-            raise InputError(newer(self.folder / "job.json", found, FORMAT))
+            raise InputError(newer_version(self.folder / "job.json", found, FORMAT))
         before = self._noted("identity")
         if not isinstance(before, dict):
             raise InputError(
@@ -105,7 +105,7 @@ class TrainingJob:
     def note(self, ended: str | None) -> None:
         """Write what is trained in the folder, and how it ended: "finished", "diverged", or None before it has."""
         values = {"format": FORMAT, "ended": ended, "identity": self.identity()}
-        write_whole(self.folder / "job.json", (json.dumps(values, indent=1) + "\n").encode())
+        write_atomic(self.folder / "job.json", (json.dumps(values, indent=1) + "\n").encode())
 
     def _noted(self, name: str) -> Any:
         try:

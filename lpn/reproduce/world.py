@@ -10,7 +10,7 @@ import shutil
 from pathlib import Path
 
 from lpn.core.errors import DataError
-from lpn.core.files import write_whole
+from lpn.core.files import write_atomic
 from lpn.core.images import load_picture
 from lpn.datasets import Picture, geo, open_dataset
 
@@ -93,7 +93,7 @@ def _places(world: Path, streets: list[Picture], out: Path) -> None:
         writer = csv.DictWriter(text, list(rows[0]))
         writer.writeheader()
         writer.writerows({**row, "path": moved.get(row["path"], row["path"])} for row in rows)
-        write_whole(made / "geo.csv", text.getvalue().encode())
+        write_atomic(made / "geo.csv", text.getvalue().encode())
     os.replace(made, out)
 
 
@@ -110,12 +110,12 @@ def _landmarks(pictures: list[Picture], out: Path) -> None:
             near, far = (1 - _REGION) / 2, (1 + _REGION) / 2
             box = f"{near * width:.1f} {near * height:.1f} {far * width:.1f} {far * height:.1f}"
             query = made / "gt" / f"place{picture.label:04d}_{len(names)}"
-            write_whole(query.with_name(query.name + "_query.txt"), f"{names[-1]} {box}\n".encode())
+            write_atomic(query.with_name(query.name + "_query.txt"), f"{names[-1]} {box}\n".encode())
     for label, names in of_place.items():
         for number in range(1, min(2, len(names)) + 1):
             for kind, listed in (("good", names), ("ok", []), ("junk", [])):
                 text = "".join(f"{name}\n" for name in listed)
-                write_whole(made / "gt" / f"place{label:04d}_{number}_{kind}.txt", text.encode())
+                write_atomic(made / "gt" / f"place{label:04d}_{number}_{kind}.txt", text.encode())
     os.replace(made, out)
 
 

@@ -137,7 +137,7 @@ def evaluate(
     # Before the long part, so that a gap in it costs nothing.
     where = None if protocol.average else geo.positions(dataset.root)
     places = None if where is None else (where.of(queries), where.of(gallery))
-    change = protocol.change.of(queries[0])
+    change = protocol.change.for_picture(queries[0])
     query = read(model, queries, query_branch, change)
     tiles = read(model, gallery, gallery_branch, UNCHANGED)
     cropped = any(picture.box for picture in queries)

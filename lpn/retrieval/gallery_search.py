@@ -128,9 +128,9 @@ def describe_picture(
     """
     change = change if isinstance(change, Change) else Change(rotate=change)
     turned = change.apply(picture)
-    prepared = images.normalise(change.move(model.shape(turned, view)))
+    prepared = images.normalise(change.move(model.to_input_size(turned, view)))
     batch = [prepared, prepared[..., ::-1]] if model.spec.mirrored else [prepared]
-    trace = Trace.of(model, model.run(np.stack(batch), view), view)
+    trace = Trace.from_pass(model, model.run(np.stack(batch), view), view)
     shown = turned if model.spec.unrolled(view) else change.show(turned, model.input_size)
     return DescribedPicture(shown, normalise(trace.embedding), scoring.activation(trace.features[0]), trace)
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import OutputError
-from lpn.core.files import write_whole
+from lpn.core.files import write_atomic
 from lpn.datasets import Truth
 from lpn.descriptors import cache_folder
 from lpn.retrieval import metrics
@@ -118,7 +118,7 @@ def keep(sides: Sides, found: Retrieval) -> None:
     data = io.BytesIO()
     np.savez(data, gallery=found.gallery, **{name: getattr(found, name) for name in _COLUMNS})
     try:
-        write_whole(file, data.getvalue())
+        write_atomic(file, data.getvalue())
     except OutputError as error:
         log.warning("The ranking is not kept for the next time: %s", error)
 

@@ -58,7 +58,7 @@ class TestSplit:
         def once(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
             key = (view, change, tuple(picture.path for picture in pictures))
             if key not in seen:
-                seen[key] = descriptors.passing_descriptors(model, pictures, view, change)
+                seen[key] = descriptors.temporary_descriptors(model, pictures, view, change)
             return seen[key]
 
         for task in self.tasks:
@@ -93,7 +93,7 @@ class HeldOut:
         """Recall@1 and AP among the held-out places alone."""
         sides = [
             (
-                descriptors.passing_descriptors(model, pictures, cast(View, view)),
+                descriptors.temporary_descriptors(model, pictures, cast(View, view)),
                 np.array([picture.label for picture in pictures]),
             )
             for view, pictures in self.pictures.items()

@@ -12,8 +12,8 @@ import torch
 
 from lpn.core.checksums import check_entries
 from lpn.core.errors import InputError, ModelFileError
-from lpn.core.files import write_whole
-from lpn.core.formats import newer
+from lpn.core.files import write_atomic
+from lpn.core.formats import newer_version
 from lpn.training.model_selection import Row
 from lpn.training.recipes import Recipe
 
@@ -49,7 +49,7 @@ class ResumeState:
         }
         whole = io.BytesIO()
         torch.save(values, whole)
-        write_whole(path, whole.getvalue())
+        write_atomic(path, whole.getvalue())
 
 
 def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
@@ -66,7 +66,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
         values: Any = torch.load(path, map_location="cpu", weights_only=True)
         found = values.get("format")
         if isinstance(found, int) and found > FORMAT:
-            raise ModelFileError(newer(path, str(found), str(FORMAT)))
+            raise ModelFileError(newer_version(path, str(found), str(FORMAT)))
         if found != FORMAT:
             raise ModelFileError(
                 f"{path} was written by an earlier version of lpn, whose runs cannot be resumed exactly; start anew in another "

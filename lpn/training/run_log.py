@@ -12,7 +12,7 @@ from rich.console import Console
 from tensorboardX import SummaryWriter
 
 from lpn.core.errors import OutputError
-from lpn.core.files import write_whole
+from lpn.core.files import write_atomic
 from lpn.training.model_selection import Row
 
 _EIGHTHS = " ▁▂▃▄▅▆▇█"
@@ -52,7 +52,7 @@ class RunLog:
         writer = csv.DictWriter(log, keys)
         writer.writeheader()
         writer.writerows(self.history)
-        write_whole(self.out / "log.csv", log.getvalue().encode())
+        write_atomic(self.out / "log.csv", log.getvalue().encode())
         for epoch, row in enumerate(self.history, 1):
             for key, value in row.items():
                 if key != "epoch" and (key, epoch) not in self._written:

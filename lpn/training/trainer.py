@@ -18,7 +18,7 @@ from torch import Tensor
 
 from lpn.core.errors import DivergedError, InputError, ModelFileError
 from lpn.core.files import check_writable
-from lpn.core.shutdown import finishing
+from lpn.core.shutdown import uninterrupted
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.models import checkpoints
@@ -274,7 +274,7 @@ class Trainer:
         """Model, logs, and last the state, which is what a resumed run trusts."""
         if logbook is None:
             return
-        with finishing():
+        with uninterrupted():
             self.learner.save_model(self.out / "last.safetensors", self._metadata())
             logbook.save()
             state = ResumeState(self.history, self.first_loss, self.group.size, self.learner.state())

@@ -15,7 +15,7 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.views import VIEWS, View
 from lpn.datasets import Dataset, Picture
-from lpn.datasets.integrity import flaws, naming
+from lpn.datasets.integrity import list_errors, picture_errors
 
 CACHE_BYTES = 2_000_000_000
 """Pictures are decoded once and kept, as long as those kept take less than this."""
@@ -112,11 +112,11 @@ class TrainingSet:
 def _leave_out_broken(by_place: dict[str, dict[int, list[Path]]], root: Path, console: Console) -> None:
     """Take out of each set the pictures that would stop the run, and the places that lose all of theirs."""
     files = [file for places in by_place.values() for of_place in places.values() for file in of_place]
-    broken = flaws(files)
+    broken = picture_errors(files)
     if not broken:
         return
     console.print(
-        f"{len(broken)} of {len(files)} training pictures cannot be used and are left out: {naming(broken, root)}.",
+        f"{len(broken)} of {len(files)} training pictures cannot be used and are left out: {list_errors(broken, root)}.",
         markup=False,
     )
     for places in by_place.values():

@@ -17,8 +17,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn.core.errors import InputError, OutputError
-from lpn.core.files import check_writable, write_whole
-from lpn.core.formats import UPGRADE, WORLD, is_newer, newer
+from lpn.core.files import check_writable, write_atomic
+from lpn.core.formats import UPGRADE, WORLD, is_newer, newer_version
 from lpn.datasets.city_model import NAME as CITY_NAME
 from lpn.datasets.rendered import PLAN, UNFINISHED
 from lpn.world import photo
@@ -107,11 +107,11 @@ def build_world(settings: Settings, out: Path, part: RenderShare | None = None, 
     check_writable(out / PLAN)
     atlas = make_atlas(settings)
     if not _complete(atlas, out):
-        write_whole(out / UNFINISHED, b"Pictures are missing here; lpn world with the same settings goes on.\n")
-    write_whole(out / PLAN, atlas.world_json())
-    write_whole(out / "geo.csv", atlas.geo_csv())
+        write_atomic(out / UNFINISHED, b"Pictures are missing here; lpn world with the same settings goes on.\n")
+    write_atomic(out / PLAN, atlas.world_json())
+    write_atomic(out / "geo.csv", atlas.geo_csv())
     for name, data in atlas.cvusa_files().items():
-        write_whole(out / name, data)
+        write_atomic(out / name, data)
     # Parts that run at the same time need not all make it.
     if part.number == 1 and not (out / CITY_NAME).is_file():
         _write_city(atlas, out)
@@ -145,7 +145,7 @@ def build_world(settings: Settings, out: Path, part: RenderShare | None = None, 
 def _write_city(atlas: Atlas, out: Path) -> None:
     """A city too large for its model is photographed all the same."""
     try:
-        write_whole(out / CITY_NAME, city_model(atlas.city, atlas.site, test_window(atlas)))
+        write_atomic(out / CITY_NAME, city_model(atlas.city, atlas.site, test_window(atlas)))
     except InputError as error:
         log.warning("The world gets no %s: %s", CITY_NAME, error)
 
@@ -244,7 +244,7 @@ class _Studio:
     def _write(self, shot: PlannedPicture, picture: NDArray[np.uint8]) -> None:
         data = photo.jpeg(picture, _QUALITY)
         for path in shot.paths:
-            write_whole(self.out / path, data)
+            write_atomic(self.out / path, data)
         self.done()
 
 
@@ -278,7 +278,7 @@ def check_folder(settings: Settings, out: Path) -> None:
     try:
         held = json.loads(file.read_bytes())
         if is_newer(held.get("format"), WORLD):
-            raise OutputError(newer(file, held["format"], WORLD))
+            raise OutputError(newer_version(file, held["format"], WORLD))
         had = {**dict.fromkeys(_ADDED, 0), **held["settings"]}  # worlds were made before there were any of these
         same = {**had, **{name: asked[name] for name in _ADDED}} == asked
         fewer = [name for name in _ADDED if asked[name] < had[name]]

@@ -49,7 +49,7 @@ def truth(lab_app: Running) -> tuple[Outcomes, Table]:
     model, dataset = lpn.load(lab_app.model), datasets.open_dataset(lab_app.data)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
     described = [
-        descriptors.passing_descriptors(model, entries, view)
+        descriptors.temporary_descriptors(model, entries, view)
         for entries, view in ((queries, "drone"), (gallery, "satellite"))
     ]
     outcomes = query_outcomes.build(*described, query_outcomes.labels_of(queries), query_outcomes.labels_of(gallery))

@@ -17,7 +17,6 @@ from explorer.app import App
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, StateAnalysis
-from lpn.core.files import write_whole
 from tools.fixtures import small_worlds
 from tools.soak.asked import Asked
 from tools.soak.chromium import Tab
@@ -51,7 +50,7 @@ def test_many_at_once_are_each_answered_rightly_and_leave_nothing_behind(
     if left is not None:
         assert left.threads <= threads, figures.memory
         assert left.handles <= handles, figures.memory
-    write_whole(tmp_path / "soak.json", figures.json())
+    write_atomic(tmp_path / "soak.json", figures.json())
     assert json.loads((tmp_path / "soak.json").read_text())["checked"] == figures.checked
 
 

@@ -52,12 +52,12 @@ report.build = slow
 """
 SLOW_NOTES = """
 import time, lpn.analysis.notes
-write = lpn.analysis.notes.write_whole
+write = lpn.analysis.notes.write_atomic
 def slow(*given):
     print("writing", flush=True)
     time.sleep(SECONDS)
     write(*given)
-lpn.analysis.notes.write_whole = slow
+lpn.analysis.notes.write_atomic = slow
 """
 SLOW_END = """
 import time, explorer.app

@@ -91,7 +91,7 @@ def _keep(data: Path, role: str, view: View, model: Model, values: np.ndarray) -
     store = data / STORES / f"{role}_{view}"
     store.mkdir(parents=True)
     np.save(store / "descriptors.npy", values.reshape(len(values), model.n_parts, -1))
-    (store / "manifest.json").write_bytes(Manifest.of(model, view, UNCHANGED, rows).to_json())
+    (store / "manifest.json").write_bytes(Manifest.for_model(model, view, UNCHANGED, rows).to_json())
 
 
 def seconds_until(page: Page, selector: str, act: str) -> float:

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 import cv2
 from playwright.sync_api import Browser, sync_playwright
 
-from lpn.core.files import write_whole
+from lpn.core.files import write_atomic
 from lpn.datasets.demo import DEMO, DEMO_QUERY
 from tools.bench.page import Process
 from tools.fixtures.chromium import launch
@@ -97,7 +97,7 @@ def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
         file = Path(folder) / "page.png"
         page.screenshot(path=str(file))
         data = cv2.imencode(".jpg", cv2.imread(str(file)), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
-    write_whole(out / shot.file, data)
+    write_atomic(out / shot.file, data)
     page.close()
 
 

@@ -10,7 +10,7 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from lpn.core.checksums import BLANK, SEAL, sealed
+from lpn.core.checksums import SEAL, UNSEALED
 from lpn.models.network import LPN
 from lpn.models.onnx_engine import FORMAT
 from lpn.models.spec import ModelSpec
@@ -65,9 +65,9 @@ def onnx_file(seal: bool) -> bytes:
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
     metadata = {"format": FORMAT, "spec": SPEC.to_json(), "source": "0" * 16, "group": "satellite+drone"}
-    helper.set_model_props(model, metadata | ({SEAL: BLANK} if seal else {}))
+    helper.set_model_props(model, metadata | ({SEAL: UNSEALED} if seal else {}))
     data = bytes(onnx.ModelProto.SerializeToString(model))
-    return sealed(data) if seal else data
+    return seal(data) if seal else data
 
 
 def state_dict() -> dict[str, torch.Tensor]:

@@ -36,7 +36,7 @@ def pictures(folder: Path) -> list[Case]:
     from PIL import Image
 
     from lpn.core import images
-    from lpn.datasets.integrity import flaw_within
+    from lpn.datasets.integrity import stream_error
     from tools.fixtures import small_worlds
 
     del folder
@@ -60,7 +60,7 @@ def pictures(folder: Path) -> list[Case]:
     seeds.append(_saved(Image.fromarray(np.asarray(shown.convert("L")).astype(np.uint16) * 257), "PNG"))
 
     def read(data: bytes) -> None:
-        flaw_within(io.BytesIO(data), decode=True)
+        stream_error(io.BytesIO(data), decode=True)
         picture = images.decode_picture(data, "picture")
         assert picture.ndim == 3
         assert picture.shape[2] == 3
@@ -74,7 +74,7 @@ def pictures(folder: Path) -> list[Case]:
 def stores(folder: Path) -> list[Case]:
     """Manifest, array, and progress of a store of descriptors."""
     from lpn import descriptors
-    from lpn.descriptors.partial_store import Unfinished
+    from lpn.descriptors.partial_store import PartialStore
     from lpn.descriptors.transforms import UNCHANGED
     from lpn.descriptors.writer import write_store
     from lpn.models.base import normalise
@@ -110,7 +110,7 @@ def stores(folder: Path) -> list[Case]:
         def read(data: bytes) -> None:
             for other, content in left.items():
                 (part / other).write_bytes(data if other == name else content)
-            assert len(Unfinished(part, plain, None).good) == 12
+            assert len(PartialStore(part, plain, None).good) == 12
 
         return read
 
@@ -230,13 +230,13 @@ def safetensors(folder: Path) -> list[Case]:
     """Our checkpoints."""
     from safetensors.torch import save
 
-    from lpn.core.checksums import BLANK, SEAL, sealed
+    from lpn.core.checksums import SEAL, UNSEALED, seal
     from lpn.models.checkpoints import FORMAT, load_torch
     from tools.fuzz.small_models import SPEC, state_dict
 
     metadata = {"format": FORMAT, "spec": SPEC.to_json(), "recipe": "{}", "epochs": "3"}
     plain = save(state_dict(), metadata)
-    whole = sealed(save(state_dict(), metadata | {SEAL: BLANK}))
+    whole = seal(save(state_dict(), metadata | {SEAL: UNSEALED}))
 
     def read(data: bytes) -> None:
         (folder / "model.safetensors").write_bytes(data)

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from lpn.core.errors import InputError, LPNError
-from lpn.core.files import check_writable, write_whole
+from lpn.core.files import check_writable, write_atomic
 from lpn.datasets.demo import DEMO
 from tools.soak.run import Soak
 
@@ -64,7 +64,7 @@ class Arguments:
         figures = soak.run()
         figures.show(console)
         if self.out is not None:
-            write_whole(self.out, figures.json())
+            write_atomic(self.out, figures.json())
         return 1 if figures.flaws() else 0
 
 

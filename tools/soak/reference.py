@@ -68,7 +68,7 @@ class Reference:
 
     def __init__(self, data: Path, model: Path) -> None:
         opened = lpn.load(model)
-        self._model = opened.for_streams()
+        self._model = opened.for_parallel_inference()
         dataset = open_dataset(data)
         self.sides: dict[str, Side] = {}
         for name in dataset.tasks():
@@ -77,7 +77,7 @@ class Reference:
                 continue
             gallery = dataset.gallery(views[1])
             labels = np.array([entry.label for entry in gallery], np.int64)
-            known = descriptors.known_side(opened, gallery, views[1], data, "gallery")
+            known = descriptors.stored_side(opened, gallery, views[1], data, "gallery")
             truth = dataset.truth(name)
             self._look_at(gallery, known.descriptors, views[1])
             self.sides[name] = Side(views[0], dataset.queries(views[0]), gallery, known.descriptors, labels, truth)
@@ -216,7 +216,7 @@ class Reference:
         return found
 
     def _descriptor(self, asked: Asked, side: Side) -> Float32Array:
-        change = Change(asked.angle, asked.right, asked.zoom, asked.down).of(side.queries[asked.query])
+        change = Change(asked.angle, asked.right, asked.zoom, asked.down).for_picture(side.queries[asked.query])
         entry = side.queries[asked.query]
         key = (side.query_view, asked.own.name if asked.own else (entry.path, entry.box), change)
         if key not in self._described:

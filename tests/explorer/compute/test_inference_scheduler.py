@@ -18,7 +18,7 @@ from explorer.compute.worker import Worker
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, LPNError, ModelFileError
 from lpn.core.views import View
-from lpn.models.base import Heads, Model, Pass
+from lpn.models.base import ForwardPass, Heads, Model
 from lpn.models.spec import ModelSpec
 
 SPEC = ModelSpec(views=("satellite", "drone"), n_parts=2, embedding=3, input_size=(4, 4))
@@ -36,7 +36,7 @@ class Slow(Model):
         self._began = threading.Semaphore(0)
         self._held = held
 
-    def run(self, images: Float32Array, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> ForwardPass:
         """One pass; a picture of mark 13 is one that cannot be computed, one of mark 14 would end the thread."""
         marks = [round(float(image.flat[0])) for image in images]
         self.passes.append(marks)
@@ -49,7 +49,7 @@ class Slow(Model):
         if 14 in marks:
             raise SystemExit
         parts = np.repeat(images.mean(axis=(1, 2, 3))[:, None, None], 6, axis=1).reshape(-1, 2, 3)
-        return Pass(parts, images[:, :1] * 2, None)
+        return ForwardPass(parts, images[:, :1] * 2, None)
 
     def began(self) -> None:
         """Wait until the next pass has begun."""
@@ -81,7 +81,7 @@ class Asking(threading.Thread):
         super().__init__(daemon=True)
         assert model is not None
         self._model, self._images, self._view = model, pictures(mark, count), view
-        self.found: Pass | None = None
+        self.found: ForwardPass | None = None
         self.error: Exception | None = None
         self.start()
 

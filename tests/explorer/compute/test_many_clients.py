@@ -43,7 +43,7 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import ModelFileError
 from lpn.core.views import View
-from lpn.models.base import Model, Pass
+from lpn.models.base import ForwardPass, Model
 from lpn.retrieval import scoring
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
@@ -72,7 +72,7 @@ class Gate:
         self.open.set()
         model.run = self.run  # type: ignore[method-assign]
 
-    def run(self, images: Float32Array, view: View) -> Pass:
+    def run(self, images: Float32Array, view: View) -> ForwardPass:
         """A pass, when the gate is open."""
         self.passes += 1
         self.began.set()

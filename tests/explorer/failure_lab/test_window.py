@@ -156,7 +156,7 @@ def test_a_bin_of_numbers_holds_the_queries_it_counts(found: Findings, lab: LabS
 
 
 def known_of(found: Findings, column: Column) -> Findings:
-    return replace(found, table=found.table.plus([column]))
+    return replace(found, table=found.table.with_columns([column]))
 
 
 def test_bins_of_large_numbers_are_told_apart(found: Findings, lab: LabState) -> None:

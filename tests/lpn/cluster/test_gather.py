@@ -31,7 +31,7 @@ from lpn.cluster.storage import Storage
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import StoreError
 from lpn.descriptors import Manifest, Row
-from lpn.descriptors.partial_store import Unfinished
+from lpn.descriptors.partial_store import PartialStore
 from lpn.descriptors.writer import write_store
 from lpn.index import open_index
 from lpn.models.base import normalise
@@ -244,7 +244,7 @@ def test_a_store_with_rows_left_out_is_not_finished(tmp_path: Path) -> None:
     rows = tuple(item.row for item in WAS)
     manifest = Manifest("f" * 16, "drone", 0.0, 2, 4, rows)
 
-    def fill(unfinished: Unfinished) -> None:
+    def fill(unfinished: PartialStore) -> None:
         missing = np.flatnonzero(~unfinished.good)[:7].tolist()
         unfinished.put(missing, described([WAS[i] for i in missing]))
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from lpn.core.errors import OutputError
-from lpn.core.files import check_writable, fingerprint, write_whole
+from lpn.core.files import check_writable, fingerprint, write_atomic
 
 
 def test_a_file_is_whole_however_many_write_it(tmp_path: Path) -> None:
     contents = [bytes([65 + i]) * 200_000 for i in range(8)]
     with ThreadPoolExecutor(8) as pool:
-        list(pool.map(lambda data: write_whole(tmp_path / "deep" / "file", data), contents * 20))
+        list(pool.map(lambda data: write_atomic(tmp_path / "deep" / "file", data), contents * 20))
     assert (tmp_path / "deep" / "file").read_bytes() in contents
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["file"]
 
@@ -24,7 +24,7 @@ def test_what_cannot_be_written_is_said_and_nothing_is_left(tmp_path: Path) -> N
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_bytes(b"kept")
     for path in (tmp_path / "folder", tmp_path / "file" / "below"):
-        for attempt in (check_writable, lambda p: write_whole(p, b"new")):
+        for attempt in (check_writable, lambda p: write_atomic(p, b"new")):
             with pytest.raises(OutputError, match=f"{path.name} cannot be written"):
                 attempt(path)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
@@ -54,5 +54,5 @@ def test_what_killed_processes_left_is_deleted_and_what_others_write_is_not(tmp_
         (tmp_path / name).write_bytes(b"half")
     for name in set(names.values()) - {names["fresh"]}:
         os.utime(tmp_path / name, (1, 1))
-    write_whole(tmp_path / "file", b"whole")
+    write_atomic(tmp_path / "file", b"whole")
     assert {p.name for p in tmp_path.iterdir()} == {"file", *names.values()} - {names["old"]}

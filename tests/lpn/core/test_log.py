@@ -113,14 +113,14 @@ def test_no_half_of_a_token_is_shown_where_a_line_is_cut(
 def test_the_level_comes_from_the_command_line_or_else_from_the_environment() -> None:
     assert log.level_given(["explore"], {}) == ("warning", ["explore"])
     assert log.level_given(["explore"], {"LPN_LOG": " INFO "}) == ("info", ["explore"])
-    assert log.level_given(["--logger-level", "debug", "explore", "--port", "1"], {"LPN_LOG": "info"}) == (
+    assert log.level_given(["--log-level", "debug", "explore", "--port", "1"], {"LPN_LOG": "info"}) == (
         "debug",
         ["explore", "--port", "1"],
     )
-    assert log.level_given(["explore", "--logger-level=error"], {}) == ("error", ["explore"])
+    assert log.level_given(["explore", "--log-level=error"], {}) == ("error", ["explore"])
     for given, environ in (
-        (["--logger-level", "all"], {}),
-        (["x", "--logger-level"], {}),
+        (["--log-level", "all"], {}),
+        (["x", "--log-level"], {}),
         ([], {"LPN_LOG": "verbose"}),
     ):
         with pytest.raises(InputError, match="expected one of debug, info, warning, error"):
@@ -129,7 +129,7 @@ def test_the_level_comes_from_the_command_line_or_else_from_the_environment() ->
 
 def test_the_command_line_names_it(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert main.main(["--help"]) == 0
-    assert "--logger-level debug COMMAND" in capsys.readouterr().out
+    assert "--log-level debug COMMAND" in capsys.readouterr().out
     monkeypatch.setenv("LPN_LOG", "loud")
     assert main.main(["verify"]) == 2
     assert capsys.readouterr().err == "lpn: LPN_LOG is 'loud'; expected one of debug, info, warning, error.\n"

@@ -14,8 +14,8 @@ import pytest
 from lpn import descriptors
 from lpn.cli import main
 from lpn.core import shutdown
-from lpn.core.files import write_whole
-from lpn.core.shutdown import Stop, finished, finishing
+from lpn.core.files import write_atomic
+from lpn.core.shutdown import StopSignals, uninterrupted, writes_finished
 from lpn.descriptors import open_store
 from lpn.doctor.verify import verify
 from tools.fixtures import small_worlds
@@ -155,22 +155,22 @@ def test_a_file_is_written_to_its_end_before_the_stop(tmp_path: Path, monkeypatc
         replace(*given)
 
     monkeypatch.setattr(os, "replace", slow)
-    stop = Stop(lambda _: 0)
+    stop = StopSignals(lambda _: 0)
     with stop.listening(), pytest.raises(KeyboardInterrupt):
-        write_whole(tmp_path / "file", b"whole")
+        write_atomic(tmp_path / "file", b"whole")
     assert (tmp_path / "file").read_bytes() == b"whole"
     assert stop.signal == signal.SIGINT
-    assert finished(0)
+    assert writes_finished(0)
 
 
 def test_files_that_belong_together_are_written_together(tmp_path: Path) -> None:
     def write() -> None:
-        with finishing():
+        with uninterrupted():
             os.kill(os.getpid(), signal.SIGTERM)
             for name in ("one", "two"):
-                write_whole(tmp_path / name, b"whole")
+                write_atomic(tmp_path / name, b"whole")
 
-    with Stop(lambda _: 0).listening(), pytest.raises(KeyboardInterrupt):
+    with StopSignals(lambda _: 0).listening(), pytest.raises(KeyboardInterrupt):
         write()
     assert (tmp_path / "two").read_bytes() == b"whole"
 
@@ -179,15 +179,15 @@ def test_what_another_thread_writes_is_waited_for() -> None:
     begun = threading.Event()
 
     def write() -> None:
-        with finishing():
+        with uninterrupted():
             begun.set()
             time.sleep(0.3)
 
     thread = threading.Thread(target=write)
     thread.start()
     begun.wait()
-    assert not finished(0.01)
-    assert finished(5)
+    assert not writes_finished(0.01)
+    assert writes_finished(5)
     thread.join()
 
 

@@ -139,7 +139,7 @@ def test_exported_rows_are_read_back_and_run_no_formula(table: Table) -> None:
 
 
 def test_columns_must_fit(table: Table) -> None:
-    assert table.plus([number_column("rank", [4, 4, 4, 4])]).column("rank").values.tolist() == [4, 4, 4, 4]
+    assert table.with_columns([number_column("rank", [4, 4, 4, 4])]).column("rank").values.tolist() == [4, 4, 4, 4]
     assert [table.column("margin").text(i) for i in range(4)] == ["-0.125", "0.5", "", "0.3333"]
     with pytest.raises(InputError, match="4 rows each"):
-        table.plus([number_column("x", [1])])
+        table.with_columns([number_column("x", [1])])

@@ -7,7 +7,7 @@ from PIL import Image
 
 from lpn.core import images
 from lpn.core.errors import PictureError
-from lpn.datasets.integrity import flaw, flaws, naming
+from lpn.datasets.integrity import list_errors, picture_error, picture_errors
 from tools.fixtures import small_worlds
 
 KINDS = ("jpg", "png", "webp")
@@ -23,9 +23,9 @@ def picture(folder: Path, kind: str) -> Path:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_whole_picture_has_no_flaw(kind: str, decode: bool, tmp_path: Path) -> None:
     file = picture(tmp_path, kind)
-    assert flaw(file, decode) is None
+    assert picture_error(file, decode) is None
     file.write_bytes(file.read_bytes() + b"\0\0\n")
-    assert flaw(file, decode) is None
+    assert picture_error(file, decode) is None
 
 
 @pytest.mark.parametrize("kept", [0.3, 0.9, 0.999])
@@ -34,9 +34,9 @@ def test_a_picture_cut_anywhere_is_found_without_decoding_all(kind: str, kept: f
     file = picture(tmp_path, kind)
     whole = file.read_bytes()
     file.write_bytes(whole[: int(len(whole) * kept)])
-    said = flaw(file)
+    said = picture_error(file)
     assert said in ("is cut short or damaged", "is not a picture that can be read")
-    assert flaw(file, decode=True) is not None
+    assert picture_error(file, decode=True) is not None
 
 
 def test_a_png_damaged_in_the_middle_is_found(tmp_path: Path) -> None:
@@ -44,7 +44,7 @@ def test_a_png_damaged_in_the_middle_is_found(tmp_path: Path) -> None:
     whole = bytearray(file.read_bytes())
     whole[len(whole) // 2 : len(whole) // 2 + 50] = bytes(50)
     file.write_bytes(whole)
-    assert flaw(file) == "is cut short or damaged"
+    assert picture_error(file) == "is cut short or damaged"
 
 
 def test_what_passes_can_be_loaded_and_what_cannot_be_loaded_does_not_pass(tmp_path: Path) -> None:
@@ -53,7 +53,7 @@ def test_what_passes_can_be_loaded_and_what_cannot_be_loaded_does_not_pass(tmp_p
         for kept in range(0, len(whole), max(len(whole) // 25, 1)):
             file = tmp_path / f"cut-{kept}.{kind}"
             file.write_bytes(whole[:kept])
-            if flaw(file) is None:
+            if picture_error(file) is None:
                 images.load_picture(file)
             else:
                 assert kept < len(whole)
@@ -64,26 +64,26 @@ def test_what_passes_can_be_loaded_and_what_cannot_be_loaded_does_not_pass(tmp_p
 def test_trailing_data_after_a_jpeg_is_no_flaw(tmp_path: Path) -> None:
     file = picture(tmp_path, "jpg")
     file.write_bytes(file.read_bytes() + b"maker's notes" * 20)
-    assert flaw(file) is None
+    assert picture_error(file) is None
 
 
 def test_other_flaws_are_said(tmp_path: Path) -> None:
-    assert flaw(tmp_path / "absent.jpg") == "cannot be read (No such file or directory)"
+    assert picture_error(tmp_path / "absent.jpg") == "cannot be read (No such file or directory)"
     (tmp_path / "web.jpg").write_text("<html>302 Found</html>")
-    assert flaw(tmp_path / "web.jpg") == "is not a picture that can be read"
+    assert picture_error(tmp_path / "web.jpg") == "is not a picture that can be read"
     Image.new("1", (9000, 9000)).save(tmp_path / "large.png")
-    assert flaw(tmp_path / "large.png") == "has 9000 x 9000 pixels, too many to be read"
+    assert picture_error(tmp_path / "large.png") == "has 9000 x 9000 pixels, too many to be read"
 
 
 def test_files_keep_their_order_and_are_named(tmp_path: Path) -> None:
     good = picture(tmp_path, "jpg")
     bad = [tmp_path / f"{letter}.jpg" for letter in "hgfedcba"]
     told: list[int] = []
-    found = flaws([good, *bad, good], report=told.append)
+    found = picture_errors([good, *bad, good], report=told.append)
     assert list(found) == bad
     assert told[-1] == 10
-    said = naming(found, tmp_path, most=2)
+    said = list_errors(found, tmp_path, most=2)
     assert said == (
         "h.jpg cannot be read (No such file or directory), g.jpg cannot be read (No such file or directory), and 6 more"
     )
-    assert flaws([]) == {}
+    assert picture_errors([]) == {}

@@ -19,7 +19,7 @@ from lpn import descriptors
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, LPNError, PictureError, StoreError
-from lpn.core.files import write_whole
+from lpn.core.files import write_atomic
 from lpn.core.views import View
 from lpn.descriptors import writer
 from lpn.descriptors.transforms import Change
@@ -163,12 +163,12 @@ def test_an_error_that_the_system_has_no_name_for_is_told(
     def short(*_: object) -> None:
         raise OSError("512 requested and 0 written")  # as NumPy says of a full disk
 
-    monkeypatch.setattr(writer.Unfinished, "save", short)
+    monkeypatch.setattr(writer.PartialStore, "save", short)
     with pytest.raises(StoreError, match=r"cannot be written \(512 requested and 0 written\)"):
         descriptors.describe(model, descriptors.pictures_below(folder), "drone", tmp_path / "store")
     monkeypatch.setattr(Path, "write_bytes", short)
     with pytest.raises(LPNError, match=r"cannot be written \(512 requested and 0 written\)"):
-        write_whole(tmp_path / "file", b"")
+        write_atomic(tmp_path / "file", b"")
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "descriptors.npy"])
@@ -262,7 +262,7 @@ def test_a_data_sets_own_store_is_evaluated_where_it_is_exact(
     root = shutil.copytree(data, tmp_path / "data")
     tiles = open_dataset(root).gallery("satellite")
     folder = root / "test" / "gallery_satellite"
-    count, read = Counting(model, monkeypatch), descriptors.reader(root)
+    count, read = Counting(model, monkeypatch), descriptors.descriptor_reader(root)
     stores = root / "descriptors"
     files = [tile.path for tile in tiles]
     descriptors.describe(model, files, "satellite", stores / "gallery_satellite", root=folder, precision="float16")
@@ -368,10 +368,10 @@ def test_a_kill_before_the_new_manifest_leaves_no_old_one_and_loses_nothing(
     def killed(path: Path, data: bytes) -> None:
         if path.name == "manifest.json":
             raise KeyboardInterrupt
-        write_whole(path, data)
+        write_atomic(path, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr(writer, "write_whole", killed)
+        patch.setattr(writer, "write_atomic", killed)
         with pytest.raises(KeyboardInterrupt):
             descriptors.describe(model, files[::-1], "drone", store)
     with pytest.raises(StoreError):

@@ -80,7 +80,7 @@ def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float
     points = list(profile(model, picture, "drone", tiles, weights, changes, labels, 2))
     by_list = profile(model, picture, "drone", tiles, weights, changes, truth=Truth(np.array([2, 3]), np.array([4])))
     for change, point, listed in zip(changes, points, by_list, strict=True):
-        shaped = change.move(model.shape(change.apply(picture), "drone"))
+        shaped = change.move(model.to_input_size(change.apply(picture), "drone"))
         direct = model.descriptors(images.normalise(shaped)[None], "drone")[0]
         ranking = retrieval.rank(scoring.part_cosines(direct, tiles), weights, labels, 2)
         truth, top = ranking.truth(), ranking.match(0)

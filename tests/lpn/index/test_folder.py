@@ -192,7 +192,7 @@ def test_a_limit_that_cannot_be_raised_is_left(monkeypatch: pytest.MonkeyPatch) 
     ):
         del asked[:]
         monkeypatch.setattr(resource, "getrlimit", lambda _, limits=limits: limits)
-        files.allow_many_files()
+        files.raise_open_file_limit()
         assert asked == expected
 
 

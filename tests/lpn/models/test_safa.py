@@ -198,8 +198,8 @@ def test_turning_a_tile_moves_its_polar_picture_sideways() -> None:
 def test_only_satellites_are_unrolled() -> None:
     model = TorchModel(network())
     tile = small_worlds.place(1)
-    np.testing.assert_array_equal(model.shape(tile, "satellite"), polar(tile, 32, 160))
-    assert not np.array_equal(model.shape(tile, "drone"), polar(tile, 32, 160))
+    np.testing.assert_array_equal(model.to_input_size(tile, "satellite"), polar(tile, 32, 160))
+    assert not np.array_equal(model.to_input_size(tile, "drone"), polar(tile, 32, 160))
     plain = TorchModel(network(replace(SPEC, polar=False)))
     np.testing.assert_array_equal(plain.shape(tile, "satellite"), plain.shape(tile, "drone"))
 

@@ -55,7 +55,7 @@ def test_figures_are_those_of_the_turned_queries_and_the_chosen_parts(
 
 def test_figures_in_training_leave_nothing_in_the_cache(data: Path, model_file: Path) -> None:
     model, dataset = lpn.load(model_file), open_dataset(data)
-    passing = evaluate(model, dataset, "drone-to-satellite", read=descriptors.passing_descriptors)
+    passing = evaluate(model, dataset, "drone-to-satellite", read=descriptors.temporary_descriptors)
     assert not Path(os.environ["LPN_CACHE"]).exists()
     assert passing.recall == evaluate(model, dataset, "drone-to-satellite").recall
 

@@ -1,0 +1,52 @@
+"""The library in one screen: README's snippet runs, and every name of `lpn` can be imported."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lpn
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_readme_snippet_runs(model_file: Path) -> None:
+    snippet = (ROOT / "README.md").read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
+    rng = np.random.default_rng(0)
+    height, width = lpn.load(model_file).input_size
+    names: dict[str, object] = {
+        "images": rng.standard_normal((2, 3, height, width)).astype(np.float32),
+        "query": rng.standard_normal((4, 2, 8)),
+        "query_labels": np.arange(4),
+        "gallery": rng.standard_normal((6, 2, 8)),
+        "gallery_labels": np.arange(6),
+    }
+    exec(snippet.replace('"model.onnx"', repr(str(model_file))), names)
+    assert isinstance(names["descriptors"], np.ndarray)
+    assert names["descriptors"].shape[:2] == (2, 4)
+    assert isinstance(names["figures"], dict)
+    assert 0 <= names["figures"]["recall@1"] <= names["figures"]["recall@5"] <= 100
+
+
+@pytest.mark.parametrize("name", lpn.__all__)
+def test_every_public_name_is_there(name: str) -> None:
+    assert getattr(lpn, name) is not None
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="'lpn' has no attribute 'nothing'"):
+        _ = lpn.nothing  # type: ignore[attr-defined]
+
+
+def test_import_needs_neither_numpy_nor_torch() -> None:
+    code = "import sys, lpn; assert not {'numpy', 'torch', 'cv2'} & set(sys.modules), sorted(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_python_dash_m_runs_the_command_line() -> None:
+    done = subprocess.run([sys.executable, "-m", "lpn", "--version"], check=True, stdout=subprocess.PIPE, text=True)
+    assert done.stdout.strip() == lpn.__version__
