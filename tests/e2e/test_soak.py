@@ -17,6 +17,7 @@ from explorer.app import App
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, StateAnalysis
+from lpn.core.files import write_atomic
 from tools.fixtures import small_worlds
 from tools.soak.asked import Asked
 from tools.soak.chromium import Tab
