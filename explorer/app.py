@@ -28,13 +28,13 @@ from explorer.failure_lab.service import Laboratory
 from explorer.failure_lab.window import Lab
 from explorer.opening import open_model, open_saved
 from explorer.panels import shortcuts, tour
-from explorer.panels.panels import THUMBS, Change, Panels
+from explorer.panels.panels import THUMBS, Panels
 from explorer.panels.viewport import Viewport
 from explorer.reports import Reporter
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, entry, is_loopback
 from explorer.server.gateway import Gateway
-from explorer.session_state import SessionState
+from explorer.session_state import SessionState, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.stage.scene import SCENE, Stage
 from explorer.url_state import UrlState
@@ -92,7 +92,7 @@ class Visitor:
             self._dress(self._state)
             self._panels = Panels(client, workspace, self._state, self.change, Random())
             room, self._reporter = Viewport(), Reporter(client, self._asker.of(workspace.model, patient=True))
-            self._reasons = ExplainWindow(
+            self._explain_window = ExplainWindow(
                 client, workspace, self.change, self._failed, room, self._reporter, self._asker
             )
             self._lab = Lab(client, workspace, laboratory, self.change, room, self._reporter)
@@ -103,17 +103,17 @@ class Visitor:
                 "small": self._fit,
                 "dark": lambda _: self.change(session_state.flip_dark),
             }
-            handlers |= self._reasons.handlers() | self._lab.handlers()
+            handlers |= self._explain_window.handlers() | self._lab.handlers()
             told = {"steps": [asdict(step) for step in tour.steps(workspace)], "scene": SCENE}
             self._bridge = Bridge(client.gui, handlers, told, STYLES)
-            further = self._reasons.orders() + self._lab.orders()
+            further = self._explain_window.commands() + self._lab.orders()
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, further)
             self._stage = Stage(client, workspace, self._selected)
             self._worker = Worker(self._work, self._failed)
             self._follower = RankingProgress(self._panels.show_results, self._worker.wake)
             self._opening = DelayedCall(GREETING, self._worker.wake)
 
-    def change(self, change: Change) -> None:
+    def change(self, change: StateChange) -> None:
         """Replace the state by a pure function's result, and ask for an answer when it differs."""
         with self._lock:
             changed = change(self._state)
@@ -139,7 +139,7 @@ class Visitor:
         self._opening.there()
         self._follower.leave()
         self._reporter.leave()
-        self._reasons.leave()
+        self._explain_window.leave()
         self._worker.stop()
         self._lab.leave()
         self._asker.leave()
@@ -182,7 +182,7 @@ class Visitor:
             started = time.perf_counter()
             with self._client.atomic():  # the page takes all of it at once, and draws one frame rather than several
                 self._stage.show(analysis)
-                self._reasons.show(analysis)
+                self._explain_window.show(analysis)
                 self._lab.show(analysis)
                 slow.there()
                 self._panels.show(analysis, self._sequence, started)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from random import Random
 from typing import Any, Final, Literal
@@ -109,6 +109,10 @@ class SessionState:
     def parts_left(self) -> bool:
         """Whether any part is on with a weight above 0."""
         return any(w > 0 and on for w, on in zip(self.weights, self.enabled, strict=True))
+
+
+# A pure change of the state; None leaves the state as it is.
+StateChange = Callable[[SessionState], SessionState | None]
 
 
 def number(value: Any, low: float, high: float, default: float) -> float:

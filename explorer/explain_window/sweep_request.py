@@ -1,10 +1,10 @@
-"""A profile that one browser asked for, point by point."""
+"""A sweep over turns, shifts, or zooms that one browser requested."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.descriptors.transforms import UNCHANGED
@@ -13,78 +13,91 @@ from lpn.explain.sweeps import FIELD, Over, Point, Profile
 from lpn.models.base import Model
 
 
-class Sweep:
-    """A request that answers itself on whatever thread takes its points.
+class SweepRequest:
+    """A requested sweep.
+
+    Args:
+        over: the swept property; everything else done to the query stays as it is.
+        analysis: the analysis that was shown when the sweep was requested.
 
     Attributes:
-        over: what is swept; everything else that is done to the query stays as it is.
-        answer: what was shown when it was asked for.
-        of: points that it will have, 0 before it is begun.
-        begun, stopped: whether somebody takes its points, and whether that ended before the last.
-        cancelled: set to end it.
+        cancelled: set it to end the sweep.
     """
 
     def __init__(self, over: Over, analysis: StateAnalysis) -> None:
         self.over, self.analysis = over, analysis
-        self.of, self.begun, self.stopped = 0, False, False
         self.cancelled = threading.Event()
-        self._entry = analysis.task.queries[analysis.state.query]
-        self._points: list[Point] = []
+        self.query = analysis.task.queries[analysis.state.query]
 
-    def points_of(self, workspace: Workspace, model: Model | None = None) -> Iterator[Point]:
-        """Compute the points, until it is cancelled; by the workspace's model unless another way to it is given."""
-        self.begun = True
+    def run(self, workspace: Workspace, model: Model) -> Iterator[SweepProgress]:
+        """Compute point by point until the end or a cancellation, and yield the progress after each point.
+
+        The last progress is marked as ended, unless an exception ends the sweep.
+        """
         analysis, task, state = self.analysis, self.analysis.task, self.analysis.state
-        model = model or workspace.model
-        assert model is not None
         height, width = workspace.spec.input_size
         changes = sweeps.changes_over(self.over, side=height if self.over == "shift-down" else width)
-        changes = [change.for_picture(self._entry) for change in sweeps.around(self.over, state.change, changes)]
-        self.of = len(changes)
+        changes = [change.for_picture(self.query) for change in sweeps.around(self.over, state.change, changes)]
         known = None if state.upload else state.query
-        try:
-            for point in sweeps.profile(
-                model,
-                analysis.source,
-                task.query_view,
-                task.descriptors,
-                analysis.ranking.weights,
-                changes,
-                task.labels,
-                None if known is None else int(task.query_labels[known]),
-                None if known is None or task.truth is None else task.truth[known],
-                None if analysis.truth else analysis.chosen.index,
-            ):
-                if self.cancelled.is_set():
-                    break
-                self._points.append(point)
-                yield point
-        finally:
-            self.stopped = len(self._points) < self.of
+        progress = SweepProgress(self, total=len(changes))
+        yield progress
+        for point in sweeps.profile(
+            model,
+            analysis.source,
+            task.query_view,
+            task.descriptors,
+            analysis.ranking.weights,
+            changes,
+            task.labels,
+            None if known is None else int(task.query_labels[known]),
+            None if known is None or task.truth is None else task.truth[known],
+            None if analysis.truth else analysis.chosen.index,
+        ):
+            if self.cancelled.is_set():
+                break
+            progress = replace(progress, points=(*progress.points, point))
+            yield progress
+        yield replace(progress, ended=True)
+
+    def applies_to(self, analysis: StateAnalysis) -> bool:
+        """Return True when only the swept property of the query has changed since the request."""
+        return self._key(self.analysis) == self._key(analysis)
+
+    def _key(self, analysis: StateAnalysis) -> object:
+        state, field = analysis.state, FIELD[self.over]
+        followed = None if analysis.truth else analysis.chosen.index
+        weights = tuple(analysis.ranking.weights.tolist())
+        unswept = replace(state.change, **{field: getattr(UNCHANGED, field)})
+        return state.task, state.query, state.upload, weights, followed, unswept
+
+
+@dataclass(frozen=True, eq=False)
+class SweepProgress:
+    """The points of a sweep that are computed so far.
+
+    Attributes:
+        total: number of points of the whole sweep; 0 before the sweep begins.
+        ended: True when no more points will come.
+    """
+
+    request: SweepRequest
+    points: tuple[Point, ...] = ()
+    total: int = 0
+    ended: bool = False
+
+    @property
+    def stopped(self) -> bool:
+        """True when the sweep ended before its last point."""
+        return self.ended and len(self.points) < max(self.total, 1)
 
     def profile(self, analysis: StateAnalysis) -> Profile | None:
-        """What is known so far, away from what the page shows now, or where that is between two points, from the beginning."""
-        points = tuple(self._points)
-        if not points:
+        """Return the profile around the shown query, or around the requested one where the shown query is no point.
+
+        None before the first point.
+        """
+        if not self.points:
             return None
-        now = sweeps.value(self.over, analysis.state.change)
-        shown = next((p.change for p in points if abs(sweeps.value(self.over, p.change) - now) < 1e-6), None)
-        return Profile(self.over, points, shown or self.analysis.state.change.for_picture(self._entry))
-
-    def is_of(self, analysis: StateAnalysis) -> bool:
-        """Whether it says something about what the page shows now."""
-        return _about(self.over, self.analysis) == _about(self.over, analysis)
-
-
-def _about(over: Over, analysis: StateAnalysis) -> object:
-    state = analysis.state
-    followed = None if analysis.truth else analysis.chosen.index
-    return (
-        state.task,
-        state.query,
-        state.upload,
-        tuple(analysis.ranking.weights.tolist()),
-        followed,
-        # What is done to the query beside what is swept.
-        replace(state.change, **{FIELD[over]: getattr(UNCHANGED, FIELD[over])}),
-    )
+        over = self.request.over
+        now = sweeps.value(over, analysis.state.change)
+        shown = next((p.change for p in self.points if abs(sweeps.value(over, p.change) - now) < 1e-6), None)
+        return Profile(over, self.points, shown or self.request.analysis.state.change.of(self.request.query))

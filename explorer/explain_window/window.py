@@ -1,10 +1,11 @@
-"""The window of reasons: evidence, true against wrong, profiles, and search by a region, in tabs of one movable panel."""
+"""The explain window: evidence, comparison, sweeps, and search by a region, in the tabs of one movable panel."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from threading import Lock
 from typing import Any
 
 import viser
@@ -15,11 +16,10 @@ from explorer.compute.worker import Worker
 from explorer.explain_window import comparison, evidence, region, sweep_page
 from explorer.explain_window.comparison import Comparison
 from explorer.explain_window.model_comparison import ModelComparison
-from explorer.explain_window.sweep_request import Sweep
-from explorer.panels.panels import Change
+from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
 from explorer.panels.viewport import EDGE, Viewport
 from explorer.reports import Reporter
-from explorer.session_state import SessionState
+from explorer.session_state import SessionState, StateChange
 from explorer.web.bridge import send
 from explorer.web.html import Html
 from explorer.workspace import StateAnalysis, Workspace
@@ -27,257 +27,332 @@ from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Ranking
 
-_WIDTH, _HEIGHT = 1000, 900
 CLOSE = f"<div class='lpn'><a class='close' {send('close')} title='Close (Y)'>✕</a></div>"
-_OFTEN = 0.15
-"""Seconds between two drawings of a profile that is being computed."""
+_MAX_SIZE = (1000, 900)
+# Seconds between two drawings of a sweep in progress.
+_DRAW_INTERVAL = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class PairResult:
+    """The comparison of one pair, and its effect on all queries once that is computed.
+
+    The key is the pair of `ranking` (one object per query, weights, and region) and `index`, the compared tile.
+    """
+
+    ranking: Ranking
+    index: int
+    comparison: Comparison | None
+    effect: Effect | None = None
+    computing: bool = False
+
+    @classmethod
+    def of(cls, analysis: StateAnalysis) -> PairResult:
+        """Compare the pair that an analysis shows."""
+        return cls(analysis.ranking, analysis.chosen.index, Comparison.of(analysis))
+
+    def belongs_to(self, analysis: StateAnalysis) -> bool:
+        """Return True when the analysis shows this pair."""
+        return self.ranking is analysis.ranking and self.index == analysis.chosen.index
+
+
+@dataclass(frozen=True, eq=False)
+class WindowContent:
+    """Everything the window draws. `pair` and `sweep`, where there are any, belong to `analysis`."""
+
+    analysis: StateAnalysis
+    pair: PairResult | None = None
+    sweep: SweepProgress | None = None
+
+
+class _Tab:
+    """One tab, drawn by one thread at a time, so that the newest content is the last to be drawn."""
+
+    def __init__(self, gui: viser.GuiApi, render: Callable[[], str | None]) -> None:
+        gui.add_html(CLOSE)
+        self._html, self._render, self._lock = Html(gui), render, Lock()
+
+    def draw(self) -> None:
+        with self._lock:
+            html = self._render()
+            if html is not None:
+                self._html.show(html)
 
 
 class ExplainWindow:
-    """One browser's window; it shows answers while the state says that it is open.
+    """One browser's explain window; it is visible while `SessionState.why` is set.
+
+    Three threads write its content: the browser's worker (`show`), viser's callbacks, and the window's own worker. So
+    the content is a frozen record, replaced as a whole under one lock; a result is stored only where the content still
+    has the pair or the sweep that the result was computed for.
 
     Args:
         change: replaces the browser's state by a function's result.
-        failed: is told of what went wrong in long work.
-        room: that the stage has for the window.
-        reporter: makes reports of what is shown.
-        asker: the browser, before the networks.
+        on_error: receives the exceptions of long computations.
+        viewport: the room that the stage has for the window.
+        reporter: makes reports of the shown analysis.
+        asker: gives access to the networks for this browser.
     """
 
     def __init__(
         self,
         client: viser.ClientHandle,
         workspace: Workspace,
-        change: Callable[[Change], None],
-        failed: Callable[[Exception], None],
-        room: Viewport,
+        change: Callable[[StateChange], None],
+        on_error: Callable[[Exception], None],
+        viewport: Viewport,
         reporter: Reporter,
         asker: RequestContext,
     ) -> None:
-        self._client, self._workspace, self._change, self._room = client, workspace, change, room
-        self._reporter, self._model = reporter, asker.of(workspace.model, patient=True)
-        self._analysis: StateAnalysis | None = None
-        self._contest: Comparison | None = None
-        self._effect: Effect | None = None
-        self._argued: tuple[Ranking, int] | None = None
-        """What the contest is of: a ranking, and the tile that is compared."""
-        self._sweep: Sweep | None = None
-        self._wanted: Comparison | None = None
-        """The contest whose change of weights is to be tried on all queries."""
+        self._workspace, self._change, self._viewport, self._reporter = workspace, change, viewport, reporter
+        self._model = asker.of(workspace.model, patient=True)
+        self._models = None if workspace.beside is None else ModelComparison(workspace.beside, asker)
+        self._lock = Lock()
+        self._content: WindowContent | None = None
         self._open = False
-        gui = client.gui
-        self._panel = gui.add_panel(visible=False)
-        pages: list[Html] = []
-        tabs = [
-            ("Why", viser.Icon.ZOOM_QUESTION),
-            ("True or wrong", viser.Icon.SCALE),
-            ("Turn, shift, zoom", viser.Icon.CHART_LINE),
-            ("Search by a region", viser.Icon.BRUSH),
+        tabs: list[tuple[str, Any, Callable[[WindowContent], str]]] = [
+            ("Why", viser.Icon.ZOOM_QUESTION, lambda content: evidence.page(content.analysis, workspace)),
+            ("True or wrong", viser.Icon.SCALE, self._comparison_html),
+            ("Turn, shift, zoom", viser.Icon.CHART_LINE, self._sweep_html),
+            ("Search by a region", viser.Icon.BRUSH, lambda content: region.page(content.analysis, workspace)),
         ]
-        self._other = None if workspace.beside is None else ModelComparison(workspace.beside, asker)
-        if self._other is not None:
-            tabs.append(("Two models", viser.Icon.COLUMNS_2))
-        for name, icon in tabs:
+        if self._models is not None:
+            tabs.append(("Two models", viser.Icon.COLUMNS_2, self._models_html))
+        self._panel = client.gui.add_panel(visible=False)
+        self._tabs: list[_Tab] = []
+        for name, icon, render in tabs:
             with self._panel.add_tab(name, icon):
-                gui.add_html(CLOSE)
-                pages.append(Html(gui))
-        self._why, self._versus, self._profile, self._region = pages[:4]
-        self._beside = pages[-1]
-        self._worker = Worker(self._work, failed)
-        self._second = Worker(self._draw_beside, failed)
-        room.watch(self._place)
+                self._tabs.append(_Tab(client.gui, self._renderer(render)))
+        self._comparison_tab, self._sweep_tab = self._tabs[1:3]
+        self._worker = Worker(self._compute, on_error)
+        # The second model describes the query on a thread of its own, so that the first model's answer need not wait.
+        self._models_worker = Worker(self._draw_models, on_error)
+        viewport.watch(self._place)
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
-        """What the window's html may ask for, whatever the values."""
+        """Return the handler for each kind of message that the window's html sends; values are untrusted."""
         return {
             "close": lambda _: self._change(lambda state: replace(state, why=False)),
-            "part": self._part,
+            "part": self._choose_part,
             "compare": self._compare,
-            "query": self._query,
-            "weigh": self._weigh,
-            "effect": self._try,
+            "query": self._choose_query,
+            "weigh": self._use_weights,
+            "effect": self._request_effect,
             "report": self._report,
-            "sweep": self._begin,
-            "cancel": self._cancel,
-            "take": self._take,
-            "region": self._paint,
+            "sweep": self._request_sweep,
+            "cancel": self._cancel_sweep,
+            "take": self._apply_point,
+            "region": self._search_region,
         }
 
-    def orders(self) -> list[tuple[str, Callable[[], None]]]:
-        """What the command palette offers of the window."""
+    def commands(self) -> list[tuple[str, Callable[[], None]]]:
+        """Return the window's commands for the palette: label and function."""
         if self._workspace.model is None:
             return []
-        sweeps = [
-            (f"Profile: {said.lower()}", self._ordered(self._begin, key)) for key, said in sweep_page.CHOICES.items()
+        sweep_commands = [
+            (f"Profile: {label.lower()}", self._command(self._request_sweep, over))
+            for over, label in sweep_page.CHOICES.items()
         ]
         return [
-            *sweeps,
-            ("Stop the profile", self._ordered(self._cancel)),
-            ("Try the smallest change of part weights on all queries", self._ordered(self._try)),
-            ("Use the smallest change of part weights", self._ordered(self._weigh)),
-            ("Search by the whole query, not a region", self._ordered(self._paint, [])),
-            ("Save a report of this query", self._ordered(self._report)),
+            *sweep_commands,
+            ("Stop the profile", self._command(self._cancel_sweep)),
+            ("Try the smallest change of part weights on all queries", self._command(self._request_effect)),
+            ("Use the smallest change of part weights", self._command(self._use_weights)),
+            ("Search by the whole query, not a region", self._command(self._search_region, [])),
+            ("Save a report of this query", self._command(self._report)),
         ]
 
-    def _ordered(self, handler: Callable[[Any], None], value: Any = None) -> Callable[[], None]:
-        def done() -> None:
-            self._change(lambda state: replace(state, why=True))
-            handler(value)
-
-        return done
-
     def leave(self) -> None:
-        """The browser is gone: stop what is being computed."""
-        self._cancel(None)
+        """Stop all computations; the browser has disconnected."""
+        self._cancel_sweep(None)
         self._worker.stop()
-        self._second.stop()
+        self._models_worker.stop()
 
     def show(self, analysis: StateAnalysis) -> None:
-        """Open or close the window, and fill it."""
-        self._analysis = analysis
-        sweep = self._sweep
-        if sweep is not None and not sweep.is_of(analysis):
-            self._cancel(None)
-            self._sweep = None
-        if analysis.state.why:
-            if (
-                self._argued is None
-                or self._argued[0] is not analysis.ranking
-                or self._argued[1] != analysis.chosen.index
-            ):
-                self._contest, self._effect = Comparison.of(analysis), None
-                self._argued = analysis.ranking, analysis.chosen.index
-            self._draw(analysis)
-        if analysis.state.why != self._open:
-            self._open = analysis.state.why
+        """Open or close the window as the state says, and draw the analysis if it is open."""
+        is_open, before = analysis.state.why, self._content
+        kept = before is not None and before.pair is not None and before.pair.belongs_to(analysis)
+        pair = PairResult.of(analysis) if is_open and not kept else None
+        with self._lock:  # meanwhile, other threads may have stored an effect for the same pair, or a sweep
+            now = self._content or WindowContent(analysis)
+            self._content = WindowContent(analysis, now.pair if kept else pair, now.sweep)
+            if now.sweep is not None and not now.sweep.request.applies_to(analysis):
+                now.sweep.request.cancelled.set()
+                self._content = replace(self._content, sweep=None)
+        if is_open:
+            for tab in self._tabs[:4]:
+                tab.draw()
+            if self._models is not None:
+                self._models_worker.wake()
+        if is_open != self._open:
+            self._open = is_open
             self._place()
-            self._panel.visible = self._open
+            self._panel.visible = is_open
 
-    def _draw(self, analysis: StateAnalysis) -> None:
-        self._why.show(evidence.page(analysis, self._workspace))
-        self._draw_versus(analysis)
-        self._draw_profile(analysis)
-        self._region.show(region.page(analysis, self._workspace))
-        if self._other is not None:
-            self._second.wake()
+    def _renderer(self, render: Callable[[WindowContent], str]) -> Callable[[], str | None]:
+        """Wrap a tab's function so that it renders the newest content."""
 
-    def _draw_beside(self) -> None:
-        """The second model describes the query, too: on a thread of its own, so that the first's answer does not wait."""
-        analysis = self._analysis
-        if self._other is not None and analysis is not None and analysis.state.why:
-            self._beside.show(self._other.page(analysis, self._workspace))
+        def render_newest() -> str | None:
+            content = self._content
+            return None if content is None else render(content)
 
-    def _draw_versus(self, analysis: StateAnalysis) -> None:
-        busy = self._wanted is not None and self._wanted is self._contest
-        self._versus.show(comparison.page(analysis, self._workspace, self._contest, self._effect, busy))
+        return render_newest
 
-    def _draw_profile(self, analysis: StateAnalysis) -> None:
-        sweep, names = self._sweep, self._workspace.part_names
+    def _comparison_html(self, content: WindowContent) -> str:
+        pair = content.pair or PairResult.of(content.analysis)
+        return comparison.page(content.analysis, self._workspace, pair.comparison, pair.effect, pair.computing)
+
+    def _sweep_html(self, content: WindowContent) -> str:
+        analysis, sweep, names = content.analysis, content.sweep, self._workspace.part_names
         if sweep is None:
-            self._profile.show(sweep_page.page(analysis, None, None, 0, names))
-        else:
-            profile = sweep.profile(analysis)
-            self._profile.show(sweep_page.page(analysis, sweep.over, profile, sweep.of, names, sweep.stopped))
+            return sweep_page.page(analysis, None, None, 0, names)
+        profile = sweep.profile(analysis)
+        return sweep_page.page(analysis, sweep.request.over, profile, sweep.total, names, sweep.stopped)
+
+    def _models_html(self, content: WindowContent) -> str:
+        assert self._models is not None
+        return self._models.page(content.analysis, self._workspace)
+
+    def _draw_models(self) -> None:
+        if self._content is not None and self._content.analysis.state.why:
+            self._tabs[-1].draw()
 
     def _place(self) -> None:
-        """Over the stage, as large as it has room for."""
+        """Put the window over the stage, as large as fits."""
         if self._open:
-            width, height = self._room.window((_WIDTH, _HEIGHT))
+            width, height = self._viewport.window(_MAX_SIZE)
             self._panel.float(x=EDGE, y=EDGE, width=width, height=height)
             self._panel.expand()
 
-    def _work(self) -> None:
-        self._measure()
-        sweep = self._sweep
-        if sweep is None or sweep.begun:
+    def _compute(self) -> None:
+        """Compute the requested effect and sweep; the effect takes turns with the sweep's points."""
+        self._compute_effect()
+        sweep = None if self._content is None else self._content.sweep
+        if sweep is None or sweep.total or sweep.ended:
             return
-        drawn = 0.0
+        assert self._model is not None
+        progress, drawn = sweep, 0.0
         try:
-            for _ in sweep.points_of(self._workspace, self._model):
-                self._measure()
-                if time.monotonic() - drawn > _OFTEN and sweep is self._sweep:
-                    self._draw_profile(self._analysis or sweep.analysis)
+            for progress in sweep.request.run(self._workspace, self._model):
+                self._store_sweep(progress)
+                self._compute_effect()
+                if time.monotonic() - drawn > _DRAW_INTERVAL:
+                    self._sweep_tab.draw()
                     drawn = time.monotonic()
-        finally:  # one that failed is not being computed any more either
-            if sweep is self._sweep:
-                self._draw_profile(self._analysis or sweep.analysis)
+        finally:
+            self._store_sweep(replace(progress, ended=True))  # also after an exception
+            self._sweep_tab.draw()
 
-    def _measure(self) -> None:
-        """Try the wanted change of weights on all queries."""
-        contest, analysis = self._wanted, self._analysis
-        if contest is None or analysis is None or contest.change is None:
+    def _store_sweep(self, progress: SweepProgress) -> None:
+        with self._lock:
+            content = self._content
+            if content is not None and content.sweep is not None and content.sweep.request is progress.request:
+                self._content = replace(content, sweep=progress)
+
+    def _compute_effect(self) -> None:
+        content = self._content
+        pair = None if content is None else content.pair
+        if content is None or pair is None or not pair.computing:
             return
-        task = analysis.task
-        found = counterfactual.effect(
-            task.asked, task.descriptors, analysis.ranking.weights, contest.change.weights, task.query_labels, task.labels,
-            task.truth,
-        )  # fmt: skip
-        if self._wanted is contest:
-            self._wanted = None
-        if self._contest is contest:
-            self._effect = found
-            self._draw_versus(self._analysis or analysis)
+        assert pair.comparison is not None
+        assert pair.comparison.change is not None
+        task, weights = content.analysis.task, pair.comparison.change.weights
+        effect = None
+        try:
+            effect = counterfactual.effect(
+                task.asked, task.descriptors, pair.ranking.weights, weights, task.query_labels, task.labels, task.truth
+            )
+        finally:
+            self._replace_pair(pair, replace(pair, effect=effect, computing=False))
 
-    def _try(self, _: Any) -> None:
-        analysis, contest = self._analysis, self._contest
-        if analysis is not None and contest is not None and contest.change is not None and not analysis.state.region:
-            self._wanted = contest
-            self._draw_versus(analysis)
+    def _replace_pair(self, old: PairResult, new: PairResult) -> None:
+        """Store a pair's newer result if the pair is still the current one, and draw it."""
+        with self._lock:
+            if self._content is None or self._content.pair is not old:
+                return
+            self._content = replace(self._content, pair=new)
+        self._comparison_tab.draw()
+
+    def _command(self, handler: Callable[[Any], None], value: Any = None) -> Callable[[], None]:
+        """Return a palette command that opens the window and calls a handler."""
+
+        def run() -> None:
+            self._change(lambda state: replace(state, why=True))
+            handler(value)
+
+        return run
+
+    def _request_effect(self, _: Any) -> None:
+        content = self._content
+        pair = None if content is None else content.pair
+        if content is None or pair is None or pair.comparison is None or content.analysis.state.region:
+            return
+        if pair.comparison.change is not None and not pair.computing:
+            self._replace_pair(pair, replace(pair, computing=True))
             self._worker.wake()
 
-    def _begin(self, value: Any) -> None:
-        analysis = self._analysis
-        if analysis is not None and value in list(sweep_page.CHOICES):
-            self._cancel(None)
-            self._sweep = Sweep(value, analysis)
-            self._draw_profile(analysis)
-            self._worker.wake()
+    def _request_sweep(self, value: Any) -> None:
+        if value not in list(sweep_page.CHOICES):
+            return
+        self._cancel_sweep(None)
+        with self._lock:
+            if self._content is None:
+                return
+            progress = SweepProgress(SweepRequest(value, self._content.analysis))
+            self._content = replace(self._content, sweep=progress)
+        self._sweep_tab.draw()
+        self._worker.wake()
 
-    def _cancel(self, _: Any) -> None:
-        if self._sweep is not None:
-            self._sweep.cancelled.set()
+    def _cancel_sweep(self, _: Any) -> None:
+        content = self._content
+        if content is not None and content.sweep is not None:
+            content.sweep.request.cancelled.set()
 
     def _report(self, _: Any) -> None:
-        analysis = self._analysis
-        if analysis is not None:
-            self._reporter.make(lambda progress, model: reports.of_analysis(self._workspace, analysis, progress, model))
+        content = self._content
+        if content is not None:
+            self._reporter.make(
+                lambda progress, model: reports.of_analysis(self._workspace, content.analysis, progress, model)
+            )
 
-    def _part(self, value: Any) -> None:
+    def _choose_part(self, value: Any) -> None:
         part = session_state.whole(value, 0, self._workspace.spec.n_parts - 1)
         if part is not None or value is None:
             self._change(lambda state: replace(state, heat_part=part))
 
     def _compare(self, value: Any) -> None:
-        analysis = self._analysis
-        index = session_state.whole(value, 0, len(analysis.task.gallery) - 1) if analysis else None
-        if analysis is not None and index is not None:
-            self._change(lambda state: session_state.compare(state, analysis.state, index))
+        content = self._content
+        if content is None:
+            return
+        index = session_state.whole(value, 0, len(content.analysis.task.gallery) - 1)
+        if index is not None:
+            self._change(lambda state: session_state.compare(state, content.analysis.state, index))
 
-    def _query(self, value: Any) -> None:
-        def chosen(state: SessionState) -> SessionState:
+    def _choose_query(self, value: Any) -> None:
+        def choose(state: SessionState) -> SessionState:
             queries = len(self._workspace.tasks[state.task].queries)
             query = session_state.whole(value, 0, queries - 1)
             return state if query is None else session_state.choose(state, query, queries)
 
-        self._change(chosen)
+        self._change(choose)
 
-    def _weigh(self, _: Any) -> None:
-        contest = self._contest
-        if contest is not None and contest.change is not None:
-            # As the sliders count: equal weights are 1 each, and none is more than the slider's end.
-            scaled = contest.change.weights * min(
-                len(contest.change.weights), session_state.MAX_WEIGHT / contest.change.weights.max()
-            )
+    def _use_weights(self, _: Any) -> None:
+        pair = None if self._content is None else self._content.pair
+        if pair is not None and pair.comparison is not None and pair.comparison.change is not None:
+            new = pair.comparison.change.weights
+            # The sliders' scale: equal weights are 1 each, and no weight exceeds the slider's end.
+            scaled = new * min(len(new), session_state.MAX_WEIGHT / new.max())
             weights = tuple(float(weight) for weight in scaled)
             self._change(lambda state: replace(state, weights=weights, enabled=()))
 
-    def _take(self, value: Any) -> None:
+    def _apply_point(self, value: Any) -> None:
         self._change(lambda state: session_state.taken(state, value, self._workspace.spec.input_size))
 
-    def _paint(self, value: Any) -> None:
-        analysis = self._analysis
-        if analysis is not None:
-            rows, columns = self._workspace.map_sizes[analysis.task.query_view]
-            cells = session_state.painted(value, rows * columns)
-            if cells is not None:
-                self._change(lambda state: replace(state, region=cells))
+    def _search_region(self, value: Any) -> None:
+        content = self._content
+        if content is None:
+            return
+        rows, columns = self._workspace.map_sizes[content.analysis.task.query_view]
+        cells = session_state.painted(value, rows * columns)
+        if cells is not None:
+            self._change(lambda state: replace(state, region=cells))

@@ -17,10 +17,9 @@ from explorer.failure_lab import charts, lab_state, messages, table
 from explorer.failure_lab.lab_state import LabState
 from explorer.failure_lab.service import Findings, Laboratory
 from explorer.failure_lab.views import MapView, NoteView
-from explorer.panels.panels import Change
 from explorer.panels.viewport import EDGE, Viewport
 from explorer.reports import Reporter
-from explorer.session_state import SessionState
+from explorer.session_state import SessionState, StateChange
 from explorer.web.html import Html
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import Int64Array
@@ -49,7 +48,7 @@ class Lab:
         client: viser.ClientHandle,
         workspace: Workspace,
         shared: Laboratory,
-        change: Callable[[Change], None],
+        change: Callable[[StateChange], None],
         room: Viewport,
         reporter: Reporter,
     ) -> None:

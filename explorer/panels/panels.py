@@ -14,7 +14,7 @@ from viser import UploadedFile
 
 from explorer import session_state, uploads
 from explorer.panels import pages
-from explorer.session_state import SessionState
+from explorer.session_state import SessionState, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.web.html import Html
 from explorer.workspace import StateAnalysis, Task, Workspace
@@ -26,8 +26,6 @@ LEFT, RIGHT, NARROW = 290, 370, 330
 """Pixels of the panels' widths; NARROW is the right one's where the left one is folded to a strip."""
 ALL_PARTS = "All parts"
 HEAT: dict[str, session_state.HeatKind] = {"Activation": "activation", "Evidence": "evidence"}
-
-Change = Callable[[SessionState], SessionState | None]
 
 
 class Panels:
@@ -41,7 +39,7 @@ class Panels:
         client: viser.ClientHandle,
         workspace: Workspace,
         state: SessionState,
-        change: Callable[[Change], None],
+        change: Callable[[StateChange], None],
         rng: Random,
     ) -> None:
         self._client, self._workspace, self._change, self._rng = client, workspace, change, rng
@@ -75,7 +73,7 @@ class Panels:
             "Task", tuple(workspace.tasks), initial_value=state.task, visible=len(workspace.tasks) > 1
         )
         walk = gui.add_button_group("Go to", ("‹ Previous", "Next ›", "Random", "Failure"))
-        moves: dict[str, Change] = {
+        moves: dict[str, StateChange] = {
             "‹ Previous": self.previous,
             "Next ›": self.next,
             "Random": self.random,
@@ -158,7 +156,7 @@ class Panels:
         gui.add_html(pages.KEYS)
 
     def _add_keys(self, gui: viser.GuiApi) -> None:
-        commands: list[tuple[str, Any, Change]] = [
+        commands: list[tuple[str, Any, StateChange]] = [
             ("Next picture", "N", self.next),
             ("Previous picture", "P", self.previous),
             ("Random picture", "R", self.random),
@@ -383,7 +381,7 @@ class Panels:
 
         return picked
 
-    def _does(self, change: Change) -> Callable[[Any], None]:
+    def _does(self, change: StateChange) -> Callable[[Any], None]:
         return lambda _: self._change(change)
 
     def _compare(self, slot: int) -> Callable[[Any], None]:

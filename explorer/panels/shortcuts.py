@@ -9,8 +9,8 @@ from typing import Any, cast
 import viser
 
 from explorer import session_state
-from explorer.panels.panels import Change, Panels
-from explorer.session_state import SessionState
+from explorer.panels.panels import Panels
+from explorer.session_state import SessionState, StateChange
 from explorer.web.bridge import Bridge
 from explorer.workspace import Workspace
 
@@ -22,7 +22,7 @@ def add(
     gui: viser.GuiApi,
     workspace: Workspace,
     panels: Panels,
-    change: Callable[[Change], None],
+    change: Callable[[StateChange], None],
     bridge: Bridge,
     further: Sequence[tuple[str, Callable[[], None]]],
 ) -> None:
@@ -38,7 +38,7 @@ def add(
     orders += [(label, None, order) for label, order in further]
     for label, key, order in orders:
         gui.add_command(label, hotkey=cast(Any, key)).on_trigger(_calls(order))
-    changes: list[tuple[str, str | None, Change]] = [("Light or dark", "O", session_state.flip_dark)]
+    changes: list[tuple[str, str | None, StateChange]] = [("Light or dark", "O", session_state.flip_dark)]
     if len(workspace.tasks) > 1:
         changes += [(f"Task: {name}", None, _task(name)) for name in workspace.tasks]
     changes += [(f"Part {name} on or off", None, _flip_part(part)) for part, name in enumerate(workspace.part_names)]
@@ -62,15 +62,15 @@ def _calls(order: Callable[[], None]) -> Callable[[Any], None]:
     return lambda _: order()
 
 
-def _changes(change: Callable[[Change], None], changed: Change) -> Callable[[Any], None]:
+def _changes(change: Callable[[StateChange], None], changed: StateChange) -> Callable[[Any], None]:
     return lambda _: change(changed)
 
 
-def _task(name: str) -> Change:
+def _task(name: str) -> StateChange:
     return lambda state: session_state.take_task(state, name)
 
 
-def _flip_part(part: int) -> Change:
+def _flip_part(part: int) -> StateChange:
     def flipped(state: SessionState) -> SessionState:
         enabled = tuple(on != (i == part) for i, on in enumerate(state.enabled))
         return replace(state, enabled=enabled)
@@ -78,16 +78,16 @@ def _flip_part(part: int) -> Change:
     return flipped
 
 
-def _heat_of(part: int | None) -> Change:
+def _heat_of(part: int | None) -> StateChange:
     return lambda state: replace(state, heat=True, heat_part=part)
 
 
-def _zoom(factor: float) -> Change:
+def _zoom(factor: float) -> StateChange:
     low, high = 1 / session_state.MAX_ZOOM, session_state.MAX_ZOOM
     return lambda state: replace(state, zoom=min(max(round(state.zoom * factor, 2), low), high))
 
 
-def _shift(workspace: Workspace, right: int, down: int) -> Change:
+def _shift(workspace: Workspace, right: int, down: int) -> StateChange:
     reach = workspace.spec.input_size[1] // 2, workspace.spec.input_size[0] // 2
 
     def shifted(state: SessionState) -> SessionState:

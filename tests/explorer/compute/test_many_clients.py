@@ -27,7 +27,7 @@ from explorer import session_state, uploads
 from explorer.app import App, Visitor
 from explorer.compute import request_context
 from explorer.compute.request_context import RequestContext
-from explorer.explain_window.sweep_request import Sweep
+from explorer.explain_window.sweep_request import SweepRequest
 from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.window import Lab
 from explorer.opening import open_model, open_saved
@@ -52,7 +52,7 @@ from tools.fixtures.websocket_client import CHUNK, Talker
 
 TASK = "drone-to-satellite"
 HELD = (
-    Visitor, StateAnalyser, Stage, Panels, ExplainWindow, Lab, RequestContext, Upload, Sweep, MessageFilter, Talker, _Connection,
+    Visitor, StateAnalyser, Stage, Panels, ExplainWindow, Lab, RequestContext, Upload, SweepRequest, MessageFilter, Talker, _Connection,
     viser.ClientHandle, GuiApi, SceneApi, Buffer,
 )  # fmt: skip
 """What a browser has for itself."""

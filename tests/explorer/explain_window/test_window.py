@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
+from threading import Event, Thread
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,9 +16,11 @@ import numpy as np
 import pytest
 
 from explorer import session_state
+from explorer.compute.request_context import RequestContext
 from explorer.explain_window import comparison, evidence, region, sweep_page
 from explorer.explain_window.comparison import Comparison
-from explorer.explain_window.sweep_request import Sweep
+from explorer.explain_window.sweep_request import SweepRequest
+from explorer.explain_window.window import ExplainWindow
 from explorer.opening import open_model
 from explorer.panels.viewport import Viewport
 from explorer.session_state import SessionState, Upload
@@ -24,7 +29,7 @@ from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
-from lpn.explain import sweeps
+from lpn.explain import counterfactual, sweeps
 from lpn.explain.counterfactual import Effect
 from tools.fixtures import small_worlds
 
@@ -217,30 +222,139 @@ def test_a_profile_without_a_point_says_whether_it_is_still_being_computed(works
     assert "Stopped before the first step" in stopped
 
 
-def test_a_profile_ends_where_it_is_cancelled_and_is_of_one_query(workspace: Workspace) -> None:
+def test_a_sweep_ends_when_cancelled_and_belongs_to_one_query(workspace: Workspace) -> None:
+    assert workspace.model is not None
     turned = analysed(workspace, angle=37.0, shift=4)
-    sweep = Sweep("rotation", turned)
-    steps = sweep.points_of(workspace)
-    first = next(steps)
-    assert (first.change.rotate, first.change.shift, sweep.of) == (37.0, 4, 25)
-    found = sweep.profile(turned)
-    assert found is not None
-    assert found.unchanged is first
-    sweep.cancelled.set()
-    assert list(steps) == []
-    assert sweep.stopped
-    page = sweep_page.page(turned, "rotation", found, sweep.of, workspace.part_names, sweep.stopped)
+    request = SweepRequest("rotation", turned)
+    steps = request.run(workspace, workspace.model)
+    assert next(steps).points == ()
+    progress = next(steps)
+    first = progress.points[0]
+    assert (first.change.rotate, first.change.shift, progress.total) == (37.0, 4, 25)
+    profile = progress.profile(turned)
+    assert profile is not None
+    assert profile.unchanged is first
+    request.cancelled.set()
+    (last,) = steps
+    assert last.stopped
+    page = sweep_page.page(turned, "rotation", profile, last.total, workspace.part_names, last.stopped)
     assert "stopped at" in page
     assert "1 of 25" in page
-    assert sweep.is_of(analysed(workspace, angle=-75.0, shift=4))
+    assert request.applies_to(analysed(workspace, angle=-75.0, shift=4))
     for other in ({"shift": 5, "angle": 37.0}, {"query": 1}, {"shift": 4, "weights": (1.0, 1.0, 1.0, 0.0)}):
-        assert not sweep.is_of(analysed(workspace, **other))
-    # Where the truth is known it is followed, whatever is compared; else the compared tile is.
-    assert sweep.is_of(analysed(workspace, shift=4, selected=3))
-    own = Upload("own", small_worlds.place(50))
-    assert not Sweep("zoom", analysed(workspace, upload=own, selected=3)).is_of(
-        analysed(workspace, upload=own, selected=4)
+        assert not request.applies_to(analysed(workspace, **other))
+    # A known positive is followed, whatever tile is compared; otherwise the compared tile is followed.
+    assert request.applies_to(analysed(workspace, shift=4, selected=3))
+    upload = Upload("own", small_worlds.place(50))
+    request = SweepRequest("zoom", analysed(workspace, upload=upload, selected=3))
+    assert not request.applies_to(analysed(workspace, upload=upload, selected=4))
+
+
+class WindowGui:
+    """The part of viser's gui that the explain window needs; `html` has the newest content of each element."""
+
+    def __init__(self) -> None:
+        self.html: list[SimpleNamespace] = []
+
+    def add_panel(self, **_: Any) -> Any:
+        return SimpleNamespace(
+            add_tab=lambda *_: nullcontext(), float=lambda **_: None, expand=lambda: None, visible=False
+        )
+
+    def add_html(self, content: str) -> Any:
+        self.html.append(SimpleNamespace(content=content))
+        return self.html[-1]
+
+    def shown(self, identifier: str) -> str:
+        return next((html.content for html in self.html if f"id='{identifier}'" in html.content), "")
+
+
+@pytest.fixture
+def window(workspace: Workspace) -> Iterator[tuple[ExplainWindow, WindowGui]]:
+    gui, errors = WindowGui(), []
+    window = ExplainWindow(
+        SimpleNamespace(gui=gui),  # type: ignore[arg-type]
+        workspace,
+        lambda _: None,
+        errors.append,
+        Viewport(),
+        SimpleNamespace(),  # type: ignore[arg-type]
+        RequestContext(workspace.inference),
     )
+    yield window, gui
+    window.leave()
+    assert errors == []
+
+
+def two_answers_with_a_change(workspace: Workspace) -> tuple[StateAnalysis, StateAnalysis]:
+    """One query under two part weights; in both answers other weights would put its positive first."""
+    for query in np.flatnonzero(workspace.tasks["drone-to-satellite"].ranks > 0):
+        analyses = [analysed(workspace, query=int(query), weights=(1.0, 1.0, 1.0, last)) for last in (1.0, 0.95)]
+        if all((pair := Comparison.of(analysis)) is not None and pair.change is not None for analysis in analyses):
+            return analyses[0], analyses[1]
+    raise AssertionError("no query whose positive another choice of weights puts first")
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_an_effect_of_the_previous_pair_is_never_shown_under_the_next(
+    workspace: Workspace, window: tuple[ExplainWindow, WindowGui], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    explain_window, gui = window
+    old, new = two_answers_with_a_change(workspace)
+    drawing, go_on, render = Event(), Event(), comparison.page
+
+    def slow_page(
+        analysis: StateAnalysis, workspace: Workspace, pair: Comparison | None, effect: Any, busy: bool
+    ) -> str:
+        html = render(analysis, workspace, pair, effect, busy)
+        if effect is not None:
+            drawing.set()
+            assert go_on.wait(30)
+        return html
+
+    monkeypatch.setattr(comparison, "page", slow_page)
+    explain_window.show(old)
+    explain_window.handlers()["effect"](None)
+    assert drawing.wait(30)  # the worker is about to show the old pair's effect when the pair changes
+    change = Thread(target=explain_window.show, args=(new,))
+    change.start()
+    change.join(0.3)
+    go_on.set()
+    change.join(30)
+    explain_window.leave()
+    wait_until(lambda: gui.shown("lpn-versus") == render(new, workspace, Comparison.of(new), None, False))
+    time.sleep(0.2)
+    assert gui.shown("lpn-versus") == render(new, workspace, Comparison.of(new), None, False)
+
+
+def test_an_effect_is_computed_from_one_pair_and_stored_for_that_pair_only(
+    workspace: Workspace, window: tuple[ExplainWindow, WindowGui], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    explain_window, gui = window
+    old, new = two_answers_with_a_change(workspace)
+    # The pair changes while the effect of the old pair is being computed.
+    computed = []
+
+    def effect(*arguments: Any) -> Effect:
+        explain_window.show(new)
+        computed.append(arguments[2])
+        return Effect(50.0, 40.0, np.array([1]), np.array([2, 3]), 13)
+
+    monkeypatch.setattr(counterfactual, "effect", effect)
+    explain_window.show(old)
+    explain_window.handlers()["effect"](None)
+    wait_until(lambda: bool(computed))
+    assert computed[0] is old.ranking.weights
+    explain_window.leave()
+    time.sleep(0.2)
+    assert "it harms" not in gui.shown("lpn-versus")
+    assert "Does it help" in gui.shown("lpn-versus")
 
 
 def test_weights_that_change_nothing_neither_help_nor_harm() -> None:
