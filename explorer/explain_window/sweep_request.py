@@ -100,4 +100,4 @@ class SweepProgress:
         over = self.request.over
         now = sweeps.value(over, analysis.state.change)
         shown = next((p.change for p in self.points if abs(sweeps.value(over, p.change) - now) < 1e-6), None)
-        return Profile(over, self.points, shown or self.request.analysis.state.change.of(self.request.query))
+        return Profile(over, self.points, shown or self.request.analysis.state.change.for_picture(self.request.query))
