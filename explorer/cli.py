@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from lpn.core.demo import DEMO, DEMO_QUERY
 from lpn.core.errors import InputError
-from lpn.datasets.demo import DEMO, DEMO_QUERY
 
 
 @dataclass

@@ -13,9 +13,9 @@ import trimesh
 import lpn
 from lpn import descriptors
 from lpn.core import images
+from lpn.core.demo import DEMO, DEMO_QUERY
 from lpn.datasets import open_dataset
 from lpn.datasets.city_model import city_model
-from lpn.datasets.demo import DEMO, DEMO_QUERY
 from lpn.datasets.geo import Positions, on_plane
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
-from lpn.datasets.demo import DEMO
 
 if TYPE_CHECKING:
     pass

@@ -128,7 +128,7 @@ def _stopped(parsed: list[Any], number: int) -> int:
         if serves:
             print("Stopped.", flush=True)
         elif os.environ.get("RANK", "0") == "0":  # of many processes of a training, one says it
-            how = getattr(command, "going_on", lambda: _AGAIN)
+            how = getattr(command, "resume_hint", lambda: _AGAIN)
             print(f"lpn: Stopped. {how()}", file=sys.stderr, flush=True)
     return 0 if serves else 128 + number
 

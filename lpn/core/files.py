@@ -15,12 +15,11 @@ from pathlib import Path
 from tokenize import TokenError
 from typing import TYPE_CHECKING
 
-from lpn.core.arrays import AnyArray
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.shutdown import uninterrupted
 
 if TYPE_CHECKING:
-    pass
+    from lpn.core.arrays import AnyArray
 
 try:
     import fcntl

@@ -19,7 +19,7 @@ import pytest
 import torch
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
 
-from lpn.datasets.demo import DEMO
+from lpn.core.demo import DEMO
 from lpn.models.checkpoints import save
 from lpn.models.export import export
 from lpn.models.network import LPN

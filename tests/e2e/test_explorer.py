@@ -14,8 +14,8 @@ from playwright.sync_api import BrowserContext, expect
 import lpn
 from lpn import datasets, retrieval
 from lpn.core import images
+from lpn.core.demo import DEMO_QUERY
 from lpn.datasets import geo
-from lpn.datasets.demo import DEMO_QUERY
 from lpn.retrieval import Ranking, scoring
 from tests.e2e.conftest import Explorer, Running
 from tools.fixtures import small_worlds

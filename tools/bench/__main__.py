@@ -12,7 +12,7 @@ import sys
 from dataclasses import asdict
 from importlib import import_module
 
-from lpn.datasets.demo import DEMO
+from lpn.core.demo import DEMO
 from tools.bench.figures import Figure, show
 
 NAMES = ("query", "search", "evaluate", "describe", "page", "large", "train")

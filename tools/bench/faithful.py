@@ -18,8 +18,8 @@ from rich.table import Table
 import lpn
 from lpn import explain, retrieval
 from lpn.core import images
+from lpn.core.demo import DEMO
 from lpn.datasets import open_dataset
-from lpn.datasets.demo import DEMO
 from lpn.explain import occlusion
 from lpn.models.base import Model
 from lpn.retrieval import scoring

@@ -15,8 +15,8 @@ from tempfile import TemporaryDirectory
 import cv2
 from playwright.sync_api import Browser, sync_playwright
 
+from lpn.core.demo import DEMO, DEMO_QUERY
 from lpn.core.files import write_atomic
-from lpn.datasets.demo import DEMO, DEMO_QUERY
 from tools.bench.page import Process
 from tools.fixtures.chromium import launch
 from tools.fixtures.processes import free_port

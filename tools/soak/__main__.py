@@ -9,9 +9,9 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 
+from lpn.core.demo import DEMO
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import check_writable, write_atomic
-from lpn.datasets.demo import DEMO
 from tools.soak.run import Soak
 
 

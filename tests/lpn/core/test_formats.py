@@ -212,7 +212,7 @@ def test_measurements_are_read_in_both_formats_and_a_later_one_is_left_alone(
 
 @pytest.mark.parametrize("named", ["format", "edition"])
 def test_a_later_world_is_neither_added_to_nor_read(named: str, tmp_path: Path) -> None:
-    from lpn.datasets.demo import DEMO
+    from lpn.core.demo import DEMO
 
     shutil.copy(DEMO / "world.json", tmp_path)
     settings = Settings(**json.loads((DEMO / "world.json").read_bytes())["settings"])

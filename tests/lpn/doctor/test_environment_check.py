@@ -20,8 +20,8 @@ import pytest
 from lpn.cli import doctor as doctor_command
 from lpn.cli import main
 from lpn.core import requirements, resources
+from lpn.core.demo import DEMO
 from lpn.core.errors import OutputError
-from lpn.datasets.demo import DEMO
 from lpn.descriptors import cache_folder
 from lpn.doctor import environment_check
 from lpn.doctor.environment_check import Finding, healthy

@@ -13,10 +13,10 @@ import torch
 from lpn import explain, retrieval
 from lpn.core import images
 from lpn.core.arrays import Float32Array
+from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import open_dataset
-from lpn.datasets.demo import DEMO
 from lpn.models.base import Model
 from lpn.models.checkpoints import TorchModel, save
 from lpn.models.export import export

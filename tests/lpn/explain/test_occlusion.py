@@ -9,7 +9,7 @@ import pytest
 
 from lpn import load, retrieval
 from lpn.core import images
-from lpn.datasets.demo import DEMO
+from lpn.core.demo import DEMO
 from lpn.explain import occlusion
 from lpn.retrieval import scoring
 from tools.bench.faithful import curves

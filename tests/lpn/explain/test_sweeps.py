@@ -13,9 +13,9 @@ from lpn import descriptors, retrieval
 from lpn.cli import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
+from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
 from lpn.datasets import Truth, open_dataset
-from lpn.datasets.demo import DEMO
 from lpn.datasets.geo import Positions
 from lpn.descriptors.transforms import Change
 from lpn.explain import sweeps
