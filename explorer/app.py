@@ -39,7 +39,7 @@ from explorer.stage.cards import SHOWN
 from explorer.stage.scene import SCENE, Stage
 from explorer.url_state import UrlState
 from explorer.web import style
-from explorer.web.bridge import Bridge
+from explorer.web.bridge import PageBridge
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.core import images
 from lpn.core.errors import InputError, LPNError
@@ -105,7 +105,7 @@ class Visitor:
             }
             handlers |= self._explain_window.handlers() | self._lab.handlers()
             told = {"steps": [asdict(step) for step in tour.steps(workspace)], "scene": SCENE}
-            self._bridge = Bridge(client.gui, handlers, told, STYLES)
+            self._bridge = PageBridge(client.gui, handlers, told, STYLES)
             further = self._explain_window.commands() + self._lab.orders()
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, further)
             self._stage = Stage(client, workspace, self._selected)
@@ -125,7 +125,7 @@ class Visitor:
             if changed.dark != self._state.dark:
                 self._dress(changed)
             if changed.why and not self._state.why:
-                self._bridge.order("reveal", "#lpn-why")
+                self._bridge.call("reveal", "#lpn-why")
             self._state = changed
             self._asker.moved()
             self._panels.write(changed)
@@ -194,7 +194,7 @@ class Visitor:
             slow.there()
         beside = self._workspace.beside
         self._follower.follow(analysis.task, None if beside is None else beside.tasks.get(analysis.task.name))
-        self._bridge.address(self._links.write(analysis.state), self._links.keys)
+        self._bridge.set_address(self._links.write(analysis.state), self._links.keys)
         if log.isEnabledFor(logging.DEBUG):
             log.debug("%s", self._line(analysis, time.perf_counter() - started))
         return None

@@ -115,13 +115,13 @@ def test_every_number_that_is_shown_counts(client: Socket, reference: Reference)
     right = reading.shown(*pieces)
     row, line = right.rows[2], right.parts[1]
     for piece, there, other in (
-        (1, f"data-index='{row.index}'", f"data-index='{right.rows[3].index}'"),
+        (1, f'data-index="{row.index}"', f'data-index="{right.rows[3].index}"'),
         (1, f"<span>{row.distance:.3f}</span>", f"<span>{row.distance + 0.004:.3f}</span>"),
-        (1, f": {row.shares[1]:.4f}'", f": {row.shares[1] + 0.004:.4f}'"),
+        (1, f': {row.shares[1]:.4f}"', f': {row.shares[1] + 0.004:.4f}"'),
         (1, "<b>3</b>", "<b>7</b>"),
         (2, f">{line[2]}<", ">+0.001<"),
-        (0, "data-top='", "data-top='1"),
-        (1, "<div class='row", "<div class='column"),
+        (0, 'data-top="', 'data-top="1'),
+        (1, '<div class="row', '<div class="column'),
     ):
         assert there in pieces[piece]
         changed = list(pieces)

@@ -8,8 +8,7 @@ from html import escape
 
 import numpy as np
 
-from explorer.panels.pages import SIGNS
-from explorer.web.bridge import send
+from explorer.web.render import SIGNS, send
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.drawing import overlays, verdicts
 from lpn.drawing.verdicts import ordinal

@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from explorer.web.bridge import send
+from explorer.web.render import send
 from explorer.web.style import part_ink
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images

@@ -9,9 +9,8 @@ import numpy as np
 
 from explorer.compute.request_context import RequestContext
 from explorer.explain_window import evidence
-from explorer.panels.pages import SIGNS
 from explorer.session_state import SessionState
-from explorer.web.bridge import send
+from explorer.web.render import SIGNS, send
 from explorer.workspace import StateAnalyser, StateAnalysis, Task, Workspace
 from lpn.core import images
 from lpn.core.arrays import Int64Array

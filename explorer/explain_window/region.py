@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from explorer.web.bridge import send
+from explorer.web.render import send
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
 from lpn.drawing import overlays

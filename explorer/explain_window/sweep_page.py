@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from html import escape
 
 from explorer.session_state import SessionState
-from explorer.web.bridge import send
+from explorer.web.render import send
 from explorer.workspace import StateAnalysis
 from lpn.drawing import overlays, verdicts
 from lpn.drawing.verdicts import ordinal

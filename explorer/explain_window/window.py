@@ -20,8 +20,8 @@ from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
 from explorer.panels.viewport import EDGE, Viewport
 from explorer.reports import Reporter
 from explorer.session_state import SessionState, StateChange
-from explorer.web.bridge import send
 from explorer.web.html import Html
+from explorer.web.render import send
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect

@@ -8,7 +8,7 @@ from explorer.failure_lab import lab_state
 from explorer.failure_lab.lab_state import LabState
 from explorer.failure_lab.map_drawing import Drawn
 from explorer.failure_lab.service import Findings
-from explorer.web.bridge import send
+from explorer.web.render import send
 from explorer.web.style import verdict_ink
 from explorer.workspace import Workspace
 from lpn.analysis import breakdown

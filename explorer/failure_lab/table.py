@@ -10,8 +10,7 @@ import numpy as np
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.failure_lab.lab_state import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
 from explorer.failure_lab.service import Findings
-from explorer.panels.pages import SIGNS
-from explorer.web.bridge import send
+from explorer.web.render import SIGNS, send
 from explorer.web.style import verdict_ink
 from explorer.workspace import Workspace
 from lpn.analysis.notes import Note

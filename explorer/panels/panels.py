@@ -88,7 +88,7 @@ class Panels:
             self._shift = gui.add_slider("Shift right", -self._reach[0], self._reach[0], 1, state.shift)
             self._down = gui.add_slider("Shift down", -self._reach[1], self._reach[1], 1, state.down)
             self._zoom = gui.add_slider("Zoom", 1 / session_state.MAX_ZOOM, session_state.MAX_ZOOM, 0.05, state.zoom)
-            gui.add_html(pages.SHIFT_NOTE)
+            gui.add_html(pages.note(pages.SHIFT_NOTE))
         if live:  # a hidden upload button would still be shown
             self._upload = gui.add_upload_button(
                 "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
@@ -119,12 +119,12 @@ class Panels:
             self._heat_part = gui.add_dropdown("Heat of", choices, visible=live, initial_value=ALL_PARTS)
             self._opacity = gui.add_slider("Opacity", 0.0, 1.0, 0.05, state.opacity, visible=live)
             if not live:
-                gui.add_html(pages.SAVED_NOTE)
+                gui.add_html(pages.note(pages.SAVED_NOTE, "lpn-saved"))
         self._watch(self._task, self._angle, self._rings, self._exploded, self._heat, self._heat_part, self._opacity)
         self._watch(self._find, self._map, self._city, self._shift, self._down, self._zoom, self._kind)
 
     def _build_parts(self, gui: viser.GuiApi, state: SessionState) -> None:
-        gui.add_html(pages.PARTS_NOTE)
+        gui.add_html(pages.note(pages.PARTS_NOTE))
         self._enabled, self._weights = [], []
         for name, on, weight in zip(self._workspace.part_names, state.enabled, state.weights, strict=True):
             self._enabled.append(gui.add_checkbox(f"Part {name}", on))
@@ -136,8 +136,8 @@ class Panels:
     def _build_answer(self, gui: viser.GuiApi) -> None:
         self._header = Html(gui)
         self._verdict = Html(gui)
-        self._said = pages.FIRST
-        self._status = Html(gui, self._said)
+        self._shown_status: pages.Shown | None = None
+        self._status = Html(gui, pages.status(None))
         with gui.add_folder("Matches"):
             self._matches = Html(gui)
             rows = [gui.add_button(f"match {i + 1}") for i in range(SHOWN)]
@@ -153,7 +153,7 @@ class Panels:
                 "Why this tile?", icon=viser.Icon.ZOOM_QUESTION, visible=self._workspace.model is not None
             )
             why.on_click(lambda _: self._change(self.flip_why))
-        gui.add_html(pages.KEYS)
+        gui.add_html(pages.keys())
 
     def _add_keys(self, gui: viser.GuiApi) -> None:
         commands: list[tuple[str, Any, StateChange]] = [
@@ -262,8 +262,8 @@ class Panels:
             self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
             self._table.show(pages.parts_table(analysis, workspace))
             self._show_picker(analysis)
-            self._said = pages.status(analysis, sequence, time.perf_counter() - started)
-            self._status.show(self._said)
+            self._shown_status = pages.Shown(analysis, sequence, time.perf_counter() - started)
+            self._status.show(pages.status(self._shown_status))
 
     def show_results(self, task: Task) -> None:
         """Say how good the model is on a task, or how far the ranking is that says so."""
@@ -272,15 +272,15 @@ class Panels:
 
     def busy(self) -> None:
         """Show that the next answer is being computed; the one that is shown stays until then."""
-        self._status.show(pages.busy(self._said))
+        self._status.show(pages.status(self._shown_status, "computing"))
 
     def full(self) -> None:
         """Show that too many people ask, and that this page will ask again; what it shows stays."""
-        self._status.show(pages.full(self._said))
+        self._status.show(pages.status(self._shown_status, "full"))
 
     def fail(self, text: str) -> None:
         """Say that there is no answer; the one before stays."""
-        self._status.show(self._said)
+        self._status.show(pages.status(self._shown_status))
         self.say("No answer", text)
 
     @property

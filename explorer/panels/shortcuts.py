@@ -11,7 +11,7 @@ import viser
 from explorer import session_state
 from explorer.panels.panels import Panels
 from explorer.session_state import SessionState, StateChange
-from explorer.web.bridge import Bridge
+from explorer.web.bridge import PageBridge
 from explorer.workspace import Workspace
 
 _SHIFT = 8
@@ -23,18 +23,18 @@ def add(
     workspace: Workspace,
     panels: Panels,
     change: Callable[[StateChange], None],
-    bridge: Bridge,
+    bridge: PageBridge,
     further: Sequence[tuple[str, Callable[[], None]]],
 ) -> None:
     """Register them for one browser; `further` are those of the windows."""
     live = workspace.model is not None
     orders: list[tuple[str, str | None, Callable[[], None]]] = [
-        ("Copy link to what is shown", "I", lambda: bridge.order("copy")),
-        ("Show the tour", None, lambda: bridge.order("tour")),
-        ("Find a picture by name", None, lambda: bridge.order("focus", panels.finder)),
+        ("Copy link to what is shown", "I", lambda: bridge.call("copy")),
+        ("Show the tour", None, lambda: bridge.call("tour")),
+        ("Find a picture by name", None, lambda: bridge.call("focus", panels.finder)),
     ]
     if live:
-        orders.append(("Use my own picture", "U", lambda: bridge.order("upload")))
+        orders.append(("Use my own picture", "U", lambda: bridge.call("upload")))
     orders += [(label, None, order) for label, order in further]
     for label, key, order in orders:
         gui.add_command(label, hotkey=cast(Any, key)).on_trigger(_calls(order))

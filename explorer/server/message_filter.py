@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from explorer.uploads import BUTTONS, MAX_UPLOAD
-from explorer.web.bridge import LONGEST
+from explorer.web.bridge import MAX_MESSAGE_LENGTH
 
 log = logging.getLogger(__name__)
 
@@ -65,7 +65,7 @@ def _updates(value: Any) -> bool:
 
 def _value(value: Any) -> bool:
     if isinstance(value, str):
-        return len(value) <= LONGEST
+        return len(value) <= MAX_MESSAGE_LENGTH
     return isinstance(value, bool) or _number(value)
 
 

@@ -1,4 +1,4 @@
-"""Html in the page that is sent only when it changed."""
+"""HTML elements of viser that send their content only when it changed."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import viser
 
 
 class Html:
-    """An html element that is sent again only when its text changed. Several threads may show something in it."""
+    """A thread-safe HTML element; it sends its content again only when that changed."""
 
     def __init__(self, gui: viser.GuiApi, content: str = "") -> None:
-        self._handle = gui.add_html(_sendable(content))
+        self._handle = gui.add_html(_encodable(content))
         self._content, self._lock = content, threading.Lock()
 
     def show(self, content: str) -> None:
-        """Put html into the element."""
-        with self._lock:  # or an older text might be sent last, and be taken for the newer one from then on
+        """Replace the content."""
+        with self._lock:  # otherwise an older text could be sent last while `_content` holds the newer one
             if content != self._content:
                 self._content = content
-                self._handle.content = _sendable(content)
+                self._handle.content = _encodable(content)
 
 
-def _sendable(content: str) -> str:
-    """Text without what UTF-8 has no bytes for, which would end the connection: half characters of names that are not UTF-8."""
+def _encodable(content: str) -> str:
+    """Replace lone surrogates, as in file names that are not UTF-8; viser would close the connection on them."""
     return content.encode("utf-8", "replace").decode()

@@ -54,7 +54,8 @@ _COUNTED = """
 import os, sys
 from dataclasses import replace
 import viser
-from explorer import app, pages
+from explorer import app
+from explorer.panels import pages
 counts = dict.fromkeys(("add_image", "add_button", "add_slider", "add_html"), 0)
 def counted(owner, names, key):
     for name in names:
@@ -85,7 +86,7 @@ def work(self):
         with open(os.environ["LPN_BENCH_COUNTS"], "w") as file:
             file.write(" ".join(str(count) for count in counts.values()))
     else:
-        self._panels._status.show(pages.status(replace(self._idle, state=self._state), self._sequence, 0.0))
+        self._panels._status.show(pages.status(pages.Shown(replace(self._idle, state=self._state), self._sequence, 0.0)))
 {_RUN}"""
 READY = f"""{_COUNTED}
 def work(self):

@@ -69,7 +69,7 @@ class Shown:
 
 def status(html: str) -> dict[str, str]:
     """The attributes of a status line."""
-    start = html.partition("id='lpn-status'")[2] or html.partition('id="lpn-status"')[2]
+    start = html.partition('id="lpn-status"')[2]
     return {name: unescape(value) for name, _, value in _ATTRIBUTE.findall(start.partition(">")[0])}
 
 

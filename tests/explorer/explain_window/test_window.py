@@ -24,7 +24,7 @@ from explorer.explain_window.window import ExplainWindow
 from explorer.opening import open_model
 from explorer.panels.viewport import Viewport
 from explorer.session_state import SessionState, Upload
-from explorer.web.bridge import LONGEST, Bridge
+from explorer.web.bridge import MAX_MESSAGE_LENGTH, PageBridge
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.descriptors.transforms import Change
@@ -200,12 +200,12 @@ class Gui:
 
 def test_a_bridge_hands_on_messages_and_drops_everything_else() -> None:
     gui, got = Gui(), []
-    bridge = Bridge(gui, {"region": got.append}, {}, "")  # type: ignore[arg-type]
+    bridge = PageBridge(gui, {"region": got.append}, {}, "")  # type: ignore[arg-type]
     assert "the-uuid" in gui.html[0]
     assert "<script" not in gui.html[0]
     deep = "[" * 50_000
     for message in (
-        None, 3, "", "{", "[]", "null", '{"kind": []}', '{"kind": "other"}', '"region"', "x" * (LONGEST + 1), deep,
+        None, 3, "", "{", "[]", "null", '{"kind": []}', '{"kind": "other"}', '"region"', "x" * (MAX_MESSAGE_LENGTH + 1), deep,
     ):  # fmt: skip
         gui.text.value = message
         gui.text.update(None)

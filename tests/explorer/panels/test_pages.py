@@ -12,8 +12,8 @@ from explorer.opening import open_model, open_saved
 from explorer.panels import pages, tour
 from explorer.session_state import SessionState
 from explorer.web import style
-from explorer.web.bridge import Bridge
-from explorer.workspace import Workspace
+from explorer.web.bridge import PageBridge
+from explorer.workspace import StateAnalyser, Workspace
 from lpn.drawing import overlays
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
@@ -70,13 +70,16 @@ def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
     assert not any("evidence" in step.text or "turn it" in step.keys or "your own" in step.text for step in saved)
 
 
-def test_a_status_line_that_waits_still_says_what_is_shown() -> None:
-    line = "<div id='lpn-status' data-seq='4' data-query='2'><span>answered in 3 ms</span></div>"
-    busy = pages.busy(line)
-    assert "data-seq='4' data-query='2'" in busy
-    assert "computing" in busy
-    assert "answered" not in busy
-    assert pages.busy(pages.FIRST) == pages.FIRST
+def test_a_status_line_that_waits_still_says_what_is_shown(workspace: Workspace) -> None:
+    state = SessionState(next(iter(workspace.tasks)), 4, query=2)
+    shown = pages.Shown(StateAnalyser(workspace).analyse(state, 5), 4, 0.001)
+    assert "answered in" in pages.status(shown)
+    waiting = pages.status(shown, "computing")
+    assert 'data-seq="4" data-query="2"' in waiting
+    assert "computing" in waiting
+    assert "answered" not in waiting
+    assert "describing the first picture" in pages.status(None, "computing")
+    assert "Busy" in pages.status(None, "full")
 
 
 def test_what_is_there_in_time_is_not_spoken_of() -> None:
@@ -93,7 +96,7 @@ def test_what_is_there_in_time_is_not_spoken_of() -> None:
 
 def test_a_message_that_is_none_reaches_no_handler() -> None:
     got: list[object] = []
-    bridge = Bridge.__new__(Bridge)
+    bridge = PageBridge.__new__(PageBridge)
     bridge._handlers = {"small": got.append}
     for message in ("", "{", "[]", "null", '{"kind": "other"}', '{"kind": ["small"]}', 7, "[" * 50_000):
         bridge.receive(message)

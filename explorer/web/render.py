@@ -1,0 +1,48 @@
+"""Jinja2 templates of the page, and the attributes by which its elements send messages and press buttons."""
+
+from __future__ import annotations
+
+import json
+
+from markupsafe import Markup
+
+from explorer.web.style import part_ink, verdict_ink
+from lpn.core.templates import environment
+from lpn.drawing import overlays
+
+SIGNS: dict[bool | None, str] = {True: "✓", False: "✗", None: "?"}
+# A keyboard reaches an element with these attributes; `viewport.js` makes Enter and Space click it.
+_CLICKABLE = Markup('role="button" tabindex="0" onclick="{}"')
+
+
+def send(kind: str, value: object = None) -> Markup:
+    """Return the attributes of an element that sends a message when it is clicked."""
+    return _CLICKABLE.format(call("send", kind, value))
+
+
+def press(button: str) -> Markup:
+    """Return the attributes of an element that presses a viser button, given by its uuid, when it is clicked."""
+    return _CLICKABLE.format(f"document.getElementById({json.dumps(button)}).click()")
+
+
+def call(function: str, *arguments: object) -> str:
+    """Return JavaScript that calls a function of the page's script."""
+    return f"lpn.{function}({','.join(json.dumps(argument) for argument in arguments)})"
+
+
+def render(template: str, **context: object) -> str:
+    """Render a template of `explorer/web/templates`; values are escaped."""
+    return _ENVIRONMENT.get_template(f"{template}.html.j2").render(context)
+
+
+_ENVIRONMENT = environment("explorer.web")
+_ENVIRONMENT.filters["format"] = format
+_ENVIRONMENT.globals.update(
+    send=send,
+    press=press,
+    part_ink=part_ink,
+    verdict_ink=verdict_ink,
+    part_colour=lambda part: overlays.css(overlays.part_colour(part)),
+    verdict_colour=lambda true: overlays.css(overlays.verdict_colour(true)),
+    signs=SIGNS,
+)
