@@ -190,6 +190,12 @@ def value(over: Over, change: Change) -> float:
     return number % 360 if over == "rotation" else number
 
 
+def signed_value(over: Over, change: Change) -> float:
+    """Return the same number with a rotation by the shorter way, above -180 to 180 degrees."""
+    number = value(over, change)
+    return number - 360 if over == "rotation" and number > 180 else number
+
+
 def changes_over(over: Over, step: float | None = None, reach: float | None = None, side: int = 256) -> list[Change]:
     """The changes of a sweep, the query as it is first and then always the one farthest from all before.
 

@@ -1,0 +1,263 @@
+"""Charts as inline SVG for the app and for reports: bars of shares, of evidence, and of a margin, and sweep profiles.
+
+Bars are placed in percent of their width, so they stretch with a table's cell while their text keeps its size. Text
+and lines take their colours from the page, see `css/charts.css`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from lpn.core.arrays import FloatingArray
+from lpn.core.templates import environment
+from lpn.drawing import overlays
+from lpn.explain import Evidence
+from lpn.explain.sweeps import UNITS, Point, Profile, signed_value
+
+STYLE = (Path(__file__).parent / "css" / "charts.css").read_text("utf-8")
+EVIDENCE_COLOURS = {
+    "cells for": overlays.css(overlays.FOR),
+    "cells against": overlays.css(overlays.AGAINST),
+    "constant": "var(--chart-constant, #828282)",
+}
+
+# Percent of a waterfall's width kept free on both sides for the numbers.
+_LABEL_ROOM = 13.0
+# Narrowest bar that has its number written in it, in percent.
+_LABELLED = 7.5
+_LEFT, _RIGHT = 52, 20
+_RANKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 10_000, 100_000)
+
+Span = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _Bar:
+    """One bar: start and width in percent, a tooltip, and the number written in it."""
+
+    start: float
+    width: float
+    colour: str
+    title: str
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class _Series:
+    """One line of a panel: its value at each point and how it is drawn."""
+
+    values: Sequence[float]
+    colour: str = "currentColor"
+    kind: str = "followed"
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """One diagram of a profile: series over the shared x axis, and labelled ticks; `low` is drawn at the bottom."""
+
+    title: str
+    height: int
+    series: Sequence[_Series]
+    low: float
+    high: float
+    ticks: Sequence[tuple[float, str]]
+    clickable: bool = True
+
+
+def part_colour(part: int) -> str:
+    """Return the CSS colour of a part."""
+    return overlays.css(overlays.part_colour(part))
+
+
+def share_bar(shares: FloatingArray, full: float, names: Sequence[str]) -> Markup:
+    """Draw the parts' shares of a squared distance, (n,), side by side; `full` is the distance that fills the bar."""
+    edges = 100 * np.cumsum([0.0, *np.maximum(shares, 0)]) / max(full, 1e-9)
+    widths = np.diff(edges)
+    bars = [
+        _Bar(
+            round(edges[part], 2),
+            round(widths[part], 2),
+            part_colour(part),
+            f"part {name}: {shares[part]:.4f}",
+            f"{shares[part]:.2f}" if widths[part] > _LABELLED else "",
+        )
+        for part, name in enumerate(names)
+    ]
+    return _draw("bars", "shares of the squared distance", "shares", bars)
+
+
+def evidence_segments(evidence: Evidence, part: int) -> list[tuple[str, float, float]]:
+    """Stack what a part's cells add and take, and its constant, from zero outwards.
+
+    Returns:
+        Kind (a key of `EVIDENCE_COLOURS`), begin, and end of each segment, in units of the score.
+    """
+    above = below = 0.0
+    segments = []
+    for kind, values in zip(EVIDENCE_COLOURS, evidence.sums, strict=True):
+        value = float(values[part])
+        begin = above if value >= 0 else below
+        segments.append((kind, begin, begin + value))
+        above, below = above + max(value, 0.0), below + min(value, 0.0)
+    return segments
+
+
+def evidence_span(pairs: Sequence[Evidence]) -> Span:
+    """Return the lowest and the highest end of the evidence bars of some pairs, so that all share one scale."""
+    ends = [0.0]
+    for evidence in pairs:
+        for part in range(len(evidence.cosines)):
+            ends += [end for _, _, end in evidence_segments(evidence, part)]
+    return min(ends), max(*ends, min(ends) + 1e-9)
+
+
+def evidence_bars(evidence: Evidence, span: Span) -> list[Markup]:
+    """Draw for each part its evidence in the query's cells, its constant, and a mark at their sum."""
+    low, high = span
+    scale = 100 / (high - low)
+    drawn = []
+    for part, total in enumerate(evidence.contributions):
+        bars = [
+            _Bar(
+                round((min(begin, end) - low) * scale, 2),
+                round(abs(end - begin) * scale, 2),
+                EVIDENCE_COLOURS[kind],
+                f"{kind}: {end - begin:+.4f}",
+            )
+            for kind, begin, end in evidence_segments(evidence, part)
+        ]
+        mark = round((float(total) - low) * scale, 2), f"sum: {total:+.4f}"
+        drawn.append(_draw("bars", "evidence", "evidence", bars, round(-low * scale, 2), mark))
+    return drawn
+
+
+def waterfall(margin: FloatingArray) -> list[Markup]:
+    """Draw a margin, (n,), as steps: one drawing for each part, and a last one for the sum; stacked, they join.
+
+    Bars to the right of the zero line speak for the positive, bars to its left for the hardest negative.
+    """
+    ends = np.concatenate([[0.0], np.cumsum(margin)])
+    scale = (100 - 2 * _LABEL_ROOM) / max(float(np.ptp(ends)), 1e-9)
+    places = [round(float(place), 2) for place in _LABEL_ROOM + (ends - ends.min()) * scale]
+    zero, total = places[0], float(ends[-1])
+    steps = [
+        (places[part], places[part + 1], float(step), part_colour(part), places[part], places[part + 1])
+        for part, step in enumerate(margin)
+    ]
+    verdict = "var(--chart-true, #ffc81e)" if total >= 0 else "var(--chart-false, #4678f0)"
+    steps.append((zero, places[-1], total, verdict, places[-1], None))
+    return [_draw("step", zero, *step) for step in steps]
+
+
+def profile_charts(
+    profile: Profile,
+    names: Sequence[str],
+    width: int,
+    current: float | None = None,
+    attributes: Callable[[Point], Markup] | None = None,
+) -> Markup:
+    """Draw rank, score, and part cosines of the followed tile over a turn, shift, or zoom.
+
+    Args:
+        names: of the parts.
+        width: of the drawing in pixels at which its text has the page's size.
+        current: number of the sweep to mark with a line.
+        attributes: HTML attributes of a point's circle; without it, points have no circles.
+    """
+    over = profile.over
+    pairs = sorted(((signed_value(over, point.change), point) for point in profile.points), key=lambda pair: pair[0])
+    if over == "rotation" and pairs[-1][0] == 180:
+        pairs.insert(0, (-180.0, pairs[-1][1]))  # a full turn ends with the picture that it begins with
+    numbers, points = [number for number, _ in pairs], [point for _, point in pairs]
+
+    def place(number: float) -> float:
+        return math.log(number) if over == "zoom" else number
+
+    first, last = place(numbers[0]), place(numbers[-1])
+    scale = (width - _LEFT - _RIGHT) / max(last - first, 1e-9)
+
+    def x(number: float) -> float:
+        return round(_LEFT + (place(number) - first) * scale, 1)
+
+    top, panels = 0, []
+    best = points.index(profile.best_rank)
+    for panel in _panels(points, names):
+        heights = [_heights(panel, series.values, top) for series in panel.series]
+        spots = list(zip(map(x, numbers), heights[-1], points, strict=True)) if panel.clickable else []
+        lines = [
+            (" ".join(f"{x(n)},{y}" for n, y in zip(numbers, ys, strict=True)), series)
+            for ys, series in zip(heights, panel.series, strict=True)
+        ]
+        ticks = zip(_heights(panel, [tick for tick, _ in panel.ticks], top), panel.ticks, strict=True)
+        panels.append(
+            {
+                "title": panel.title,
+                "top": top,
+                "bottom": top + panel.height,
+                "ticks": [(y, label) for y, (_, label) in ticks],
+                "lines": lines,
+                "spots": spots if attributes else [],
+                "best": spots[best][:2] if panel.title == "rank" else None,
+            }
+        )
+        top += panel.height
+    shown = current is not None and numbers[0] <= current <= numbers[-1]
+    labels = [(x(number), f"{number:.3g}{UNITS[over]}") for number in _spread(numbers)]
+    return _draw("profile", width, top, _LEFT, width - _RIGHT, panels, labels, x(current) if shown else None, attributes)
+
+
+def _panels(points: Sequence[Point], names: Sequence[str]) -> list[_Panel]:
+    worst = max(*(point.rank for point in points), 2)
+    ranks = _Series([math.log(point.rank) for point in points])
+    score = _Series([point.score for point in points])
+    nearest = _Series([point.top_score for point in points], "var(--chart-dim, #999)", "nearest")
+    cosines = [
+        _Series([float(point.cosines[part]) for point in points], part_colour(part), "part")
+        for part in range(len(names))
+    ]
+    rank_ticks = [(math.log(rank), str(rank)) for rank in _RANKS if rank <= worst]
+    return [
+        _Panel("rank", 104, [ranks], math.log(worst), 0.0, rank_ticks),
+        _fitted("score", 112, [nearest, score]),
+        _fitted("part cosines", 122, cosines, clickable=False),
+    ]
+
+
+def _fitted(title: str, height: int, series: Sequence[_Series], clickable: bool = True) -> _Panel:
+    """Make a panel from the lowest to the highest value, at least 0.01 apart, with three or four round ticks."""
+    values = [value for one in series for value in one.values]
+    spare = max(0.01 - (max(values) - min(values)), 0) / 2
+    low, high = min(values) - spare, max(values) + spare
+    power = 10.0 ** math.floor(math.log10(high - low))
+    step = next(s for s in (power, power / 2, power / 4, power / 5) if (high - low) / s >= 2.5)
+    ticks = [(i * step, f"{i * step:.3g}") for i in range(math.ceil(low / step), math.floor(high / step) + 1)]
+    return _Panel(title, height, series, low, high, ticks, clickable)
+
+
+def _heights(panel: _Panel, values: Sequence[float], top: int) -> list[float]:
+    """Return the y coordinate of each value in a panel that begins at `top`."""
+    scale = (panel.height - 26) / (panel.high - panel.low)
+    return [round(top + panel.height - 8 - (value - panel.low) * scale, 1) for value in values]
+
+
+def _spread(numbers: Sequence[float]) -> list[float]:
+    """Return at most seven of some numbers: both ends and evenly spaced ones between them."""
+    count = min(len(numbers), 7)
+    return list(dict.fromkeys(numbers[round(i * (len(numbers) - 1) / max(count - 1, 1))] for i in range(count)))
+
+
+@cache
+def _macros() -> Any:
+    return environment("lpn.drawing").get_template("charts.svg.j2").module
+
+
+def _draw(macro: str, *arguments: object) -> Markup:
+    return Markup(getattr(_macros(), macro)(*arguments))
