@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
-def environment(package: str) -> Environment:
-    """Return the templates in the folder `templates` of a package; a name that a template lacks is an error."""
+def environment(package: str, finalize: Callable[[Any], Any] | None = None) -> Environment:
+    """Return the templates in the folder `templates` of a package; a name that a template lacks is an error.
+
+    Args:
+        finalize: applied to the value of each expression before it is escaped and written.
+    """
     return Environment(
-        loader=PackageLoader(package), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader(package),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=finalize,
     )

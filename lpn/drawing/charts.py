@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -148,13 +149,12 @@ def waterfall(margin: FloatingArray) -> list[Markup]:
     scale = (100 - 2 * _LABEL_ROOM) / max(float(np.ptp(ends)), 1e-9)
     places = [round(float(place), 2) for place in _LABEL_ROOM + (ends - ends.min()) * scale]
     zero, total = places[0], float(ends[-1])
-    steps = [
-        (places[part], places[part + 1], float(step), part_colour(part), places[part], places[part + 1])
-        for part, step in enumerate(margin)
+    drawn = [
+        _draw("step", zero, begin, end, float(margin[part]), part_colour(part), begin, end)
+        for part, (begin, end) in enumerate(pairwise(places))
     ]
     verdict = "var(--chart-true, #ffc81e)" if total >= 0 else "var(--chart-false, #4678f0)"
-    steps.append((zero, places[-1], total, verdict, places[-1], None))
-    return [_draw("step", zero, *step) for step in steps]
+    return [*drawn, _draw("step", zero, zero, places[-1], total, verdict, places[-1], None)]
 
 
 def profile_charts(
@@ -209,9 +209,9 @@ def profile_charts(
             }
         )
         top += panel.height
-    shown = current is not None and numbers[0] <= current <= numbers[-1]
+    line = x(current) if current is not None and numbers[0] <= current <= numbers[-1] else None
     labels = [(x(number), f"{number:.3g}{UNITS[over]}") for number in _spread(numbers)]
-    return _draw("profile", width, top, _LEFT, width - _RIGHT, panels, labels, x(current) if shown else None, attributes)
+    return _draw("profile", width, top, _LEFT, width - _RIGHT, panels, labels, line, attributes)
 
 
 def _panels(points: Sequence[Point], names: Sequence[str]) -> list[_Panel]:

@@ -1,0 +1,45 @@
+"""The report's templates, and the pictures in them as data URIs."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from jinja2 import Environment
+from markupsafe import Markup
+
+from lpn.core.arrays import UInt8Array
+from lpn.core.files import printable
+from lpn.core.templates import environment
+from lpn.drawing import charts, overlays
+
+_THUMBNAIL = 60
+
+
+def render(template: str, **context: object) -> Markup:
+    """Fill a template of the report; every value that is no markup is escaped."""
+    return Markup(_environment().get_template(template).render(context))
+
+
+def style_sheet() -> str:
+    """Return the CSS of a report."""
+    return (Path(__file__).parent / "css" / "report.css").read_text("utf-8") + charts.STYLE
+
+
+def thumbnail(picture: UInt8Array) -> str:
+    """Encode a small square version of a picture, (H, W, 3) uint8."""
+    return overlays.data_uri(overlays.square(picture, _THUMBNAIL), 72)
+
+
+@cache
+def _environment() -> Environment:
+    templates = environment("lpn.report", finalize=_one_line)
+    templates.globals["part_colour"] = charts.part_colour
+    templates.globals["evidence_colours"] = charts.EVIDENCE_COLOURS
+    templates.filters["thousands"] = "{:,.0f}".format
+    return templates
+
+
+def _one_line(value: object) -> object:
+    """Put a file's text on one line, with "?" for what cannot be printed."""
+    return printable(" ".join(value.split())) if isinstance(value, str) and not isinstance(value, Markup) else value
