@@ -78,7 +78,9 @@ def test_points_carry_the_attributes_that_are_passed_in() -> None:
     plain = charts.profile_charts(profile, ["a"], 720, current=3.0)
     assert 'class="point"' not in plain
     assert 'class="current"' not in plain
-    svg = charts.profile_charts(profile, ["a"], 720, 1.0, lambda point: Markup('data-scale="{}"').format(point.change.scale))
+    svg = charts.profile_charts(
+        profile, ["a"], 720, 1.0, lambda point: Markup('data-scale="{}"').format(point.change.scale)
+    )
     assert [float(scale) for scale in re.findall(r'data-scale="([\d.]+)"', svg)] == 2 * [0.5, 1, 2]
     # Equal factors are equally far apart.
     places = [float(x) for x in re.findall(r'cx="([\d.]+)" cy="[\d.]+" r="3.6"', svg)][:3]
