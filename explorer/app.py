@@ -12,7 +12,6 @@ from contextlib import redirect_stdout
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from random import Random
 from typing import Any
 
 import viser
@@ -28,7 +27,8 @@ from explorer.failure_lab.service import Laboratory
 from explorer.failure_lab.window import Lab
 from explorer.opening import open_model, open_saved
 from explorer.panels import shortcuts, tour
-from explorer.panels.panels import THUMBS, Panels
+from explorer.panels.panels import Panels
+from explorer.panels.query_panel import PAGE_SIZE
 from explorer.panels.viewport import Viewport
 from explorer.reports import Reporter
 from explorer.server import viser_compat
@@ -84,19 +84,19 @@ class Visitor:
         self._greeted = self._small = False
         self._sequence = 0
         task = next(iter(workspace.tasks))
-        state = SessionState(task, workspace.spec.n_parts, query=workspace.first, page=workspace.first // THUMBS)
+        state = SessionState(task, workspace.spec.n_parts, query=workspace.first, page=workspace.first // PAGE_SIZE)
         self._state = workspace.possible(state)
         self._asker = RequestContext(workspace.inference)
         self._analyser = StateAnalyser(workspace, self._asker.of(workspace.model))
         with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
             self._dress(self._state)
-            self._panels = Panels(client, workspace, self._state, self.change, Random())
+            self._panels = Panels(client, workspace, self._state, self.change)
             room, self._reporter = Viewport(), Reporter(client, self._asker.of(workspace.model, patient=True))
             self._explain_window = ExplainWindow(
                 client, workspace, self.change, self._failed, room, self._reporter, self._asker
             )
             self._lab = Lab(client, workspace, laboratory, self.change, room, self._reporter)
-            self._panels.order = self._lab.order
+            self._panels.navigation.order = self._lab.order
             handlers = {
                 "room": room.take,
                 "hello": self._hello,
@@ -110,7 +110,7 @@ class Visitor:
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, further)
             self._stage = Stage(client, workspace, self._selected)
             self._worker = Worker(self._work, self._failed)
-            self._follower = RankingProgress(self._panels.show_results, self._worker.wake)
+            self._follower = RankingProgress(self._panels.answer.show_results, self._worker.wake)
             self._opening = DelayedCall(GREETING, self._worker.wake)
 
     def change(self, change: StateChange) -> None:
@@ -155,11 +155,11 @@ class Visitor:
             self._fit(value.get("small"))
             before = self._state
             asked, said = self._links.read(search, before)
-            self.change(lambda _: replace(asked, page=asked.query // THUMBS))
+            self.change(lambda _: replace(asked, page=asked.query // PAGE_SIZE))
             if self._state is before:  # else it has been asked for already, and would be twice
                 self._worker.wake()
         if said:
-            self._panels.say("Not all of the link can be shown", " ".join(said))
+            self._panels.notify_error("Not all of the link can be shown", " ".join(said))
 
     def _fit(self, small: Any) -> None:
         if small is True or self._small:
@@ -175,7 +175,7 @@ class Visitor:
         )
 
     def _work(self) -> float | None:
-        slow = DelayedCall(SLOW, self._panels.busy)
+        slow = DelayedCall(SLOW, self._panels.answer.show_busy)
         try:
             analysis = self._asker.newest(lambda: self._analyser.analyse(self._state, SHOWN))
             self._sequence += 1
@@ -188,7 +188,7 @@ class Visitor:
                 self._panels.show(analysis, self._sequence, started)
         except BusyError:
             slow.there()
-            self._panels.full()
+            self._panels.answer.show_overloaded()
             return AGAIN
         finally:
             slow.there()
@@ -213,7 +213,8 @@ class Visitor:
             if isinstance(error, LPNError)
             else f"{type(error).__name__}: try another picture, or load the page again; the server's log has the details."
         )
-        self._panels.fail(text)
+        self._panels.answer.show_idle()
+        self._panels.notify_error("No answer", text)
 
 
 class App:

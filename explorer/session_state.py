@@ -15,7 +15,8 @@ from lpn.descriptors.transforms import Change
 from lpn.drawing.overlays import DARK, LIGHT, Palette
 
 MAX_WEIGHT = 2.0
-TRUTH: Final = "truth"
+# The value of `selected` that follows the nearest positive; links contain it.
+POSITIVE: Final = "truth"
 HeatKind = Literal["activation", "evidence"]
 MAX_ZOOM = 4.0
 
@@ -39,7 +40,7 @@ class SessionState:
         angle: degrees counter-clockwise the query is turned, -180 .. 180.
         weights: of each part, 0 .. 2, as set by the sliders.
         enabled: which parts are switched on.
-        selected: what the query is compared with: a gallery position, TRUTH for its nearest true tile, or None for
+        selected: what the query is compared with: a gallery position, POSITIVE for its nearest true tile, or None for
             the top match; the last two are followed as the ranking changes.
         shift, down: pixels of the network's input the query is moved to the right and down, after it is turned.
         zoom: factor the query is zoomed by, after it is turned.
@@ -113,6 +114,11 @@ class SessionState:
 
 # A pure change of the state; None leaves the state as it is.
 StateChange = Callable[[SessionState], SessionState | None]
+
+
+def with_field(state: SessionState, field: str, value: Any) -> SessionState:
+    """Return the state with one field replaced, which is known by its name at run time only."""
+    return replace(state, **{field: value})
 
 
 def number(value: Any, low: float, high: float, default: float) -> float:
@@ -213,6 +219,26 @@ def random_failure(state: SessionState, ranks: Sequence[int], rng: Random) -> Se
 def turn(state: SessionState, by: float) -> SessionState:
     """Turn the query further, around the circle."""
     return replace(state, angle=wrap(state.angle + by))
+
+
+def flip_why(state: SessionState) -> SessionState:
+    """Open or close the explain window."""
+    return replace(state, why=not state.why)
+
+
+def flip_lab(state: SessionState) -> SessionState:
+    """Open or close the failure laboratory."""
+    return replace(state, lab=not state.lab)
+
+
+def flip_heat_kind(state: SessionState) -> SessionState:
+    """Switch heatmaps between activation and evidence, and show them."""
+    return replace(state, heat=True, heat_kind="evidence" if state.heat_kind == "activation" else "activation")
+
+
+def equal_parts(state: SessionState) -> SessionState:
+    """Switch all parts on with equal weights."""
+    return replace(state, weights=(), enabled=())
 
 
 def flip_dark(state: SessionState) -> SessionState:

@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode
 
 from explorer import session_state
-from explorer.session_state import TRUTH, SessionState
+from explorer.session_state import POSITIVE, SessionState, with_field
 from explorer.workspace import Workspace
 from lpn.core.files import printable
 
@@ -115,7 +115,7 @@ class UrlState:
         return replace(state, query=query)
 
     def _written_tile(self, state: SessionState) -> str | None:
-        if state.selected is None or state.selected == TRUTH:
+        if state.selected is None or state.selected == POSITIVE:
             return state.selected
         return self._name(state, "gallery", self._workspace.tasks[state.task].gallery, state.selected)
 
@@ -124,20 +124,20 @@ class UrlState:
         tile = self._position(state, "gallery", len(gallery), value)
         if tile is not None:
             return replace(state, selected=tile)
-        if value == TRUTH:
-            return replace(state, selected=TRUTH)
+        if value == POSITIVE:
+            return replace(state, selected=POSITIVE)
         raise UnusableError(f"there is no such tile; names are such as {gallery[0].name}.")
 
     def _name(self, state: SessionState, side: str, entries: Sequence[Any], index: int) -> str:
         """A picture's name, or its position where the name alone would be taken for something else."""
         name = str(entries[index].name)
-        plain = name == printable(name) and name not in (OWN, TRUTH) and name[:1] != "~"
+        plain = name == printable(name) and name not in (OWN, POSITIVE) and name[:1] != "~"
         return name if plain and self._first[state.task, side][name] == index else f"~{index}"
 
     def _position(self, state: SessionState, side: str, count: int, value: str) -> int | None:
         if re.fullmatch(r"~\d{1,9}", value):
             return int(value[1:]) if int(value[1:]) < count else None
-        return None if value in (OWN, TRUTH) else self._first[state.task, side].get(value)
+        return None if value in (OWN, POSITIVE) else self._first[state.task, side].get(value)
 
     def _region(self, state: SessionState, value: str) -> SessionState:
         rows, columns = self._workspace.sizes(self._workspace.tasks[state.task])
@@ -186,10 +186,6 @@ def _parsed(text: str, low: float, high: float) -> float:
     return value
 
 
-def _with(state: SessionState, name: str, value: Any) -> SessionState:
-    return replace(state, **{name: value})
-
-
 def _default(name: str) -> Any:
     return SessionState.__dataclass_fields__[name].default
 
@@ -197,7 +193,7 @@ def _default(name: str) -> Any:
 def _number(name: str, low: float, high: float, whole: bool = False) -> _Kind:
     def read(state: SessionState, text: str) -> SessionState:
         value = _parsed(text, low, high)
-        return _with(state, name, round(value) if whole else value)
+        return with_field(state, name, round(value) if whole else value)
 
     return _Kind(name, lambda s: None if getattr(s, name) == _default(name) else _shown(getattr(s, name)), read)
 
@@ -210,7 +206,7 @@ def _choice(name: str, values: dict[str, Any], key: str | None = None) -> _Kind:
     def read(state: SessionState, text: str) -> SessionState:
         if text not in values:
             raise UnusableError(f"expected {' or '.join(values)}.")
-        return _with(state, name, values[text])
+        return with_field(state, name, values[text])
 
     return _Kind(key or name, write, read)
 

@@ -15,7 +15,7 @@ from explorer.compute.cache import SingleFlightCache
 from explorer.compute.inference_scheduler import InferenceScheduler
 from explorer.compute.ranking_job import RankingJob, TaskRanking
 from explorer.compute.request_context import QueuedModel, RequestContext
-from explorer.session_state import TRUTH, SessionState
+from explorer.session_state import POSITIVE, SessionState
 from explorer.stage import gallery_geometry
 from explorer.stage.gallery_geometry import Places
 from explorer.stage.layout import layout_for
@@ -307,7 +307,7 @@ class StateAnalyser:
         matches = ranking.top(k)
         truth = ranking.truth()
         chosen = matches[0]
-        if state.selected == TRUTH:
+        if state.selected == POSITIVE:
             chosen = truth or chosen
         elif state.selected is not None and ranking.holds(state.selected):
             chosen = ranking.find(state.selected)

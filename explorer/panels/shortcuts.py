@@ -1,4 +1,4 @@
-"""What the command palette offers beyond the panels' own keys, so that everything can be reached from it."""
+"""The hotkeys and the commands of the palette, so that everything can be reached from it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import viser
 
 from explorer import session_state
 from explorer.panels.panels import Panels
-from explorer.session_state import SessionState, StateChange
+from explorer.panels.query_panel import city_available
+from explorer.session_state import MAX_ZOOM, POSITIVE, SessionState, StateChange
 from explorer.web.bridge import PageBridge
 from explorer.workspace import Workspace
 
-_SHIFT = 8
-_ZOOM = 1.1
+_SHIFT_STEP = 8
+_ZOOM_STEP = 1.1
 
 
 def add(
@@ -24,74 +25,113 @@ def add(
     panels: Panels,
     change: Callable[[StateChange], None],
     bridge: PageBridge,
-    further: Sequence[tuple[str, Callable[[], None]]],
+    window_commands: Sequence[tuple[str, Callable[[], None]]],
 ) -> None:
-    """Register them for one browser; `further` are those of the windows."""
-    live = workspace.model is not None
-    orders: list[tuple[str, str | None, Callable[[], None]]] = [
+    """Register all commands for one browser."""
+    for label, key, state_change in _changes(workspace, panels):
+        _register(gui, label, key, _with_change(change, state_change))
+    for slot in range(9):
+        _register(gui, f"Compare match {slot + 1}", str(slot + 1), panels.answer.compare(slot))
+    calls: list[tuple[str, str | None, Callable[[], None]]] = [
         ("Copy link to what is shown", "I", lambda: bridge.call("copy")),
         ("Show the tour", None, lambda: bridge.call("tour")),
-        ("Find a picture by name", None, lambda: bridge.call("focus", panels.finder)),
+        ("Find a picture by name", None, lambda: bridge.call("focus", str(panels.query.find._impl.uuid))),
     ]
-    if live:
-        orders.append(("Use my own picture", "U", lambda: bridge.call("upload")))
-    orders += [(label, None, order) for label, order in further]
-    for label, key, order in orders:
-        gui.add_command(label, hotkey=cast(Any, key)).on_trigger(_calls(order))
-    changes: list[tuple[str, str | None, StateChange]] = [("Light or dark", "O", session_state.flip_dark)]
+    if workspace.model is not None:
+        calls.append(("Use my own picture", "U", lambda: bridge.call("upload")))
+    calls += [(label, None, call) for label, call in window_commands]
+    for label, key, call in calls:
+        _register(gui, label, key, _without_event(call))
+
+
+def _changes(workspace: Workspace, panels: Panels) -> list[tuple[str, str | None, StateChange]]:
+    """Return label, hotkey, and state change of each command."""
+    navigation = panels.navigation
+    changes: list[tuple[str, str | None, StateChange]] = [
+        ("Next picture", "N", navigation.next),
+        ("Previous picture", "P", navigation.previous),
+        ("Random picture", "R", navigation.random),
+        ("Random failure", "F", navigation.failure),
+        ("Turn left 5°", "J", lambda state: session_state.turn(state, 5)),
+        ("Turn right 5°", "L", lambda state: session_state.turn(state, -5)),
+        ("Upright and whole", "K", session_state.upright),
+        ("Heatmap on or off", "H", lambda state: replace(state, heat=not state.heat)),
+        ("Rings on or off", "G", lambda state: replace(state, rings=not state.rings)),
+        ("Compare the true tile", "T", lambda state: replace(state, selected=POSITIVE)),
+        ("Take the rings apart", "X", lambda state: replace(state, exploded=not state.exploded)),
+        ("Map or pair", "M", lambda state: _flip_map(workspace, state)),
+        ("Why: evidence for the compared pair", "Y", session_state.flip_why),
+        ("Failure laboratory: all queries", "B", session_state.flip_lab),
+        ("Heatmap: activation or evidence", "V", session_state.flip_heat_kind),
+        ("City on the map or tiles", "C", lambda state: _flip_city(workspace, state)),
+        ("Light or dark", "O", session_state.flip_dark),
+    ]
     if len(workspace.tasks) > 1:
-        changes += [(f"Task: {name}", None, _task(name)) for name in workspace.tasks]
-    changes += [(f"Part {name} on or off", None, _flip_part(part)) for part, name in enumerate(workspace.part_names)]
-    changes.append(("All parts equal", None, lambda state: replace(state, weights=(), enabled=())))
-    if live:
-        changes += [(f"Heatmap of part {name}", None, _heat_of(part)) for part, name in enumerate(workspace.part_names)]
+        changes += [(f"Task: {name}", None, _choose_task(name)) for name in workspace.tasks]
+    parts = list(enumerate(workspace.part_names))
+    changes += [(f"Part {name} on or off", None, _flip_part(part)) for part, name in parts]
+    changes.append(("All parts equal", None, session_state.equal_parts))
+    if workspace.model is not None:
+        changes += [(f"Heatmap of part {name}", None, _show_heat(part)) for part, name in parts]
         changes += [
-            ("Heatmap of all parts", None, _heat_of(None)),
-            ("Zoom in", None, _zoom(_ZOOM)),
-            ("Zoom out", None, _zoom(1 / _ZOOM)),
-            (f"Shift right by {_SHIFT} pixels", None, _shift(workspace, _SHIFT, 0)),
-            (f"Shift left by {_SHIFT} pixels", None, _shift(workspace, -_SHIFT, 0)),
-            (f"Shift down by {_SHIFT} pixels", None, _shift(workspace, 0, _SHIFT)),
-            (f"Shift up by {_SHIFT} pixels", None, _shift(workspace, 0, -_SHIFT)),
+            ("Heatmap of all parts", None, _show_heat(None)),
+            ("Zoom in", None, _zoom(_ZOOM_STEP)),
+            ("Zoom out", None, _zoom(1 / _ZOOM_STEP)),
+            (f"Shift right by {_SHIFT_STEP} pixels", None, _shift(workspace, _SHIFT_STEP, 0)),
+            (f"Shift left by {_SHIFT_STEP} pixels", None, _shift(workspace, -_SHIFT_STEP, 0)),
+            (f"Shift down by {_SHIFT_STEP} pixels", None, _shift(workspace, 0, _SHIFT_STEP)),
+            (f"Shift up by {_SHIFT_STEP} pixels", None, _shift(workspace, 0, -_SHIFT_STEP)),
         ]
-    for label, key, changed in changes:
-        gui.add_command(label, hotkey=cast(Any, key)).on_trigger(_changes(change, changed))
+    return changes
 
 
-def _calls(order: Callable[[], None]) -> Callable[[Any], None]:
-    return lambda _: order()
+def _register(gui: viser.GuiApi, label: str, key: str | None, callback: Callable[[Any], None]) -> None:
+    gui.add_command(label, hotkey=cast(Any, key)).on_trigger(callback)
 
 
-def _changes(change: Callable[[StateChange], None], changed: StateChange) -> Callable[[Any], None]:
-    return lambda _: change(changed)
+def _with_change(change: Callable[[StateChange], None], state_change: StateChange) -> Callable[[Any], None]:
+    return lambda _: change(state_change)
 
 
-def _task(name: str) -> StateChange:
+def _without_event(call: Callable[[], None]) -> Callable[[Any], None]:
+    return lambda _: call()
+
+
+def _flip_map(workspace: Workspace, state: SessionState) -> SessionState:
+    return replace(state, map=not state.map and workspace.tasks[state.task].places is not None)
+
+
+def _flip_city(workspace: Workspace, state: SessionState) -> SessionState:
+    return replace(state, city=not state.city) if city_available(workspace, state) else state
+
+
+def _choose_task(name: str) -> StateChange:
     return lambda state: session_state.take_task(state, name)
 
 
 def _flip_part(part: int) -> StateChange:
-    def flipped(state: SessionState) -> SessionState:
-        enabled = tuple(on != (i == part) for i, on in enumerate(state.enabled))
-        return replace(state, enabled=enabled)
+    def flip(state: SessionState) -> SessionState:
+        return replace(state, enabled=tuple(on != (i == part) for i, on in enumerate(state.enabled)))
 
-    return flipped
+    return flip
 
 
-def _heat_of(part: int | None) -> StateChange:
+def _show_heat(part: int | None) -> StateChange:
     return lambda state: replace(state, heat=True, heat_part=part)
 
 
 def _zoom(factor: float) -> StateChange:
-    low, high = 1 / session_state.MAX_ZOOM, session_state.MAX_ZOOM
-    return lambda state: replace(state, zoom=min(max(round(state.zoom * factor, 2), low), high))
+    return lambda state: replace(state, zoom=min(max(round(state.zoom * factor, 2), 1 / MAX_ZOOM), MAX_ZOOM))
 
 
 def _shift(workspace: Workspace, right: int, down: int) -> StateChange:
-    reach = workspace.spec.input_size[1] // 2, workspace.spec.input_size[0] // 2
+    max_down, max_right = (side // 2 for side in workspace.spec.input_size)
 
-    def shifted(state: SessionState) -> SessionState:
-        across = min(max(state.shift + right, -reach[0]), reach[0])
-        return replace(state, shift=across, down=min(max(state.down + down, -reach[1]), reach[1]))
+    def shift(state: SessionState) -> SessionState:
+        return replace(
+            state,
+            shift=min(max(state.shift + right, -max_right), max_right),
+            down=min(max(state.down + down, -max_down), max_down),
+        )
 
-    return shifted
+    return shift

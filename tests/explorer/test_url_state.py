@@ -10,7 +10,7 @@ import pytest
 
 from explorer import session_state, url_state
 from explorer.opening import open_model
-from explorer.session_state import TRUTH, SessionState, Upload
+from explorer.session_state import POSITIVE, SessionState, Upload
 from explorer.url_state import UrlState
 from explorer.workspace import Workspace
 
@@ -72,7 +72,7 @@ def test_pictures_are_called_by_name_and_what_is_usual_is_not_said(workspace: Wo
     names = [entry.name for entry in workspace.tasks["drone-to-satellite"].queries]
     tile = workspace.tasks["drone-to-satellite"].gallery[2].name
     assert links.write(state) == f"task=drone-to-satellite&query={names[3]}&with={tile}"
-    assert links.write(replace(state, selected=TRUTH)).endswith("with=truth")
+    assert links.write(replace(state, selected=POSITIVE)).endswith("with=truth")
 
 
 def test_names_that_are_shared_or_mean_something_else_are_called_by_position(workspace: Workspace) -> None:

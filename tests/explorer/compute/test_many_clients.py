@@ -153,7 +153,9 @@ class Browser(Talker):
 def visitor_of(app: App, browser: Talker) -> Visitor:
     """What the server has for a browser."""
     slider = browser.find("Rotate")
-    return next(one for one in app._visitors.values() if one._panels._angle._impl.uuid == slider)
+    return next(
+        one for one in app._visitors.values() if one._panels.controls._bindings["angle"].handle._impl.uuid == slider
+    )
 
 
 class Direct:
@@ -260,17 +262,17 @@ def test_a_value_that_comes_while_an_older_one_is_taken_stays(app: App) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
         visitor = visitor_of(app, browser)
-        slider = visitor._panels._angle
+        slider = visitor._panels.controls._bindings["angle"].handle
 
         def taken(state: SessionState) -> SessionState:
-            read = visitor._panels.read(state)
+            read = visitor._panels.controls.read(state)
             slider._impl.value = 12  # as viser's own thread does meanwhile
             return read
 
         slider._impl.value = 10
         visitor.change(taken)
         assert (visitor._state.angle, slider.value) == (10, 12)
-        visitor.change(visitor._panels.read)  # what the value itself brings about
+        visitor.change(visitor._panels.controls.read)  # what the value itself brings about
         assert visitor._state.angle == 12
         visitor.change(lambda state: session_state.turn(state, 5))
         assert slider.value == 17
@@ -289,7 +291,7 @@ def test_a_picture_that_waits_to_be_read_keeps_nobodys_controls_waiting(
         monkeypatch.setattr(visitor_of(app, browser)._client.gui, "_thread_executor", pool)
         with reading:
             browser.upload("mine.png", picture(90))
-            until(visitor_of(app, browser)._panels._reading.locked)
+            until(visitor_of(app, browser)._panels.query._upload._reading.locked)
             browser.turn(7)
         browser.wait(lambda: browser.status("name") == "mine.png")
 
@@ -436,7 +438,7 @@ def profiles(app: App) -> None:
         visitor.change(lambda state: replace(state, why=True, lab=True))
         browser.wait(lambda: "id='lpn-why'" in browser.html())
         browser.tell("sweep", "rotation")
-        until(lambda: visitor._reasons._sweep is not None and visitor._reasons._sweep.begun)
+        until(lambda: (sweep := visitor._explain_window._content.sweep) is not None and sweep.total)
         browser.tell("report", None)
         until(lambda: visitor._reporter._job is not None)
 

@@ -825,7 +825,7 @@ def test_what_a_browser_sent_goes_with_it(app: App) -> None:
         talker.upload("mine.png", picture(600))
         talker.wait(lambda: talker.status("name") == "mine.png")
         assert len(alive(Upload)) == 1
-        held = visitor()._panels._upload  # type: ignore[union-attr]
+        held = visitor()._panels.query._upload._button  # type: ignore[union-attr]
         assert held.value.content == b"", "viser's own copy of the bytes"
         del held
     for _ in range(20):

@@ -1,0 +1,82 @@
+"""The panel on the right: results on the task, verdict, ranked tiles, and the compared pair."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import viser
+
+from explorer import session_state
+from explorer.panels import pages
+from explorer.session_state import POSITIVE, StateChange
+from explorer.stage.cards import SHOWN
+from explorer.web.html import Html
+from explorer.workspace import StateAnalysis, Task, Workspace
+
+
+class AnswerPanel:
+    """One browser's view of an analysis.
+
+    Args:
+        change: replaces the browser's state by a function's result.
+    """
+
+    def __init__(self, gui: viser.GuiApi, workspace: Workspace, change: Callable[[StateChange], None]) -> None:
+        self._workspace, self._change = workspace, change
+        self._header, self._verdict = Html(gui), Html(gui)
+        self._shown: pages.Shown | None = None
+        self._status = Html(gui, pages.status(None))
+        with gui.add_folder("Matches"):
+            self._matches = Html(gui)
+            buttons = [gui.add_button(f"match {slot + 1}") for slot in range(SHOWN)]
+            for slot, button in enumerate(buttons):
+                button.on_click(self.compare(slot))
+            buttons.append(gui.add_button("true tile"))
+            buttons[-1].on_click(lambda _: change(lambda state: replace(state, selected=POSITIVE)))
+            self._match_buttons = [str(button._impl.uuid) for button in buttons]
+            gui.add_html(pages.hidden(self._match_buttons))
+        with gui.add_folder("Compared pair"):
+            self._table = Html(gui)
+            why = gui.add_button("Why this tile?", icon=viser.Icon.ZOOM_QUESTION, visible=workspace.model is not None)
+            why.on_click(lambda _: change(session_state.flip_why))
+        gui.add_html(pages.keys())
+
+    def compare(self, slot: int) -> Callable[[Any], None]:
+        """Return a callback that compares the query with the tile in a slot of the ranking."""
+
+        def on_click(_: Any) -> None:
+            analysis = None if self._shown is None else self._shown.analysis
+            if analysis is not None and slot < len(analysis.matches):
+                index = analysis.matches[slot].index
+                self._change(lambda state: session_state.compare(state, analysis.state, index))
+
+        return on_click
+
+    def show(self, analysis: StateAnalysis, sequence: int, started: float) -> None:
+        """Show an analysis; `started` is when drawing began, by `time.perf_counter`."""
+        workspace = self._workspace
+        self.show_results(analysis.task)
+        self._verdict.show(pages.verdict(analysis, workspace))
+        self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
+        self._table.show(pages.parts_table(analysis, workspace))
+        self._shown = pages.Shown(analysis, sequence, time.perf_counter() - started)
+        self.show_idle()
+
+    def show_results(self, task: Task) -> None:
+        """Show the model's results on a task, or the progress of the ranking that they come from."""
+        self._header.show(pages.header(self._workspace, task))
+
+    def show_idle(self) -> None:
+        """Show the status of the last analysis."""
+        self._status.show(pages.status(self._shown))
+
+    def show_busy(self) -> None:
+        """Show that the next analysis is being computed; the last one stays until then."""
+        self._status.show(pages.status(self._shown, "computing"))
+
+    def show_overloaded(self) -> None:
+        """Show that the server is overloaded and that this page will ask again; the last analysis stays."""
+        self._status.show(pages.status(self._shown, "full"))

@@ -1,0 +1,56 @@
+"""Steps from one query to another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from random import Random
+
+from explorer import session_state
+from explorer.session_state import SessionState
+from explorer.workspace import Workspace
+from lpn.core.arrays import Int64Array
+
+
+class Navigation:
+    """State changes that choose another query.
+
+    Args:
+        notify: shows a notification with a title and a text.
+
+    Attributes:
+        order: returns the queries that `next` and `previous` go through; None for all of them.
+    """
+
+    def __init__(self, workspace: Workspace, notify: Callable[[str, str], object]) -> None:
+        self._workspace, self._notify, self._rng = workspace, notify, Random()
+        self.order: Callable[[SessionState], Int64Array | None] = lambda _: None
+
+    def next(self, state: SessionState) -> SessionState:
+        """Choose the next query."""
+        return self._step(state, 1)
+
+    def previous(self, state: SessionState) -> SessionState:
+        """Choose the previous query."""
+        return self._step(state, -1)
+
+    def random(self, state: SessionState) -> SessionState:
+        """Choose any other query."""
+        return session_state.random_query(state, self._count(state), self._rng)
+
+    def failure(self, state: SessionState) -> SessionState | None:
+        """Choose any other query whose positive is not ranked first."""
+        task = self._workspace.tasks[state.task]
+        if task.found is None:
+            self._notify("Not known yet", "All queries are still being ranked; ask again when they are.")
+            return None
+        chosen = session_state.random_failure(state, task.ranks.tolist(), self._rng)
+        if chosen is None:
+            self._notify("No failure", "Every query of this task finds its true tile first.")
+        return chosen
+
+    def _step(self, state: SessionState, by: int) -> SessionState:
+        order, count = self.order(state), self._count(state)
+        return session_state.step(state, by, count) if order is None else session_state.walk(state, by, order, count)
+
+    def _count(self, state: SessionState) -> int:
+        return len(self._workspace.tasks[state.task].queries)

@@ -1,0 +1,161 @@
+"""The panel Query: the task, the query picture, and how the stage draws it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import viser
+
+from explorer import session_state
+from explorer.panels import pages
+from explorer.panels.controls import Controls
+from explorer.panels.navigation import Navigation
+from explorer.panels.upload_control import UploadControl
+from explorer.session_state import MAX_ZOOM, SessionState, StateChange
+from explorer.web.html import Html
+from explorer.workspace import StateAnalysis, Workspace
+
+# Pictures on one page of the picker.
+PAGE_SIZE = 12
+_HEAT_KINDS = {"Activation": "activation", "Evidence": "evidence"}
+_MAX_FIND = 200
+
+
+class QueryPanel:
+    """One browser's controls of the query.
+
+    Args:
+        change: replaces the browser's state by a function's result.
+        notify_error: shows an error with a title and a text.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        workspace: Workspace,
+        controls: Controls,
+        navigation: Navigation,
+        change: Callable[[StateChange], None],
+        notify_error: Callable[[str, str], None],
+    ) -> None:
+        self._workspace = workspace
+        has_model = workspace.model is not None
+        height, width = workspace.spec.input_size
+        tasks = {name: name for name in workspace.tasks}
+        controls.dropdown("Task", "task", tasks, visible=len(tasks) > 1, apply=session_state.take_task)
+        moves: dict[str, StateChange] = {
+            "‹ Previous": navigation.previous,
+            "Next ›": navigation.next,
+            "Random": navigation.random,
+            "Failure": navigation.failure,
+        }
+        buttons = gui.add_button_group("Go to", tuple(moves))
+        buttons.on_click(lambda _: change(moves.get(buttons.value, lambda state: state)))
+        laboratory = gui.add_button("Failure laboratory", icon=viser.Icon.FLASK)
+        laboratory.on_click(lambda _: change(session_state.flip_lab))
+        controls.slider("Rotate", "angle", -180, 180, 1, visible=has_model)
+        with gui.add_folder("Shift and zoom", expand_by_default=False, visible=has_model):
+            controls.slider("Shift right", "shift", -(width // 2), width // 2, 1, whole=True)
+            controls.slider("Shift down", "down", -(height // 2), height // 2, 1, whole=True)
+            controls.slider("Zoom", "zoom", 1 / MAX_ZOOM, MAX_ZOOM, 0.05)
+            gui.add_html(pages.note(pages.SHIFT_NOTE))
+        # viser would show an upload button even where it is not visible.
+        self._upload = UploadControl(gui, change, notify_error) if has_model else None
+        with gui.add_folder("Pictures"):
+            self.find = gui.add_text("Find name", "")
+            self._picker = _Picker(gui, workspace, change)
+        controls.bind("find", self.find, self._search)  # after the angle, which a newly found query resets
+        with gui.add_folder("Look"):
+            controls.checkbox("Rings", "rings")
+            controls.checkbox("Take apart", "exploded")
+            has_places = any(task.places is not None for task in workspace.tasks.values())
+            controls.checkbox("Map", "map", visible=has_places)
+            self._city = controls.checkbox("City", "city", visible=False)
+            controls.checkbox("Heatmap", "heat", visible=has_model)
+            controls.dropdown("Shows", "heat_kind", _HEAT_KINDS, visible=has_model, hint=pages.HEAT_NOTE)
+            parts = {"All parts": None} | {name: part for part, name in enumerate(workspace.part_names)}
+            controls.dropdown("Heat of", "heat_part", parts, visible=has_model)
+            controls.slider("Opacity", "opacity", 0.0, 1.0, 0.05, visible=has_model)
+            if not has_model:
+                gui.add_html(pages.note(pages.SAVED_NOTE, "lpn-saved"))
+
+    def update(self, state: SessionState) -> None:
+        """Show the controls that a state offers."""
+        visible = city_available(self._workspace, state)
+        if self._city.visible != visible:
+            self._city.visible = visible
+
+    def show(self, analysis: StateAnalysis) -> None:
+        """Show the page of pictures that an analysis is about."""
+        self._picker.show(analysis)
+
+    def _search(self, state: SessionState, value: Any) -> SessionState:
+        """Filter the pictures by a text; a text that one name alone contains chooses that query."""
+        find = str(value)[:_MAX_FIND]
+        if find == state.find:
+            return state
+        state = replace(state, find=find, page=0)
+        names = self._workspace.tasks[state.task].names
+        hits = session_state.found(names, find) if find.strip() else []
+        return session_state.choose(state, hits[0], len(names)) if len(hits) == 1 else state
+
+
+def city_available(workspace: Workspace, state: SessionState) -> bool:
+    """Return True when the map is shown and there is a city for it."""
+    return state.map and workspace.city is not None and workspace.tasks[state.task].places is not None
+
+
+@dataclass(frozen=True)
+class _Page:
+    """The pictures that the picker shows: positions among a task's queries."""
+
+    task: str
+    find: str
+    queries: tuple[int, ...]
+
+
+class _Picker:
+    """Pages of thumbnails; html presses a hidden button for each."""
+
+    def __init__(self, gui: viser.GuiApi, workspace: Workspace, change: Callable[[StateChange], None]) -> None:
+        self._workspace, self._change = workspace, change
+        self._page: _Page | None = None
+        self._html = Html(gui)
+        buttons = [gui.add_button(f"picture {slot}") for slot in range(PAGE_SIZE)]
+        for slot, button in enumerate(buttons):
+            button.on_click(self._choose(slot))
+        for label, by in (("earlier", -1), ("later", 1)):
+            buttons.append(gui.add_button(label))
+            buttons[-1].on_click(self._turn_page(by))
+        self._buttons = [str(button._impl.uuid) for button in buttons]
+        gui.add_html(pages.hidden(self._buttons))
+
+    def show(self, analysis: StateAnalysis) -> None:
+        state, task = analysis.state, analysis.task
+        hits = session_state.found(task.names, state.find)
+        count = max(-(-len(hits) // PAGE_SIZE), 1)
+        page = state.page % count
+        shown = hits[page * PAGE_SIZE : (page + 1) * PAGE_SIZE]
+        self._page = _Page(state.task, state.find, tuple(shown))
+        query = None if state.upload else state.query
+        self._html.show(pages.picker(self._workspace, task, shown, query, page, count, self._buttons))
+
+    def _choose(self, slot: int) -> Callable[[Any], None]:
+        def on_click(_: Any) -> None:
+            page = self._page
+            if page is None or slot >= len(page.queries):
+                return
+
+            def choose(state: SessionState) -> SessionState:
+                if (state.task, state.find) != (page.task, page.find):
+                    return state
+                return session_state.choose(state, page.queries[slot], len(self._workspace.tasks[state.task].queries))
+
+            self._change(choose)
+
+        return on_click
+
+    def _turn_page(self, by: int) -> Callable[[Any], None]:
+        return lambda _: self._change(lambda state: replace(state, page=state.page + by))

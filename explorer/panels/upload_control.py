@@ -1,0 +1,60 @@
+"""The button for a picture of the user's own."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import viser
+from viser import UploadedFile
+
+from explorer import session_state, uploads
+from explorer.session_state import StateChange
+from lpn.core.errors import LPNError
+
+
+class UploadControl:
+    """One browser's upload button; it reads one picture at a time.
+
+    Args:
+        change: replaces the browser's state by a function's result.
+        notify_error: shows an error with a title and a text.
+    """
+
+    def __init__(
+        self, gui: viser.GuiApi, change: Callable[[StateChange], None], notify_error: Callable[[str, str], None]
+    ) -> None:
+        self._change, self._notify_error, self._reading = change, notify_error, threading.Lock()
+        self._button = gui.add_upload_button(
+            "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
+        )
+        self._button.on_upload(self._on_upload)
+        uploads.BUTTONS[str(self._button._impl.uuid)] = self._button
+
+    def _on_upload(self, _: Any) -> None:
+        if not self._reading.acquire(blocking=False):
+            self._notify_error("Picture not taken", "The one before it is still being read; send it again.")
+            return
+        # viser's few callback threads serve all browsers, and pictures may wait for one another.
+        thread = threading.Thread(target=self._read, name="explorer-upload", daemon=True)
+        try:
+            thread.start()
+        except BaseException:
+            self._reading.release()
+            raise
+
+    def _read(self) -> None:
+        try:
+            file = self._button.value
+            if not file.name:  # two uploads came at once, and the later one has been read in place of both
+                return
+            self._button._impl.value = UploadedFile("", b"")  # viser would keep the bytes
+            upload = uploads.read(file.name, file.content)
+        except LPNError as error:
+            self._notify_error("Picture not taken", str(error))
+            return
+        finally:
+            self._reading.release()
+        self._change(lambda state: replace(session_state.upright(state), upload=upload, selected=None))
