@@ -70,7 +70,7 @@ def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> i
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        level, given = log.level_given(list(sys.argv[1:] if arguments is None else arguments))
+        level, given = log.parse_level(list(sys.argv[1:] if arguments is None else arguments))
     except LPNError as error:
         print(f"lpn: {error}", file=sys.stderr)
         return 2
@@ -85,7 +85,7 @@ def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> i
         return 2
     parsed: list[Any] = []
     stop = StopSignals(lambda number: _stopped(parsed, number))
-    with log.shown(level), stop.listening():
+    with log.log_to_stderr(level), stop.listening():
         try:
             return _run(given, parsed)
         except KeyboardInterrupt:

@@ -1,6 +1,6 @@
-"""The log: one line on stderr for each thing, with time and level. Quiet unless asked: warnings and errors alone.
+"""The log on stderr: one line a record, with time and level. Only warnings and errors are shown unless asked otherwise.
 
-What names and texts of others hold cannot break a line, and no token is ever in one.
+Text from outside cannot break a line, and no line contains a token.
 """
 
 from __future__ import annotations
@@ -8,60 +8,58 @@ from __future__ import annotations
 import logging
 import os
 import re
-import sys
-import traceback
+import traceback as tracebacks
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Final, Literal, get_args
 from urllib.parse import quote, quote_plus
+
+from rich.console import Console, ConsoleRenderable
+from rich.logging import RichHandler
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 
+# The environment variable and the flag that set the level.
 VARIABLE: Final = "LPN_LOG"
-"""The environment variable that the level is read from."""
 FLAG: Final = "--log-level"
 Level = Literal["debug", "info", "warning", "error"]
 LEVELS: tuple[Level, ...] = get_args(Level)
-OURS = ("lpn", "explorer")
-_HIDDEN = "***"
+OUR_LOGGERS = ("lpn", "explorer")
 _TOKEN = re.compile(r"(token=)[^&\s\"'<>]+", re.IGNORECASE)
-_LONGEST = 1000
+_MAX_LENGTH = 1000
 
 
-def level_given(arguments: list[str], environ: Mapping[str, str] | None = None) -> tuple[Level, list[str]]:
-    """The level that command line or environment name, and the arguments without it.
+def parse_level(arguments: list[str], environ: Mapping[str, str] | None = None) -> tuple[Level, list[str]]:
+    """Return the level that the command line or else the environment sets, and the remaining arguments.
 
     Raises:
-        InputError: when it is none.
+        InputError: if the level is unknown.
     """
     environ = os.environ if environ is None else environ
-    level, said, rest = environ.get(VARIABLE, "").strip() or "warning", VARIABLE, list(arguments)
+    level, source, rest = environ.get(VARIABLE, "").strip() or "warning", VARIABLE, list(arguments)
     for position, argument in enumerate(rest):
         if argument == FLAG or argument.startswith(f"{FLAG}="):
-            both = argument == FLAG
-            level = "".join(rest[position + 1 : position + 2]) if both else argument.partition("=")[2]
-            said = FLAG
-            del rest[position : position + 1 + both]
+            separate = argument == FLAG
+            level = "".join(rest[position + 1 : position + 2]) if separate else argument.partition("=")[2]
+            source = FLAG
+            del rest[position : position + 1 + separate]
             break
     level = level.lower()
     if level not in LEVELS:
-        raise InputError(f"{said} is {printable(level)[:40]!r}; expected one of {', '.join(LEVELS)}.")
+        raise InputError(f"{source} is {printable(level)[:40]!r}; expected one of {', '.join(LEVELS)}.")
     return level, rest
 
 
 @contextmanager
-def shown(level: Level) -> Iterator[None]:
-    """Show the log on stderr while this lasts: our own from this level on, others' from warnings on."""
-    handler = _Stderr()
-    handler.setFormatter(Lines(level == "debug"))
-    root = logging.getLogger()
-    names = {name: level.upper() for name in OURS} | {
-        # It calls a browser's connection that was opened ahead and never used, or a port scan, an error.
-        "websockets": "ERROR" if level == "debug" else "CRITICAL"
-    }
-    before = {name: logging.getLogger(name).level for name in names}
-    for name, wanted in names.items():
+def log_to_stderr(level: Level) -> Iterator[None]:
+    """Log to stderr inside the context: our own loggers from `level` on, those of libraries from warnings on."""
+    handler, root = StderrHandler(whole_tracebacks=level == "debug"), logging.getLogger()
+    levels = dict.fromkeys(OUR_LOGGERS, level.upper())
+    # websockets reports port scans and connections that a browser opened ahead of time as errors.
+    levels["websockets"] = "ERROR" if level == "debug" else "CRITICAL"
+    before = {name: logging.getLogger(name).level for name in levels}
+    for name, wanted in levels.items():
         logging.getLogger(name).setLevel(wanted)
     root.addHandler(handler)
     try:
@@ -72,67 +70,55 @@ def shown(level: Level) -> Iterator[None]:
             logging.getLogger(name).setLevel(old)
 
 
-class Lines(logging.Formatter):
-    """A record as one line. Tracebacks follow, indented: those of our own, and of libraries at debug.
+def conceal(secret: str | None) -> None:
+    """Hide a secret in all further lines of the running log, also where it is URL-encoded."""
+    for handler in logging.getLogger().handlers:
+        if isinstance(handler, StderrHandler) and secret:
+            handler.secrets |= {secret, quote(secret, safe=""), quote_plus(secret)}
 
-    Args:
-        whole: whether libraries' tracebacks are shown, too.
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Ignore a closed terminal, which must not end the process."""
+
+
+class StderrHandler(RichHandler):
+    """Writes one line a record; tracebacks follow, indented: of our own loggers, or of all with `whole_tracebacks`.
+
+    Attributes:
+        secrets: texts that no line may contain.
     """
 
-    def __init__(self, whole: bool) -> None:
-        super().__init__("%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s", "%Y-%m-%d %H:%M:%S")
-        self._whole = whole
+    def __init__(self, whole_tracebacks: bool = False) -> None:
+        super().__init__(console=_Console(stderr=True, soft_wrap=True))
+        self.setFormatter(
+            logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s", "%Y-%m-%d %H:%M:%S")
+        )
+        self.secrets: set[str] = set()
+        self._whole_tracebacks = whole_tracebacks
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line, without a line break at its end."""
-        line = logging.LogRecord(record.name, record.levelno, "", 0, _said(record), None, None)
-        line.created, line.msecs = record.created, record.msecs
-        text = super().format(line)
+        """Return the record's line, and those of its traceback."""
+        try:
+            message = record.getMessage()
+        except Exception:  # a library's malformed call must not fail here
+            message = str(record.msg)
+        plain = {"msg": self._clean(message), "args": None, "exc_info": None, "exc_text": None, "stack_info": None}
+        text = super().format(logging.makeLogRecord({**vars(record), **plain}))
         error = record.exc_info[1] if record.exc_info else None
         if error is None:
             return text
-        if self._whole or record.name.partition(".")[0] in OURS:
-            traced = "".join(traceback.format_exception(error)).splitlines()
-            text = "\n".join([text, *(f"    {_short(one)}" for one in traced)])
-        else:
-            text += f" ({type(error).__name__}: {_short(str(error), 200)})"
-        return text
+        if self._whole_tracebacks or record.name.partition(".")[0] in OUR_LOGGERS:
+            lines = "".join(tracebacks.format_exception(error)).splitlines()
+            return "\n".join([text, *(f"    {self._clean(line)}" for line in lines)])
+        return f"{text} ({type(error).__name__}: {self._clean(str(error), 200)})"
 
+    def render(self, *, message_renderable: ConsoleRenderable, **_: object) -> ConsoleRenderable:  # type: ignore[override]
+        """Return the line alone; rich would add columns and wrap them."""
+        return message_renderable
 
-_SECRETS: list[str] = []
-
-
-def conceal(secret: str | None) -> None:
-    """Let no line show this from now on, as it is or as an address or a form has it."""
-    if secret:
-        _SECRETS.extend({secret, quote(secret, safe=""), quote_plus(secret)} - set(_SECRETS))
-        del _SECRETS[:-100]
-
-
-def concealed(text: str) -> str:
-    """A text without tokens: those that are known, and whatever an address gives as one."""
-    for secret in _SECRETS:
-        text = text.replace(secret, _HIDDEN)
-    return _TOKEN.sub(rf"\1{_HIDDEN}", text)
-
-
-class _Stderr(logging.Handler):
-    """Writes to what stderr is at the time."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        with suppress(OSError, ValueError):  # a closed terminal
-            sys.stderr.write(self.format(record) + "\n")
-            sys.stderr.flush()
-
-
-def _said(record: logging.LogRecord) -> str:
-    try:
-        message = record.getMessage()
-    except Exception:  # a library's mistake is no reason to fail
-        message = str(record.msg)
-    return _short(message)
-
-
-def _short(text: str, longest: int = _LONGEST) -> str:
-    """A text of others as part of a line; tokens go first, as half of one would not be known for what it is."""
-    return printable(concealed(text))[:longest]
+    def _clean(self, text: str, length: int = _MAX_LENGTH) -> str:
+        """Hide secrets before cutting: half a token would not be recognised."""
+        for secret in self.secrets:
+            text = text.replace(secret, "***")
+        return printable(_TOKEN.sub(r"\1***", text))[:length]

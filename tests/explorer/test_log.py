@@ -45,7 +45,7 @@ def test_requests_are_a_line_each_at_debug_and_no_token_is_in_them(
         assert explorer.ended()[0] == 0
         found = explorer.err.splitlines()
     assert all(
-        re.match(r"\d{4}-\d\d-\d\d [\d:.]{12} (DEBUG|INFO|WARNING) +(explorer|lpn)\.\w+: ", line) for line in found
+        re.match(r"\d{4}-\d\d-\d\d [\d:.]{12} (DEBUG|INFO|WARNING) +(explorer|lpn)[.\w]+: ", line) for line in found
     )
     said = "\n".join(line.split(": ", 1)[1] for line in found)
     for line in ("Browser 0 connected", "Browser 1 connected", "Browser 1 left", "A wrong token came from 127.0.0.1"):

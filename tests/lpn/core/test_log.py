@@ -18,8 +18,7 @@ def logger() -> logging.Logger:
 
 
 @pytest.fixture(autouse=True)
-def _no_secrets(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log, "_SECRETS", [])
+def _no_level_in_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(log.VARIABLE, raising=False)
 
 
@@ -31,7 +30,7 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
 def test_what_is_asked_for_is_shown_and_no_more(
     level: log.Level, count: int, logger: logging.Logger, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with log.shown(level):
+    with log.log_to_stderr(level):
         for number in (logging.ERROR, logging.WARNING, logging.INFO, logging.DEBUG):
             logger.log(number, "It is %s", "so")
     found = lines(capsys)
@@ -41,11 +40,11 @@ def test_what_is_asked_for_is_shown_and_no_more(
 
 
 def test_libraries_say_warnings_and_not_how_their_connections_end(capsys: pytest.CaptureFixture[str]) -> None:
-    with log.shown("debug"):
+    with log.log_to_stderr("debug"):
         logging.getLogger("websockets.server").info("connection open")
         logging.getLogger("asyncio").debug("Using selector")
     assert lines(capsys) == []
-    with log.shown("warning"):
+    with log.log_to_stderr("warning"):
         logging.getLogger("websockets.server").error("opening handshake failed", exc_info=ValueError("x"))
         logging.getLogger("asyncio").warning("slow")
         try:
@@ -61,8 +60,8 @@ def test_libraries_say_warnings_and_not_how_their_connections_end(capsys: pytest
 
 def test_no_text_of_others_breaks_a_line(logger: logging.Logger, capsys: pytest.CaptureFixture[str]) -> None:
     mistaken = logging.LogRecord("lpn", logging.WARNING, "", 0, "A mistake %s %d", ("of ours",), None)
-    assert log.Lines(False).format(mistaken).endswith("lpn: A mistake %s %d")
-    with log.shown("warning"):
+    assert log.StderrHandler().format(mistaken).endswith("lpn: A mistake %s %d")
+    with log.log_to_stderr("warning"):
         logger.warning("The picture %s", "a\nb\r\x1b[2J\u2028\x00%s" + "x" * 5000)
         try:
             raise ValueError("first\nsecond \x1b[31m")
@@ -79,9 +78,9 @@ def test_no_text_of_others_breaks_a_line(logger: logging.Logger, capsys: pytest.
 
 
 def test_no_token_is_shown(logger: logging.Logger, capsys: pytest.CaptureFixture[str]) -> None:
-    log.conceal("correct horse/battery")
-    log.conceal(None)
-    with log.shown("debug"):
+    with log.log_to_stderr("debug"):
+        log.conceal("correct horse/battery")
+        log.conceal(None)
         logger.debug("GET /?query=1&token=guessed%%20one&map=1 and %s", "correct horse/battery")
         logger.info("In an address: %s", "correct%20horse%2Fbattery")
         try:
@@ -97,11 +96,12 @@ def test_no_token_is_shown(logger: logging.Logger, capsys: pytest.CaptureFixture
 def test_no_half_of_a_token_is_shown_where_a_line_is_cut(
     logger: logging.Logger, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log.conceal("correct horse/battery")
-    with log.shown("debug"):
+    with log.log_to_stderr("debug"):
+        log.conceal("correct horse/battery")
         logger.info("%s%s", "x" * 990, "correct horse/battery")
         logger.error("Failed", exc_info=ValueError("x" * 978 + "correct horse/battery"))
-    with log.shown("info"):
+    with log.log_to_stderr("info"):
+        log.conceal("correct horse/battery")
         logging.getLogger("viser").error("Failed", exc_info=ValueError("x" * 190 + "correct horse/battery"))
         logger.info("token of a form: correct+horse%2Fbattery")
     shown = capsys.readouterr().err
@@ -111,20 +111,20 @@ def test_no_half_of_a_token_is_shown_where_a_line_is_cut(
 
 
 def test_the_level_comes_from_the_command_line_or_else_from_the_environment() -> None:
-    assert log.level_given(["explore"], {}) == ("warning", ["explore"])
-    assert log.level_given(["explore"], {"LPN_LOG": " INFO "}) == ("info", ["explore"])
-    assert log.level_given(["--log-level", "debug", "explore", "--port", "1"], {"LPN_LOG": "info"}) == (
+    assert log.parse_level(["explore"], {}) == ("warning", ["explore"])
+    assert log.parse_level(["explore"], {"LPN_LOG": " INFO "}) == ("info", ["explore"])
+    assert log.parse_level(["--log-level", "debug", "explore", "--port", "1"], {"LPN_LOG": "info"}) == (
         "debug",
         ["explore", "--port", "1"],
     )
-    assert log.level_given(["explore", "--log-level=error"], {}) == ("error", ["explore"])
+    assert log.parse_level(["explore", "--log-level=error"], {}) == ("error", ["explore"])
     for given, environ in (
         (["--log-level", "all"], {}),
         (["x", "--log-level"], {}),
         ([], {"LPN_LOG": "verbose"}),
     ):
         with pytest.raises(InputError, match="expected one of debug, info, warning, error"):
-            log.level_given(given, environ)
+            log.parse_level(given, environ)
 
 
 def test_the_command_line_names_it(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -115,15 +115,15 @@ def test_a_panorama_is_turned_by_moving_its_columns_around(tmp_path: Path) -> No
     street, tile = dataset.queries("street")[0], dataset.gallery("satellite")[0]
     assert (street.panorama, tile.panorama) == (True, False)
     picture = images.load_picture(street.path)
-    quarter = Change(rotate=90).of(street)
+    quarter = Change(rotate=90).for_picture(street)
     turned = quarter.apply(picture)
     # What was in the east, three quarters across, is in the north, in the middle; no corner is black.
     width = picture.shape[1]
     np.testing.assert_array_equal(turned[:, width // 2], picture[:, 3 * width // 4])
-    np.testing.assert_array_equal(Change(rotate=-90).of(street).apply(turned), picture)
+    np.testing.assert_array_equal(Change(rotate=-90).for_picture(street).apply(turned), picture)
     assert quarter.describe() == "turned 90° (columns moved around)"
-    assert Change(rotate=90).of(tile) == Change(rotate=90)
-    assert Change().of(street) == Change()
+    assert Change(rotate=90).for_picture(tile) == Change(rotate=90)
+    assert Change().for_picture(street) == Change()
 
 
 def test_stores_of_turned_panoramas_are_told_from_those_of_turned_pictures(tmp_path: Path) -> None:
@@ -133,7 +133,7 @@ def test_stores_of_turned_panoramas_are_told_from_those_of_turned_pictures(tmp_p
     model, queries = TorchModel(LPN(spec), "f" * 16), dataset.queries("street")
     found = {
         change.around: descriptors.cached_descriptors(model, queries, "street", change)
-        for change in (Change(rotate=90), Change(rotate=90).of(queries[0]))
+        for change in (Change(rotate=90), Change(rotate=90).for_picture(queries[0]))
     }
     assert not np.allclose(found[True], found[False], atol=1e-3)
     again = descriptors.cached_descriptors(model, queries, "street", Change(rotate=90, around=True))

@@ -201,7 +201,7 @@ def test_only_satellites_are_unrolled() -> None:
     np.testing.assert_array_equal(model.to_input_size(tile, "satellite"), polar(tile, 32, 160))
     assert not np.array_equal(model.to_input_size(tile, "drone"), polar(tile, 32, 160))
     plain = TorchModel(network(replace(SPEC, polar=False)))
-    np.testing.assert_array_equal(plain.shape(tile, "satellite"), plain.shape(tile, "drone"))
+    np.testing.assert_array_equal(plain.to_input_size(tile, "satellite"), plain.to_input_size(tile, "drone"))
 
 
 def test_a_saved_and_an_exported_model_answer_as_the_network(model_file: Path) -> None:
