@@ -113,7 +113,7 @@ class StderrHandler(RichHandler):
             return "\n".join([text, *(f"    {self._clean(line)}" for line in lines)])
         return f"{text} ({type(error).__name__}: {self._clean(str(error), 200)})"
 
-    def render(self, *, message_renderable: ConsoleRenderable, **_: object) -> ConsoleRenderable:  # type: ignore[override]
+    def render(self, *, message_renderable: ConsoleRenderable, **_: object) -> ConsoleRenderable:
         """Return the line alone; rich would add columns and wrap them."""
         return message_renderable
 
