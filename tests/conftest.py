@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
+from lpn.core.files import alone
 from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save
+from lpn.models.export import export
 from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer
 from tools.fixtures import small_worlds
 
+MakeOnce = Callable[[str, Callable[[Path], object]], Path]
+
 
 @pytest.fixture(scope="session", autouse=True)
-def _cache_of_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Nor does what is made once for several tests, which is made before the cache of any one."""
+def _session_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep fixtures of a session or module, which exist before a test's own cache, away from the user's cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield
@@ -28,42 +33,84 @@ def _cache_of_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No test reads or fills the user's cache."""
+    """Give each test a cache of its own."""
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
 
 
 @pytest.fixture(scope="session")
-def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An exported model; `model.safetensors` lies beside it."""
-    return small_worlds.make_model(tmp_path_factory.mktemp("model"))
+def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
+    """A function that fills a folder once for all pytest-xdist workers; no test may change what is in it.
+
+    The first worker that asks for a name fills the folder, the others wait for it.
+    """
+    base = tmp_path_factory.getbasetemp()
+    root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared"
+
+    def make(name: str, fill: Callable[[Path], object]) -> Path:
+        folder, partial = root / name / "whole", root / name / "partial"
+        (root / name).mkdir(parents=True, exist_ok=True)
+        with alone(root / name, wait=True):
+            if not folder.exists():
+                shutil.rmtree(partial, ignore_errors=True)
+                partial.mkdir()
+                fill(partial)
+                partial.rename(folder)
+        return folder
+
+    return make
 
 
 @pytest.fixture(scope="session")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set that no test may change."""
-    return small_worlds.make_dataset(tmp_path_factory.mktemp("data") / "places")
+def model_file(make_once: MakeOnce) -> Path:
+    """An exported, untrained LPN of four parts; `model.safetensors` lies beside it."""
+    return make_once("model", small_worlds.make_model) / "model.onnx"
+
+
+@pytest.fixture(scope="session")
+def one_part_model_file(make_once: MakeOnce) -> Path:
+    """The same of one part, the global baseline; `model.safetensors` lies beside it."""
+    return make_once("one-part", lambda folder: small_worlds.make_model(folder, n_parts=1)) / "model.onnx"
+
+
+@pytest.fixture(scope="session")
+def data(make_once: MakeOnce) -> Path:
+    """Six training and 14 test places in University-1652's layout."""
+    return make_once("data", lambda folder: small_worlds.make_dataset(folder / "places")) / "places"
 
 
 @dataclass(frozen=True)
 class RealRun:
-    """A short training on real University-1652 pictures: the model before and after, and what was said."""
+    """A short training on real University-1652 pictures.
+
+    Attributes:
+        before, after: the checkpoints before and after the training.
+        exported: `after` as an `.onnx`.
+        output: the console output.
+    """
 
     data: Path
     before: Path
     after: Path
-    said: str
+    exported: Path
+    output: str
 
 
 @pytest.fixture(scope="session")
-def real_run(tmp_path_factory: pytest.TempPathFactory) -> RealRun:
-    """An LPN trained for five epochs on the pictures that LPN_MINI_DATA names; skips where it names none."""
+def real_run(make_once: MakeOnce) -> RealRun:
+    """An LPN trained for five epochs on the pictures of LPN_MINI_DATA; skips where that is not set."""
     data, weights = os.environ.get("LPN_MINI_DATA"), os.environ.get("LPN_BACKBONE_WEIGHTS")
     if not data or not weights:
         pytest.skip("LPN_MINI_DATA and LPN_BACKBONE_WEIGHTS name no real pictures and weights")
-    folder, said = tmp_path_factory.mktemp("real"), io.StringIO()
-    recipe = replace(RECIPES["small"], size=128, epochs=5, warmup_epochs=0, ema=0.9)
-    trainer = Trainer(
-        open_dataset(data), folder / "run", recipe, init=Path(weights), console=Console(file=said, width=200)
-    )
-    save(trainer.network, folder / "before.safetensors")
-    return RealRun(Path(data), folder / "before.safetensors", trainer.run(), said.getvalue())
+
+    def train(folder: Path) -> None:
+        output = io.StringIO()
+        recipe = replace(RECIPES["small"], size=128, epochs=5, warmup_epochs=0, ema=0.9)
+        console = Console(file=output, width=200)
+        trainer = Trainer(open_dataset(data), folder / "run", recipe, init=Path(weights), console=console)
+        save(trainer.network, folder / "before.safetensors")
+        export(trainer.run().rename(folder / "after.safetensors"), folder / "after.onnx")
+        (folder / "output.txt").write_text(output.getvalue())
+
+    folder = make_once("real-run", train)
+    files = [folder / name for name in ("before.safetensors", "after.safetensors", "after.onnx")]
+    return RealRun(Path(data), *files, (folder / "output.txt").read_text())

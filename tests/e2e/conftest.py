@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,11 +27,26 @@ from lpn.models.spec import ModelSpec
 from tests.conftest import RealRun
 from tools.fixtures import small_worlds
 from tools.fixtures.chromium import launch
+from tools.fixtures.processes import free_port
 from tools.fixtures.published_results import save_result
+
+# Seconds to wait for anything that must come: far longer than it takes, since the machine may be busy.
+PATIENCE = 60.0
+# Run in each page before its own scripts: no stored settings, no tour, and no notice about software WebGL, which covers what tests look at.
+_PREPARE = """
+if (!sessionStorage.begun) { localStorage.clear(); sessionStorage.begun = 1 }
+localStorage.setItem('lpn-tour', 'seen');
+addEventListener('DOMContentLoaded', () => document.head.append(Object.assign(
+  document.createElement('style'), {textContent: '#webgl-software-rendering { display: none !important }'})));
+"""
+# Resolves when the page has drawn what it knows: twice, as the first frame may have begun before.
+_DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done())))"
+
+expect.set_options(timeout=1000 * PATIENCE)
 
 
 @dataclass(frozen=True)
-class Running:
+class RunningApp:
     """A running app and the files it was started on."""
 
     url: str
@@ -48,71 +63,71 @@ def started(
     saved: Path | None = None,
     beside: Path | None = None,
     options: Sequence[str] = (),
-) -> Iterator[Running]:
-    """`lpn explore` as a process of its own; by default it is told neither data nor model, or a saved result for a model."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+) -> Iterator[RunningApp]:
+    """Run `lpn explore` as a process.
+
+    Args:
+        default: name neither data nor model on the command line, which opens the demo.
+        saved: a published result to open in place of the model.
+        beside: a second model.
+    """
     source = ["--model", model] if saved is None else ["--saved", saved, "--n-parts", "4"]
     source += [] if beside is None else ["--beside", beside]
-    chosen = [] if default else ["--data", data, *source]
-    command = [sys.executable, "-m", "lpn", "explore", *chosen, "--port", str(port), *options]
+    inputs = [] if default else ["--data", data, *source]
+    command = [sys.executable, "-m", "lpn", "explore", *inputs, "--port", str(free_port()), *options]
     environment = {**os.environ, "LPN_CACHE": str(cache)}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert process.stdout is not None
-    said: list[str] = []
+    output: list[str] = []
     url = None
     for line in process.stdout:
-        said.append(line)
-        if found := re.search(r"ready: (http://\S+)", line):
-            url = found[1]
+        output.append(line)
+        if match := re.search(r"ready: (http://\S+)", line):
+            url = match[1]
             break
     try:
-        assert url, "the app ended without an address: " + "".join(said)
-        yield Running(url, data, model)
+        assert url, "the app ended without an address: " + "".join(output)
+        yield RunningApp(url, data, model)
     finally:
         process.terminate()
         process.stdout.close()
-        process.wait(timeout=20)
+        process.wait(PATIENCE)
 
 
 @pytest.fixture(scope="package")
-def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+def app(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApp]:
     """The app on drawn places."""
-    folder = tmp_path_factory.mktemp("app")
-    with started(
-        small_worlds.make_dataset(folder / "places"), small_worlds.make_model(folder), folder / "cache"
-    ) as running:
+    with started(data, model_file, tmp_path_factory.mktemp("app") / "cache") as running:
         yield running
 
 
 @pytest.fixture
-def two_models(tmp_path: Path) -> Iterator[Running]:
+def two_models(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
     """The app with a network of one part beside that of four."""
-    small_worlds.make_model(tmp_path / "n1", n_parts=1).rename(tmp_path / "whole.onnx")
-    model, data = small_worlds.make_model(tmp_path), small_worlds.make_dataset(tmp_path / "places")
-    with started(data, model, tmp_path / "cache", beside=tmp_path / "whole.onnx") as running:
+    whole = tmp_path / "whole.onnx"
+    whole.symlink_to(one_part_model_file)
+    with started(data, model_file, tmp_path / "cache", beside=whole) as running:
         yield running
 
 
 @pytest.fixture
-def demo_app(tmp_path: Path) -> Iterator[Running]:
+def demo_app(tmp_path: Path) -> Iterator[RunningApp]:
     """The app as it starts when nothing is chosen."""
     with started(DEMO, DEMO / "lpn.onnx", tmp_path / "cache", default=True) as running:
         yield running
 
 
 @pytest.fixture
-def mapped_app(model_file: Path, tmp_path: Path) -> Iterator[Running]:
-    """The app on drawn places whose positions are known."""
+def mapped_app(model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
+    """The app on drawn places with known positions."""
     data = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places"))
     with started(data, model_file, tmp_path / "cache") as running:
         yield running
 
 
 @pytest.fixture
-def city_app(model_file: Path, tmp_path: Path) -> Iterator[Running]:
-    """The app on drawn places whose city stands beside their positions."""
+def city_app(model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
+    """The app on drawn places with known positions and a 3-D city."""
     data = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places"))
     (data / "city.glb").write_bytes(small_worlds.city())
     with started(data, model_file, tmp_path / "cache") as running:
@@ -120,15 +135,15 @@ def city_app(model_file: Path, tmp_path: Path) -> Iterator[Running]:
 
 
 @pytest.fixture
-def saved_app(app: Running, tmp_path: Path) -> Iterator[Running]:
-    """The same places and descriptors as of `app`, from a saved result."""
+def saved_app(app: RunningApp, tmp_path: Path) -> Iterator[RunningApp]:
+    """The places and descriptors of `app`, from a published result."""
     save_result(tmp_path / "pytorch_result.mat", app.data, app.model)
     with started(app.data, app.model, tmp_path / "cache", saved=tmp_path / "pytorch_result.mat") as running:
         yield running
 
 
 @pytest.fixture
-def panorama_app(tmp_path: Path) -> Iterator[Running]:
+def panorama_app(tmp_path: Path) -> Iterator[RunningApp]:
     """The app on panoramas and tiles, with an untrained SAFA + LPN."""
     torch.manual_seed(0)
     spec = ModelSpec(
@@ -151,10 +166,9 @@ def panorama_app(tmp_path: Path) -> Iterator[Running]:
 
 
 @pytest.fixture
-def real_app(real_run: RealRun, tmp_path: Path) -> Iterator[Running]:
+def real_app(real_run: RealRun, tmp_path: Path) -> Iterator[RunningApp]:
     """The app on real University-1652 pictures, with an LPN trained on them."""
-    export(real_run.after, tmp_path / "real.onnx")
-    with started(real_run.data, tmp_path / "real.onnx", tmp_path / "cache") as running:
+    with started(real_run.data, real_run.exported, tmp_path / "cache") as running:
         yield running
 
 
@@ -167,8 +181,8 @@ def browser() -> Iterator[Browser]:
         launched.close()
 
 
-class Explorer:
-    """A page of the app, spoken to as a person would."""
+class ExplorerPage:
+    """A page of the app, used as a person would."""
 
     def __init__(self, page: Page) -> None:
         self.page = page
@@ -176,25 +190,50 @@ class Explorer:
         self.verdict = page.locator("#lpn-verdict")
         self.rows = page.locator("#lpn-matches .row")
         self.canvas = page.locator("canvas[data-engine]")
+        self.notifications = page.locator(".mantine-Notification-root:not(#webgl-software-rendering)")
 
     def open(self, url: str) -> None:
-        """Load the page and wait for the first answer."""
+        """Load the page and wait for the first answer on the stage."""
         self.page.goto(url)
-        expect(self.status).not_to_have_attribute("data-seq", "0", timeout=60_000)
-        self.page.wait_for_timeout(500)
-        notice = self.page.locator(".mantine-Notification-closeButton")
-        if notice.count():
-            notice.first.click()
-            expect(notice).to_have_count(0)
+        self.await_answer()
+
+    def await_answer(self) -> None:
+        """Wait for the first answer on the stage."""
+        expect(self.status).not_to_have_attribute("data-seq", "0")
+        expect(self.canvas).to_be_visible()
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait until the page has drawn the messages that reached it."""
+        for _ in range(2):
+            self.page.evaluate(_DRAWN)
 
     def sequence(self) -> int:
-        """Number of answers shown so far."""
+        """The number of answers shown so far."""
         return int(self.status.get_attribute("data-seq") or 0)
+
+    def expect_answers(self, count: int) -> None:
+        """Check that one more change, of the angle, is answer number `count`: nothing was answered or queued before."""
+        self.fill("Rotate", "17")
+        self.expect_status("angle", "17")
+        assert self.sequence() == count
 
     def expect_status(self, name: str, value: str) -> None:
         """Wait until the page shows an answer with this attribute."""
-        expect(self.status).to_have_attribute(f"data-{name}", value, timeout=20_000)
-        self.page.wait_for_timeout(120)
+        expect(self.status).to_have_attribute(f"data-{name}", value)
+        self.settle()
+
+    def eventually(self, check: Callable[[], object]) -> None:
+        """Repeat a check until it raises no AssertionError; after `PATIENCE` let the error pass."""
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            try:
+                check()
+                return
+            except AssertionError:
+                if time.monotonic() > deadline:
+                    raise
+            self.page.wait_for_timeout(50)
 
     def field(self, label: str) -> Locator:
         """The text or number box in the row of a label."""
@@ -203,19 +242,19 @@ class Explorer:
 
     def fill(self, label: str, value: str) -> None:
         """Type a value into a control."""
-        self.page.wait_for_timeout(80)
+        self.settle()
         box = self.field(label)
         box.fill(value)
         box.press("Enter")
 
     def tick(self, label: str, on: bool) -> None:
         """Switch a checkbox."""
-        self.page.wait_for_timeout(80)
+        self.settle()
         self.field(label).set_checked(on)
 
     def key(self, key: str) -> None:
         """Press a key while no control has the focus."""
-        self.page.wait_for_timeout(80)
+        self.settle()
         self.page.evaluate("document.activeElement.blur()")
         self.page.keyboard.press(key)
 
@@ -223,39 +262,50 @@ class Explorer:
         """Open a tab of a panel."""
         self.page.get_by_role("tab", name=name).click()
 
-    def stage(self) -> bytes:
-        """A picture of the 3-D stage, taken when it moves no more."""
-        self.page.wait_for_timeout(500)
-        before, shown = b"", self.canvas.screenshot()
-        for _ in range(20):
-            if shown == before:
-                break
-            self.page.wait_for_timeout(200)
-            before, shown = shown, self.canvas.screenshot()
-        return shown
+    def at_rest(self, shown: Locator, holds: Callable[[np.ndarray], bool] = lambda _: True) -> np.ndarray:
+        """A picture of an element that no longer changes, (H, W, 3) BGR.
 
-    def filled(self, axis: int) -> float:
-        """How much of the stage's height (axis 0) or width (axis 1) its things take: 0 to 1."""
-        picture = cv2.imdecode(np.frombuffer(self.stage(), np.uint8), cv2.IMREAD_COLOR)
-        places = np.flatnonzero((picture > 90).any(axis=(1 - axis, 2)))
-        return float(places[-1] - places[0]) / picture.shape[axis] if len(places) else 0.0
+        Args:
+            holds: what must be true of the picture; it is taken again until then.
+        """
+        deadline = time.monotonic() + PATIENCE
+        shots = [b"", b""]
+        while True:
+            self.settle()
+            shots = [*shots[-2:], shown.screenshot()]
+            if len(set(shots)) == 1:
+                picture = cv2.imdecode(np.frombuffer(shots[-1], np.uint8), cv2.IMREAD_COLOR).astype(int)
+                if holds(picture):
+                    return picture
+            assert time.monotonic() < deadline, f"the picture is not as expected after {PATIENCE:g} s"
+            self.page.wait_for_timeout(100)
+
+    def stage(self, holds: Callable[[np.ndarray], bool] = lambda _: True) -> np.ndarray:
+        """A picture of the 3-D stage at rest, as `at_rest` takes it."""
+        return self.at_rest(self.canvas, holds)
 
     def expect_filled(self, axis: int, share: float) -> None:
-        """Wait until they take more than that."""
-        for _ in range(10):
-            if (found := self.filled(axis)) > share:
-                return
-        raise AssertionError(f"things take {found:.2f} of the stage; expected more than {share}")
+        """Wait until things take more than a share of the stage's height (axis 0) or width (axis 1)."""
+
+        def filled(picture: np.ndarray) -> bool:
+            places = np.flatnonzero((picture > 90).any(axis=(1 - axis, 2)))
+            return len(places) > 0 and places[-1] - places[0] > share * picture.shape[axis]
+
+        self.stage(filled)
+
+
+def difference(one: np.ndarray, other: np.ndarray) -> float:
+    """The share of pixels that differ visibly between two pictures of the stage."""
+    return float((np.abs(one - other).max(axis=2) > 25).mean()) if one.shape == other.shape else 1.0
 
 
 @pytest.fixture
 def contexts(browser: Browser) -> Iterator[Callable[..., BrowserContext]]:
-    """Makes browser profiles that share nothing and have seen the tour; all are closed at the end."""
+    """A function that makes browser profiles, which share nothing and have seen the tour; all are closed at the end."""
     made: list[BrowserContext] = []
 
     def make(**options: Any) -> BrowserContext:
-        made.append(browser.new_context(**{"viewport": {"width": 1456, "height": 835}, **options}))
-        made[-1].add_init_script("localStorage.setItem('lpn-tour', 'seen')")
+        made.append(new_context(browser, **options))
         return made[-1]
 
     yield make
@@ -263,9 +313,40 @@ def contexts(browser: Browser) -> Iterator[Callable[..., BrowserContext]]:
         context.close()
 
 
+def new_context(browser: Browser, **options: Any) -> BrowserContext:
+    """A browser profile that has seen the tour."""
+    context = browser.new_context(**{"viewport": {"width": 1456, "height": 835}, **options})
+    context.set_default_timeout(1000 * PATIENCE)
+    context.add_init_script(_PREPARE)
+    return context
+
+
+@pytest.fixture(scope="package")
+def _warm_context(browser: Browser) -> Iterator[BrowserContext]:
+    """A profile that keeps the page's scripts in its cache, which halves the time to open a page."""
+    context = new_context(browser)
+    yield context
+    context.close()
+
+
 @pytest.fixture
-def explorer(app: Running, contexts: Callable[[], BrowserContext]) -> Explorer:
-    """The app opened in a fresh browser."""
-    opened = Explorer(contexts().new_page())
+def new_page(_warm_context: BrowserContext) -> Iterator[Callable[[], Page]]:
+    """A function that makes pages without stored settings; all are closed at the end."""
+    made: list[Page] = []
+
+    def make() -> Page:
+        made.append(_warm_context.new_page())
+        return made[-1]
+
+    yield make
+    for page in made:
+        page.close()
+    _warm_context.clear_cookies()
+
+
+@pytest.fixture
+def explorer(app: RunningApp, new_page: Callable[[], Page]) -> ExplorerPage:
+    """The app opened in a page of its own."""
+    opened = ExplorerPage(new_page())
     opened.open(app.url)
     return opened

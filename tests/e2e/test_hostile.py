@@ -17,7 +17,7 @@ import pytest
 from PIL import Image, PngImagePlugin
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from tests.e2e.conftest import Explorer, Running, started
+from tests.e2e.conftest import ExplorerPage, RunningApp, started
 from tools.fixtures import small_worlds
 
 # Without slashes, so that a folder can have such a name.
@@ -101,10 +101,10 @@ def walk(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactor
 
 def visit(walk: Walk, folder: Path) -> None:
     """Go through the rooms, and note which of the texts each shows."""
-    explorer, page = Explorer(walk.page), walk.page
+    explorer, page = ExplorerPage(walk.page), walk.page
 
     def look() -> None:
-        page.wait_for_timeout(400)
+        explorer.settle()
         shown = page.locator("body").inner_text()
         walk.seen |= {text for text in (*NAMES, TEXT[:40]) if text in shown}
 
@@ -119,7 +119,7 @@ def visit(walk: Walk, folder: Path) -> None:
     explorer.key("m")
     explorer.key("b")
     rows = page.locator("#lpn-lab-table tbody tr")
-    expect(rows.first).to_be_visible(timeout=30_000)
+    expect(rows.first).to_be_visible()
     look()
     for tab in page.locator(".lab-bar .seg a").all():
         tab.click()
@@ -174,7 +174,7 @@ def test_the_browser_asks_nobody_but_the_server(walk: Walk) -> None:
 
 @pytest.mark.slow
 def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
-    app: Running, contexts: Callable[..., BrowserContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    app: RunningApp, contexts: Callable[..., BrowserContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("LPN_TOKEN", raising=False)
     with started(app.data, app.model, tmp_path / "cache", options=["--ask-token"]) as running:
@@ -186,7 +186,7 @@ def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
         page.get_by_label("Token").fill("a wrong one given")
         page.get_by_role("button", name="Open").click()
         expect(page.get_by_role("heading")).to_have_text("Wrong token")
-        explorer = Explorer(page)
+        explorer = ExplorerPage(page)
         explorer.open(f"{running.url}&query=0008")
         explorer.expect_status("name", "0008")
         assert "token" not in page.url
@@ -196,7 +196,7 @@ def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
             other = context.new_page()
             other.goto(site)
             other.get_by_role("link").click()
-            Explorer(other).expect_status("name", "0009")
+            ExplorerPage(other).expect_status("name", "0009")
             stranger = contexts().new_page()
             stranger.goto(site)
             stranger.get_by_role("link").click()
@@ -204,11 +204,11 @@ def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
             stranger.goto(site)
             stranger.evaluate(f"document.querySelector('a').href = {running.url!r}")
             stranger.get_by_role("link").click()
-            Explorer(stranger).expect_status("name", "0007")
+            ExplorerPage(stranger).expect_status("name", "0007")
 
 
 def test_another_site_cannot_drive_a_server_on_this_machine(
-    app: Running, contexts: Callable[..., BrowserContext], tmp_path: Path
+    app: RunningApp, contexts: Callable[..., BrowserContext], tmp_path: Path
 ) -> None:
     page = contexts().new_page()
     with elsewhere(tmp_path, "<p>another site") as site:

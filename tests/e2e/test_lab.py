@@ -17,7 +17,7 @@ from lpn import datasets, descriptors
 from lpn.analysis import breakdown, query_outcomes
 from lpn.analysis.query_outcomes import Outcomes
 from lpn.core.tables import Table
-from tests.e2e.conftest import Explorer, Running, started
+from tests.e2e.conftest import ExplorerPage, RunningApp, started
 from tools.fixtures import small_worlds
 
 WEATHERS = ("rain", "sun", "<b>fog</b>")
@@ -36,7 +36,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def lab_app(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+def lab_app(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApp]:
     """The app on those places."""
     folder = tmp_path_factory.mktemp("run")
     with started(places, small_worlds.make_model(folder), folder / "cache") as running:
@@ -44,7 +44,7 @@ def lab_app(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
 
 
 @pytest.fixture(scope="module")
-def truth(lab_app: Running) -> tuple[Outcomes, Table]:
+def truth(lab_app: RunningApp) -> tuple[Outcomes, Table]:
     """The same table, made without the app."""
     model, dataset = lpn.load(lab_app.model), datasets.open_dataset(lab_app.data)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
@@ -57,15 +57,15 @@ def truth(lab_app: Running) -> tuple[Outcomes, Table]:
     return outcomes, query_outcomes.table(dataset.root, queries, gallery, outcomes, names)
 
 
-class LabPage(Explorer):
+class LabPage(ExplorerPage):
     """A page of the app with the laboratory open."""
 
     def enter(self, url: str) -> None:
         """Load the page and open the laboratory."""
         self.open(url)
         self.key("b")
-        expect(self.rows_of_table.first).to_be_visible(timeout=30_000)
-        self.page.wait_for_timeout(300)
+        expect(self.rows_of_table.first).to_be_visible()
+        self.settle()
 
     @property
     def rows_of_table(self) -> Locator:
@@ -91,7 +91,7 @@ class LabPage(Explorer):
 
 
 @pytest.fixture
-def lab(lab_app: Running, contexts: Callable[[], BrowserContext]) -> LabPage:
+def lab(lab_app: RunningApp, contexts: Callable[[], BrowserContext]) -> LabPage:
     """The laboratory in a fresh browser."""
     page = LabPage(contexts().new_page())
     page.enter(lab_app.url)
@@ -102,8 +102,12 @@ def expect_rows(lab: LabPage, rows: np.ndarray, start: int = 0) -> None:
     """The page shows these queries, in order, from a position on."""
     first = str(rows[start]) if len(rows) else ""
     expect(lab.rows_of_table.first).to_have_attribute("data-row", first)
-    shown = lab.shown()
-    assert shown == rows[start : start + len(shown)].tolist()
+
+    def check() -> None:
+        shown = lab.shown()
+        assert shown == rows[start : start + len(shown)].tolist()
+
+    lab.eventually(check)
 
 
 def test_all_queries_are_listed_worst_first_and_sorted_by_any_column(
@@ -135,7 +139,7 @@ def test_pages_turn_and_end(lab: LabPage, truth: tuple[Outcomes, Table]) -> None
     expect_rows(lab, rows, size)
     for _ in range(40 // size + 2):
         lab.page.locator("a[title='Later rows']").click()
-        lab.page.wait_for_timeout(80)
+        lab.settle()
     expect(page).to_contain_text("–40")
     assert lab.shown()[-1] == rows[-1]
 
@@ -198,7 +202,7 @@ def test_a_click_on_a_row_opens_the_query_and_next_follows_the_table(
 
 @pytest.mark.slow
 def test_clicks_in_the_breakdown_choose_what_they_count(
-    lab: LabPage, lab_app: Running, truth: tuple[Outcomes, Table]
+    lab: LabPage, lab_app: RunningApp, truth: tuple[Outcomes, Table]
 ) -> None:
     outcomes, table = truth
     dataset = datasets.open_dataset(lab_app.data)
@@ -229,8 +233,8 @@ def test_clicks_in_the_breakdown_choose_what_they_count(
 
 def drag(lab: LabPage, start: tuple[float, float], end: tuple[float, float]) -> None:
     """Draw a rectangle on the map, in fractions of it."""
-    lab.page.wait_for_timeout(400)  # what was asked for before is drawn
     lab.page.locator(".lab-map").scroll_into_view_if_needed()
+    lab.at_rest(lab.page.locator(".lab-map"))
     box = lab.page.locator(".lab-map").bounding_box()
     assert box is not None
     places = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in (start, end)]
@@ -270,8 +274,7 @@ def test_a_rectangle_on_a_map_chooses_queries_and_a_click_opens_one(
     lab.choose("Maps")
     lab.page.locator("#lpn-lab-maps a", has_text="Zoom").click()
     expect(lab.page.locator("#lpn-lab-maps a", has_text="Zoom")).to_have_class("chosen")
-    lab.page.wait_for_timeout(300)
-    place = first_dot(lab.page.locator(".lab-map").screenshot())
+    place = first_dot(lab.at_rest(lab.page.locator(".lab-map")))
     box = lab.page.locator(".lab-map").bounding_box()  # the picture may have been scrolled to
     assert box is not None
     lab.page.mouse.move(box["x"] + place[0] + 3, box["y"] + place[1] + 3)
@@ -285,9 +288,9 @@ def test_a_rectangle_on_a_map_chooses_queries_and_a_click_opens_one(
     assert int(row) in west
 
 
-def first_dot(png: bytes) -> tuple[float, float]:
-    """The middle of a query that was found, on a screenshot of a map: the largest yellow patch."""
-    blue, green, red = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).astype(int).transpose(2, 0, 1)
+def first_dot(picture: np.ndarray) -> tuple[float, float]:
+    """The middle of a query that was found, on a picture of a map: the largest yellow patch."""
+    blue, green, red = picture.transpose(2, 0, 1)
     marked = (red > 200) & (green > 150) & (blue < 110)
     _, _, figures, middles = cv2.connectedComponentsWithStats(marked.astype(np.uint8), connectivity=8)
     largest = 1 + int(np.argmax(figures[1:, cv2.CC_STAT_AREA]))
@@ -324,7 +327,7 @@ def test_columns_are_chosen(lab: LabPage) -> None:
 
 @pytest.mark.slow
 def test_tags_and_notes_survive_a_restart(
-    places: Path, lab_app: Running, contexts: Callable[[], BrowserContext], tmp_path: Path
+    places: Path, lab_app: RunningApp, contexts: Callable[[], BrowserContext], tmp_path: Path
 ) -> None:
     for visit in (1, 2):
         with started(places, lab_app.model, tmp_path / "cache") as running:
@@ -352,13 +355,12 @@ def test_tags_and_notes_survive_a_restart(
 
 @pytest.mark.slow
 def test_the_laboratory_of_one_browser_is_not_that_of_another(
-    lab: LabPage, lab_app: Running, contexts: Callable[[], BrowserContext]
+    lab: LabPage, lab_app: RunningApp, contexts: Callable[[], BrowserContext]
 ) -> None:
     other = LabPage(contexts().new_page())
     other.enter(lab_app.url)
     lab.page.locator("#lpn-lab-where").fill("weather = sun")
     expect(lab.count).to_contain_text("13 of 40 queries")
-    other.page.wait_for_timeout(400)
     expect(other.count).to_contain_text("40 of 40 queries")
     # A note reaches both.
     other.rows_of_table.first.click()
@@ -393,22 +395,23 @@ def test_messages_that_nobody_should_send_do_no_harm(lab: LabPage) -> None:
         ("lab-stop", []),
     ):
         lab.page.evaluate("([kind, value]) => lpn.send(kind, value)", [kind, value])
-        lab.page.wait_for_timeout(80)
     lab.head("name")
     expect(lab.rows_of_table.first).to_have_attribute("data-row", "0")
     lab.head("margin")
     expect(lab.rows_of_table.first).to_have_attribute("data-row", str(before[0]))
     assert lab.shown() == before
-    expect(lab.page.locator(".mantine-Notification-root")).to_have_count(0)
+    expect(lab.notifications).to_have_count(0)
 
 
 @pytest.mark.slow
-def test_a_phones_sheet_stays_as_wide_as_the_phone(lab_app: Running, contexts: Callable[..., BrowserContext]) -> None:
+def test_a_phones_sheet_stays_as_wide_as_the_phone(
+    lab_app: RunningApp, contexts: Callable[..., BrowserContext]
+) -> None:
     context = contexts(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
     lab = LabPage(context.new_page())
     lab.open(f"{lab_app.url}/?lab=1")
     table = lab.page.locator("#lpn-lab-table")
-    expect(table).to_be_visible(timeout=30_000)
+    expect(table).to_be_visible()
     wide = "[...document.querySelectorAll('.mantine-ScrollArea-viewport')].filter(e => e.scrollWidth > e.clientWidth).length"
     lab.page.locator(".lab-said a", has_text="Columns").tap()
     lab.page.locator("#lpn-lab-columns a", has_text="weather").tap()
@@ -430,7 +433,7 @@ def test_a_phones_sheet_stays_as_wide_as_the_phone(lab_app: Running, contexts: C
 def test_a_report_of_the_selection_is_saved(lab: LabPage, tmp_path: Path) -> None:
     lab.page.locator("#lpn-lab-where").fill("weather = sun and rank <= 3")
     expect(lab.count).not_to_contain_text("40 of 40 queries")
-    with lab.page.expect_download(timeout=60_000) as download:
+    with lab.page.expect_download() as download:
         lab.page.locator(".acts a", has_text="Report").click()
     download.value.save_as(tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text("utf-8")

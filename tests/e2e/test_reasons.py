@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +15,16 @@ from playwright.sync_api import BrowserContext, Locator, expect
 from lpn import datasets, explain, load, retrieval
 from lpn.core import images
 from lpn.explain import sweeps
-from tests.e2e.conftest import Explorer, Running
+from tests.e2e.conftest import ExplorerPage, RunningApp, difference
 from tests.e2e.test_explorer import assert_shows, expected
 
 
-def open_window(explorer: Explorer) -> Locator:
+def open_window(explorer: ExplorerPage) -> Locator:
     """Press Y and wait for the evidence."""
     explorer.key("y")
     found = explorer.page.locator("#lpn-why .lpn-map")
     expect(found).to_have_count(2)
-    explorer.page.wait_for_timeout(300)
+    explorer.settle()
     return found
 
 
@@ -34,7 +35,7 @@ def middle(box: Locator, across: float, down: float) -> tuple[float, float]:
     return found["x"] + across * found["width"], found["y"] + down * found["height"]
 
 
-def test_evidence_of_the_compared_pair_is_exact_and_its_cursor_linked(explorer: Explorer, app: Running) -> None:
+def test_evidence_of_the_compared_pair_is_exact_and_its_cursor_linked(explorer: ExplorerPage, app: RunningApp) -> None:
     maps = open_window(explorer)
     model, dataset = load(app.model), datasets.open_dataset(app.data)
     ranking = expected(app, "0007")
@@ -62,7 +63,7 @@ def test_evidence_of_the_compared_pair_is_exact_and_its_cursor_linked(explorer: 
     expect(explorer.page.locator("#lpn-why .lpn-map").first).to_be_hidden()
 
 
-def test_evidence_follows_the_chosen_tile_and_part(explorer: Explorer) -> None:
+def test_evidence_follows_the_chosen_tile_and_part(explorer: ExplorerPage) -> None:
     maps = open_window(explorer)
     before = maps.first.get_attribute("data-cells")
     explorer.page.locator("#lpn-why .chips a").nth(3).click()
@@ -74,15 +75,14 @@ def test_evidence_follows_the_chosen_tile_and_part(explorer: Explorer) -> None:
 
 
 @pytest.mark.slow
-def test_the_stage_shows_evidence_in_place_of_activation(explorer: Explorer) -> None:
+def test_the_stage_shows_evidence_in_place_of_activation(explorer: ExplorerPage) -> None:
     before = explorer.stage()
     explorer.key("v")
-    explorer.page.wait_for_timeout(600)
-    assert explorer.stage() != before
+    explorer.stage(lambda picture: difference(before, picture) > 0.01)
     expect(explorer.page.get_by_label("Shows", exact=True)).to_have_value("Evidence")
 
 
-def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: Explorer) -> None:
+def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: ExplorerPage) -> None:
     explorer.page.get_by_role("button", name="Failure", exact=True).click()
     expect(explorer.verdict).to_contain_text("Wrong")
     open_window(explorer)
@@ -90,23 +90,26 @@ def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: Ex
     versus = explorer.page.locator("#lpn-versus")
     expect(versus.locator("tr.total")).to_be_visible()
     change = explorer.page.locator("#lpn-change")
-    tried = 0
-    while "The smallest change" not in change.inner_text() and tried < 12:
+    for _ in range(12):
+        if "The smallest change" in change.inner_text():
+            break
+        answers = explorer.sequence()
         explorer.key("f")
-        explorer.page.wait_for_timeout(500)
-        tried += 1
+        with suppress(AssertionError):  # the next failure is drawn by lot, and may be the same one
+            expect(explorer.status).not_to_have_attribute("data-seq", str(answers), timeout=3000)
+        explorer.settle()
     explorer.page.locator("#lpn-effect a").click()
-    expect(explorer.page.locator("#lpn-effect")).to_contain_text(re.compile("it (helps|harms|neither)"), timeout=20_000)
+    expect(explorer.page.locator("#lpn-effect")).to_contain_text(re.compile("it (helps|harms|neither)"))
     versus.locator(".chips a").click()
-    expect(explorer.verdict).to_contain_text("Found", timeout=10_000)
+    expect(explorer.verdict).to_contain_text("Found")
 
 
-def test_a_profile_is_computed_and_a_point_taken(explorer: Explorer, app: Running) -> None:
+def test_a_profile_is_computed_and_a_point_taken(explorer: ExplorerPage, app: RunningApp) -> None:
     open_window(explorer)
     explorer.page.get_by_role("tab", name="Turn, shift, zoom").click()
     explorer.page.locator("#lpn-profile .chips a", has_text="Turn").click()
     profile = explorer.page.locator("#lpn-profile")
-    expect(profile).to_have_attribute("data-done", str(len(sweeps.changes_over("rotation"))), timeout=30_000)
+    expect(profile).to_have_attribute("data-done", str(len(sweeps.changes_over("rotation"))))
     expect(profile).to_contain_text("Best for the true tile")
     points = profile.locator("svg").first.locator(".point")
     expect(points).to_have_count(24)
@@ -119,12 +122,12 @@ def test_a_profile_is_computed_and_a_point_taken(explorer: Explorer, app: Runnin
     expect(profile).to_contain_text("Choose what to change")
 
 
-def test_a_painted_region_is_searched_by_alone(explorer: Explorer) -> None:
+def test_a_painted_region_is_searched_by_alone(explorer: ExplorerPage) -> None:
     open_window(explorer)
     explorer.page.get_by_role("tab", name="Search by a region").click()
     canvas = explorer.page.locator(".lpn-map.canvas")
     expect(canvas).to_be_visible()
-    explorer.page.wait_for_timeout(300)
+    explorer.settle()
     before = explorer.rows.evaluate_all("rows => rows.map(row => row.dataset.index)")
     x, y = middle(canvas, 0.1, 0.1)
     end, _ = middle(canvas, 0.6, 0.1)
@@ -140,29 +143,28 @@ def test_a_painted_region_is_searched_by_alone(explorer: Explorer) -> None:
     expect(explorer.page.locator("#lpn-parts")).to_contain_text("+0.000")
     region.locator(".chips a").click()
     expect(region).to_have_attribute("data-painted", "0")
-    assert explorer.rows.evaluate_all("rows => rows.map(row => row.dataset.index)") == before
+
+    def restored() -> None:
+        assert explorer.rows.evaluate_all("rows => rows.map(row => row.dataset.index)") == before
+
+    explorer.eventually(restored)
 
 
-@pytest.mark.parametrize(
-    "message", ['{"kind": "region", "value": [999999]}', '{"kind": "take", "value": "x"}', "{", "[1]"]
-)
 @pytest.mark.slow
-def test_nonsense_from_a_page_changes_nothing(explorer: Explorer, message: str) -> None:
+def test_nonsense_from_a_page_changes_nothing(explorer: ExplorerPage) -> None:
     before = explorer.sequence()
-    explorer.page.evaluate(
-        "text => { const found = JSON.parse(text); lpn.send(found.kind, found.value); }", message
-    ) if (message.startswith('{"')) else explorer.page.evaluate("() => lpn.send(undefined, undefined)")
-    explorer.page.wait_for_timeout(400)
-    assert explorer.sequence() == before
+    for arguments in ('"region", [999999]', '"take", "x"', "undefined, undefined", "[1], {}"):
+        explorer.page.evaluate(f"() => lpn.send({arguments})")
+    explorer.expect_answers(before + 1)
     explorer.key("n")
     explorer.expect_status("name", "0008")
 
 
 def test_a_report_of_the_pair_is_saved(
-    explorer: Explorer, contexts: Callable[[], BrowserContext], tmp_path: Path
+    explorer: ExplorerPage, contexts: Callable[[], BrowserContext], tmp_path: Path
 ) -> None:
     open_window(explorer)
-    with explorer.page.expect_download(timeout=30_000) as download:
+    with explorer.page.expect_download() as download:
         explorer.page.locator("#lpn-why a", has_text="Save as a report").click()
     assert download.value.suggested_filename == "0007.html"
     download.value.save_as(tmp_path / "report.html")
@@ -173,8 +175,8 @@ def test_a_report_of_the_pair_is_saved(
 
 
 @pytest.mark.slow
-def test_two_models_answer_the_same_query(two_models: Running, contexts: Callable[[], BrowserContext]) -> None:
-    explorer = Explorer(contexts().new_page())
+def test_two_models_answer_the_same_query(two_models: RunningApp, contexts: Callable[[], BrowserContext]) -> None:
+    explorer = ExplorerPage(contexts().new_page())
     explorer.open(two_models.url)
     open_window(explorer)
     explorer.page.get_by_role("tab", name="Two models").click()
@@ -188,30 +190,33 @@ def test_two_models_answer_the_same_query(two_models: Running, contexts: Callabl
 
 
 @pytest.mark.slow
-def test_a_profile_asked_for_twice_is_computed_to_the_end(explorer: Explorer) -> None:
+def test_a_profile_asked_for_twice_is_computed_to_the_end(explorer: ExplorerPage) -> None:
     open_window(explorer)
     explorer.page.get_by_role("tab", name="Turn, shift, zoom").click()
     turn = explorer.page.locator("#lpn-profile .chips a", has_text="Turn")
     turn.click()
-    explorer.page.wait_for_timeout(250)
+    expect(explorer.page.locator("#lpn-profile")).to_have_attribute("data-done", re.compile("[1-9]"))
     turn.click()
-    expect(explorer.page.locator("#lpn-profile")).to_have_attribute("data-done", "24", timeout=30_000)
+    expect(explorer.page.locator("#lpn-profile")).to_have_attribute("data-done", "24")
 
 
 @pytest.mark.slow
-def test_a_window_opened_by_a_link_keeps_to_the_stage(app: Running, contexts: Callable[..., BrowserContext]) -> None:
-    explorer = Explorer(contexts(viewport={"width": 1280, "height": 720}).new_page())
+def test_a_window_opened_by_a_link_keeps_to_the_stage(app: RunningApp, contexts: Callable[..., BrowserContext]) -> None:
+    explorer = ExplorerPage(contexts(viewport={"width": 1280, "height": 720}).new_page())
     explorer.open(f"{app.url}/?why=1")
     expect(explorer.page.locator("#lpn-why .lpn-map")).to_have_count(2)
-    explorer.page.wait_for_timeout(1200)
-    window, canvas = explorer.page.locator("#lpn-why").bounding_box(), explorer.canvas.bounding_box()
-    assert window is not None
-    assert canvas is not None
-    assert window["x"] + window["width"] <= canvas["x"] + canvas["width"]
+
+    def fits() -> None:
+        window, canvas = explorer.page.locator("#lpn-why").bounding_box(), explorer.canvas.bounding_box()
+        assert window is not None
+        assert canvas is not None
+        assert window["x"] + window["width"] <= canvas["x"] + canvas["width"]
+
+    explorer.eventually(fits)
 
 
 @pytest.mark.slow
-def test_chips_answer_to_the_keyboard(explorer: Explorer) -> None:
+def test_chips_answer_to_the_keyboard(explorer: ExplorerPage) -> None:
     open_window(explorer)
     chip = explorer.page.locator("#lpn-why .chips a").nth(2)
     chip.focus()

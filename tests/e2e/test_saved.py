@@ -11,13 +11,13 @@ import lpn
 from lpn import datasets, retrieval
 from lpn.descriptors import cached_descriptors
 from lpn.retrieval import scoring
-from tests.e2e.conftest import Explorer, Running
+from tests.e2e.conftest import ExplorerPage, RunningApp
 
 
 def test_a_saved_result_is_explored_without_its_network(
-    saved_app: Running, app: Running, contexts: Callable[[], BrowserContext]
+    saved_app: RunningApp, app: RunningApp, contexts: Callable[[], BrowserContext]
 ) -> None:
-    explorer = Explorer(contexts().new_page())
+    explorer = ExplorerPage(contexts().new_page())
     explorer.open(saved_app.url)
     header = explorer.page.locator("#lpn-header")
     for text in (
@@ -56,9 +56,7 @@ def test_a_saved_result_is_explored_without_its_network(
     answers = explorer.sequence()
     for key in ("j", "h"):
         explorer.key(key)
-    explorer.page.wait_for_timeout(700)
-    assert explorer.sequence() == answers
     explorer.tab("Parts")
     explorer.tick("Part 1 centre", False)
-    expect(explorer.status).to_have_attribute("data-seq", str(answers + 1), timeout=20_000)
+    expect(explorer.status).to_have_attribute("data-seq", str(answers + 1))  # the keys changed nothing
     shows((0, 1, 1, 1))

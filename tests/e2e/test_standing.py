@@ -11,7 +11,7 @@ from playwright.sync_api import BrowserContext, expect
 from explorer.app import App
 from explorer.compute import ranking_job
 from explorer.opening import open_model
-from tests.e2e.conftest import Explorer
+from tests.e2e.conftest import ExplorerPage
 from tools.fixtures import small_worlds
 
 
@@ -24,7 +24,7 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
     task = workspace.tasks["drone-to-satellite"]
     app = App(workspace, "127.0.0.1", 0)
     try:
-        explorer = Explorer(contexts().new_page())
+        explorer = ExplorerPage(contexts().new_page())
         header, picker = explorer.page.locator("#lpn-header"), explorer.page.locator("#lpn-picker")
         with task.standing._turn:  # no ranking begins meanwhile
             explorer.open(f"http://127.0.0.1:{app.server.get_port()}")
@@ -37,7 +37,7 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
             explorer.key("b")
             expect(explorer.page.locator("#lpn-lab-waiting")).to_contain_text("Ranking 14 queries")
         assert task.standing.ask("test").wait(20)
-        expect(header).to_contain_text(f"{task.results['recall@1']:.1f} %", timeout=20_000)
+        expect(header).to_contain_text(f"{task.results['recall@1']:.1f} %")
         expect(picker.locator(".thumb b")).to_have_count(12)
         expect(explorer.page.locator("#lpn-lab-table")).to_be_visible()
         explorer.expect_status("query", "1")

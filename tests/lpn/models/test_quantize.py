@@ -131,12 +131,11 @@ def test_the_command_says_how_close_it_is(
 
 @pytest.mark.slow
 def test_on_real_pictures_8_bits_cost_at_most_one_query(real_run: RealRun, tmp_path: Path) -> None:
-    export(real_run.after, tmp_path / "whole.onnx")
     dataset = open_dataset(real_run.data)
-    quantize(tmp_path / "whole.onnx", dataset, tmp_path / "small.onnx", 64)
+    quantize(real_run.exported, dataset, tmp_path / "small.onnx", 64)
     before, after = (
-        evaluate.evaluate(lpn.load(tmp_path / name), dataset, "drone-to-satellite")
-        for name in ("whole.onnx", "small.onnx")
+        evaluate.evaluate(lpn.load(file), dataset, "drone-to-satellite")
+        for file in (real_run.exported, tmp_path / "small.onnx")
     )
     one = 100 / before.queries
     assert after.recall["1"] >= before.recall["1"] - one

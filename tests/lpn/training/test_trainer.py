@@ -345,7 +345,7 @@ def test_the_paper_s_recipe_is_the_default() -> None:
 
 @pytest.mark.slow
 def test_some_epochs_on_real_pictures_beat_the_untrained_network(real_run: RealRun) -> None:
-    assert "fills 90 of the backbone's 90 tensors" in real_run.said
+    assert "fills 90 of the backbone's 90 tensors" in real_run.output
     dataset = open_dataset(real_run.data)
     before, after = (
         evaluate(lpn.load(model), dataset, "drone-to-satellite") for model in (real_run.before, real_run.after)
