@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from lpn.core.files import alone
+from lpn.core.files import exclusive_lock
 from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save
 from lpn.models.export import export
@@ -49,7 +49,7 @@ def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
     def make(name: str, fill: Callable[[Path], object]) -> Path:
         folder, partial = root / name / "whole", root / name / "partial"
         (root / name).mkdir(parents=True, exist_ok=True)
-        with alone(root / name, wait=True):
+        with exclusive_lock(root / name, wait=True):
             if not folder.exists():
                 shutil.rmtree(partial, ignore_errors=True)
                 partial.mkdir()
