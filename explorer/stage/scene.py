@@ -10,7 +10,6 @@ import numpy as np
 import viser
 from PIL.ImageDraw import ImageDraw
 
-from explorer.explain_window import evidence
 from explorer.session_state import SessionState
 from explorer.stage.camera import Viewpoint
 from explorer.stage.cards import SHOWN, Cards
@@ -214,8 +213,8 @@ class Stage:
         state = analysis.state
         picture = images.resize(self._workspace.cut(described.picture, view), *self._layout.pixels)
         if state.heat and state.heat_kind == "evidence" and analysis.pair_evidence is not None:
-            cells, limit = evidence.maps(analysis.pair_evidence.evidence, state.heat_part)
-            picture = overlays.with_evidence(picture, cells[side], limit, state.opacity)
+            maps = analysis.pair_evidence.evidence.cell_maps(state.heat_part)
+            picture = overlays.with_evidence(picture, maps[side], overlays.evidence_limit(*maps), state.opacity)
         elif state.heat and described.activation is not None:
             picture = overlays.with_heat(
                 picture, described.activation, self._workspace.masks(view), state.heat_part, state.opacity

@@ -152,6 +152,11 @@ def with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float, opaci
     return np.asarray(ground * (1 - alpha) + colours * alpha, np.uint8)
 
 
+def evidence_limit(*maps: FloatingArray) -> float:
+    """Return the end of one colour scale for several maps of evidence."""
+    return max(float(np.abs(cells).max()) for cells in maps) or 1e-9
+
+
 def evidence_scale(width: int, height: int) -> UInt8Array:
     """The scale of `with_evidence` from the limit against, by zero in the middle, to the limit for."""
     values = np.broadcast_to(np.linspace(-1, 1, width), (height, width))

@@ -83,6 +83,13 @@ class Evidence:
         """Squared distance, 0 .. 4."""
         return 2.0 - 2.0 * self.score
 
+    def cell_maps(self, part: int | None = None) -> tuple[Float64Array, Float64Array]:
+        """Return each cell's share of the score, for all parts or for one: (h, w) of the query and (h, w) of the tile."""
+        if part is None:
+            return self.query.total(self.weights), self.tile.total(self.weights)
+        weight = float(self.weights[part])
+        return weight * self.query.cells[part], weight * self.tile.cells[part]
+
     def to_dict(self, names: Sequence[str]) -> dict[str, Any]:
         """Everything, as a JSON file has it, so that anyone can add it up.
 
