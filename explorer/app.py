@@ -32,7 +32,7 @@ from explorer.panels.query_panel import PAGE_SIZE
 from explorer.panels.viewport import Viewport
 from explorer.reports import Reporter
 from explorer.server import viser_compat
-from explorer.server.auth import Authenticator, entry, is_loopback
+from explorer.server.auth import Authenticator, authenticator, is_loopback
 from explorer.server.gateway import Gateway
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.cards import SHOWN
@@ -77,9 +77,6 @@ class Visitor:
         self, client: viser.ClientHandle, workspace: Workspace, laboratory: Laboratory, links: UrlState
     ) -> None:
         self._client, self._workspace, self._links = client, workspace, links
-        # What is drawn while the browser leaves is lost, which is no reason to warn of it. viser's own context for this takes
-        # the buffer's lock when it ends, and a garbage collection may end it in a thread that holds the lock.
-        client._websock_connection.get_message_buffer()._warned_push_after_done = True
         self._lock = threading.RLock()
         self._greeted = self._small = False
         self._sequence = 0
@@ -221,22 +218,23 @@ class App:
     """The running server.
 
     Args:
-        door: who may come in; by default, whoever has a random token, or anybody on this machine's own address.
+        access: the access rules; by default a random token, and none on a loopback address.
 
     Raises:
         InputError: when the address or port cannot be listened on.
-        MissingPackageError: when viser's page cannot be guarded.
+        MissingPackageError: when viser's page cannot be protected.
     """
 
-    def __init__(self, workspace: Workspace, host: str, port: int, door: Authenticator | None = None) -> None:
+    def __init__(self, workspace: Workspace, host: str, port: int, access: Authenticator | None = None) -> None:
         _check_free(host, port)
-        self.door = door or entry(host, None, False, ())
-        conceal(self.door.token)
-        conceal(self.door.pass_key)
-        viser_compat.install()
+        self.authenticator = access or authenticator(host, None, False, ())
+        conceal(self.authenticator.token)
+        conceal(self.authenticator.cookie_value)
+        self.gateway = Gateway(self.authenticator)
+        viser_compat.use_thread_safe_buffers()
         make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
         with redirect_stdout(io.StringIO()):  # viser announces itself; people need one address, once
-            self.server = Gateway(self.door).before(make)
+            self.server = self.gateway.protect(make)
         # Any page could otherwise ask for a public tunnel to this machine.
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False
@@ -284,18 +282,18 @@ def run(
     host: str = "127.0.0.1",
     port: int = 8080,
     beside: Path | None = None,
-    door: Authenticator | None = None,
+    access: Authenticator | None = None,
 ) -> None:
     """Open a model and a data set, serve the explorer, and print its address, until KeyboardInterrupt.
 
     Args:
         beside: another model to compare it with.
-        door: who may come in; by default as `App` has it.
+        access: the access rules; by default those of `App`.
 
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
-    _serve(lambda: open_model(data, model, query, beside), host, port, door)
+    _serve(lambda: open_model(data, model, query, beside), host, port, access)
 
 
 def run_saved(
@@ -305,18 +303,18 @@ def run_saved(
     query: str | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
-    door: Authenticator | None = None,
+    access: Authenticator | None = None,
 ) -> None:
     """The same for a saved `pytorch_result.mat` of descriptors of `n_parts` parts, and the pictures it is of."""
-    _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port, door)
+    _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port, access)
 
 
-def _serve(opened: Callable[[], Workspace], host: str, port: int, door: Authenticator | None) -> None:
+def _serve(opened: Callable[[], Workspace], host: str, port: int, access: Authenticator | None) -> None:
     host = host or "0.0.0.0"
     _check_free(host, port)
     pool_memory()
     images.use_all_cores()
-    app = App(opened(), host, port, door)
+    app = App(opened(), host, port, access)
     gc.collect()
     gc.freeze()  # what is there from the start stays, and need not be looked through whenever a browser leaves
     port = app.server.get_port()
@@ -326,7 +324,7 @@ def _serve(opened: Callable[[], Workspace], host: str, port: int, door: Authenti
             "docs/serving.md says how to have it so.",
             flush=True,
         )
-    print(f"LPN Explorer is ready: {app.door.link(port)}  (stop with Ctrl-C)", flush=True)
+    print(f"LPN Explorer is ready: {app.authenticator.link(port)}  (stop with Ctrl-C)", flush=True)
     try:
         while True:
             time.sleep(3600)

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import threading
-from weakref import WeakValueDictionary
 
+from explorer.server.message_filter import MAX_UPLOAD
 from explorer.session_state import Upload
 from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
 
-MAX_UPLOAD = 30_000_000
-"""Bytes of a picture."""
 LARGEST_SIDE = 1600
 """Uploads are shrunk to this many pixels a side, so that turning them stays quick."""
 LONGEST_NAME = 80
 MOST_SCANS = 100
 """Passes a JPEG may be written in; usual are 1 and 10. Each costs the time of the whole picture, and next to no bytes."""
-
-BUTTONS: WeakValueDictionary[str, object] = WeakValueDictionary()
-"""The upload buttons of all pages, by uuid. viser would put a file into any control, and keep it there."""
 
 _READING = threading.BoundedSemaphore(2)
 """Of all browsers' pictures, so many are decoded at a time: the largest takes 430 MB meanwhile, and up to 5 s of a processor."""

@@ -11,6 +11,7 @@ import viser
 
 from explorer import session_state
 from explorer.panels import pages
+from explorer.server.viser_compat import uuid_of
 from explorer.session_state import POSITIVE, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.web.html import Html
@@ -36,7 +37,7 @@ class AnswerPanel:
                 button.on_click(self.compare(slot))
             buttons.append(gui.add_button("true tile"))
             buttons[-1].on_click(lambda _: change(lambda state: replace(state, selected=POSITIVE)))
-            self._match_buttons = [str(button._impl.uuid) for button in buttons]
+            self._match_buttons = [uuid_of(button) for button in buttons]
             gui.add_html(pages.hidden(self._match_buttons))
         with gui.add_folder("Compared pair"):
             self._table = Html(gui)

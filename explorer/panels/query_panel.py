@@ -13,6 +13,7 @@ from explorer.panels import pages
 from explorer.panels.controls import Controls
 from explorer.panels.navigation import Navigation
 from explorer.panels.upload_control import UploadControl
+from explorer.server.viser_compat import uuid_of
 from explorer.session_state import MAX_ZOOM, SessionState, StateChange
 from explorer.web.html import Html
 from explorer.workspace import StateAnalysis, Workspace
@@ -129,7 +130,7 @@ class _Picker:
         for label, by in (("earlier", -1), ("later", 1)):
             buttons.append(gui.add_button(label))
             buttons[-1].on_click(self._turn_page(by))
-        self._buttons = [str(button._impl.uuid) for button in buttons]
+        self._buttons = [uuid_of(button) for button in buttons]
         gui.add_html(pages.hidden(self._buttons))
 
     def show(self, analysis: StateAnalysis) -> None:

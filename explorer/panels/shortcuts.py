@@ -11,6 +11,7 @@ import viser
 from explorer import session_state
 from explorer.panels.panels import Panels
 from explorer.panels.query_panel import city_available
+from explorer.server.viser_compat import uuid_of
 from explorer.session_state import MAX_ZOOM, POSITIVE, SessionState, StateChange
 from explorer.web.bridge import PageBridge
 from explorer.workspace import Workspace
@@ -35,7 +36,7 @@ def add(
     calls: list[tuple[str, str | None, Callable[[], None]]] = [
         ("Copy link to what is shown", "I", lambda: bridge.call("copy")),
         ("Show the tour", None, lambda: bridge.call("tour")),
-        ("Find a picture by name", None, lambda: bridge.call("focus", str(panels.query.find._impl.uuid))),
+        ("Find a picture by name", None, lambda: bridge.call("focus", uuid_of(panels.query.find))),
     ]
     if workspace.model is not None:
         calls.append(("Use my own picture", "U", lambda: bridge.call("upload")))

@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 import viser
-from viser import UploadedFile
 
 from explorer import session_state, uploads
+from explorer.server.viser_compat import forget_upload
 from explorer.session_state import StateChange
 from lpn.core.errors import LPNError
 
@@ -31,7 +31,6 @@ class UploadControl:
             "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
         )
         self._button.on_upload(self._on_upload)
-        uploads.BUTTONS[str(self._button._impl.uuid)] = self._button
 
     def _on_upload(self, _: Any) -> None:
         if not self._reading.acquire(blocking=False):
@@ -50,7 +49,7 @@ class UploadControl:
             file = self._button.value
             if not file.name:  # two uploads came at once, and the later one has been read in place of both
                 return
-            self._button._impl.value = UploadedFile("", b"")  # viser would keep the bytes
+            forget_upload(self._button)
             upload = uploads.read(file.name, file.content)
         except LPNError as error:
             self._notify_error("Picture not taken", str(error))

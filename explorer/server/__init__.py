@@ -1,3 +1,4 @@
-"""Everything between the network and the app: authentication, message filter, rate limiter, and viser itself.
+"""The layers between the network and the app: authentication, rate limits, the message filter, and viser's private API.
 
-It imports `lpn.core` and no other package of `explorer`."""
+Imports `lpn.core` only, and nothing else of `explorer`; `app`, `uploads`, and the views import it.
+"""

@@ -1,4 +1,4 @@
-"""Who may come in: the host that was asked for, the page that a connection comes from, the token. No viser, no network."""
+"""Access rules for HTTP requests: host name, origin, token. They know neither viser nor the network."""
 
 from __future__ import annotations
 
@@ -10,32 +10,35 @@ import re
 import secrets
 import socket
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 from urllib.parse import parse_qsl, quote, unquote_plus, urlsplit
 
 from lpn.core.errors import InputError
 
-VARIABLE: Final = "LPN_TOKEN"
-"""The environment variable a token is read from, where other users of the machine do not see it."""
-SHORTEST = 12
-"""Characters of a token that somebody chose; random ones have 43."""
+# The environment variable with the token; unlike an option, it is hidden from the machine's other users.
+TOKEN_VARIABLE: Final = "LPN_TOKEN"
+MIN_TOKEN_LENGTH = 12  # characters of a token that a user chose; random ones have 43
 _LOOPBACK = frozenset({"localhost", "127.0.0.1", "[::1]"})
-_ANY = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}
-"""Addresses that stand for all of the machine's, and that by which it reaches itself."""
+# Addresses that stand for all of the machine's addresses, and its loopback address of the same kind.
+_WILDCARDS = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[^\s:\[\]/@?#<>\"'&;,\\]+)(?::([0-9]{1,5}))?")
-_PORTS = {"http": "80", "https": "443"}
+_DEFAULT_PORTS = {"http": "80", "https": "443"}
+_HOW_TO_SIGN_IN = (
+    "Open the link that the server printed when it started, or enter the token from that link. If this browser is already "
+    "signed in, open this address again."
+)
 
 
 @dataclass(frozen=True)
 class HttpRequest:
-    """What is looked at of a request.
+    """The parts of a request that the rules read.
 
     Attributes:
-        path: as asked for, query included.
+        path: path and query, as sent.
         headers: all values of each header, by lower-case name.
-        upgrade: whether it asks for the websocket.
-        address: that it comes from.
+        upgrade: the request opens the websocket.
+        address: the client's IP address.
     """
 
     path: str
@@ -43,169 +46,180 @@ class HttpRequest:
     upgrade: bool = False
     address: str = ""
 
-    def one(self, header: str) -> str:
-        """The only value of a header, "" where it has none or several."""
+    @property
+    def query(self) -> str:
+        """The part of the path after "?"."""
+        return self.path.partition("?")[2]
+
+    def only(self, header: str) -> str:
+        """Return the value of a header, "" if it is absent or repeated."""
         values = self.headers.get(header, ())
         return values[0].strip() if len(values) == 1 else ""
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why somebody may not come in, as a page says it: plain text.
+    """The reason for which a request is refused, in plain text.
 
     Attributes:
-        guessed: whether a token was given, and was wrong.
-        ask: whether the page has a field for the token.
+        status: HTTP status.
+        wrong_token: the request has a token, and it is wrong.
+        ask_token: the page has a field for the token.
     """
 
     status: int
     title: str
     text: str
-    guessed: bool = False
-    ask: bool = False
+    wrong_token: bool = False
+    ask_token: bool = False
 
 
 @dataclass(frozen=True)
 class Redirect:
-    """A page that leads to `location` at once, relative to the address asked for.
+    """A page that leads to `location`, relative to the requested address.
 
-    A redirect would not do: browsers keep a cookie of the same site to themselves while they follow one from another site.
+    It is a page, since a browser that follows an HTTP redirect from another site does not send a SameSite cookie.
 
     Attributes:
-        sign_in: whether it brings the cookie.
+        sign_in: the page sets the cookie.
     """
 
     location: str
     sign_in: bool
 
 
+@dataclass
 class Authenticator:
-    """The rules of one server.
+    """The access rules of one server.
 
     Args:
-        host: address that is listened on.
-        token: what is asked for; None for nothing.
-        allowed: further names that the server may be asked for by, such as a reverse proxy's.
-        told: whether the link shows the token; not one that somebody keeps elsewhere.
+        host: the address to listen on.
+        token: the required token; None if none is required.
+        allowed_hosts: further names of the server, such as a reverse proxy's.
+        show_token: whether `link` contains the token; False for a token that the user keeps elsewhere.
+
+    Attributes:
+        cookie_value: the secret in a signed-in browser's cookie; random, and valid until the server ends.
 
     Raises:
-        InputError: when a token is too short to be one, or a name is none.
+        InputError: when the token is too short, or a name is not a host name.
     """
 
-    def __init__(self, host: str, token: str | None = None, allowed: Sequence[str] = (), told: bool = False) -> None:
-        if token is not None and len(token) < SHORTEST:
+    host: str
+    token: str | None = None
+    allowed_hosts: Sequence[str] = ()
+    show_token: bool = False
+    cookie_value: str = field(default_factory=lambda: secrets.token_urlsafe(32), init=False)
+
+    def __post_init__(self) -> None:
+        if self.token is not None and len(self.token) < MIN_TOKEN_LENGTH:
             raise InputError(
-                f"The token has {len(token)} characters; expected at least {SHORTEST}, so that it cannot be guessed."
+                f"The token has {len(self.token)} characters; expected at least {MIN_TOKEN_LENGTH}, so that it cannot be "
+                "guessed."
             )
-        self.host, self.token, self._told = host, token, told
-        self._names = set(_LOOPBACK) | {_name(name) for name in allowed}
-        self._anywhere = host in _ANY
-        if self._anywhere:
-            own = socket.gethostname().lower()
-            self._names |= {own, own.partition(".")[0], f"{own.partition('.')[0]}.local"}
+        self._names = {*_LOOPBACK, *(_host_name(name) for name in self.allowed_hosts)}
+        self._any_address = self.host in _WILDCARDS
+        if self._any_address:
+            machine = socket.gethostname().lower()
+            short = machine.partition(".")[0]
+            self._names |= {machine, short, f"{short}.local"}
         else:
-            self._names.add(f"[{host.lower()}]" if ":" in host else host.lower())
-        self.pass_key = secrets.token_urlsafe(32)
-        """What a browser's cookie must hold: of this run only, and nothing that the token could be guessed from."""
+            self._names.add(f"[{self.host.lower()}]" if ":" in self.host else self.host.lower())
 
     def check(self, request: HttpRequest, port: int) -> Refusal | Redirect | None:
-        """What to answer in place of the page or the websocket; None to let it in.
+        """Return the response in place of the page or websocket, or None to let the request in.
 
         Args:
-            port: that is listened on, which tells cookies of several servers of one machine apart.
+            port: the listening port; it is part of the cookie's name, as browsers share cookies between ports.
         """
-        host = request.one("host").lower()
-        if (refused := self._misdirected(host)) is not None:
-            return refused
-        if request.upgrade and request.headers.get("origin") and not same_origin(request.one("origin"), host):
-            return Refusal(
-                403,
-                "Another web site may not use this server",
-                "The connection was asked for by a page of another site. Open the server's own address.",
-            )
-        query = request.path.partition("?")[2]
-        if not request.upgrade and (elsewhere := _elsewhere(query, host)) is not None:
+        host = request.only("host").lower()
+        if (refusal := self._check_host(host)) is not None:
+            return refusal
+        if request.upgrade:
+            if request.headers.get("origin") and not same_origin(request.only("origin"), host):
+                return Refusal(
+                    403,
+                    "Another web site may not use this server",
+                    "The connection was requested by a page of another site. Open the server's own address.",
+                )
+        elif (source := _foreign_source(request.query, host)) is not None:
             return Refusal(
                 403,
                 "This address leads elsewhere",
-                f"It asks the page to show what {elsewhere} sends. Open the server's own address, without that part.",
+                f"It asks the page to show what {source} sends. Open the server's own address, without that part.",
             )
-        return None if self.token is None else self._signed_in(request, query, port)
+        return None if self.token is None else self._check_token(request, self.token, port)
 
-    def guessed_at(self, request: HttpRequest) -> bool:
-        """Whether a request gives a token, right or wrong."""
-        return self.token is not None and bool(_values(request.path.partition("?")[2], "token"))
+    def has_token(self, request: HttpRequest) -> bool:
+        """Return whether a request contains a token, right or wrong."""
+        return self.token is not None and bool(_values(request.query, "token"))
 
     def cookie(self, request: HttpRequest, port: int) -> str:
-        """The Set-Cookie header of a browser that brought the token; it holds until the browser is closed."""
-        secure = "; Secure" if request.one("x-forwarded-proto").lower() == "https" else ""
-        return f"{_cookie(port)}={self.pass_key}; HttpOnly; SameSite=Strict{secure}"
+        """Return the Set-Cookie header for a browser that signed in; it is a session cookie."""
+        secure = "; Secure" if request.only("x-forwarded-proto").lower() == "https" else ""
+        return f"{_cookie_name(port)}={self.cookie_value}; HttpOnly; SameSite=Strict{secure}"
 
     def link(self, port: int) -> str:
-        """The address to open."""
-        shown = _ANY.get(self.host) or (f"[{self.host}]" if ":" in self.host else self.host)
-        token = "" if self.token is None else quote(self.token, safe="") if self._told else "<yours>"
-        return f"http://{shown}:{port}" + (f"/?token={token}" if token else "")
+        """Return the address that the user opens."""
+        host = _WILDCARDS.get(self.host) or (f"[{self.host}]" if ":" in self.host else self.host)
+        token = "" if self.token is None else quote(self.token, safe="") if self.show_token else "<yours>"
+        return f"http://{host}:{port}" + (f"/?token={token}" if token else "")
 
-    def _misdirected(self, host: str) -> Refusal | None:
-        found = _HOST.fullmatch(host)
-        name = found[1].rstrip(".") if found else ""
-        if name and (name in self._names or (self._anywhere and _is_address(name))):
+    def _check_host(self, host: str) -> Refusal | None:
+        """Refuse unknown host names: DNS rebinding lets another site's name point to this machine."""
+        match = _HOST.fullmatch(host)
+        name = match[1].rstrip(".") if match else ""
+        if name and (name in self._names or (self._any_address and _is_ip_address(name))):
             return None
-        shown = name or "a name that cannot be read"
         return Refusal(
             421,
             "This server does not go by that name",
-            f"It was asked for as {shown}. If that name is right, start it again with --allow-host {name or 'NAME'}.",
+            f"The request was for {name or 'a name that cannot be read'}. If that name is right, start the server again with "
+            f"--allow-host {name or 'NAME'}.",
         )
 
-    def _signed_in(self, request: HttpRequest, query: str, port: int) -> Refusal | Redirect | None:
-        # Every cookie is compared, and both kinds by digests: how long it takes says nothing of how much is right.
-        held = [_same(value, self.pass_key) for value in _cookies(request, _cookie(port))]
-        given = _values(query, "token")
-        if given and _same(given[0], self.token or ""):
-            return None if request.upgrade else Redirect(_without_token(request.path), True)
-        if any(held):
-            return Redirect(_without_token(request.path), False) if given and not request.upgrade else None
+    def _check_token(self, request: HttpRequest, token: str, port: int) -> Refusal | Redirect | None:
+        # All cookies are compared, so that the time does not depend on their values.
+        matches = [_equal(value, self.cookie_value) for value in _cookies(request, _cookie_name(port))]
+        given = _values(request.query, "token")
+        if given and _equal(given[0], token):
+            return None if request.upgrade else Redirect(_without_token(request.path), sign_in=True)
+        if any(matches):
+            return Redirect(_without_token(request.path), sign_in=False) if given and not request.upgrade else None
         if given:
-            return Refusal(403, "Wrong token", _HOW, guessed=True, ask=True)
-        if _from_elsewhere(request):
-            return Redirect(_without_token(request.path), False)
-        return Refusal(401, "A token is needed", _HOW, ask=True)
+            return Refusal(403, "Wrong token", _HOW_TO_SIGN_IN, wrong_token=True, ask_token=True)
+        if _is_cross_site_link(request):
+            return Redirect(_without_token(request.path), sign_in=False)
+        return Refusal(401, "A token is needed", _HOW_TO_SIGN_IN, ask_token=True)
 
 
-_HOW = (
-    "Open the link that the server printed when it was started, or give the token that is in it. If this browser has given it "
-    "before, open this address again."
-)
-
-
-def entry(
-    host: str, token: str | None, ask: bool, allowed: Sequence[str], environ: Mapping[str, str] | None = None
+def authenticator(
+    host: str,
+    token: str | None,
+    ask_token: bool,
+    allowed_hosts: Sequence[str],
+    environ: Mapping[str, str] = os.environ,
 ) -> Authenticator:
-    """The rules for an address: a token on any but this machine's own, and wherever one is given or asked for.
+    """Return the rules for an address; any address but loopback requires a token.
 
     Args:
-        token: None for that of the environment variable, else for a random one where one is needed.
-        ask: for a token, on this machine's own address too.
+        token: None for the environment variable's, or a random one if one is required.
+        ask_token: require a token on a loopback address, too.
 
     Raises:
-        InputError: when a token is too short to be one, or a name is none.
+        InputError: when the token is too short, or a name is not a host name.
     """
-    environ = os.environ if environ is None else environ
-    if token is None and (found := environ.get(VARIABLE)) is not None:
-        if not found.strip():
-            raise InputError(
-                f"{VARIABLE} is empty; put a token of at least {SHORTEST} characters into it, or unset it."
-            )
-        token = found
-    if token is None and (ask or not is_loopback(host)):
-        return Authenticator(host, secrets.token_urlsafe(32), allowed, told=True)
-    return Authenticator(host, token, allowed)
+    if token is None and (token := environ.get(TOKEN_VARIABLE)) is not None and not token.strip():
+        raise InputError(
+            f"{TOKEN_VARIABLE} is empty; put a token of at least {MIN_TOKEN_LENGTH} characters into it, or unset it."
+        )
+    if token is None and (ask_token or not is_loopback(host)):
+        return Authenticator(host, secrets.token_urlsafe(32), allowed_hosts, show_token=True)
+    return Authenticator(host, token, allowed_hosts)
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address to listen on is reached from this machine alone."""
+    """Return whether a listening address is reachable from this machine only."""
     try:
         return host.lower() == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -213,24 +227,23 @@ def is_loopback(host: str) -> bool:
 
 
 def same_origin(origin: str, host: str) -> bool:
-    """Whether a page's origin ("https://name:port") is the host that was asked for ("name:port")."""
+    """Return whether an origin ("https://name:port") is the requested host ("name:port")."""
     scheme, _, place = origin.lower().partition("://")
     ours, theirs = _HOST.fullmatch(host.lower()), _HOST.fullmatch(place)
-    if scheme not in _PORTS or ours is None or theirs is None:
+    if scheme not in _DEFAULT_PORTS or ours is None or theirs is None:
         return False
-    usual = _PORTS[scheme]
-    return (ours[1], ours[2] or usual) == (theirs[1], theirs[2] or usual)
+    default = _DEFAULT_PORTS[scheme]
+    return (ours[1], ours[2] or default) == (theirs[1], theirs[2] or default)
 
 
-def _name(given: str) -> str:
-    found = _HOST.fullmatch(given.strip().lower())
-    if found is None or found[2] is not None:
-        raise InputError(f"--allow-host {given!r} is not a host's name; expected one such as maps.example.org.")
-    return found[1].rstrip(".")
+def _host_name(name: str) -> str:
+    match = _HOST.fullmatch(name.strip().lower())
+    if match is None or match[2] is not None:
+        raise InputError(f"--allow-host {name!r} is not a host name; expected one such as maps.example.org.")
+    return match[1].rstrip(".")
 
 
-def _is_address(name: str) -> bool:
-    """Another site can give its own name this machine's address, but no page has an address of numbers that is not its own."""
+def _is_ip_address(name: str) -> bool:
     try:
         ipaddress.ip_address(name.strip("[]"))
     except ValueError:
@@ -238,17 +251,18 @@ def _is_address(name: str) -> bool:
     return True
 
 
-def _elsewhere(query: str, host: str) -> str | None:
-    """viser's page connects to, or plays, whatever its address names; the server whose scripts it would then run, if another.
+def _foreign_source(query: str, host: str) -> str | None:
+    """Return what else the query makes viser's page connect to or play, None if nothing.
 
-    It also writes its address anew without escaping it, so what a value would become is looked at, too.
+    The page runs scripts that this source sends. It also rewrites its address without escaping it, so the unescaped query is
+    checked, too.
     """
-    unescaped = "&".join("=".join(pair) for pair in parse_qsl(query, True))
-    if any(_values(asked, "playbackPath") for asked in (query, unescaped)):
+    queries = query, "&".join("=".join(pair) for pair in parse_qsl(query, True))
+    if any(_values(one, "playbackPath") for one in queries):
         return "another file"
-    for place in _values(query, "websocket") + _values(unescaped, "websocket"):
+    for address in [address for one in queries for address in _values(one, "websocket")]:
         try:
-            parts = urlsplit(place)
+            parts = urlsplit(address)
         except ValueError:
             return "another server"
         if parts.scheme not in ("ws", "wss") or parts.netloc.lower() != host:
@@ -256,10 +270,10 @@ def _elsewhere(query: str, host: str) -> str | None:
     return None
 
 
-def _from_elsewhere(request: HttpRequest) -> bool:
-    """Whether a link on another site was followed: the browser keeps its cookie to itself then, once."""
-    told = [request.one(f"sec-fetch-{what}") for what in ("site", "mode", "dest")]
-    return not request.upgrade and told == ["cross-site", "navigate", "document"]
+def _is_cross_site_link(request: HttpRequest) -> bool:
+    """Return whether the user followed a link on another site, for which the browser withholds its SameSite cookie."""
+    context = [request.only(f"sec-fetch-{name}") for name in ("site", "mode", "dest")]
+    return not request.upgrade and context == ["cross-site", "navigate", "document"]
 
 
 def _values(query: str, key: str) -> list[str]:
@@ -268,11 +282,11 @@ def _values(query: str, key: str) -> list[str]:
 
 def _without_token(path: str) -> str:
     place, _, query = path.partition("?")
-    kept = [piece for piece in query.split("&") if piece and unquote_plus(piece.partition("=")[0]) != "token"]
-    return "./" + place.rpartition("/")[2] + ("?" + "&".join(kept) if kept else "")
+    rest = [pair for pair in query.split("&") if pair and unquote_plus(pair.partition("=")[0]) != "token"]
+    return "./" + place.rpartition("/")[2] + ("?" + "&".join(rest) if rest else "")
 
 
-def _cookie(port: int) -> str:
+def _cookie_name(port: int) -> str:
     return f"lpn-{port}"
 
 
@@ -281,6 +295,7 @@ def _cookies(request: HttpRequest, name: str) -> list[str]:
     return [value for key, _, value in pairs if key == name][:20]
 
 
-def _same(given: str, expected: str) -> bool:
+def _equal(given: str, expected: str) -> bool:
+    """Compare digests in constant time, which hides the length, too."""
     digests = (hashlib.sha256(text.encode("utf-8", "surrogatepass")).digest() for text in (given, expected))
     return hmac.compare_digest(*digests)

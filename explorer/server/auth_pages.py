@@ -1,55 +1,40 @@
-"""The pages of somebody who is not in yet: a refusal, or a way on. No script, nothing loaded, everything shown as text."""
+"""The pages shown before a browser is let in: a refusal or a redirect. They load and run nothing."""
 
 from __future__ import annotations
 
+import functools
 import http
-from html import escape
 
+from jinja2 import Template
 from websockets.datastructures import Headers
 from websockets.http11 import Response
 
 from explorer.server.auth import Redirect, Refusal
+from lpn.core.templates import environment
 
-_BARE = "form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
-_STYLE = (
-    "body{font:16px/1.5 system-ui,sans-serif;max-width:34em;margin:12vh auto;padding:0 1em;color:#222;background:#fff}"
-    "h1{font-size:1.3em}input,button{font:inherit;padding:.3em .6em}"
-    "@media(prefers-color-scheme:dark){body{color:#ddd;background:#1a1b1e}a{color:#56b4e9}}"
-)
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
 
 
-def refused(refusal: Refusal) -> Response:
-    """Why somebody may not come in, and a field for the token where it would help."""
-    form = (
-        "<form method=get action=./><input name=token type=password aria-label=Token placeholder=Token autofocus> "
-        "<button>Open</button></form><p><a href=./>Open again</a></p>"
-    )
-    body = f"<h1>{escape(refusal.title)}</h1><p>{escape(refusal.text)}</p>{form if refusal.ask else ''}"
-    return _html(refusal.status, refusal.title, body)
+def refusal_page(refusal: Refusal) -> Response:
+    """Return a page with the reason, and a field for the token if a token would help."""
+    return _response(refusal.status, title=refusal.title, text=refusal.text, ask_token=refusal.ask_token)
 
 
-def led_on(onward: Redirect, cookie: str) -> Response:
-    """A page that goes on by itself.
-
-    Args:
-        cookie: the Set-Cookie header it brings, where the browser is signed in.
-    """
-    location = escape(onward.location)
-    body = f'<meta http-equiv=refresh content="0;url={location}"><p><a href="{location}">Go on</a></p>'
-    answer = _html(200, "LPN Explorer", body)
-    if onward.sign_in:
-        answer.headers["Set-Cookie"] = cookie
-    return answer
+def redirect_page(redirect: Redirect, cookie: str) -> Response:
+    """Return a page that leads to another address at once; it sets `cookie` if the browser signed in."""
+    response = _response(200, title="LPN Explorer", location=redirect.location)
+    if redirect.sign_in:
+        response.headers["Set-Cookie"] = cookie
+    return response
 
 
-def _html(status: int, title: str, body: str) -> Response:
-    head = f'<meta charset=utf-8><meta name=viewport content="width=device-width"><title>{title}</title>'
-    content = f"<!doctype html><html lang=en>{head}<style>{_STYLE}</style>{body}</html>".encode("utf-8", "replace")
+def _response(status: int, **values: object) -> Response:
+    content = _template().render(values).encode("utf-8", "replace")
     headers = Headers(
         {
             "Content-Type": "text/html; charset=utf-8",
             "Content-Length": str(len(content)),
-            "Content-Security-Policy": f"default-src 'none'; style-src 'unsafe-inline'; {_BARE}",
+            "Content-Security-Policy": _POLICY,
             "X-Content-Type-Options": "nosniff",
             "Referrer-Policy": "no-referrer",
             "Cache-Control": "no-store",
@@ -57,3 +42,8 @@ def _html(status: int, title: str, body: str) -> Response:
         }
     )
     return Response(status, http.HTTPStatus(status).phrase, headers, content)
+
+
+@functools.cache
+def _template() -> Template:
+    return environment("explorer.server").get_template("auth.html")

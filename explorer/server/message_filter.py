@@ -1,223 +1,235 @@
-"""What a browser may send over the websocket: a few kinds of messages, each in its shape and in bounds. The rest is dropped.
+"""The messages that a browser may send over the websocket: few kinds, of bounded size, at a bounded rate.
 
-viser takes any message of its protocol, sets any attribute of a control, and keeps what it is sent. What comes through here
-is what the page of this app sends when a person uses it; `explorer.session_state` and the panels still trust no value of it.
+viser accepts any message of its protocol, sets any attribute of a control, and stores whatever it is sent. The filter lets
+through only what the app's page sends. The app still validates every value.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import logging
-import math
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, get_args
 
 import msgspec
+from msgspec import Meta
 
-from explorer.uploads import BUTTONS, MAX_UPLOAD
-from explorer.web.bridge import MAX_MESSAGE_LENGTH
+from explorer.server.rate_limiter import TokenBucket
 
 log = logging.getLogger(__name__)
 
-MESSAGE_BYTES = 1 << 20
-"""Bytes of one message; the largest that a page sends is a part of an upload, 512 KB and its frame."""
-UPLOADS, PARTS = 2, 200
-"""Uploads under way at a time, and parts of one."""
+MAX_UPLOAD = 30_000_000  # bytes of an uploaded picture
+MAX_TEXT = 60_000  # characters of a text control: the cells of a region of a large feature map fit
+# Bytes of a message. The page's largest is a part of an upload: 512 KB and its envelope.
+MAX_MESSAGE = 1 << 20
+# Uploads in progress at a time, and parts of one upload.
+MAX_UPLOADS, MAX_PARTS = 2, 200
+# Messages a second that are read from one browser, and at once; further ones wait. A dragged slider sends 20 a second.
 RATE, BURST = 200.0, 400.0
-"""Messages a second that are read of one browser for long, and at once; more wait their turn. A dragged slider sends 20."""
 
-_WORD = 200
-_NUMBER = 1e12
+_MAX_WORD = 200
+_MAX_NUMBER = 10**12
 
-Check = Callable[[Any], bool]
+# The bounds also exclude NaN and infinities.
+Number = (
+    Annotated[int, Meta(ge=-_MAX_NUMBER, le=_MAX_NUMBER)]
+    | Annotated[float, Meta(ge=-float(_MAX_NUMBER), le=float(_MAX_NUMBER))]
+)
+Word = Annotated[str, Meta(max_length=_MAX_WORD)]
+Count = Annotated[int, Meta(ge=0, le=1 << 40)]
+Pair = tuple[Number, Number]
+Triple = tuple[Number, Number, Number]
 
 
 class RejectedMessageError(Exception):
-    """What came is no message of viser's protocol; the connection is of no use."""
+    """The browser does not follow viser's protocol; its connection must be closed."""
 
 
-def _number(value: Any) -> bool:
-    known = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return known and math.isfinite(value) and abs(value) <= _NUMBER
+class Message(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
+    """A message of viser's protocol; `type` is the name of viser's class."""
 
 
-def _numbers(count: int) -> Check:
-    return lambda value: isinstance(value, list) and len(value) == count and all(_number(one) for one in value)
+class ViewerCameraMessage(Message):
+    """The pose and size of the browser's view."""
+
+    wxyz: tuple[Number, Number, Number, Number]
+    position: Triple
+    fov: Number
+    near: Number
+    far: Number
+    image_height: Number
+    image_width: Number
+    look_at: Triple
+    up_direction: Triple
 
 
-def _word(value: Any) -> bool:
-    return isinstance(value, str) and len(value) <= _WORD
+class SceneNodeClickMessage(Message):
+    """A click on a node of the scene."""
+
+    name: Word
+    instance_index: Count | None
+    ray_origin: Triple
+    ray_direction: Triple
+    screen_pos: Pair
+    modifier: Word | None
+    owner: Word
 
 
-def _count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 1 << 40
+class NewValue(msgspec.Struct, forbid_unknown_fields=True):
+    """The value of a control; viser would set other attributes, too."""
+
+    value: bool | Number | Annotated[str, Meta(max_length=MAX_TEXT)]
 
 
-def _or_none(check: Check) -> Check:
-    return lambda value: value is None or check(value)
+class GuiUpdateMessage(Message):
+    """A changed control."""
+
+    uuid: Word
+    updates: NewValue
 
 
-def _updates(value: Any) -> bool:
-    """A control's new value, and no other attribute of it."""
-    return isinstance(value, dict) and set(value) == {"value"} and _value(value["value"])
+class CommandTriggerMessage(Message):
+    """A command of the palette."""
+
+    uuid: Word
 
 
-def _value(value: Any) -> bool:
-    if isinstance(value, str):
-        return len(value) <= MAX_MESSAGE_LENGTH
-    return isinstance(value, bool) or _number(value)
+class FileTransferStartUpload(Message):
+    """The start of an upload."""
+
+    source_component_uuid: Word
+    transfer_uuid: Word
+    filename: str
+    mime_type: Word
+    part_count: Count
+    size_bytes: Count
 
 
-FIELDS: Mapping[str, Mapping[str, Check]] = {
-    "ViewerCameraMessage": {
-        "wxyz": _numbers(4),
-        "position": _numbers(3),
-        "fov": _number,
-        "near": _number,
-        "far": _number,
-        "image_height": _number,
-        "image_width": _number,
-        "look_at": _numbers(3),
-        "up_direction": _numbers(3),
-    },
-    "SceneNodeClickMessage": {
-        "name": _word,
-        "instance_index": _or_none(_count),
-        "ray_origin": _numbers(3),
-        "ray_direction": _numbers(3),
-        "screen_pos": _numbers(2),
-        "modifier": _or_none(_word),
-        "owner": _word,
-    },
-    "GuiUpdateMessage": {"uuid": _word, "updates": _updates},
-    "CommandTriggerMessage": {"uuid": _word},
-    "FileTransferStartUpload": {
-        "source_component_uuid": _word,
-        "transfer_uuid": _word,
-        "filename": lambda value: isinstance(value, str),
-        "mime_type": _word,
-        "part_count": _count,
-        "size_bytes": _count,
-    },
-    "FileTransferPart": {
-        "source_component_uuid": _word,
-        "transfer_uuid": _word,
-        "part_index": _count,
-        "content": lambda value: isinstance(value, bytes),
-    },
-}
-"""The kinds of messages that are read, and what each of their fields must be."""
+class FileTransferPart(Message):
+    """One part of an upload."""
+
+    source_component_uuid: Word
+    transfer_uuid: Word
+    part_index: Count
+    content: bytes
 
 
-def strange(messages: object) -> list[str]:
-    """Kinds of FIELDS that viser's module of messages does not have, or has with other fields."""
-    found = {kind: getattr(messages, kind, None) for kind in FIELDS}
-    return [
-        kind
-        for kind, cls in found.items()
-        if not dataclasses.is_dataclass(cls) or {field.name for field in dataclasses.fields(cls)} != set(FIELDS[kind])
-    ]
+AnyMessage = (
+    ViewerCameraMessage
+    | SceneNodeClickMessage
+    | GuiUpdateMessage
+    | CommandTriggerMessage
+    | FileTransferStartUpload
+    | FileTransferPart
+)
+KINDS: tuple[type[Message], ...] = get_args(AnyMessage)
 
 
-class TokenBucket:
-    """So many a second for long, and so many at once."""
+class _Envelope(msgspec.Struct):
+    """Any message of viser's protocol."""
 
-    def __init__(self, rate: float, burst: float, clock: Callable[[], float] = time.monotonic) -> None:
-        self._rate, self._burst, self._clock = rate, burst, clock
-        self._credit, self._at = burst, clock()
-
-    def take(self) -> float:
-        """One more; seconds until it is within the allowance."""
-        now = self._clock()
-        self._credit = min(self._credit + self._rate * (now - self._at), self._burst) - 1
-        self._at = now
-        return max(-self._credit / self._rate, 0.0)
+    type: str
 
 
-@dataclasses.dataclass
+_MESSAGE = msgspec.msgpack.Decoder(AnyMessage)
+_ENVELOPE = msgspec.msgpack.Decoder(_Envelope)
+
+
+@dataclass
 class _Upload:
-    """An upload under way: the button it is of, the bytes and the parts that are still to come."""
+    """An upload in progress: its button, and the bytes and parts still to come."""
 
     button: str
-    size: int
-    parts: set[int]
+    remaining_bytes: int
+    remaining_parts: set[int]
 
 
 class MessageFilter:
-    """Reads the messages of one browser. Used from one thread.
+    """Reads the messages of one browser. Not thread-safe.
 
     Args:
-        number: of the browser, for the log.
+        is_upload_button: tells whether a control accepts files.
+        clock: returns seconds.
 
     Attributes:
-        dropped: messages that were not handed on.
+        number: the browser's number in the log.
+        dropped: number of dropped messages.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic, number: int = 0) -> None:
-        self._number = number
-        self._allowance = TokenBucket(RATE, BURST, clock)
+    def __init__(self, is_upload_button: Callable[[str], bool], clock: Callable[[], float] = time.monotonic) -> None:
+        self._is_upload_button = is_upload_button
+        self._bucket = TokenBucket(RATE, BURST, clock)
         self._uploads: dict[str, _Upload] = {}
+        self.number = 0
         self.dropped = 0
 
-    def wait(self) -> float:
-        """Seconds until the next message is read."""
-        return self._allowance.take()
+    def delay(self) -> float:
+        """Count one message; return the seconds to wait before reading it."""
+        return self._bucket.take()
 
     def read(self, raw: bytes | str) -> bytes | None:
-        """The message as viser may have it, or None for one that is dropped.
+        """Return the message encoded anew for viser, or None if it is dropped.
 
         Raises:
-            RejectedMessageError: when it is no message at all, or the last part of an upload of another size than was said.
+            RejectedMessageError: when `raw` is not a message, or an upload differs in size from its announcement.
         """
-        if not isinstance(raw, bytes):
-            raise RejectedMessageError("text, where messages are bytes")
-        try:
-            message = msgspec.msgpack.decode(raw)
-        except (ValueError, RecursionError) as error:
-            raise RejectedMessageError("bytes that are no message") from error
-        if not isinstance(message, dict) or not isinstance(message.get("type"), str):
-            raise RejectedMessageError("bytes that are no message")
-        kind = message.pop("type")
-        fields = FIELDS.get(kind)
-        fits = fields is not None and set(message) == set(fields) and all(fields[key](message[key]) for key in fields)
-        if fits and kind == "FileTransferStartUpload":
-            return self._begun(message)
-        if fits and kind == "FileTransferPart":
-            fits = self._goes_on(message)
-        if fits:
-            return raw
+        message = _decode(raw)
+        if isinstance(message, FileTransferStartUpload):
+            accepted = self._start(message)
+        elif isinstance(message, FileTransferPart):
+            accepted = self._continue(message)
+        else:
+            accepted = isinstance(message, Message)
+        if accepted:
+            return msgspec.msgpack.encode(message)
         self.dropped += 1
-        log.debug("Browser %d: refused a message of kind %.40r and %d bytes", self._number, kind, len(raw))
+        kind = type(message).__name__ if isinstance(message, Message) else message.type
+        log.debug("Browser %d: dropped a message of kind %.40r and %d bytes", self.number, kind, len(raw))
         return None
 
-    def _begun(self, message: dict[str, Any]) -> bytes | None:
-        """An upload that is too large becomes an empty file, of which a person is told, and which takes no room."""
-        size, parts, name = message["size_bytes"], message["part_count"], message["transfer_uuid"]
-        button = message["source_component_uuid"]
-        if button not in BUTTONS or name in self._uploads or len(self._uploads) >= UPLOADS:
-            self.dropped += 1
-            log.debug("Browser %d: refused an upload, %d being under way", self._number, len(self._uploads))
-            return None
-        if size > MAX_UPLOAD or not 0 < parts <= PARTS or size < parts:
-            log.debug("Browser %d: refused an upload of %d bytes in %d parts", self._number, size, parts)
-            message |= {"size_bytes": 0, "part_count": 0}
-        else:
+    def _start(self, message: FileTransferStartUpload) -> bool:
+        """Register an upload. One beyond the limits becomes an empty file, which the app reports to the user."""
+        name, size, parts = message.transfer_uuid, message.size_bytes, message.part_count
+        button = message.source_component_uuid
+        if name in self._uploads or len(self._uploads) >= MAX_UPLOADS or not self._is_upload_button(button):
+            return False
+        if size <= MAX_UPLOAD and 0 < parts <= min(MAX_PARTS, size):
             self._uploads[name] = _Upload(button, size, set(range(parts)))
-        message["filename"] = message["filename"][:_WORD]
-        return msgspec.msgpack.encode({"type": "FileTransferStartUpload", **message})
-
-    def _goes_on(self, message: dict[str, Any]) -> bool:
-        """Each part once: viser drops a second one, so an upload would seem whole here and be kept there for good."""
-        left = self._uploads.get(message["transfer_uuid"])
-        if left is None or message["source_component_uuid"] != left.button or len(message["content"]) > left.size:
-            return False
-        if message["part_index"] not in left.parts:
-            return False
-        left.size -= len(message["content"])
-        left.parts.remove(message["part_index"])
-        if not left.parts:
-            if left.size:
-                raise RejectedMessageError("an upload of another size than it said")
-            del self._uploads[message["transfer_uuid"]]
+        else:
+            message.size_bytes = message.part_count = 0
+        message.filename = message.filename[:_MAX_WORD]
         return True
+
+    def _continue(self, message: FileTransferPart) -> bool:
+        """Count a part. viser ignores a repeated part, so counting it would leave viser's upload incomplete for ever."""
+        upload = self._uploads.get(message.transfer_uuid)
+        if (
+            upload is None
+            or message.source_component_uuid != upload.button
+            or message.part_index not in upload.remaining_parts
+            or len(message.content) > upload.remaining_bytes
+        ):
+            return False
+        upload.remaining_bytes -= len(message.content)
+        upload.remaining_parts.remove(message.part_index)
+        if not upload.remaining_parts:
+            if upload.remaining_bytes:
+                raise RejectedMessageError("an upload smaller than announced")
+            del self._uploads[message.transfer_uuid]
+        return True
+
+
+def _decode(raw: bytes | str) -> Message | _Envelope:
+    """Return the message, or only its envelope if it is of another kind or shape."""
+    if not isinstance(raw, bytes):
+        raise RejectedMessageError("a text frame; expected a binary one")
+    try:
+        message: Message = _MESSAGE.decode(raw)
+        return message
+    except (ValueError, RecursionError):
+        pass
+    try:
+        return _ENVELOPE.decode(raw)
+    except (ValueError, RecursionError) as error:
+        raise RejectedMessageError("bytes that are not a message") from error

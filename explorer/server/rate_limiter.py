@@ -1,66 +1,71 @@
-"""Slows down who gives wrong tokens, by address."""
+"""Rate limits: token buckets, and one for each address that sends wrong access tokens."""
 
 from __future__ import annotations
 
 import ipaddress
 import time
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Callable
 
-FIRST, LONGEST = 0.25, 5.0
-"""Seconds that the first wrong token waits for its answer, and the longest that any does; each waits twice the one before."""
-FORGET = 600.0
-"""Seconds after which an address that gave no further wrong token is as good as new."""
-WAITING, ALL_WAITING = 4, 64
-"""Answers that may wait at a time, of one address and of all."""
-KEPT = 1000
-"""Addresses that are remembered; beyond, the oldest are forgotten."""
+# Wrong access tokens that an address may send at once, and a second.
+GUESSES, GUESS_RATE = 10.0, 0.5
+# Addresses that are remembered; the least recently used are forgotten.
+MAX_ADDRESSES = 1000
+
+
+class TokenBucket:
+    """A rate limit: `rate` events a second, and `burst` at once. Not thread-safe."""
+
+    def __init__(self, rate: float, burst: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate, self._burst, self._clock = rate, burst, clock
+        self._level, self._updated = burst, clock()
+
+    def level(self) -> float:
+        """Return the number of events allowed now; negative while events wait."""
+        now = self._clock()
+        self._level = min(self._level + self._rate * (now - self._updated), self._burst)
+        self._updated = now
+        return self._level
+
+    def take(self) -> float:
+        """Count one event; return the seconds until the rate allows it."""
+        self._level = self.level() - 1
+        return max(-self._level / self._rate, 0.0)
 
 
 class RateLimiter:
-    """Counts wrong tokens by address. Used from one thread.
+    """Limits guesses of the access token by address. Not thread-safe.
 
-    A right token is never made to wait. While WAITING wrong ones of an address wait, further tokens of that address
-    are turned away unread: at most WAITING in LONGEST seconds can be tried.
+    Random tokens of 256 bits need no limit. Tokens that a user chose do: they may be as short as 12 characters.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._wrong: OrderedDict[str, tuple[int, float]] = OrderedDict()
-        self._waiting: Counter[str] = Counter()
+        self._buckets: OrderedDict[str, TokenBucket] = OrderedDict()
 
-    def full(self, address: str) -> bool:
-        """Whether a token of this address is turned away unread."""
-        return self._waiting[_of(address)] >= WAITING or self._waiting.total() >= ALL_WAITING
+    def blocked(self, address: str) -> bool:
+        """Return whether this address sent too many wrong tokens, so that its next one must not be compared."""
+        bucket = self._buckets.get(_network(address))
+        return bucket is not None and bucket.level() < 1
 
-    def enter(self, address: str) -> float:
-        """A wrong token of this address: seconds its answer has to wait; `leave` when it has."""
-        key, now = _of(address), self._clock()
-        before, last = self._wrong.pop(key, (0, now))
-        count = 0 if now - last > FORGET else before
-        self._wrong[key] = count + 1, now
-        while len(self._wrong) > KEPT:
-            self._wrong.popitem(last=False)
-        self._waiting[key] += 1
-        return float(min(FIRST * 2 ** min(count, 30), LONGEST))
-
-    def leave(self, address: str) -> None:
-        """The answer is given."""
-        key = _of(address)
-        self._waiting[key] -= 1
-        if self._waiting[key] <= 0:
-            del self._waiting[key]
+    def wrong_token(self, address: str) -> None:
+        """Count a wrong token."""
+        key = _network(address)
+        self._buckets.setdefault(key, TokenBucket(GUESS_RATE, GUESSES, self._clock)).take()
+        self._buckets.move_to_end(key)
+        if len(self._buckets) > MAX_ADDRESSES:
+            self._buckets.popitem(last=False)
 
     def __len__(self) -> int:
-        return len(self._wrong)
+        return len(self._buckets)
 
 
-def _of(address: str) -> str:
-    """The address; of IPv6, its network of 64 bits, all of which is one household's."""
+def _network(address: str) -> str:
+    """Return an IPv4 address as it is, and the /64 network of an IPv6 address: a household has all of its addresses."""
     try:
-        known = ipaddress.ip_address(address.partition("%")[0])
+        ip = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
         return address
-    if isinstance(known, ipaddress.IPv6Address) and known.ipv4_mapped is None:
-        return str(ipaddress.ip_network((known, 64), strict=False))
-    return str(known)
+    if isinstance(ip, ipaddress.IPv6Address):
+        return str(ip.ipv4_mapped or ipaddress.ip_network((ip, 64), strict=False))
+    return str(ip)

@@ -1,47 +1,106 @@
-"""Lets viser's event loop be woken in its own thread alone.
+"""All uses of viser's private attributes, each behind a named function.
 
-viser 1.1.1 sets a browser's `asyncio.Event` from whatever thread sends something, and once more from its loop. An event is not
-made for that: set at the very moment at which the loop begins to wait for it, it fails ("deque mutated during iteration"), or
-leaves the loop waiting with a message unsent, as the second call then finds it set and wakes nobody. The second call alone is
-right, and enough.
+They are those of viser 1.1.1. `tests/explorer/server/test_viser_compat.py` names each and fails when viser changes it.
 """
 
 from __future__ import annotations
 
 import asyncio
 import dataclasses
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
+import viser
+import viser._messages as viser_messages
 import viser.infra._infra as viser_infra
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 
-class _Event(asyncio.Event):
-    """An event that only `loop` sets; a call from elsewhere does nothing."""
+class _LoopEvent(asyncio.Event):
+    """An event that only code running in its own event loop sets; other calls of `set` do nothing."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__()
         self._owner = loop
 
     def set(self) -> None:
-        """Wake who waits, when called in the loop's own thread."""
+        """Wake the waiters if the calling thread runs this event's loop."""
         try:
             running = asyncio.get_running_loop()
-        except RuntimeError:  # another thread; its message is sent when the loop gets to it
+        except RuntimeError:  # another thread: viser also schedules a call in the loop, which sends its message
             return
         if running is self._owner:
             super().set()
 
 
 @dataclasses.dataclass
-class Buffer(AsyncMessageBuffer):
-    """What waits to be sent to a browser, from any thread."""
+class SendBuffer(AsyncMessageBuffer):
+    """A thread-safe queue of messages to one browser.
+
+    viser sets the buffer's `asyncio.Event` from the sending thread, then again from the event loop. The first call is a race:
+    it raises "deque mutated during iteration", or sets the event unseen, so that the second call wakes nobody and the message
+    stays unsent. `_LoopEvent` ignores the first call. Messages to a closed connection are dropped without viser's warning.
+    """
 
     def __post_init__(self) -> None:
-        self.message_event = _Event(self.event_loop)
+        self.message_event = _LoopEvent(self.event_loop)
+        self._warned_push_after_done = True
 
 
-def install() -> None:
-    """Have every viser server of this process keep what it sends in a `Buffer`, from its next browser on."""
+def use_thread_safe_buffers() -> None:
+    """Make every viser server of this process use `SendBuffer` for browsers that connect from now on."""
     infra: Any = viser_infra
-    infra.AsyncMessageBuffer = Buffer
+    infra.AsyncMessageBuffer = SendBuffer
+
+
+def message_fields(kind: str) -> set[str] | None:
+    """Return the field names of one of viser's message classes, None if viser has no such class."""
+    message = getattr(viser_messages, kind, None)
+    return {field.name for field in dataclasses.fields(message)} if dataclasses.is_dataclass(message) else None
+
+
+@contextmanager
+def websocket_server_hook(serve: Callable[..., Any]) -> Iterator[None]:
+    """Have viser call `serve` in place of `websockets.asyncio.server.serve` while the context is open.
+
+    Raises:
+        AttributeError: when viser no longer refers to `websockets`.
+    """
+    infra: Any = viser_infra
+    websockets = infra.websockets
+    server = _Override(websockets.asyncio.server, serve=serve)
+    infra.websockets = _Override(websockets, asyncio=_Override(websockets.asyncio, server=server))
+    try:
+        yield
+    finally:
+        infra.websockets = websockets
+
+
+class _Override:
+    """A module with some of its attributes replaced."""
+
+    def __init__(self, module: Any, **attributes: Any) -> None:
+        self.__dict__.update(attributes)
+        self._module = module
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+
+def uuid_of(handle: viser.GuiInputHandle[Any] | viser.GuiButtonHandle) -> str:
+    """Return the id that a control's element or label has in the page."""
+    return str(handle._impl.uuid)
+
+
+def is_upload_button(server: viser.ViserServer, uuid: str) -> bool:
+    """Return whether some browser has an upload button of this id; viser would store a file in any control."""
+    return any(
+        isinstance(client.gui._gui_input_handle_from_uuid.get(uuid), viser.GuiUploadButtonHandle)
+        for client in server.get_clients().values()
+    )
+
+
+def forget_upload(button: viser.GuiUploadButtonHandle) -> None:
+    """Drop the uploaded bytes, which viser would keep as the button's value."""
+    button._impl.value = viser.UploadedFile("", b"")

@@ -10,13 +10,13 @@ from typing import Any
 
 import viser
 
+from explorer.server.message_filter import MAX_TEXT
+from explorer.server.viser_compat import uuid_of
 from explorer.web.html import Html
 from explorer.web.render import call, render
 
 log = logging.getLogger(__name__)
 
-# Characters of a message; the region of a large feature map fits.
-MAX_MESSAGE_LENGTH = 60_000
 _SCRIPT = ";".join(
     (Path(__file__).parent / "js" / name).read_text("utf-8")
     for name in ("page.js", "viewport.js", "tour.js", "url_state.js")
@@ -42,7 +42,7 @@ class PageBridge:
         self._handlers = handlers
         self._text = gui.add_text("page", "")
         self._text.on_update(lambda _: self.receive(self._text.value))
-        uuid = str(self._text._impl.uuid)
+        uuid = uuid_of(self._text)
         initial = json.dumps({**properties, "bridge": uuid})
         script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet()"
         gui.add_html(render("hide_bridge", uuid=uuid) + _run(script))
@@ -60,7 +60,7 @@ class PageBridge:
 
     def receive(self, message: Any) -> None:
         """Hand a message to its handler; drop anything else."""
-        if not isinstance(message, str) or len(message) > MAX_MESSAGE_LENGTH:
+        if not isinstance(message, str) or len(message) > MAX_TEXT:
             return
         try:
             content: Any = json.loads(message)

@@ -55,8 +55,8 @@ def test_requests_are_a_line_each_at_debug_and_no_token_is_in_them(
     )
     assert re.search(turned, said)
     assert "Browser 0: answer 1: drone-to-satellite, query 0003" in said
-    assert re.search(r"Browser 1: refused a message of kind 'ShareUrlRequest' and \d+ bytes", said)
-    assert "Browser 1 sent text" in said
+    assert re.search(r"Browser 1: dropped a message of kind 'ShareUrlRequest' and \d+ bytes", said)
+    assert "Browser 1 sent a text frame" in said
     assert "Refused 127.0.0.1, 403: Wrong token" in said
     for secret in ("guessed", "horse", "token="):
         assert secret not in said + explorer.out.replace("token=<yours>", "")

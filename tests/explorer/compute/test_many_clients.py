@@ -34,7 +34,7 @@ from explorer.opening import open_model, open_saved
 from explorer.panels.panels import Panels
 from explorer.server.gateway import _Connection
 from explorer.server.message_filter import MessageFilter
-from explorer.server.viser_compat import Buffer
+from explorer.server.viser_compat import SendBuffer
 from explorer.session_state import SessionState, Upload
 from explorer.stage.scene import Stage
 from explorer.workspace import StateAnalyser, Workspace
@@ -53,7 +53,7 @@ from tools.fixtures.websocket_client import CHUNK, Talker
 TASK = "drone-to-satellite"
 HELD = (
     Visitor, StateAnalyser, Stage, Panels, ExplainWindow, Lab, RequestContext, Upload, SweepRequest, MessageFilter, Talker, _Connection,
-    viser.ClientHandle, GuiApi, SceneApi, Buffer,
+    viser.ClientHandle, GuiApi, SceneApi, SendBuffer,
 )  # fmt: skip
 """What a browser has for itself."""
 

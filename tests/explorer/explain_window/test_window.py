@@ -23,8 +23,9 @@ from explorer.explain_window.sweep_request import SweepRequest
 from explorer.explain_window.window import ExplainWindow
 from explorer.opening import open_model
 from explorer.panels.viewport import Viewport
+from explorer.server.message_filter import MAX_TEXT
 from explorer.session_state import SessionState, Upload
-from explorer.web.bridge import MAX_MESSAGE_LENGTH, PageBridge
+from explorer.web.bridge import PageBridge
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.descriptors.transforms import Change
@@ -205,7 +206,7 @@ def test_a_bridge_hands_on_messages_and_drops_everything_else() -> None:
     assert "<script" not in gui.html[0]
     deep = "[" * 50_000
     for message in (
-        None, 3, "", "{", "[]", "null", '{"kind": []}', '{"kind": "other"}', '"region"', "x" * (MAX_MESSAGE_LENGTH + 1), deep,
+        None, 3, "", "{", "[]", "null", '{"kind": []}', '{"kind": "other"}', '"region"', "x" * (MAX_TEXT + 1), deep,
     ):  # fmt: skip
         gui.text.value = message
         gui.text.update(None)

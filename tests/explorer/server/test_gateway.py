@@ -1,4 +1,4 @@
-"""Who may come in, and what a browser may send: the rules alone, then a real server and clients that mean no good."""
+"""A real server behind its gateway, and hostile clients."""
 
 from __future__ import annotations
 
@@ -10,393 +10,36 @@ import os
 import socket
 import threading
 import time
-import types
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import cv2
 import msgspec
-import numpy as np
 import pytest
 import viser._messages as viser_messages
 from websockets.exceptions import InvalidStatus
 
-from explorer import uploads
 from explorer.app import App
 from explorer.opening import open_model
-from explorer.server import gateway, rate_limiter
-from explorer.server.auth import Authenticator, HttpRequest, Redirect, Refusal, entry, is_loopback, same_origin
+from explorer.server import gateway
+from explorer.server.auth import Authenticator
 from explorer.server.gateway import Gateway
-from explorer.server.message_filter import BURST, FIELDS, RATE, UPLOADS, MessageFilter, RejectedMessageError, strange
-from explorer.server.rate_limiter import ALL_WAITING, FIRST, FORGET, KEPT, LONGEST, WAITING, RateLimiter
+from explorer.server.message_filter import MAX_UPLOADS
+from explorer.server.rate_limiter import GUESSES, RateLimiter
 from explorer.session_state import SessionState, Upload
 from explorer.workspace import StateAnalyser, Workspace
-from lpn.core.errors import InputError, MissingPackageError, PictureError
+from lpn.core.errors import MissingPackageError
 from tools.fixtures import small_worlds
 from tools.fixtures.websocket_client import Talker
 
 TOKEN = "correct horse battery"
 
 
-def asked(host: str = "localhost:8080", path: str = "/", upgrade: bool = False, **headers: str) -> HttpRequest:
-    named = {name.replace("_", "-"): [value] for name, value in headers.items()}
-    return HttpRequest(path, {"host": [host], **named}, upgrade)
-
-
-def verdict(door: Authenticator, request: HttpRequest) -> int | str | None:
-    """The status of a refusal, where it is led on to, or None for in."""
-    found = door.check(request, 8080)
-    return found.status if isinstance(found, Refusal) else found.location if isinstance(found, Redirect) else None
-
-
-# The rules.
-
-
-@pytest.mark.parametrize("name", ["localhost", "127.0.0.1", "[::1]", "LOCALHOST", "localhost."])
-def test_on_this_machine_its_own_names_come_in_without_a_token(name: str) -> None:
-    assert verdict(Authenticator("127.0.0.1"), asked(f"{name}:8080")) is None
-
-
-@pytest.mark.parametrize(
-    "name", ["evil.example:8080", "127.0.0.1.evil.example", "192.168.1.5", "", "a b", "localhost@evil", "[::2]"]
-)
-def test_a_name_made_to_point_here_is_refused(name: str) -> None:
-    assert verdict(Authenticator("127.0.0.1"), asked(name)) == 421
-
-
-def test_several_hosts_in_one_request_are_refused() -> None:
-    assert verdict(Authenticator("127.0.0.1"), HttpRequest("/", {"host": ["localhost", "evil.example"]})) == 421
-
-
-def test_allowed_names_and_addresses_of_a_server_that_listens_everywhere() -> None:
-    door = Authenticator("0.0.0.0", None, ("Maps.Example.org",))
-    for name in ("maps.example.org", "192.168.1.5:8080", "[fe80::1]:8080", f"{socket.gethostname()}:8080"):
-        assert verdict(door, asked(name)) is None, name
-    assert verdict(door, asked("evil.example")) == 421
-    assert verdict(Authenticator("192.168.1.5"), asked("192.168.1.5:8080")) is None
-    assert verdict(Authenticator("::1"), asked("[::1]:8080")) is None
-
-
-@pytest.mark.parametrize("name", ["http://maps.example.org", "maps.example.org:443", "", "a b", "<b>"])
-def test_an_allowed_name_that_is_none_is_said(name: str) -> None:
-    with pytest.raises(InputError, match="--allow-host"):
-        Authenticator("127.0.0.1", None, (name,))
-
-
-@pytest.mark.parametrize(
-    ("origin", "host", "same"),
-    [
-        ("http://localhost:8080", "localhost:8080", True),
-        ("https://maps.example.org", "maps.example.org", True),
-        ("https://maps.example.org", "maps.example.org:443", True),
-        ("HTTP://LOCALHOST:8080", "localhost:8080", True),
-        ("http://[::1]:8080", "[::1]:8080", True),
-        ("http://localhost:3000", "localhost:8080", False),
-        ("http://127.0.0.1:8080", "localhost:8080", False),
-        ("https://evil.example", "localhost:8080", False),
-        ("http://localhost:8080.evil.example", "localhost:8080", False),
-        ("file://", "localhost:8080", False),
-        ("null", "localhost:8080", False),
-        ("", "localhost:8080", False),
-    ],
-)
-def test_an_origin_is_compared_with_the_host_that_was_asked_for(origin: str, host: str, same: bool) -> None:
-    assert same_origin(origin, host) is same
-    assert verdict(
-        Authenticator("127.0.0.1", allowed=("maps.example.org",)), asked(host, upgrade=True, origin=origin)
-    ) == (None if same else 403)
-
-
-def test_a_page_that_would_run_another_servers_scripts_is_refused() -> None:
-    door = Authenticator("127.0.0.1")
-    for query in (
-        "websocket=ws://evil.example",
-        "websocket=ws%3A%2F%2Fevil.example",
-        "playbackPath=//evil.example/x",
-        "websocket=x",
-        "&".join(["a"] * 3000) + "&playbackPath=data:,x",
-        "&" * 3000 + "websocket=ws://evil.example",
-        "x=%26playbackPath=data:,x",
-        "x=%26websocket%3Dws://evil.example",
-        "x=1%26y&playbackPath",
-    ):
-        assert verdict(door, asked(path=f"/?{query}")) == 403, query
-    assert verdict(door, asked(path="/?websocket=ws://localhost:8080/prefix&query=0005/01")) is None
-    assert verdict(door, asked(path="/?query=0005%26more/01&websocketed=1")) is None
-
-
-def test_a_token_is_asked_for_by_what_is_listened_on() -> None:
-    assert entry("127.0.0.1", None, False, (), {}).token is None
-    assert entry("localhost", None, False, (), {}).token is None
-    assert len(entry("127.0.0.1", None, True, (), {}).token or "") >= 43
-    made = [
-        entry(host, None, False, (), {}).token or "" for host in ("0.0.0.0", "192.168.1.5", "::", "maps.example.org")
-    ]
-    assert len(set(made)) == 4
-    assert min(map(len, made)) >= 43
-    assert entry("127.0.0.1", None, False, (), {"LPN_TOKEN": TOKEN}).token == TOKEN
-    assert entry("0.0.0.0", "another one given", False, (), {"LPN_TOKEN": TOKEN}).token == "another one given"
-    for bad in ("", "short"):
-        with pytest.raises(InputError):
-            entry("127.0.0.1", None, False, (), {"LPN_TOKEN": bad})
-    with pytest.raises(InputError, match="12"):
-        entry("0.0.0.0", "short", False, (), {})
-    assert not is_loopback("")
-
-
-def test_the_link_has_the_token_that_was_made_and_not_one_that_was_given() -> None:
-    assert entry("127.0.0.1", None, False, (), {}).link(8080) == "http://127.0.0.1:8080"
-    assert entry("0.0.0.0", TOKEN, False, (), {}).link(8080).startswith("http://127.0.0.1:8080/")
-    assert entry("::", TOKEN, False, (), {}).link(8080).startswith("http://[::1]:8080/"), "no IPv4 is listened on then"
-    made = entry("::1", None, True, (), {})
-    assert made.link(8080) == f"http://[::1]:8080/?token={made.token}"
-    assert TOKEN.split()[0] not in entry("0.0.0.0", TOKEN, False, (), {}).link(8080)
-
-
-def test_a_token_is_taken_once_and_then_a_cookie() -> None:
-    door = Authenticator("127.0.0.1", TOKEN)
-    assert verdict(door, asked()) == 401
-    assert verdict(door, asked(upgrade=True)) == 401
-    assert verdict(door, asked(path="/?token=wrong")) == 403
-    assert verdict(door, asked(path="/?token=")) == 403
-    right = "token=correct+horse%20battery"
-    assert verdict(door, asked(path=f"/?query=0005/01&{right}&why=1")) == "./?query=0005/01&why=1"
-    assert verdict(door, asked(path=f"/?{right}")) == "./"
-    assert verdict(door, asked(path=f"//evil.example/?{right}")) == "./"
-    assert verdict(door, asked(path=f"/?{right}", upgrade=True)) is None
-    cookie = door.cookie(asked(), 8080)
-    assert {"HttpOnly", "SameSite=Strict"} <= set(cookie.split("; "))
-    assert "Secure" not in cookie
-    assert door.cookie(asked(x_forwarded_proto="https"), 8080).endswith("; Secure")
-    held = cookie.partition(";")[0]
-    assert TOKEN.split()[0] not in held
-    for request in (asked(cookie=held), asked(cookie=f"a=b; {held}; c"), asked(cookie=held, upgrade=True)):
-        assert verdict(door, request) is None
-    assert verdict(door, asked(path="/?query=1&token=wrong", cookie=held)) == "./?query=1"
-    assert door.check(asked(cookie=held), 8081), "another server's cookie"
-    assert verdict(door, asked(cookie=held[:-1])) == 401
-    assert verdict(Authenticator("127.0.0.1", TOKEN), asked(cookie=held)) == 401, "a cookie of another run"
-
-
-def test_a_link_from_another_site_is_opened_once_more_for_its_cookie() -> None:
-    door = Authenticator("127.0.0.1", TOKEN)
-    followed = {"sec_fetch_site": "cross-site", "sec_fetch_mode": "navigate", "sec_fetch_dest": "document"}
-    found = door.check(asked(path="/?query=0005/01", **followed), 8080)
-    assert found == Redirect("./?query=0005/01", False)
-    assert verdict(door, asked(**{**followed, "sec_fetch_site": "same-origin"})) == 401
-    assert verdict(door, asked(**{**followed, "sec_fetch_dest": "iframe"})) == 401
-
-
-def test_wrong_tokens_wait_longer_and_longer_by_address_and_are_forgotten() -> None:
-    now = [0.0]
-    slowed = RateLimiter(lambda: now[0])
-
-    def wrong(address: str) -> float:
-        seconds = slowed.enter(address)
-        slowed.leave(address)
-        return seconds
-
-    assert [wrong("1.2.3.4") for _ in range(4)] == [FIRST, 2 * FIRST, 4 * FIRST, 8 * FIRST]
-    assert [wrong("1.2.3.4") for _ in range(100)][-1] == LONGEST
-    assert wrong("1.2.3.5") == FIRST
-    assert wrong("2001:db8::1") == FIRST
-    assert wrong("2001:db8::ffff:1") == 2 * FIRST, "the same network"
-    now[0] = FORGET + 1
-    assert wrong("1.2.3.4") == FIRST
-    for number in range(KEPT + 50):
-        wrong(f"10.0.{number // 256}.{number % 256}")
-    assert len(slowed) == KEPT
-
-
-def test_few_wrong_tokens_wait_at_a_time() -> None:
-    slowed = RateLimiter()
-    for _ in range(WAITING):
-        assert not slowed.full("1.2.3.4")
-        slowed.enter("1.2.3.4")
-    assert slowed.full("1.2.3.4")
-    assert not slowed.full("1.2.3.5")
-    slowed.leave("1.2.3.4")
-    assert not slowed.full("1.2.3.4")
-    for number in range(ALL_WAITING):
-        slowed.enter(f"10.0.0.{number}")
-    assert slowed.full("1.2.3.5")
-
-
-# What a message may be.
-
-
-def packed(kind: str, **fields: object) -> bytes:
-    return msgspec.msgpack.encode({"type": kind, **fields})
-
-
-class Button:
-    """An upload button."""
-
-
-@pytest.fixture
-def button() -> Iterator[Button]:
-    """That of "u"; viser takes a file for any control."""
-    made = uploads.BUTTONS["u"] = Button()
-    yield made
-    del uploads.BUTTONS["u"]
-
-
-def begun(transfer: str, size: int, parts: int, name: str = "a.png", control: str = "u") -> bytes:
-    fields = {
-        "source_component_uuid": control,
-        "transfer_uuid": transfer,
-        "filename": name,
-        "mime_type": "",
-        "part_count": parts,
-    }
-    return packed("FileTransferStartUpload", **fields, size_bytes=size)
-
-
-def part(transfer: str, index: int, content: bytes, control: str = "u") -> bytes:
-    return packed(
-        "FileTransferPart", source_component_uuid=control, transfer_uuid=transfer, part_index=index, content=content
-    )
-
-
-def test_visers_messages_have_the_fields_that_are_looked_at() -> None:
-    assert strange(viser_messages) == []
-    assert strange(types.SimpleNamespace()) == list(FIELDS)
-
-
-@pytest.mark.parametrize("value", [True, 3, 0.5, "text", -180])
-def test_a_controls_value_passes_as_it_came(value: object) -> None:
-    message = packed("GuiUpdateMessage", uuid="u", updates={"value": value})
-    assert MessageFilter().read(message) == message
-
-
-@pytest.mark.parametrize(
-    "message",
-    [
-        packed("GuiUpdateMessage", uuid="u", updates={"value": 1, "removed": True}),
-        packed("GuiUpdateMessage", uuid="u", updates={"visible": False}),
-        packed("GuiUpdateMessage", uuid="u", updates={"value": float("nan")}),
-        packed("GuiUpdateMessage", uuid="u", updates={"value": [1]}),
-        packed("GuiUpdateMessage", uuid="u", updates={"value": "x" * 60_001}),
-        packed("GuiUpdateMessage", uuid="u" * 300, updates={"value": 1}),
-        packed("GuiUpdateMessage", uuid="u", updates=[]),
-        packed("GuiUpdateMessage", uuid="u"),
-        packed("CommandTriggerMessage", uuid="u", more=1),
-        packed("ShareUrlRequest"),
-        packed("GuiFormDirtyMessage", uuid="u"),
-        packed("RunJavascriptMessage", source="alert(1)"),
-        packed("SetCameraFovMessage", fov=1),
-        packed("NoMessage"),
-        part("never begun", 0, b"x"),
-    ],
-)
-def test_a_message_that_no_page_sends_is_dropped(message: bytes) -> None:
-    inbox = MessageFilter()
-    assert inbox.read(message) is None
-    assert inbox.dropped == 1
-
-
-@pytest.mark.parametrize(
-    "message",
-    ["text", b"", b"\xc1", os.urandom(999), b"\x91" * 100_000, msgspec.msgpack.encode([1]), msgspec.msgpack.encode({})],
-)
-def test_what_is_no_message_ends_the_connection(message: bytes | str) -> None:
-    with pytest.raises(RejectedMessageError):
-        MessageFilter().read(message)
-
-
-@pytest.mark.usefixtures("button")
-def test_uploads_are_bounded_in_bytes_parts_and_number() -> None:
-    inbox = MessageFilter()
-    assert inbox.read(begun("a", 10, 2)) == begun("a", 10, 2)
-    assert inbox.read(begun("a", 10, 2)) is None, "the same again"
-    assert inbox.read(part("a", 0, b"x" * 6)) is not None
-    assert inbox.read(part("a", 1, b"x" * 6)) is None, "more than was said"
-    assert inbox.read(begun("b", 10, 1)) is not None
-    assert inbox.read(begun("c", 10, 1)) is None, "a third at a time"
-    assert inbox.read(part("a", 1, b"x" * 4)) is not None
-    assert inbox.read(part("a", 2, b"")) is None, "it is whole"
-    for size, parts in ((uploads.MAX_UPLOAD + 1, 60), (10**12, 1), (1000, 999), (0, 0), (5, 9)):
-        emptied = msgspec.msgpack.decode(inbox.read(begun("d", size, parts)) or b"")
-        assert (emptied["size_bytes"], emptied["part_count"]) == (0, 0)
-    named = msgspec.msgpack.decode(inbox.read(begun("e", 1, 1, "x" * 100_000)) or b"")
-    assert len(named["filename"]) == 200
-
-
-@pytest.mark.usefixtures("button")
-def test_a_part_that_viser_would_drop_does_not_end_an_upload() -> None:
-    inbox = MessageFilter()
-    assert inbox.read(begun("a", 10, 2)) is not None
-    assert inbox.read(part("a", 0, b"x" * 9)) is not None
-    for index in (0, 2, 1 << 30):
-        assert inbox.read(part("a", index, b"")) is None, index
-    assert inbox.read(part("a", 1, b"x")) is not None
-    assert inbox.read(begun("b", 10, 2)) is not None
-    assert inbox.read(part("b", 0, b"x")) is not None
-    with pytest.raises(RejectedMessageError, match="size"):
-        inbox.read(part("b", 1, b"x"))
-
-
-@pytest.mark.usefixtures("button")
-def test_only_an_upload_button_takes_a_file() -> None:
-    inbox = MessageFilter()
-    assert inbox.read(begun("a", 1, 1, control="a slider")) is None
-    assert inbox.read(begun("a", 1, 1)) is not None
-    assert inbox.read(part("a", 0, b"x", "a slider")) is None
-    assert inbox.read(part("a", 0, b"x")) is not None
-
-
-def test_messages_beyond_a_rate_wait_their_turn() -> None:
-    now = [0.0]
-    inbox = MessageFilter(lambda: now[0])
-    assert [inbox.wait() for _ in range(int(BURST))] == [0] * int(BURST)
-    assert [inbox.wait() for _ in range(3)] == pytest.approx([1 / RATE, 2 / RATE, 3 / RATE])
-    now[0] = 10.0
-    assert inbox.wait() == 0
-
-
-# A picture that is sent.
-
-
-def picture(size: int = 48, suffix: str = ".png") -> bytes:
-    return cv2.imencode(suffix, cv2.resize(small_worlds.place(3), (size, size)))[1].tobytes()
-
-
-@pytest.mark.parametrize(
-    "name", ["../../etc/passwd.png", "C:\\x\\passwd.png", "/passwd.png", "\u202epasswd.png", "a" * 5000]
-)
-def test_of_an_uploads_name_the_last_part_is_kept_to_be_shown(name: str) -> None:
-    taken = uploads.read(name, picture())
-    assert not set("/\\\u202e") & set(taken.name)
-    assert len(taken.name) <= 80
-
-
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp"])
-def test_a_picture_is_shrunk_to_a_size_that_can_be_turned(suffix: str) -> None:
-    wide = cv2.imencode(suffix, np.zeros((8, 3200, 3), np.uint8))[1].tobytes()
-    assert uploads.read("a", wide).picture.shape == (4, 1600, 3)
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"", "empty"),
-        (b"x", "JPEG, PNG, or WebP"),
-        (b"<svg xmlns='http://www.w3.org/2000/svg'/>", "JPEG, PNG, or WebP"),
-        (bytes(uploads.MAX_UPLOAD + 1), "30 MB"),
-        (b"\x89PNG\r\n\x1a\n" + bytes(99), "cannot be read|can be read"),
-        (picture(suffix=".jpg") + b"\xff\xda" * 500, "passes"),
-        (picture(suffix=".bmp"), "JPEG, PNG, or WebP"),
-    ],
-)
-def test_what_is_no_picture_in_bounds_is_not_decoded(content: bytes, said: str) -> None:
-    with pytest.raises(PictureError, match=said):
-        uploads.read("a.png", content)
-
-
-# A real server.
+def picture(size: int = 48) -> bytes:
+    return cv2.imencode(".png", cv2.resize(small_worlds.place(3), (size, size)))[1].tobytes()
 
 
 @pytest.fixture(scope="module")
@@ -427,9 +70,9 @@ def get(app: App, path: str = "/", **headers: str) -> tuple[int, http.client.HTT
 @pytest.fixture
 def locked(app: App) -> Iterator[App]:
     """The same, asking for a token."""
-    app.door.token = TOKEN
+    app.authenticator.token = TOKEN
     yield app
-    app.door.token = None
+    app.authenticator.token = None
 
 
 def refused(app: App, **options: object) -> int:
@@ -468,6 +111,23 @@ def raw(app: App, data: bytes) -> bytes:
         return connection.makefile("rb").readline().strip()
 
 
+def answers(app: App) -> bool:
+    try:
+        return get(app)[0] == 200
+    except OSError:
+        return False
+
+
+def until(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
+    """Wait for a condition; return whether it became true in time."""
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.02)
+    return True
+
+
 def test_what_is_no_request_is_refused_without_a_traceback(
     app: App, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -491,11 +151,11 @@ def test_a_token_is_not_written_to_the_log(locked: App, caplog: pytest.LogCaptur
     assert status == 200
     get(locked, cookie=headers["Set-Cookie"].partition(";")[0])
     assert "horse" not in caplog.text
-    assert locked.door.pass_key not in caplog.text
+    assert locked.authenticator.cookie_value not in caplog.text
 
 
 def test_connections_that_ask_for_nothing_do_not_use_up_the_files(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gateway, "HALF_OPEN", 8)
+    monkeypatch.setattr(gateway, "MAX_PENDING", 8)
     before = len(list(Path("/proc/self/fd").iterdir()))
     held = [socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) for _ in range(30)]
     try:
@@ -504,8 +164,7 @@ def test_connections_that_ask_for_nothing_do_not_use_up_the_files(app: App, monk
                 assert connection.recv(1) == b""
         assert len(list(Path("/proc/self/fd").iterdir())) <= before + 30 + 8, "30 of ours"
         held.pop(0).close()
-        time.sleep(0.2)
-        assert get(app)[0] == 200
+        assert until(lambda: answers(app))
     finally:
         for connection in held:
             connection.close()
@@ -536,32 +195,16 @@ def test_without_the_token_nothing_answers_and_with_it_everything_does(locked: A
         pass
 
 
-def test_a_wrong_token_waits_and_a_right_one_does_not(locked: App, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rate_limiter, "LONGEST", 2.0)
-    waited: list[tuple[int, float]] = []
-
-    def wrong() -> None:
-        began = time.monotonic()
-        waited.append((get(locked, "/?token=wrong")[0], time.monotonic() - began))
-
-    for _ in range(3):
-        wrong()
-    assert [status for status, _ in waited] == [403] * 3
-    assert waited[2][1] >= 4 * FIRST
-    threads = [threading.Thread(target=wrong) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    time.sleep(0.3)
+def test_an_address_that_sends_many_wrong_tokens_is_blocked_until_it_stops(
+    locked: App, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(locked.gateway, "_rate_limiter", RateLimiter(lambda: now[0]))
+    statuses = [get(locked, "/?token=wrong")[0] for _ in range(int(GUESSES) + 2)]
+    assert statuses == [403] * int(GUESSES) + [429] * 2
+    assert get(locked, "/?token=correct+horse+battery")[0] == 429, "its tokens are not compared"
+    now[0] = 60.0
     assert get(locked, "/?token=correct+horse+battery")[0] == 200
-    assert any(thread.is_alive() for thread in threads), "the wrong ones still wait"
-    for thread in threads:
-        thread.join()
-    many = [threading.Thread(target=wrong) for _ in range(7)]
-    for thread in many:
-        thread.start()
-    for thread in many:
-        thread.join()
-    assert 429 in {status for status, _ in waited}
 
 
 def test_a_viser_that_does_not_take_the_guard_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -573,7 +216,7 @@ def test_a_viser_that_does_not_take_the_guard_is_refused(monkeypatch: pytest.Mon
 
     other = Other()
     with pytest.raises(MissingPackageError, match=r"install viser==1\.1\.1"):
-        Gateway(Authenticator("127.0.0.1")).before(lambda: other)  # type: ignore[arg-type,return-value]
+        Gateway(Authenticator("127.0.0.1")).protect(lambda: other)  # type: ignore[arg-type,return-value]
     assert other.stopped
     monkeypatch.setattr(viser_messages, "FileTransferPart", object)
     with pytest.raises(MissingPackageError, match="FileTransferPart"):
@@ -691,7 +334,7 @@ def test_a_file_for_a_slider_is_not_kept_and_an_upload_is_not_left_behind(app: A
         for _ in range(3):
             hostile.send("FileTransferPart", **fields, part_index=0, content=b"x" * 500)
     works(hostile)
-    assert len(client.gui._current_file_upload_states) == UPLOADS
+    assert len(client.gui._current_file_upload_states) == MAX_UPLOADS
     for handle in client.gui._gui_input_handle_from_uuid.values():
         assert not getattr(handle._impl.value, "content", b"")
 
@@ -817,7 +460,7 @@ def test_a_flood_of_frames_without_a_message_ends_its_connection(hostile: Talker
 
 
 def test_what_a_browser_sent_goes_with_it(app: App) -> None:
-    gone = threads_of("explorer-worker")
+    workers_before = threads_of("explorer-worker")
     with Talker(url(app)) as talker:
         talker.greet()
         visitor = weakref.ref(app._visitors[max(app._visitors)])
@@ -828,11 +471,8 @@ def test_what_a_browser_sent_goes_with_it(app: App) -> None:
         held = visitor()._panels.query._upload._button  # type: ignore[union-attr]
         assert held.value.content == b"", "viser's own copy of the bytes"
         del held
-    for _ in range(20):
-        if not alive(Upload) and visitor() is None and handle() is None and threads_of("explorer-worker") <= gone:
-            return
-        time.sleep(0.3)
-    raise AssertionError(f"left: {alive(Upload)}, {visitor()}, {handle()}, {threads_of('explorer-worker')}")
+    assert until(lambda: not alive(Upload) and visitor() is None and handle() is None), (alive(Upload), visitor())
+    assert until(lambda: threads_of("explorer-worker") <= workers_before)
 
 
 def alive(kind: type) -> list[object]:

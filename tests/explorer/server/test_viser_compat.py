@@ -1,55 +1,147 @@
-"""What is sent from another thread reaches the loop without touching what the loop waits for."""
+"""The private attributes of viser that `viser_compat` relies on, each by name, and the behaviour that it adds."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
+import viser
+import viser._messages as viser_messages
+import viser.infra._infra as viser_infra
 from viser._messages import Message, RunJavascriptMessage
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
-from explorer.app import App
-from explorer.opening import open_model
-from explorer.server.viser_compat import Buffer
-from tools.fixtures import small_worlds
+from explorer.server import viser_compat
+from explorer.server.message_filter import KINDS
+from explorer.server.viser_compat import SendBuffer
 from tools.fixtures.websocket_client import Talker
 
-ROUNDS = 300
-WAIT = 20.0
-"""Seconds in which a message arrives on any machine, unless it never does."""
+MESSAGES_PER_THREAD = 300
+TIMEOUT = 60.0  # seconds for a message that must arrive
 
 
-def _elsewhere(act: Callable[[], None]) -> None:
-    """Do it in another thread, with this one (a loop's) standing still meanwhile."""
-    thread = threading.Thread(target=act)
+@pytest.fixture(scope="module")
+def server() -> Iterator[viser.ViserServer]:
+    """A bare viser server with one upload button."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(viser_infra, "AsyncMessageBuffer", AsyncMessageBuffer)
+        viser_compat.use_thread_safe_buffers()
+        made = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        yield made
+        made.stop()
+
+
+@pytest.fixture(scope="module")
+def client(server: viser.ViserServer) -> Iterator[viser.ClientHandle]:
+    """A connected browser."""
+    connected: list[viser.ClientHandle] = []
+    arrived = threading.Event()
+
+    def greet(client: viser.ClientHandle) -> None:
+        connected.append(client)
+        arrived.set()
+
+    server.on_client_connect(greet)
+    with Talker(f"http://127.0.0.1:{server.get_port()}") as talker:
+        talker.camera()
+        assert arrived.wait(TIMEOUT)
+        yield connected[0]
+
+
+# Each private attribute, and what must hold for it.
+CONTRACT: dict[str, Callable[[viser.ViserServer, viser.ClientHandle], bool]] = {
+    **{
+        f"viser._messages.{kind.__name__}": lambda *_, kind=kind: (
+            viser_compat.message_fields(kind.__name__) == set(kind.__struct_fields__)
+        )
+        for kind in KINDS
+    },
+    "viser.infra._infra.websockets.asyncio.server.serve": lambda *_: callable(
+        viser_infra.websockets.asyncio.server.serve  # type: ignore[attr-defined]
+    ),
+    "viser.infra._infra.AsyncMessageBuffer (browser)": lambda _, client: (
+        type(client._websock_connection.get_message_buffer()) is SendBuffer
+    ),
+    "viser.infra._infra.AsyncMessageBuffer (all browsers)": lambda server, _: (
+        type(server._websock_server._broadcast_buffer) is SendBuffer
+    ),
+    "AsyncMessageBuffer.event_loop": lambda *_: "event_loop" in AsyncMessageBuffer.__dataclass_fields__,
+    "AsyncMessageBuffer.message_event": lambda *_: "message_event" in AsyncMessageBuffer.__dataclass_fields__,
+    "AsyncMessageBuffer._warned_push_after_done": lambda *_: hasattr(AsyncMessageBuffer, "_warned_push_after_done"),
+    "GuiHandle._impl.uuid": lambda _, client: bool(viser_compat.uuid_of(client.gui.add_text("text", ""))),
+    "GuiApi._gui_input_handle_from_uuid": lambda server, client: _tells_upload_buttons(server, client),
+    "GuiUploadButtonHandle._impl.value": lambda _, client: _forgets(client),
+}
+
+
+@pytest.mark.parametrize("name", CONTRACT)
+def test_viser_has_the_private_attribute(name: str, server: viser.ViserServer, client: viser.ClientHandle) -> None:
+    assert CONTRACT[name](server, client), f"viser {viser.__version__} changed {name}"
+
+
+def _tells_upload_buttons(server: viser.ViserServer, client: viser.ClientHandle) -> bool:
+    button, text = client.gui.add_upload_button("upload"), client.gui.add_text("text", "")
+    return viser_compat.is_upload_button(server, viser_compat.uuid_of(button)) and not viser_compat.is_upload_button(
+        server, viser_compat.uuid_of(text)
+    )
+
+
+def _forgets(client: viser.ClientHandle) -> bool:
+    button = client.gui.add_upload_button("upload")
+    button._impl.value = viser.UploadedFile("a.png", b"content")
+    viser_compat.forget_upload(button)
+    return button.value.content == b""
+
+
+def test_a_message_class_that_viser_lacks_has_no_fields(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viser_messages, "FileTransferPart", object)
+    assert viser_compat.message_fields("FileTransferPart") is None
+    assert viser_compat.message_fields("NoSuchMessage") is None
+
+
+def test_the_hook_is_called_and_then_removed() -> None:
+    infra: Any = viser_infra
+    before = infra.websockets
+    called: list[object] = []
+    with viser_compat.websocket_server_hook(lambda *given: called.append(given)):
+        infra.websockets.asyncio.server.serve("handler")
+        assert infra.websockets.http11 is before.http11
+    assert called == [("handler",)]
+    assert infra.websockets is before
+
+
+def _in_another_thread(action: Callable[[], None]) -> None:
+    """Run in another thread while this one, an event loop's, waits."""
+    thread = threading.Thread(target=action)
     thread.start()
     thread.join()
 
 
-async def _touched(kind: type[AsyncMessageBuffer]) -> tuple[bool, bool]:
-    """Whether a message from another thread ended the loop's wait there and then, and whether it came."""
+async def _send_while_waiting(kind: type[AsyncMessageBuffer]) -> tuple[bool, bool]:
+    """Return whether a message from another thread ended the loop's wait at once, and whether it arrived."""
     buffer = kind(asyncio.get_running_loop(), persistent_messages=False)
     waiting = asyncio.ensure_future(anext(buffer.window_generator(0)))
     while not buffer.message_event._waiters:
         await asyncio.sleep(0)
-    _elsewhere(lambda: buffer.push(RunJavascriptMessage("1")))
-    touched = any(waiter.done() for waiter in buffer.message_event._waiters)
-    came = await asyncio.wait_for(waiting, WAIT)
-    return touched, len(came) == 1
+    _in_another_thread(lambda: buffer.push(RunJavascriptMessage("1")))
+    woken = any(waiter.done() for waiter in buffer.message_event._waiters)
+    window = await asyncio.wait_for(waiting, TIMEOUT)
+    return woken, len(window) == 1
 
 
-def test_another_thread_leaves_the_loops_waiters_alone() -> None:
-    assert asyncio.run(_touched(Buffer)) == (False, True)
-    assert asyncio.run(_touched(AsyncMessageBuffer)) == (True, True), "viser no longer does what this mends"
+def test_another_thread_does_not_touch_the_loops_waiters() -> None:
+    assert asyncio.run(_send_while_waiting(SendBuffer)) == (False, True)
+    assert asyncio.run(_send_while_waiting(AsyncMessageBuffer)) == (True, True), "viser no longer has the race"
 
 
-async def _not_lost(kind: type[AsyncMessageBuffer], atomic: bool) -> bool:
-    """Whether a message comes that another thread sends after the loop saw an unset event and before it queues its waiter."""
+async def _arrives(kind: type[AsyncMessageBuffer], atomic: bool) -> bool:
+    """Return whether a message arrives that is sent after the loop saw an unset event and before it adds its waiter."""
     buffer = kind(asyncio.get_running_loop(), persistent_messages=False)
     event = buffer.message_event
+    sent: list[bool] = []
 
     def send() -> None:
         if atomic:
@@ -58,62 +150,45 @@ async def _not_lost(kind: type[AsyncMessageBuffer], atomic: bool) -> bool:
         if atomic:
             buffer.atomic_end()
 
-    class Late(type(event._waiters)):  # type: ignore[misc]
+    class SendBeforeAppend(type(event._waiters)):  # type: ignore[misc]
         def append(self, waiter: object) -> None:
             if not sent:
                 sent.append(True)
-                _elsewhere(send)
+                _in_another_thread(send)
             super().append(waiter)
 
-    sent: list[bool] = []
-    event._waiters = Late()
+    event._waiters = SendBeforeAppend()
     waiting = asyncio.ensure_future(anext(buffer.window_generator(0)))
-    done, _ = await asyncio.wait([waiting], timeout=WAIT if kind is Buffer else 1.0)
+    done, _ = await asyncio.wait([waiting], timeout=TIMEOUT if kind is SendBuffer else 1.0)
     waiting.cancel()
     assert sent
     return waiting in done
 
 
 @pytest.mark.parametrize("atomic", [False, True])
-def test_a_message_sent_as_the_loop_goes_to_sleep_is_not_lost(atomic: bool) -> None:
-    assert asyncio.run(_not_lost(Buffer, atomic))
-    assert not asyncio.run(_not_lost(AsyncMessageBuffer, atomic)), "viser no longer does what this mends"
+def test_a_message_sent_as_the_loop_goes_to_sleep_arrives(atomic: bool) -> None:
+    assert asyncio.run(_arrives(SendBuffer, atomic))
+    assert not asyncio.run(_arrives(AsyncMessageBuffer, atomic)), "viser no longer has the race"
 
 
-def test_messages_from_many_threads_all_come() -> None:
-    async def all_of(buffer: Buffer) -> list[Message]:
-        came: list[Message] = []
+def test_all_messages_from_many_threads_arrive() -> None:
+    async def receive(buffer: SendBuffer) -> list[Message]:
+        received: list[Message] = []
         async for window in buffer.window_generator(0):
-            came += window
-            if len(came) == 4 * ROUNDS:
+            received += window
+            if len(received) == 4 * MESSAGES_PER_THREAD:
                 buffer.done = True
-        return came
+        return received
 
     async def run() -> list[Message]:
-        buffer = Buffer(asyncio.get_running_loop(), persistent_messages=False, window_duration_sec=0.0)
+        buffer = SendBuffer(asyncio.get_running_loop(), persistent_messages=False, window_duration_sec=0.0)
         threads = [threading.Thread(target=send, args=(buffer, number)) for number in range(4)]
         for thread in threads:
             thread.start()
-        return await asyncio.wait_for(all_of(buffer), WAIT)
+        return await asyncio.wait_for(receive(buffer), TIMEOUT)
 
-    def send(buffer: Buffer, number: int) -> None:
-        for index in range(ROUNDS):
+    def send(buffer: SendBuffer, number: int) -> None:
+        for index in range(MESSAGES_PER_THREAD):
             buffer.push(RunJavascriptMessage(f"{number} {index}"))
 
-    assert len(asyncio.run(run())) == 4 * ROUNDS
-
-
-def test_every_browser_and_all_of_them_have_such_a_buffer(
-    model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    places = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=1, test=2))
-    app = App(open_model(places, model_file), "127.0.0.1", 0)
-    try:
-        with Talker(f"http://127.0.0.1:{app.server.get_port()}") as talker:
-            talker.greet()
-            clients = app.server.get_clients().values()
-            assert {type(client._websock_connection.get_message_buffer()) for client in clients} == {Buffer}
-        assert type(app.server._websock_server._broadcast_buffer) is Buffer
-    finally:
-        app.close()
+    assert len(asyncio.run(run())) == 4 * MESSAGES_PER_THREAD

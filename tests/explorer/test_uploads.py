@@ -1,0 +1,48 @@
+"""Uploaded pictures: names, formats, and bounds."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from explorer import uploads
+from explorer.server.message_filter import MAX_UPLOAD
+from lpn.core.errors import PictureError
+from tools.fixtures import small_worlds
+
+
+def picture(size: int = 48, suffix: str = ".png") -> bytes:
+    return cv2.imencode(suffix, cv2.resize(small_worlds.place(3), (size, size)))[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    "name", ["../../etc/passwd.png", "C:\\x\\passwd.png", "/passwd.png", "\u202epasswd.png", "a" * 5000]
+)
+def test_an_uploads_name_is_reduced_to_its_last_part(name: str) -> None:
+    taken = uploads.read(name, picture())
+    assert not set("/\\\u202e") & set(taken.name)
+    assert len(taken.name) <= 80
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp"])
+def test_a_large_picture_is_shrunk(suffix: str) -> None:
+    wide = cv2.imencode(suffix, np.zeros((8, 3200, 3), np.uint8))[1].tobytes()
+    assert uploads.read("a", wide).picture.shape == (4, 1600, 3)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "empty"),
+        (b"x", "JPEG, PNG, or WebP"),
+        (b"<svg xmlns='http://www.w3.org/2000/svg'/>", "JPEG, PNG, or WebP"),
+        (bytes(MAX_UPLOAD + 1), "30 MB"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(99), "cannot be read|can be read"),
+        (picture(suffix=".jpg") + b"\xff\xda" * 500, "passes"),
+        (picture(suffix=".bmp"), "JPEG, PNG, or WebP"),
+    ],
+)
+def test_an_upload_that_is_not_a_picture_within_bounds_is_refused(content: bytes, message: str) -> None:
+    with pytest.raises(PictureError, match=message):
+        uploads.read("a.png", content)
