@@ -190,7 +190,9 @@ class Visitor:
         finally:
             slow.there()
         beside = self._workspace.beside
-        self._follower.follow(analysis.task, None if beside is None else beside.tasks.get(analysis.task.name))
+        name = analysis.task.name
+        other = None if beside is None else beside.rankings.get(name)
+        self._follower.follow(self._workspace.rankings[name], other)
         self._bridge.set_address(self._links.write(analysis.state), self._links.keys)
         if log.isEnabledFor(logging.DEBUG):
             log.debug("%s", self._line(analysis, time.perf_counter() - started))

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import viser
 
 from explorer.compute.background_jobs import BackgroundJob, ReportProgress, WorkCancelledError
-from explorer.workspace import StateAnalysis, Task, Workspace
+from explorer.workspace import StateAnalysis, Workspace
 from lpn import report
 from lpn.analysis import notes
-from lpn.analysis.task import Study
+from lpn.analysis.task import Task
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
 from lpn.models.base import Model
@@ -19,33 +20,16 @@ Work = Callable[[ReportProgress, Model | None], tuple[str, bytes]]
 """Makes a report with a model: its file's name and contents."""
 
 
-def study_of(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Study:
-    """A task of the workspace as reports take it, with the tags and notes beside the data.
+def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Task:
+    """A task under the given part weights, with the tags and notes beside the data.
 
     Args:
-        model: the way to the workspace's model; None where it has none.
+        model: the queued model for this report; None where the workspace has none.
 
     Raises:
         LPNError: when the notes cannot be read.
     """
-    return Study(
-        model,
-        workspace.model_name,
-        workspace.data_name,
-        workspace.root,
-        task.name,
-        workspace.spec,
-        workspace.map_sizes,
-        task.queries,
-        task.gallery,
-        task.query_labels,
-        task.labels,
-        task.truth,
-        task.asked,
-        task.descriptors,
-        weights,
-        notes.read_notes(workspace.root / notes.NAME),
-    )
+    return replace(task, model=model, weights=weights, notes=notes.read_notes(workspace.root / notes.NAME))
 
 
 def of_analysis(
@@ -60,10 +44,10 @@ def of_analysis(
         LPNError: when a file of the data set cannot be read.
     """
     state, task = analysis.state, analysis.task
-    study = study_of(workspace, task, model or workspace.model, analysis.ranking.weights)
+    task = _with_notes(workspace, task, model or workspace.model, analysis.ranking.weights)
     query = report.Own(analysis.name, analysis.source) if state.upload else state.query
     options = report.Options(change=state.change, against=analysis.chosen.index)
-    return f"{_plain(analysis.name)}.html", report.build(study, [query], options, progress)
+    return f"{_plain(analysis.name)}.html", report.build(task, [query], options, progress)
 
 
 def of_selection(
@@ -81,7 +65,7 @@ def of_selection(
     """
     options = report.Options(chosen=chosen)
     return f"{_plain(task.name)}.html", report.build(
-        study_of(workspace, task, model or workspace.model), queries, options, progress
+        _with_notes(workspace, task, model or workspace.model), queries, options, progress
     )
 
 

@@ -140,7 +140,7 @@ class UrlState:
         return None if value in (OWN, POSITIVE) else self._first[state.task, side].get(value)
 
     def _region(self, state: SessionState, value: str) -> SessionState:
-        rows, columns = self._workspace.sizes(self._workspace.tasks[state.task])
+        rows, columns = self._workspace.map_sizes[self._workspace.tasks[state.task].query_view]
         return replace(state, region=cells(value, rows * columns))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 
@@ -13,21 +13,19 @@ import numpy as np
 from explorer import session_state
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.inference_scheduler import InferenceScheduler
-from explorer.compute.ranking_job import RankingJob, TaskRanking
+from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.session_state import POSITIVE, SessionState
-from explorer.stage import gallery_geometry
-from explorer.stage.gallery_geometry import Places
 from explorer.stage.layout import layout_for
 from lpn import explain, retrieval
+from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import Picture as Picture
-from lpn.datasets import Truth
 from lpn.datasets.city_model import CityModel
-from lpn.drawing import overlays
+from lpn.drawing import mosaic, overlays
 from lpn.explain import Correspondences, Evidence
 from lpn.models.base import Model
 from lpn.models.spec import ModelSpec
@@ -39,71 +37,12 @@ CARDS = 256
 """Small pictures of tiles that are kept, 0.15 MB each."""
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
-    """One direction of retrieval, described; its queries may still be being ranked.
-
-    Attributes:
-        name: such as "drone-to-satellite".
-        queries, gallery: the pictures.
-        query_labels, labels: the place each query and each gallery picture shows, (Q,) and (G,).
-        truth: true matches and junk of each query where labels do not say them, else None.
-        asked: descriptors of the queries as they are, (Q, n, D).
-        descriptors: of the gallery, (G, n, D).
-        places: where the pictures are, None where the data set has no `geo.csv`.
-        standing: what became of all queries, or will be known of them.
-    """
-
-    name: str
-    query_view: View
-    gallery_view: View
-    queries: list[Picture]
-    gallery: list[Picture]
-    query_labels: Int64Array
-    labels: Int64Array
-    truth: list[Truth] | None
-    asked: Float32Array
-    descriptors: Float32Array
-    places: Places | None
-    standing: RankingJob
-
-    @property
-    def found(self) -> TaskRanking | None:
-        """What became of all queries; None while they are being ranked."""
-        return self.standing.found
-
-    @property
-    def ranks(self) -> Int64Array:
-        """0-based rank of the first true match of each query, -1 when it has none, (Q,); only where it is known."""
-        assert self.found is not None
-        return self.found.ranking.first
-
-    @property
-    def results(self) -> dict[str, float]:
-        """See `TaskRanking`; only where they are known."""
-        assert self.found is not None
-        return self.found.results
-
-    @cached_property
-    def names(self) -> list[str]:
-        """What the queries are called."""
-        return [entry.name for entry in self.queries]
-
-    def rank(
-        self, query: int | None, cosines: Float32Array, weights: Float32Array, lengths: Float32Array | None = None
-    ) -> Ranking:
-        """Rank the gallery by its cosines (G, n) with a query, None for one whose place is not known."""
-        label = None if query is None else int(self.query_labels[query])
-        truth = None if query is None or self.truth is None else self.truth[query]
-        return retrieval.rank(cosines, weights, self.labels, label, truth, lengths)
-
-
 class Workspace:
     """A model and a data set, opened once for all browsers; see `explorer.opening`.
 
     Args:
         model_name, data_name: how they are called in the page.
-        tasks: at least one.
+        rankings: the ranking of each task, at least one.
         spec: how the descriptors' parts divide a picture.
         map_sizes: (h, w) of the feature map that is divided, for each view.
         model: None where descriptors were saved by another program: then queries are seen as they were saved only. Otherwise
@@ -116,7 +55,7 @@ class Workspace:
         self,
         model_name: str,
         data_name: str,
-        tasks: list[Task],
+        rankings: list[RankingJob],
         spec: ModelSpec,
         map_sizes: dict[View, tuple[int, int]],
         model: Model | None,
@@ -125,7 +64,8 @@ class Workspace:
     ) -> None:
         self.root = root
         self.model_name, self.data_name = model_name, data_name
-        self.tasks = {task.name: task for task in tasks}
+        self.rankings = {ranking.task.name: ranking for ranking in rankings}
+        self.tasks = {name: ranking.task for name, ranking in self.rankings.items()}
         self.spec, self.map_sizes, self.city = spec, map_sizes, city
         self.inference = InferenceScheduler()
         own = None if model is None else QueuedModel(model, self.inference, RequestContext(self.inference))
@@ -146,7 +86,7 @@ class Workspace:
 
     def open_with(self, query: str | None) -> None:
         """Choose the query of the first task that a browser shows first, by its name; InputError when there is none."""
-        names = next(iter(self.tasks.values())).names
+        names = next(iter(self.tasks.values())).query_names
         if query is not None and query not in names:
             raise InputError(f"{self.data_name} has no query {query}; its names are such as {names[0]}.")
         self.first = 0 if query is None else names.index(query)
@@ -158,10 +98,6 @@ class Workspace:
             if self.model is not None
             else replace(session_state.upright(state), heat=False, upload=None, why=False)
         )
-
-    def sizes(self, task: Task) -> tuple[int, int]:
-        """(h, w) of the feature map of the task's queries."""
-        return self.map_sizes[task.query_view]
 
     def tile(self, task: Task, index: int, model: QueuedModel | None = None) -> DescribedPicture:
         """A gallery picture as the network sees it; kept, because many queries share their tiles.
@@ -189,10 +125,10 @@ class Workspace:
 
     def mosaic(self, task: Task) -> UInt8Array:
         """The task's tiles at their places as one picture, made once for all browsers; the task must have places."""
-        assert task.places is not None
+        assert task.geometry is not None
         with self._mosaic_lock:
             if task.name not in self._mosaics:
-                self._mosaics[task.name] = gallery_geometry.mosaic(task.places, [entry.path for entry in task.gallery])
+                self._mosaics[task.name] = mosaic.draw(task.geometry, [entry.path for entry in task.gallery])
             return self._mosaics[task.name]
 
     def _part_names(self) -> list[str]:
@@ -203,7 +139,7 @@ class Workspace:
     def _describe_tile(self, task: Task, index: int, model: QueuedModel | None) -> DescribedPicture:
         picture = images.load_picture(task.gallery[index].path)
         if model is None:
-            return DescribedPicture(picture, task.descriptors[index], None, None)
+            return DescribedPicture(picture, task.gallery_descriptors[index], None, None)
         return retrieval.describe_picture(model, picture, task.gallery_view)
 
     def _make_card(self, name: str, index: int) -> UInt8Array:
@@ -241,7 +177,7 @@ class StateAnalysis:
     chosen: Match
     tile: DescribedPicture
     truth: Match | None
-    off: Float64Array | None
+    errors_m: Float64Array | None
     """Metres from what the query shows to each tile, (G,); None where that is not known."""
     source: UInt8Array
     """The query's picture before it is turned, shifted, or zoomed."""
@@ -295,7 +231,7 @@ class StateAnalyser:
         searched = (key, state.region, state.part_values() if state.region else None)
         if self._searched_key != searched:
             descriptor = self._searched(state, weights)
-            self._cosines = scoring.part_cosines(descriptor, task.descriptors)
+            self._cosines = scoring.part_cosines(descriptor, task.gallery_descriptors)
             self._lengths = state.n_parts * (descriptor**2).sum(axis=1) if state.region else None
             self._searched_key = searched
         ranked = (searched, state.part_values())
@@ -313,7 +249,7 @@ class StateAnalyser:
             chosen = ranking.find(state.selected)
         tile = self._workspace.tile(task, chosen.index, self._model)
         name = state.upload.name if state.upload else entry.name
-        off = None if task.places is None or state.upload else task.places.off(state.query)
+        off = None if task.geometry is None or state.upload else task.geometry.errors_m(state.query)
         reasons = self._reasons(state, weights, tile)
         seconds = time.perf_counter() - started
         return StateAnalysis(
@@ -343,7 +279,7 @@ class StateAnalyser:
 
     def _described(self, task: Task, state: SessionState) -> DescribedPicture:
         if self._asked is None:
-            return DescribedPicture(self._picture, task.asked[state.query], None, None)
+            return DescribedPicture(self._picture, task.query_descriptors[state.query], None, None)
         # A picture of one's own is what the task's queries are.
         change = state.change.for_picture(task.queries[state.query])
         return retrieval.describe_picture(self._asked, self._picture, task.query_view, change)

@@ -8,12 +8,13 @@ import threading
 from dataclasses import dataclass
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
-from explorer.stage.gallery_geometry import Places
+from lpn.analysis import ranking_cache
+from lpn.analysis.ranking_cache import ResumableRanking
+from lpn.analysis.task import Task
+from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
-from lpn.retrieval import ranking_cache
 from lpn.retrieval.evaluate import error_shares
 from lpn.retrieval.metrics import Retrieval
-from lpn.retrieval.ranking_cache import Progressing, Sides
 
 QUICK = 20_000_000_000
 """Multiplications that are done before the first page is served: half a second of two cores."""
@@ -33,25 +34,33 @@ class TaskRanking:
 
 
 class RankingJob:
-    """Ranks a task's queries; thread-safe.
+    """The ranking of a task's queries; thread-safe."""
 
-    Args:
-        places: where the pictures are, None where that is not known.
-    """
-
-    def __init__(self, sides: Sides, places: Places | None) -> None:
-        self._sides, self._places = sides, places
-        self._ranking, self._jobs, self._turn = Progressing(sides), BackgroundJobs(), threading.Lock()
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        self._ranking, self._jobs, self._turn = ResumableRanking(task), BackgroundJobs(), threading.Lock()
         self._job: BackgroundJob[TaskRanking] | None = None
         self.found: TaskRanking | None = None
         """None until all are ranked."""
 
     def begin(self) -> None:
         """Rank at once where that is quick, and take what is kept of another time; InputError when that cannot be done."""
-        if self._sides.work <= QUICK:
+        if ranking_cache.cost(self.task) <= QUICK:
             self.found = self._told(self._ranking.finish(lambda *_: None))
-        elif (kept := ranking_cache.kept(self._sides)) is not None:
-            self.found = self._told(kept)
+        elif (cached := ranking_cache.load(self.task)) is not None:
+            self.found = self._told(cached)
+
+    @property
+    def ranks(self) -> Int64Array:
+        """0-based rank of each query's first true match, -1 without one, (Q,); only when the task is ranked."""
+        assert self.found is not None
+        return self.found.ranking.first
+
+    @property
+    def results(self) -> dict[str, float]:
+        """See `TaskRanking`; only when the task is ranked."""
+        assert self.found is not None
+        return self.found.results
 
     @property
     def done(self) -> int:
@@ -100,12 +109,12 @@ class RankingJob:
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
         with self._turn:  # one that was given up may still be at its last block
             ranking = self._ranking.finish(progress)
-        ranking_cache.keep(self._sides, ranking)
+        ranking_cache.save(self.task, ranking)
         self.found = self._told(ranking)
         return self.found
 
     def _told(self, ranking: Retrieval) -> TaskRanking:
         near: dict[str, float] = {}
-        if self._places is not None:
-            near = error_shares(self._places.errors(ranking.best))
+        if self.task.geometry is not None:
+            near = error_shares(self.task.geometry.answer_errors_m(ranking.best))
         return TaskRanking(ranking, ranking.figures() | near)

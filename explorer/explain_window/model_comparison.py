@@ -7,11 +7,12 @@ from html import escape
 
 import numpy as np
 
+from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.explain_window import evidence
 from explorer.session_state import SessionState
 from explorer.web.render import SIGNS, send
-from explorer.workspace import StateAnalyser, StateAnalysis, Task, Workspace
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.core import images
 from lpn.core.arrays import Int64Array
 from lpn.drawing import overlays
@@ -29,7 +30,7 @@ class ModelComparison:
     def page(self, analysis: StateAnalysis, workspace: Workspace) -> str:
         """The whole tab."""
         other, task = self._other, analysis.task
-        theirs = other.tasks.get(task.name)
+        theirs = other.rankings.get(task.name)
         if theirs is None:
             return (
                 f"<div class='lpn' id='lpn-beside'>{escape(other.model_name)} does not know the views of {escape(task.name)}; "
@@ -40,7 +41,7 @@ class ModelComparison:
         names = (workspace.model_name, other.model_name)
         return (
             f"<div class='lpn' id='lpn-beside'><div class='models'>{columns}</div>"
-            f"{_changes(task, theirs, names, workspace)}</div>"
+            f"{_changes(workspace.rankings[task.name], theirs, names, workspace)}</div>"
         )
 
 
@@ -60,7 +61,8 @@ def _column(analysis: StateAnalysis, workspace: Workspace) -> str:
         f"{SIGNS[match.true]} {escape(task.gallery[match.index].name)}<br>{match.distance2:.3f}</figcaption></figure>"
         for match in analysis.matches[:_SHOWN]
     )
-    recall = "R@1 not known yet" if task.found is None else f"R@1 {task.results['recall@1']:.1f} %"
+    ranking = workspace.rankings[task.name]
+    recall = "R@1 not known yet" if ranking.found is None else f"R@1 {ranking.results['recall@1']:.1f} %"
     return (
         f"<div><h2>{escape(workspace.model_name)}</h2><div class='dim'>{escape(workspace.description)}, {recall}</div>"
         f"<div class='said'><b>{SIGNS[first.true]}</b> {rank}</div>"
@@ -85,11 +87,11 @@ def _evidence(analysis: StateAnalysis, workspace: Workspace) -> str:
     )
 
 
-def _changes(task: Task, theirs: Task, names: tuple[str, str], workspace: Workspace) -> str:
+def _changes(ours: RankingJob, theirs: RankingJob, names: tuple[str, str], workspace: Workspace) -> str:
     """How many queries each finds alone, and those whose rank differs most."""
-    if task.found is None or theirs.found is None:
+    if ours.found is None or theirs.found is None:
         return "<div class='said dim'>Which queries one of them finds alone is said when both have ranked all of them.</div>"
-    one, other = task.ranks, theirs.ranks
+    one, other = ours.ranks, theirs.ranks
     known = (one >= 0) & (other >= 0)
     only = [int((known & (one == 0) & (other > 0)).sum()), int((known & (other == 0) & (one > 0)).sum())]
     # From 2nd to 1st is as much as from 200th to 100th.
@@ -97,7 +99,7 @@ def _changes(task: Task, theirs: Task, names: tuple[str, str], workspace: Worksp
     order = np.argsort(-change, kind="stable")
     better, worse = order[:_LISTED], order[::-1][:_LISTED]
     tables = "".join(
-        f"<div><b>{escape(title)}</b>{_rows(task, theirs, rows[change[rows] != 0], workspace)}</div>"
+        f"<div><b>{escape(title)}</b>{_rows(ours, theirs, rows[change[rows] != 0], workspace)}</div>"
         for title, rows in ((f"{names[1]} ranks higher", better), (f"{names[1]} ranks lower", worse))
     )
     return (
@@ -106,13 +108,13 @@ def _changes(task: Task, theirs: Task, names: tuple[str, str], workspace: Worksp
     )
 
 
-def _rows(task: Task, theirs: Task, rows: Int64Array, workspace: Workspace) -> str:
+def _rows(ours: RankingJob, theirs: RankingJob, rows: Int64Array, workspace: Workspace) -> str:
     if not len(rows):
         return "<div class='dim'>none</div>"
     return "".join(
         f"<div class='row' data-query='{row}' {send('query', int(row))} title='Open this query'>"
-        f"<img src='{workspace.thumbnail(task.queries[row].path)}' style='border-color:transparent' alt=''>"
-        f"<span class='name'>{escape(task.queries[row].name)}</span><span class='num'>{ordinal(int(task.ranks[row]) + 1)} → "
+        f"<img src='{workspace.thumbnail(ours.task.queries[row].path)}' style='border-color:transparent' alt=''>"
+        f"<span class='name'>{escape(ours.task.queries[row].name)}</span><span class='num'>{ordinal(int(ours.ranks[row]) + 1)} → "
         f"{ordinal(int(theirs.ranks[row]) + 1)}</span></div>"
         for row in rows
     )

@@ -94,7 +94,7 @@ def _gain(profile: Profile, point: Point) -> str:
 
 
 def _known_heading(analysis: StateAnalysis) -> str:
-    places = analysis.task.places
+    places = analysis.task.geometry
     heading = None if places is None else places.queries[analysis.state.query].heading
     return "" if heading is None or analysis.state.upload else f" It is known to be {heading:.0f}°."
 

@@ -260,7 +260,13 @@ class ExplainWindow:
         effect = None
         try:
             effect = counterfactual.effect(
-                task.asked, task.descriptors, pair.ranking.weights, weights, task.query_labels, task.labels, task.truth
+                task.query_descriptors,
+                task.gallery_descriptors,
+                pair.ranking.weights,
+                weights,
+                task.query_labels,
+                task.gallery_labels,
+                task.truth,
             )
         finally:
             self._replace_pair(pair, replace(pair, effect=effect, computing=False))

@@ -74,7 +74,7 @@ def map_choice(found: Findings, lab: LabState, umap: bool) -> str:
     kinds = [("pca", "Descriptors, PCA")]
     if umap:
         kinds.append(("umap", "Descriptors, UMAP"))
-    if found.task.places is not None:
+    if found.task.geometry is not None:
         kinds.append(("ground", "On the ground"))
     chips = "".join(
         f"<a class='{'chosen' if kind == lab.map else ''}' {send('lab-map', kind)}>{words}</a>" for kind, words in kinds
@@ -108,7 +108,7 @@ def _blame(found: Findings, lab: LabState, workspace: Workspace, chosen: dict[st
 
 def _pairs(found: Findings, lab: LabState, workspace: Workspace, chosen: dict[str, str]) -> str:
     rows = lab_state.select(found, lab, "pair", whatever=True)
-    pairs = breakdown.confusions(found.outcomes, found.task.query_labels, found.task.labels, rows)
+    pairs = breakdown.confusions(found.outcomes, found.task.query_labels, found.task.gallery_labels, rows)
     lines = []
     for one in pairs[:_PAIRS]:
         place, answered = lab_state.names_of(found, one)

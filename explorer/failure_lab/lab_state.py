@@ -205,7 +205,7 @@ def pick_bin(found: Findings, lab: LabState, name: str, index: int, said: str) -
 def pick_pair(found: Findings, lab: LabState, place: int, answered: int) -> Pick | None:
     """The queries of one place that were answered with another; None where there are none."""
     rows = select(found, lab, "pair", whatever=True)
-    of_task = found.task.query_labels, found.task.labels
+    of_task = found.task.query_labels, found.task.gallery_labels
     for one in breakdown.confusions(found.outcomes, *of_task, rows):
         if (one.place, one.answered) == (place, answered):
             return Pick("pair", f"{' taken for '.join(names_of(found, one))}", one.queries)

@@ -88,7 +88,7 @@ def of_bin(lab: LabState, found: Findings, value: Any) -> Changed:
 
 def map_kind(lab: LabState, found: Findings, value: Any) -> Changed:
     """Show another map; a UMAP takes long, and so is made only when asked for."""
-    if value not in MAPS or (value == "ground" and found.task.places is None):
+    if value not in MAPS or (value == "ground" and found.task.geometry is None):
         return None
     return replace(lab, map=value, stopped=lab.stopped - {value})
 

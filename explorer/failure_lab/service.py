@@ -10,10 +10,11 @@ from typing import Literal
 import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, in_process
-from explorer.workspace import Task, Workspace
+from explorer.workspace import Workspace
 from lpn.analysis import embedding_map, notes, query_outcomes
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import Outcomes
+from lpn.analysis.task import Task
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import LPNError
 from lpn.core.tables import Table
@@ -108,8 +109,8 @@ class Laboratory:
 
     def _build(self, task: Task, progress: ReportProgress) -> None:
         progress(0, len(task.queries))
-        ranking = task.standing.wait(self, progress).ranking
-        outcomes = query_outcomes.outcomes_of(ranking, task.asked, task.descriptors)
+        ranking = self._workspace.rankings[task.name].wait(self, progress).ranking
+        outcomes = query_outcomes.outcomes_of(ranking, task.query_descriptors, task.gallery_descriptors)
         progress(len(task.queries), len(task.queries))
         made = query_outcomes.table(
             self._workspace.root, task.queries, task.gallery, outcomes, self._workspace.part_names
@@ -127,14 +128,16 @@ class Laboratory:
 
     def _points(self, kind: MapKind, task: Task, progress: ReportProgress) -> Points:
         if kind == "ground":
-            assert task.places is not None
-            queries = geo.on_plane(task.places.queries, task.places.origin)
-            ground = self._workspace.mosaic(task), task.places.bounds()
-            return Points(queries, task.places.ground, ground=ground)
+            assert task.geometry is not None
+            queries = geo.on_plane(task.geometry.queries, task.geometry.origin)
+            ground = self._workspace.mosaic(task), task.geometry.bounds()
+            return Points(queries, task.geometry.ground, ground=ground)
         if kind == "umap":
-            found = in_process(progress, embedding_map.umap, np.asarray(task.asked), np.asarray(task.descriptors))
+            found = in_process(
+                progress, embedding_map.umap, np.asarray(task.query_descriptors), np.asarray(task.gallery_descriptors)
+            )
             return Points(found.queries, found.tiles, "neighbours are alike; distances between groups mean little")
-        found = embedding_map.pca(task.asked, task.descriptors)
+        found = embedding_map.pca(task.query_descriptors, task.gallery_descriptors)
         assert found.variance is not None
         first, second = 100 * found.variance
         axes = f"{first:.0f} % of the variance across, {second:.0f} % upwards"

@@ -10,12 +10,13 @@ from typing import Any
 import viser
 
 from explorer import session_state
+from explorer.compute.ranking_job import RankingJob
 from explorer.panels import pages
 from explorer.server.viser_compat import uuid_of
 from explorer.session_state import POSITIVE, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.web.html import Html
-from explorer.workspace import StateAnalysis, Task, Workspace
+from explorer.workspace import StateAnalysis, Workspace
 
 
 class AnswerPanel:
@@ -59,16 +60,16 @@ class AnswerPanel:
     def show(self, analysis: StateAnalysis, sequence: int, started: float) -> None:
         """Show an analysis; `started` is when drawing began, by `time.perf_counter`."""
         workspace = self._workspace
-        self.show_results(analysis.task)
+        self.show_results(self._workspace.rankings[analysis.task.name])
         self._verdict.show(pages.verdict(analysis, workspace))
         self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
         self._table.show(pages.parts_table(analysis, workspace))
         self._shown = pages.Shown(analysis, sequence, time.perf_counter() - started)
         self.show_idle()
 
-    def show_results(self, task: Task) -> None:
+    def show_results(self, ranking: RankingJob) -> None:
         """Show the model's results on a task, or the progress of the ranking that they come from."""
-        self._header.show(pages.header(self._workspace, task))
+        self._header.show(pages.header(self._workspace, ranking.task))
 
     def show_idle(self) -> None:
         """Show the status of the last analysis."""

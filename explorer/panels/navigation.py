@@ -39,11 +39,11 @@ class Navigation:
 
     def failure(self, state: SessionState) -> SessionState | None:
         """Choose any other query whose positive is not ranked first."""
-        task = self._workspace.tasks[state.task]
-        if task.found is None:
+        ranking = self._workspace.rankings[state.task]
+        if ranking.found is None:
             self._notify("Not known yet", "All queries are still being ranked; ask again when they are.")
             return None
-        chosen = session_state.random_failure(state, task.ranks.tolist(), self._rng)
+        chosen = session_state.random_failure(state, ranking.ranks.tolist(), self._rng)
         if chosen is None:
             self._notify("No failure", "Every query of this task finds its true tile first.")
         return chosen

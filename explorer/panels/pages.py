@@ -7,7 +7,8 @@ from typing import Literal, NamedTuple
 
 from explorer.panels import answer_text
 from explorer.web.render import render
-from explorer.workspace import StateAnalysis, Task, Workspace
+from explorer.workspace import StateAnalysis, Workspace
+from lpn.analysis.task import Task
 
 HEAT_NOTE = (
     "Activation (channel sum of the last feature map) belongs to one picture. Evidence belongs to the pair: "
@@ -48,14 +49,14 @@ def keys() -> str:
 
 def header(workspace: Workspace, task: Task) -> str:
     """Return the title: model, data set, task, and its metrics, or how far the ranking is that yields them."""
-    ranked = task.found is not None
+    ranking = workspace.rankings[task.name]
     return render(
         "panels/header",
         workspace=workspace,
         task=task,
-        results=task.results if ranked else None,
-        done=task.standing.done,
-        error=task.standing.flaw,
+        results=None if ranking.found is None else ranking.results,
+        done=ranking.done,
+        error=ranking.flaw,
     )
 
 
@@ -92,7 +93,7 @@ def matches(analysis: StateAnalysis, workspace: Workspace, buttons: Sequence[str
         full=max(full, 1e-9),
         gallery=analysis.task.gallery,
         chosen=analysis.chosen.index,
-        errors_m=analysis.off,
+        errors_m=analysis.errors_m,
         part_names=workspace.part_names,
         thumbnail=workspace.thumbnail,
     )
@@ -118,7 +119,8 @@ def picker(
     buttons: Sequence[str],
 ) -> str:
     """Return the thumbnails of one page of queries; the last two buttons turn the page."""
-    ranks = None if task.found is None else task.ranks
+    ranking = workspace.rankings[task.name]
+    ranks = None if ranking.found is None else ranking.ranks
     queries = [(index, None if ranks is None else bool(ranks[index] == 0)) for index in shown]
     return render(
         "panels/picker",

@@ -71,7 +71,7 @@ class QueryPanel:
         with gui.add_folder("Look"):
             controls.checkbox("Rings", "rings")
             controls.checkbox("Take apart", "exploded")
-            has_places = any(task.places is not None for task in workspace.tasks.values())
+            has_places = any(task.geometry is not None for task in workspace.tasks.values())
             controls.checkbox("Map", "map", visible=has_places)
             self._city = controls.checkbox("City", "city", visible=False)
             controls.checkbox("Heatmap", "heat", visible=has_model)
@@ -98,14 +98,14 @@ class QueryPanel:
         if find == state.find:
             return state
         state = replace(state, find=find, page=0)
-        names = self._workspace.tasks[state.task].names
+        names = self._workspace.tasks[state.task].query_names
         hits = session_state.found(names, find) if find.strip() else []
         return session_state.choose(state, hits[0], len(names)) if len(hits) == 1 else state
 
 
 def city_available(workspace: Workspace, state: SessionState) -> bool:
     """Return True when the map is shown and there is a city for it."""
-    return state.map and workspace.city is not None and workspace.tasks[state.task].places is not None
+    return state.map and workspace.city is not None and workspace.tasks[state.task].geometry is not None
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class _Picker:
 
     def show(self, analysis: StateAnalysis) -> None:
         state, task = analysis.state, analysis.task
-        hits = session_state.found(task.names, state.find)
+        hits = session_state.found(task.query_names, state.find)
         count = max(-(-len(hits) // PAGE_SIZE), 1)
         page = state.page % count
         shown = hits[page * PAGE_SIZE : (page + 1) * PAGE_SIZE]

@@ -99,7 +99,7 @@ def _without_event(call: Callable[[], None]) -> Callable[[Any], None]:
 
 
 def _flip_map(workspace: Workspace, state: SessionState) -> SessionState:
-    return replace(state, map=not state.map and workspace.tasks[state.task].places is not None)
+    return replace(state, map=not state.map and workspace.tasks[state.task].geometry is not None)
 
 
 def _flip_city(workspace: Workspace, state: SessionState) -> SessionState:

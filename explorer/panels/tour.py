@@ -29,7 +29,7 @@ class Step:
 def steps(workspace: Workspace) -> list[Step]:
     """The five steps for a model and data set; what these do not have is not spoken of."""
     layout, task = workspace.layout, next(iter(workspace.tasks.values()))
-    live, mapped = workspace.model is not None, task.places is not None
+    live, mapped = workspace.model is not None, task.geometry is not None
     rings = workspace.spec.partition(task.query_view).kind == "rings" and workspace.spec.n_parts > 1
     parts = "square rings around the centre" if rings else "parts"
     query = Step(

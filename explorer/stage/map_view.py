@@ -11,9 +11,9 @@ import viser
 
 from explorer.session_state import SessionState
 from explorer.stage.camera import AT, PICTURE, SIDE, Viewpoint, over
-from explorer.stage.gallery_geometry import Places
 from explorer.stage.image_planes import Plane, Rotation
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
 from lpn.datasets import geo
 from lpn.drawing import overlays
@@ -69,7 +69,7 @@ class GalleryMap:
 
     def show(self, analysis: StateAnalysis) -> Viewpoint:
         """Draw an answer whose task has places; returns from where to look at it."""
-        places = analysis.task.places
+        places = analysis.task.geometry
         assert places is not None
         self._analysis = analysis
         if self._task != analysis.task.name:
@@ -89,7 +89,7 @@ class GalleryMap:
         self._tile.show(overlays.framed(overlays.square(analysis.tile.picture, 256), colour, 6))
         return viewpoint
 
-    def _lay_out(self, analysis: StateAnalysis, places: Places) -> None:
+    def _lay_out(self, analysis: StateAnalysis, places: GalleryGeometry) -> None:
         west, south, east, north = places.bounds()
         self._scale = SIDE / max(east - west, north - south)
         self._middle = np.array([west + east, south + north]) / 2
@@ -97,7 +97,7 @@ class GalleryMap:
         handle.render_width, handle.render_height = (east - west) * self._scale, (north - south) * self._scale
         self._task = analysis.task.name
 
-    def _show_city(self, analysis: StateAnalysis, places: Places) -> bool:
+    def _show_city(self, analysis: StateAnalysis, places: GalleryGeometry) -> bool:
         """Put the city in the ground's place, or take it away; it is sent when it is first shown."""
         model = self._workspace.city
         shown = analysis.state.city and model is not None
@@ -114,11 +114,11 @@ class GalleryMap:
             self._city.visible = shown
         return shown
 
-    def _whole(self, places: Places) -> Viewpoint:
+    def _whole(self, places: GalleryGeometry) -> Viewpoint:
         _, south, _, north = places.bounds()
         return Viewpoint(depth=(north - south) * self._scale)
 
-    def _over_city(self, analysis: StateAnalysis, places: Places, camera: Float64Array | None) -> Viewpoint:
+    def _over_city(self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None) -> Viewpoint:
         """A view in which the drone, the compared tile, and the true one are."""
         half = 0.6 * places.width
         tiles = [analysis.chosen.index, *([analysis.truth.index] if analysis.truth is not None else [])]
@@ -145,7 +145,7 @@ class GalleryMap:
         x, y = (ground - self._middle) * self._scale
         return np.asarray(AT + np.array([x, y, up * self._scale + lift]), np.float64)
 
-    def _show_tiles(self, analysis: StateAnalysis, places: Places, city: bool, lift: float) -> None:
+    def _show_tiles(self, analysis: StateAnalysis, places: GalleryGeometry, city: bool, lift: float) -> None:
         """The ranked tiles as pictures on the ground, or as frames above the roofs."""
         side = max(places.width * self._scale, 0.12)
         for slot, plane in enumerate(self._tiles):
@@ -166,7 +166,7 @@ class GalleryMap:
             height = (0.001 if city else 0.012) * (len(self._tiles) - slot)
             plane.handle.position = self._place(places.ground[match.index], 0.0, lift + height)
 
-    def _show_camera(self, analysis: StateAnalysis, places: Places) -> Float64Array | None:
+    def _show_camera(self, analysis: StateAnalysis, places: GalleryGeometry) -> Float64Array | None:
         """The frustum at the query's pose; None when it is not known."""
         place = None if analysis.state.upload else places.queries[analysis.state.query]
         stands = None if place is None else geo.camera(place, places.origin)
@@ -185,7 +185,9 @@ class GalleryMap:
         self._camera.image = overlays.square(analysis.query.picture, 128)
         return at
 
-    def _show_lines(self, analysis: StateAnalysis, places: Places, camera: Float64Array | None, lift: float) -> None:
+    def _show_lines(
+        self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None, lift: float
+    ) -> None:
         """From the camera, or from the true place, to the compared tile; a frame around the true tile."""
         segments: list[tuple[AnyArray, AnyArray, overlays.Colour]] = []
         chosen = self._place(places.ground[analysis.chosen.index], 0.0, lift)
@@ -228,9 +230,11 @@ class GalleryMap:
         overlays.draw_sign(draw, left - 40, 174, 24, chosen.true, palette)
         tile = overlays.fitted(draw, f"{analysis.task.gallery_view} {name}", 24, 394)
         draw.text((412, 222), tile, palette.dim, overlays.font(24), anchor="rm")
-        if analysis.off is not None:
+        if analysis.errors_m is not None:
             colour = palette.ink(overlays.verdict_colour(chosen.true))
-            draw.text((228, 126), f"{analysis.off[chosen.index]:,.0f} m off", colour, overlays.font(40), anchor="mm")
+            draw.text(
+                (228, 126), f"{analysis.errors_m[chosen.index]:,.0f} m off", colour, overlays.font(40), anchor="mm"
+            )
         return np.asarray(image)
 
     def _clicked(self, slot: int, on_select: Callable[[SessionState, int], None]) -> Callable[[Any], None]:

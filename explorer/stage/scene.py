@@ -173,7 +173,7 @@ class Stage:
         """Draw an answer."""
         state, task = analysis.state, analysis.task
         viewpoint = None
-        if state.map and task.places is not None:
+        if state.map and task.geometry is not None:
             self._map = self._map or GalleryMap(self._client, self._workspace, SHOWN, self._on_select)
             with self._client.atomic():
                 viewpoint = self._map.show(analysis)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,7 +121,7 @@ def parse_tags(tags: str | Iterable[str]) -> tuple[str, ...]:
     return found
 
 
-def columns(notes: dict[str, Note], paths: Sequence[str]) -> list[Column]:
+def columns(notes: Mapping[str, Note], paths: Sequence[str]) -> list[Column]:
     """The columns `tags` and `note` of a table with these rows, to be filtered by and exported."""
     of = [notes.get(path, Note()) for path in paths]
     return [text_column(TAGS, [" ".join(note.tags) for note in of]), text_column(NOTE, [note.text for note in of])]

@@ -1,4 +1,4 @@
-"""One task of a data set under one model: pictures, descriptors, and what became of every query, computed when asked for."""
+"""One task of a data set under one model, with everything that is computed from its descriptors on demand."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from lpn import descriptors, retrieval
 from lpn.analysis import notes, query_outcomes
+from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import Outcomes
 from lpn.core.arrays import Float32Array, Int64Array
@@ -18,7 +19,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Table
 from lpn.core.views import View, views_of
-from lpn.datasets import Dataset, Picture, Truth
+from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.explain import counterfactual
 from lpn.models.base import Model
 from lpn.models.spec import ModelSpec
@@ -26,138 +27,186 @@ from lpn.retrieval import Ranking, metrics, scoring
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
-    """What a person looks at.
+class Task:
+    """Queries, a gallery, and the descriptors of both; `dataclasses.replace` gives the task under other part weights.
 
     Attributes:
-        model: None where another program saved the descriptors: then pictures cannot be described again.
-        model_name, data_name: how they are called.
+        name: such as "drone-to-satellite".
+        model: None where another program computed the descriptors, so that no picture can be described again.
+        model_name, data_name: names for people.
         root: the data set's folder.
-        task: such as "drone-to-satellite".
-        spec: how the descriptors' parts divide a picture.
-        map_sizes: (h, w) of the feature map that is divided, for each view.
+        spec: how parts divide a picture.
+        map_sizes: (h, w) of the feature map of each view.
         queries, gallery: the pictures.
-        query_labels, labels: the place each query and each gallery picture shows, (Q,) and (G,).
-        truth: true matches and junk of each query where labels do not say them, else None.
-        asked, tiles: descriptors of the queries as they are and of the gallery, (Q, n, D) and (G, n, D).
-        weights: of the parts, see `scoring.part_weights`; None for equal ones.
+        query_labels, gallery_labels: the place that each picture shows, (Q,) and (G,), -1 for junk.
+        query_descriptors, gallery_descriptors: (Q, n, D) and (G, n, D); the queries are unchanged.
+        truth: true matches and junk of each query where lists say them; None where labels do.
+        geometry: positions of the pictures; None without a `geo.csv`.
+        identity: a text that only these descriptors have, by which rankings are cached; empty where there is none.
+        weights: part weights, see `scoring.part_weights`; None for equal ones.
         notes: a person's tags and notes by the query's path, see `lpn.analysis.notes`.
     """
 
+    name: str
     model: Model | None
     model_name: str
     data_name: str
     root: Path
-    task: str
     spec: ModelSpec
     map_sizes: Mapping[View, tuple[int, int]]
     queries: Sequence[Picture]
     gallery: Sequence[Picture]
     query_labels: Int64Array
-    labels: Int64Array
-    truth: Sequence[Truth] | None
-    asked: Float32Array
-    tiles: Float32Array
+    gallery_labels: Int64Array
+    query_descriptors: Float32Array
+    gallery_descriptors: Float32Array
+    truth: Sequence[Truth] | None = None
+    geometry: GalleryGeometry | None = None
+    identity: str = ""
     weights: npt.ArrayLike | None = None
     notes: Mapping[str, Note] = field(default_factory=dict)
 
     @property
+    def query_view(self) -> View:
+        """The view of the queries."""
+        return views_of(self.name)[0]
+
+    @property
+    def gallery_view(self) -> View:
+        """The view of the gallery."""
+        return views_of(self.name)[1]
+
+    @property
     def views(self) -> tuple[View, View]:
-        """What queries and gallery show."""
-        return views_of(self.task)
+        """The views of queries and gallery."""
+        return views_of(self.name)
+
+    @cached_property
+    def query_names(self) -> list[str]:
+        """The queries' names."""
+        return [picture.name for picture in self.queries]
 
     @property
     def part_names(self) -> list[str]:
-        """Of each part, as the query is cut."""
-        return self.spec.partition(self.views[0]).names()
+        """The parts' names in the queries' view."""
+        return self.spec.partition(self.query_view).names()
 
     @cached_property
-    def used(self) -> Float32Array:
+    def part_weights(self) -> Float32Array:
         """The part weights, summing to one, (n,)."""
         return scoring.part_weights(self.spec.n_parts, self.weights)
 
     @cached_property
     def outcomes(self) -> Outcomes:
-        """What became of each query."""
+        """The outcome of each query under the part weights."""
         return query_outcomes.build(
-            self.asked, self.tiles, self.query_labels, self.labels, self.truth, weights=self.weights
+            self.query_descriptors,
+            self.gallery_descriptors,
+            self.query_labels,
+            self.gallery_labels,
+            self.truth,
+            weights=self.weights,
         )
 
     @cached_property
     def table(self) -> Table:
-        """One row for each query: outcome, metadata, tags, and notes; see `failures.table` for what is raised."""
-        made = query_outcomes.table(self.root, self.queries, self.gallery, self.outcomes, self.part_names)
-        return made.with_columns(notes.columns(dict(self.notes), made.paths))
+        """One row per query: outcome, metadata, tags, and notes; see `query_outcomes.table` for the errors."""
+        table = query_outcomes.table(self.root, self.queries, self.gallery, self.outcomes, self.part_names)
+        return table.with_columns(notes.columns(self.notes, table.paths))
 
     @cached_property
     def figures(self) -> dict[str, float]:
         """Recall and AP in percent under the part weights, see `metrics.evaluate`."""
-        asked = self.asked if self.weights is None else counterfactual.folded(self.asked, self.weights)
-        return metrics.evaluate(asked, self.query_labels, self.tiles, self.labels, self.truth)
+        query = self.query_descriptors
+        query = query if self.weights is None else counterfactual.folded(query, self.weights)
+        return metrics.evaluate(query, self.query_labels, self.gallery_descriptors, self.gallery_labels, self.truth)
 
-    def rank(self, descriptor: Float32Array, query: int | None) -> Ranking:
-        """Rank the gallery for a descriptor (n, D) of a query; None for a picture whose place is not known."""
-        cosines = scoring.part_cosines(descriptor, self.tiles)
-        label = None if query is None else int(self.query_labels[query])
-        truth = None if query is None or self.truth is None else self.truth[query]
-        return retrieval.rank(cosines, self.used, self.labels, label, truth)
+    def label_and_truth(self, query: int | None) -> tuple[int | None, Truth | None]:
+        """The place of a query and its list of true matches, None each where that is not known."""
+        if query is None:
+            return None, None
+        return int(self.query_labels[query]), None if self.truth is None else self.truth[query]
+
+    def rank(
+        self, query: int | None, cosines: Float32Array, weights: Float32Array, lengths: Float32Array | None = None
+    ) -> Ranking:
+        """Rank the gallery by its cosines (G, n) with a query; `query` is None where its place is not known."""
+        return retrieval.rank(cosines, weights, self.gallery_labels, *self.label_and_truth(query), lengths)
 
 
-def open_study(
+def open_task(
     model: Model,
     model_name: str,
     dataset: Dataset,
-    task: str | None = None,
+    name: str | None = None,
     weights: npt.ArrayLike | None = None,
-    notes_file: Path | None = None,
-) -> Study:
-    """Describe both sides of a task, or read what was described before.
+    tags_and_notes: Mapping[str, Note] | None = None,
+) -> Task:
+    """Describe queries and gallery of a task, or read their stored descriptors.
 
     Args:
-        model_name: how it is called.
-        task: see `task_of`.
-        weights: of the parts, see `scoring.part_weights`.
-        notes_file: tags and notes, by default those in the data set's folder.
+        model_name: the model's name for people.
+        name: the task, see `choose_task`.
+        weights: part weights, see `scoring.part_weights`.
+        tags_and_notes: by the query's path; by default those in the data set's folder.
 
     Raises:
-        InputError: when the two do not offer the task together, or the weights are none.
-        LPNError: when notes, pictures, truth, or stores cannot be read.
+        InputError: when model and data set do not offer the task, or the weights are invalid.
+        LPNError: when pictures, positions, truth, or stores cannot be read.
     """
-    task = task_of(model, dataset, task)
-    read = notes.read_notes(notes_file or dataset.root / notes.NAME)
+    name = choose_task(model, dataset, name)
     scoring.part_weights(model.n_parts, weights)
-    views = views_of(task)
+    if tags_and_notes is None:
+        tags_and_notes = notes.read_notes(dataset.root / notes.NAME)
+    views = views_of(name)
     queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
-    return Study(
-        model,
-        printable(model_name),
-        printable(dataset.root.resolve().name),
-        dataset.root,
-        task,
-        model.spec,
-        {view: model.map_size(view) for view in views},
-        queries,
-        gallery,
-        query_outcomes.labels_of(queries),
-        query_outcomes.labels_of(gallery),
-        dataset.truth(task),
-        descriptors.stored_descriptors(model, queries, views[0], dataset.root, "query"),
-        descriptors.stored_descriptors(model, gallery, views[1], dataset.root, "gallery"),
-        weights,
-        read,
+    geometry = gallery_geometry(dataset.root, queries, gallery)
+    query_side = descriptors.stored_side(model, queries, views[0], dataset.root, "query")
+    gallery_side = descriptors.stored_side(model, gallery, views[1], dataset.root, "gallery")
+    identities = query_side.identity, gallery_side.identity
+    return Task(
+        name=name,
+        model=model,
+        model_name=printable(model_name),
+        data_name=printable(dataset.root.resolve().name),
+        root=dataset.root,
+        spec=model.spec,
+        map_sizes={view: model.map_size(view) for view in views},
+        queries=queries,
+        gallery=gallery,
+        query_labels=query_outcomes.labels_of(queries),
+        gallery_labels=query_outcomes.labels_of(gallery),
+        query_descriptors=query_side.descriptors,
+        gallery_descriptors=gallery_side.descriptors,
+        truth=dataset.truth(name),
+        geometry=geometry,
+        identity=" ".join(identities) if all(identities) else "",
+        weights=weights,
+        notes=tags_and_notes,
     )
 
 
-def task_of(model: Model, dataset: Dataset, task: str | None = None) -> str:
-    """The task asked for, or the first that the data set offers and the model knows the views of.
+def gallery_geometry(root: Path, queries: Sequence[Picture], gallery: Sequence[Picture]) -> GalleryGeometry | None:
+    """The geometry of a task from the data set's `geo.csv`; None without that file."""
+    positions = geo.positions(root)
+    return None if positions is None else GalleryGeometry.of(positions.of(queries), positions.of(gallery))
+
+
+def offered_tasks(model: Model, dataset: Dataset) -> list[str]:
+    """The tasks of a data set whose views a model knows."""
+    return [name for name in dataset.tasks() if set(views_of(name)) <= set(model.views)]
+
+
+def choose_task(model: Model, dataset: Dataset, name: str | None = None) -> str:
+    """The given task, or the first that data set and model offer together.
 
     Raises:
         InputError: when the two do not offer it together.
     """
-    known = [name for name in dataset.tasks() if set(views_of(name)) <= set(model.views)]
-    task = task or (known[0] if known else "")
-    if task not in known:
+    offered = offered_tasks(model, dataset)
+    name = name or next(iter(offered), "")
+    if name not in offered:
         raise InputError(
-            f"The task is {task or 'none'}; {dataset.root.name} and this model offer {', '.join(known) or 'none'} together."
+            f"The task is {name or 'none'}; {dataset.root.name} and this model offer {', '.join(offered) or 'none'} together."
         )
-    return task
+    return name

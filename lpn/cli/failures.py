@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.analysis.breakdown import Rate
-    from lpn.analysis.task import Study
+    from lpn.analysis.task import Task
     from lpn.core.tables import Table
 
 
@@ -48,8 +48,9 @@ class FailuresCommand:
     def run(self) -> None:
         from rich.console import Console
 
+        from lpn.analysis.notes import read_notes
         from lpn.analysis.query_outcomes import OUTCOME
-        from lpn.analysis.task import open_study
+        from lpn.analysis.task import open_task
         from lpn.core.files import check_writable, write_atomic
         from lpn.datasets import metadata, open_dataset
 
@@ -58,14 +59,16 @@ class FailuresCommand:
         if self.csv is not None:
             check_writable(self.csv)
         model, dataset = lpn.load(self.model), open_dataset(self.data)
-        study = open_study(model, self.model.name, dataset, self.task, notes_file=self.notes)
-        made = study.table
+        task = open_task(
+            model, self.model.name, dataset, self.task, tags_and_notes=read_notes(self.notes) if self.notes else None
+        )
+        made = task.table
         rows = made.sort(made.filter(made.rows(), self.where), self.sort, self.descending)
         console = Console(width=max(120, Console().width))
         shown = [*OUTCOME, metadata.TAGS, *(name for name in made.columns if name in f"{self.where} {self.sort}")]
         _print(console, made, rows, list(dict.fromkeys(shown)), self.top)
         if len(rows):
-            _print_breakdown(console, study, rows, self.top)
+            _print_breakdown(console, task, rows, self.top)
         if self.csv is not None:
             write_atomic(self.csv, made.to_csv(rows))
 
@@ -83,17 +86,17 @@ def _print(console: Console, table: Table, rows: Int64Array, names: list[str], t
     console.print(printed, f"{len(rows)} of {len(table)} queries, {min(top, len(rows))} listed.")
 
 
-def _print_breakdown(console: Console, study: Study, rows: Int64Array, top: int) -> None:
+def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -> None:
     """What the failures among some rows have in common."""
     from lpn.analysis import breakdown
     from lpn.analysis.query_outcomes import described_by
 
-    table, outcomes, part_names = study.table, study.outcomes, study.part_names
+    table, outcomes, part_names = task.table, task.outcomes, task.part_names
     failures = int(outcomes.failed[rows].sum())
     if failures:
         blamed = zip(part_names, breakdown.blame(outcomes, rows).tolist(), strict=True)
         _print_counts(console, f"The part that costs most, in {failures} failures:", list(blamed))
-        pairs = breakdown.confusions(outcomes, study.query_labels, study.labels, rows)
+        pairs = breakdown.confusions(outcomes, task.query_labels, task.gallery_labels, rows)
         truth, answer = table.column("truth"), table.column("answer")
         counts = [
             (f"{truth.text(one.queries[0]) or one.place} taken for {answer.text(one.queries[0])}", one.count)

@@ -14,7 +14,7 @@ from lpn.core.files import printable
 from lpn.core.views import TaskName
 
 if TYPE_CHECKING:
-    from lpn.analysis.task import Study
+    from lpn.analysis.task import Task
     from lpn.datasets import Picture
 
 
@@ -54,7 +54,8 @@ class ReportCommand:
         from rich.progress import Progress
 
         from lpn import report
-        from lpn.analysis.task import open_study, task_of
+        from lpn.analysis.notes import read_notes
+        from lpn.analysis.task import choose_task, open_task
         from lpn.cli.explain import part_values
         from lpn.core.files import check_writable, write_atomic
         from lpn.core.views import views_of
@@ -68,25 +69,32 @@ class ReportCommand:
         options = report.Options(self.matches, self.profile, self.step, Change(rotate=self.rotate))
         check_writable(self.out)
         model, dataset = lpn.load(self.model), open_dataset(self.data)
-        task = task_of(model, dataset, self.task)
+        name = choose_task(model, dataset, self.task)
         # Before pictures are described, which may take long.
-        named = _named(self.query, dataset.queries(views_of(task)[0]), dataset.root.name)
-        study = open_study(model, self.model.name, dataset, task, part_values(self.weights), self.notes)
-        chosen, said = (named, "chosen by name") if named else self._chosen(study)
+        named = _named(self.query, dataset.queries(views_of(name)[0]), dataset.root.name)
+        task = open_task(
+            model,
+            self.model.name,
+            dataset,
+            name,
+            part_values(self.weights),
+            read_notes(self.notes) if self.notes else None,
+        )
+        chosen, said = (named, "chosen by name") if named else self._chosen(task)
         options = report.Options(self.matches, self.profile, self.step, Change(rotate=self.rotate), chosen=said)
         console = Console()
         with Progress(console=console, transient=True) as bar:
             shown = bar.add_task("Reporting", total=None)
-            page = report.build(study, chosen, options, lambda done, of: bar.update(shown, completed=done, total=of))
+            page = report.build(task, chosen, options, lambda done, of: bar.update(shown, completed=done, total=of))
         write_atomic(self.out, page)
         count = f"{len(chosen)} {'query' if len(chosen) == 1 else 'queries'}"
         console.print(f"{self.out}: {count}, {len(page) / 1e6:.1f} MB", highlight=False, markup=False, soft_wrap=True)
 
-    def _chosen(self, study: Study) -> tuple[list[int], str]:
+    def _chosen(self, task: Task) -> tuple[list[int], str]:
         """Positions of the queries that --failures and --where choose, the worst first, and how they were chosen."""
         from lpn.report.page import MOST
 
-        table = study.table
+        table = task.table
         rows = table.sort(table.filter(table.rows(), self.where), "margin")
         among = f" of those with {self.where}" if self.where else ""
         if self.where and self.failures is None:
@@ -98,7 +106,7 @@ class ReportCommand:
                     "with --failures 20."
                 )
             return rows.tolist(), f"all with {self.where}, lowest margin first"
-        failed = rows[study.outcomes.failed[rows]]
+        failed = rows[task.outcomes.failed[rows]]
         if not len(failed):
             raise InputError(f"No query failed{among}; choose some with --query or --where.")
         worst = failed[: 20 if self.failures is None else self.failures]

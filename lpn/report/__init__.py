@@ -1,7 +1,7 @@
 """A self-contained HTML file about some queries: pictures inside, no network, no script; it prints on A4.
 
-study = lpn.analysis.task.open_study(model, "lpn.onnx", dataset)
-write_atomic(Path("report.html"), lpn.report.build(study, [17, 4]))
+task = lpn.analysis.task.open_task(model, "lpn.onnx", dataset)
+write_atomic(Path("report.html"), lpn.report.build(task, [17, 4]))
 """
 
 from lpn.report.cases import Options, Own

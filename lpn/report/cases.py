@@ -10,7 +10,7 @@ import numpy as np
 
 from lpn import explain, retrieval
 from lpn.analysis.query_outcomes import described_by
-from lpn.analysis.task import Study
+from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
@@ -21,7 +21,7 @@ from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Evidence, counterfactual, sweeps
 from lpn.explain.counterfactual import Effect, Margin, Reweighting, Without
 from lpn.explain.sweeps import Profile
-from lpn.retrieval import DescribedPicture, Match, Ranking
+from lpn.retrieval import DescribedPicture, Match, Ranking, scoring
 
 
 @dataclass(frozen=True)
@@ -125,29 +125,29 @@ class Case:
 class Cases:
     """Makes the cases of one report, keeping what they share."""
 
-    def __init__(self, study: Study, options: Options) -> None:
-        if options.against is not None and not 0 <= options.against < len(study.gallery):
+    def __init__(self, task: Task, options: Options) -> None:
+        if options.against is not None and not 0 <= options.against < len(task.gallery):
             raise InputError(
-                f"There is no gallery picture {options.against}; the gallery has positions 0 to {len(study.gallery) - 1}."
+                f"There is no gallery picture {options.against}; the gallery has positions 0 to {len(task.gallery) - 1}."
             )
-        if study.model is None and (options.profile or options.change):
+        if task.model is None and (options.profile or options.change):
             raise InputError(
-                f"{study.model_name} holds descriptors without their network: queries cannot be turned, so leave the profile "
+                f"{task.model_name} holds descriptors without their network: queries cannot be turned, so leave the profile "
                 "and changes out."
             )
-        self._study, self._options = study, options
-        self._positions = geo.positions(study.root)
+        self._task, self._options = task, options
+        self._positions = geo.positions(task.root)
         self._tile = lru_cache(maxsize=64)(self._describe_tile)
         turns = sweeps.changes_over("rotation", options.step) if options.profile else []
         self.turns = sweeps.around("rotation", options.change, turns) if turns else []
 
     def make(self, query: int | Own, tick: Callable[[], None]) -> Case:
         """Everything about one query; `tick` is called after it and after each step of its profile."""
-        study, options = self._study, self._options
+        task, options = self._task, self._options
         index = None if isinstance(query, Own) else query
         name, picture = self._opened(query)
         seen = self._described(picture, index)
-        ranking = study.rank(seen.descriptor, index)
+        ranking = task.rank(index, scoring.part_cosines(seen.descriptor, task.gallery_descriptors), task.part_weights)
         if not len(ranking.order):
             raise InputError(f"No tile is left to rank for {name}; its gallery holds junk alone.")
         truth = ranking.truth()
@@ -187,44 +187,44 @@ class Cases:
     def _opened(self, query: int | Own) -> tuple[str, UInt8Array]:
         if isinstance(query, Own):
             return query.name, query.picture
-        if not 0 <= query < len(self._study.queries):
-            raise InputError(f"There is no query {query}; they have positions 0 to {len(self._study.queries) - 1}.")
-        entry = self._study.queries[query]
+        if not 0 <= query < len(self._task.queries):
+            raise InputError(f"There is no query {query}; they have positions 0 to {len(self._task.queries) - 1}.")
+        entry = self._task.queries[query]
         return entry.name, shown(entry)
 
     def _described(self, picture: UInt8Array, index: int | None) -> DescribedPicture:
-        study = self._study
-        if study.model is None:
+        task = self._task
+        if task.model is None:
             if index is None:
                 raise InputError(
-                    f"{study.model_name} holds descriptors without their network; choose a query of its own."
+                    f"{task.model_name} holds descriptors without their network; choose a query of its own."
                 )
-            return DescribedPicture(picture, study.asked[index], None, None)
-        change = self._options.change.for_picture(study.queries[index or 0])
-        return retrieval.describe_picture(study.model, picture, study.views[0], change)
+            return DescribedPicture(picture, task.query_descriptors[index], None, None)
+        change = self._options.change.for_picture(task.queries[index or 0])
+        return retrieval.describe_picture(task.model, picture, task.views[0], change)
 
     def _describe_tile(self, index: int) -> DescribedPicture:
-        study = self._study
-        picture = shown(study.gallery[index])
-        if study.model is None:
-            return DescribedPicture(picture, study.tiles[index], None, None)
-        return retrieval.describe_picture(study.model, picture, study.views[1])
+        task = self._task
+        picture = shown(task.gallery[index])
+        if task.model is None:
+            return DescribedPicture(picture, task.gallery_descriptors[index], None, None)
+        return retrieval.describe_picture(task.model, picture, task.views[1])
 
     def _cut(self, picture: UInt8Array, side: int) -> UInt8Array:
-        study = self._study
-        return picture if study.model is None else study.model.as_partitioned(picture, study.views[side])
+        task = self._task
+        return picture if task.model is None else task.model.as_partitioned(picture, task.views[side])
 
     def _pair(self, seen: DescribedPicture, match: Match) -> Pair:
         tile = self._tile(match.index)
         evidence = None
         if seen.trace is not None and tile.trace is not None:
-            evidence = explain.evidence(seen.trace, tile.trace, self._study.used)
+            evidence = explain.evidence(seen.trace, tile.trace, self._task.part_weights)
         return Pair(match, self._cut(tile.picture, 1), evidence)
 
     def _facts(self, index: int | None) -> list[tuple[str, str]]:
         if index is None:
             return []
-        table = self._study.table
+        table = self._task.table
         names = [column.name for column in described_by(table)] + [TAGS, NOTE]
         columns = [table.columns[name] for name in names if name in table.columns]
         return [
@@ -236,38 +236,47 @@ class Cases:
     def _metres(self, index: int | None, matches: list[Match]) -> list[float] | None:
         if self._positions is None or index is None:
             return None
-        here = self._positions.of([self._study.queries[index]])
-        tiles = self._positions.of([self._study.gallery[match.index] for match in matches])
+        here = self._positions.of([self._task.queries[index]])
+        tiles = self._positions.of([self._task.gallery[match.index] for match in matches])
         return [float(value) for value in geo.metres(here * len(tiles), tiles)]
 
     def _effect(self, change: Reweighting) -> Effect:
-        study = self._study
+        task = self._task
         return counterfactual.effect(
-            study.asked,
-            study.tiles,
-            study.weights,
+            task.query_descriptors,
+            task.gallery_descriptors,
+            task.weights,
             change.weights,
-            study.query_labels,
-            study.labels,
-            study.truth,
-            study.outcomes.rank,
+            task.query_labels,
+            task.gallery_labels,
+            task.truth,
+            task.outcomes.rank,
         )
 
     def _profile(
         self, picture: UInt8Array, index: int | None, first: Match, tick: Callable[[], None]
     ) -> Profile | None:
-        study, options = self._study, self._options
-        if not self.turns or study.model is None:
+        task, options = self._task, self._options
+        if not self.turns or task.model is None:
             return None
         change = options.change
-        entry = study.queries[index or 0]
+        entry = task.queries[index or 0]
         turns = [turn.for_picture(entry) for turn in self.turns]
-        label = None if index is None else int(study.query_labels[index])
-        truth = None if index is None or study.truth is None else study.truth[index]
+        label = None if index is None else int(task.query_labels[index])
+        truth = None if index is None or task.truth is None else task.truth[index]
         follow = first.index if index is None else None
         points = []
         for point in sweeps.profile(
-            study.model, picture, study.views[0], study.tiles, study.used, turns, study.labels, label, truth, follow
+            task.model,
+            picture,
+            task.views[0],
+            task.gallery_descriptors,
+            task.part_weights,
+            turns,
+            task.gallery_labels,
+            label,
+            truth,
+            follow,
         ):
             points.append(point)
             tick()

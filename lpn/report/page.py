@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import lpn
-from lpn.analysis.task import Study
+from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.report._rendering import render, style_sheet, thumbnail
@@ -44,7 +44,7 @@ class _Line:
 
 
 def build(
-    study: Study,
+    task: Task,
     queries: Sequence[int | Own],
     options: Options | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -55,7 +55,7 @@ def build(
     Each query and each compared tile takes one forward pass, and each step of a profile one more.
 
     Args:
-        queries: positions among the study's queries, or pictures that are no queries, in the order of the report.
+        queries: positions among the task's queries, or pictures that are no queries, in the order of the report.
         progress: called after each step with the numbers of finished and of all steps; what it raises ends the work.
         made: date and time that the report bears, by default now.
 
@@ -66,7 +66,7 @@ def build(
     options = options or Options()
     if not 1 <= len(queries) <= MOST:
         raise InputError(f"{len(queries)} queries are chosen; a report holds 1 to {MOST}, so choose others.")
-    cases = Cases(study, options)
+    cases = Cases(task, options)
     done, steps = 0, len(queries) * (1 + len(cases.turns))
 
     def tick() -> None:
@@ -79,46 +79,46 @@ def build(
     for number, query in enumerate(queries, 1):
         case = cases.make(query, tick)
         # A case holds pictures and a whole ranking, so only its HTML is kept.
-        lines.append(_line(case, study, query))
-        sections.append(section(case, study, number))
+        lines.append(_line(case, task, query))
+        sections.append(section(case, task, number))
     return render(
         "report.html.j2",
         style=style_sheet(),
-        data_name=study.data_name,
-        task=study.task,
-        gallery_view=study.views[1],
-        part_names=study.part_names,
+        data_name=task.data_name,
+        task=task.name,
+        gallery_view=task.views[1],
+        part_names=task.part_names,
         figures=[
-            ("R@1", study.figures["recall@1"], "true tile first"),
-            ("R@5", study.figures["recall@5"], "among the first 5"),
-            ("R@10", study.figures["recall@10"], "among the first 10"),
-            ("AP", study.figures["ap"], "mean average precision"),
+            ("R@1", task.figures["recall@1"], "true tile first"),
+            ("R@5", task.figures["recall@5"], "among the first 5"),
+            ("R@10", task.figures["recall@10"], "among the first 10"),
+            ("AP", task.figures["ap"], "mean average precision"),
         ],
-        facts=_facts(study, options, len(queries), made or datetime.now().astimezone()),
+        facts=_facts(task, options, len(queries), made or datetime.now().astimezone()),
         lines=lines,
         decisive=Counter(line.decisive for line in lines if line.decisive).most_common(),
         sections=sections,
     ).encode()
 
 
-def _facts(study: Study, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:
+def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:
     """List what the report is about as names and values."""
-    mirrored = "descriptors of picture and mirror added, " if study.spec.mirrored else ""
-    clauses = ["descriptors as saved"] if study.model is None else [f"{mirrored}each part normalised"]
-    if study.weights is not None:
-        clauses.append("part weights " + " : ".join(f"{100 * weight:.0f}" for weight in study.used) + " %")
-    parts = tuple(range(1, study.spec.n_parts + 1))
-    rule = protocol.sentence(clauses, parts, len(parts), listed=study.truth is not None)
+    mirrored = "descriptors of picture and mirror added, " if task.spec.mirrored else ""
+    clauses = ["descriptors as saved"] if task.model is None else [f"{mirrored}each part normalised"]
+    if task.weights is not None:
+        clauses.append("part weights " + " : ".join(f"{100 * weight:.0f}" for weight in task.part_weights) + " %")
+    parts = tuple(range(1, task.spec.n_parts + 1))
+    rule = protocol.sentence(clauses, parts, len(parts), listed=task.truth is not None)
     facts = [
-        ("Model", study.model_name),
-        ("", "saved descriptors, no network" if study.model is None else study.model.describe()),
+        ("Model", task.model_name),
+        ("", "saved descriptors, no network" if task.model is None else task.model.describe()),
     ]
-    if study.model is not None:
-        facts.append(("Fingerprint", study.model.fingerprint))
+    if task.model is not None:
+        facts.append(("Fingerprint", task.model.fingerprint))
     chosen = f", {options.chosen}" if options.chosen else ""
     facts += [
-        ("Data", study.data_name),
-        ("Task", f"{study.task}: {len(study.queries):,} queries, {len(study.gallery):,} tiles"),
+        ("Data", task.data_name),
+        ("Task", f"{task.name}: {len(task.queries):,} queries, {len(task.gallery):,} tiles"),
         ("Protocol", rule.removeprefix("Protocol: ")),
         ("In this report", f"{count} {'query' if count == 1 else 'queries'}{chosen}"),
     ]
@@ -127,28 +127,28 @@ def _facts(study: Study, options: Options, count: int, made: datetime) -> list[t
     return [*facts, ("Made", f"{made:%Y-%m-%d %H:%M %Z} by LPN Explorer {lpn.__version__}")]
 
 
-def _line(case: Case, study: Study, query: int | Own) -> _Line:
-    picture = query.picture if isinstance(query, Own) else shown(study.queries[query])
+def _line(case: Case, task: Task, query: int | Own) -> _Line:
+    picture = query.picture if isinstance(query, Own) else shown(task.queries[query])
     first, truth = case.matches[0], case.truth
     tiles = [first] if truth is None or truth.rank == 1 else [first, truth]
     return _Line(
         case.verdict,
         thumbnail(picture),
         case.name,
-        summary(case, study)[0],
+        summary(case, task)[0],
         [
             _Tile(match.true, thumbnail(images.load_picture(entry.path)), entry.name)
-            for match, entry in ((match, study.gallery[match.index]) for match in tiles)
+            for match, entry in ((match, task.gallery[match.index]) for match in tiles)
         ],
         None if truth is None else truth.rank,
         None if case.margin is None else float(case.margin.distance2.sum()),
-        _decisive(case, study),
+        _decisive(case, task),
     )
 
 
-def _decisive(case: Case, study: Study) -> str | None:
+def _decisive(case: Case, task: Task) -> str | None:
     """Name the part that speaks most for the winner of the margin; None without a margin."""
     if case.margin is None:
         return None
     steps = case.margin.distance2
-    return study.part_names[int(steps.argmax() if steps.sum() >= 0 else steps.argmin())]
+    return task.part_names[int(steps.argmax() if steps.sum() >= 0 else steps.argmin())]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from lpn.analysis.task import Study
+from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.arrays import FloatingArray, UInt8Array
 from lpn.drawing import charts, overlays, verdicts
@@ -84,61 +84,61 @@ class _Margin:
     ranked: bool
 
 
-def section(case: Case, study: Study, number: int) -> Markup:
+def section(case: Case, task: Task, number: int) -> Markup:
     """Render everything about one query."""
-    tiles = [_tile(case, pair, study) for pair in case.pairs]
-    headline, reason = summary(case, study)
+    tiles = [_tile(case, pair, task) for pair in case.pairs]
+    headline, reason = summary(case, task)
     return render(
         "query.html.j2",
         number=number,
         name=case.name,
         verdict=case.verdict,
         headline=headline,
-        sentences=[reason, *_sentences(case, study)],
+        sentences=[reason, *_sentences(case, task)],
         facts=case.facts,
-        views=study.views,
-        part_names=study.part_names,
-        wide=_is_panorama(study),
-        picture=_with_parts(case.picture, study, 0),
+        views=task.views,
+        part_names=task.part_names,
+        wide=_is_panorama(task),
+        picture=_with_parts(case.picture, task, 0),
         tiles=tiles,
-        matches=_matches(case, study),
+        matches=_matches(case, task),
         metres=case.metres,
-        evidence=_evidence(case, tiles, study) if all(pair.evidence for pair in case.pairs) else None,
-        margin=_margin(case, study),
-        profile=case.profile and charts.profile_charts(case.profile, study.part_names, _CHART_WIDTH),
-        followed=case.profile and _followed(case.profile.points[0].tile, case.profile.points[0].true, study),
+        evidence=_evidence(case, tiles, task) if all(pair.evidence for pair in case.pairs) else None,
+        margin=_margin(case, task),
+        profile=case.profile and charts.profile_charts(case.profile, task.part_names, _CHART_WIDTH),
+        followed=case.profile and _followed(case.profile.points[0].tile, case.profile.points[0].true, task),
     )
 
 
-def summary(case: Case, study: Study) -> tuple[str, str]:
+def summary(case: Case, task: Task) -> tuple[str, str]:
     """Return the headline of a case and the sentence that gives its reason."""
     if not case.known:
         gap = case.matches[0].gap
         apart = "there is no other tile" if gap is None else f"the next tile is {gap:.3f} further away (d²)"
         return "Nearest tile", f"Its true place is not known here; {apart}."
     metres = None if case.metres is None else case.metres[0]
-    return verdicts.verdict(case.matches[0], case.truth, case.rival, study.part_names, metres)[1:]
+    return verdicts.verdict(case.matches[0], case.truth, case.rival, task.part_names, metres)[1:]
 
 
-def _sentences(case: Case, study: Study) -> list[str]:
+def _sentences(case: Case, task: Task) -> list[str]:
     sentences = []
     if case.without is not None:
-        sentences.append(verdicts.left_out(case.without, study.part_names))
+        sentences.append(verdicts.left_out(case.without, task.part_names))
     if case.truth is not None and case.truth.rank > 1:
         sentences.append(verdicts.reweighted(case.change, case.effect))
     if case.profile is not None:
-        sentences.append(verdicts.turned(case.profile, study.views))
+        sentences.append(verdicts.turned(case.profile, task.views))
     return sentences
 
 
-def _followed(tile: int, true: bool | None, study: Study) -> str:
-    return "the true tile" if true else f"tile {study.gallery[tile].name}"
+def _followed(tile: int, true: bool | None, task: Task) -> str:
+    return "the true tile" if true else f"tile {task.gallery[tile].name}"
 
 
-def _tile(case: Case, pair: Pair, study: Study) -> _Tile:
+def _tile(case: Case, pair: Pair, task: Task) -> _Tile:
     match = pair.match
-    picture = _with_parts(pair.picture, study, 1)
-    name = study.gallery[match.index].name
+    picture = _with_parts(pair.picture, task, 1)
+    name = task.gallery[match.index].name
     return _Tile(match.true, _role(case, pair), name, match.rank, match.distance2, picture)
 
 
@@ -154,7 +154,7 @@ def _role(case: Case, pair: Pair) -> str:
     return "Best wrong tile" if case.rival is not None and match.index == case.rival.index else "A wrong tile"
 
 
-def _matches(case: Case, study: Study) -> list[_Match]:
+def _matches(case: Case, task: Task) -> list[_Match]:
     """Make a line for each of the nearest tiles, with bars to one scale."""
     full = max(match.distance2 for match in case.matches)
     above = [case.matches[0].rank - 1, *(match.rank for match in case.matches)]
@@ -162,9 +162,9 @@ def _matches(case: Case, study: Study) -> list[_Match]:
         _Match(
             match.true,
             match.rank,
-            study.gallery[match.index].name,
-            thumbnail(images.load_picture(study.gallery[match.index].path)),
-            charts.share_bar(match.shares, full, study.part_names),
+            task.gallery[match.index].name,
+            thumbnail(images.load_picture(task.gallery[match.index].path)),
+            charts.share_bar(match.shares, full, task.part_names),
             match.distance2,
             match.rank > last + 1,
         )
@@ -172,7 +172,7 @@ def _matches(case: Case, study: Study) -> list[_Match]:
     ]
 
 
-def _evidence(case: Case, tiles: Sequence[_Tile], study: Study) -> _Evidence:
+def _evidence(case: Case, tiles: Sequence[_Tile], task: Task) -> _Evidence:
     found = [pair.evidence for pair in case.pairs if pair.evidence is not None]
     maps = [(one.query.total(one.weights), one.tile.total(one.weights)) for one in found]
     limit = max(*(float(np.abs(cells).max()) for both in maps for cells in both), 1e-9)
@@ -181,16 +181,16 @@ def _evidence(case: Case, tiles: Sequence[_Tile], study: Study) -> _Evidence:
     pairs = []
     for tile, pair, one, cells in zip(tiles, case.pairs, found, maps, strict=True):
         drawn = [
-            (_with_evidence(case.picture, cells[0], limit, study, 0), "query"),
-            (_with_evidence(pair.picture, cells[1], limit, study, 1), f"tile {tile.name}"),
+            (_with_evidence(case.picture, cells[0], limit, task, 0), "query"),
+            (_with_evidence(pair.picture, cells[1], limit, task, 1), f"tile {tile.name}"),
         ]
         bars = list(zip(charts.evidence_bars(one, span), one.contributions.tolist(), strict=True))
-        sentence = verdicts.why(one, study.part_names, *study.views)
+        sentence = verdicts.why(one, task.part_names, *task.views)
         pairs.append((tile, _PairEvidence(one.score, sentence, drawn, bars)))
     return _Evidence(pairs, limit, overlays.data_uri(overlays.evidence_scale(240, 20), 90))
 
 
-def _margin(case: Case, study: Study) -> _Margin | None:
+def _margin(case: Case, task: Task) -> _Margin | None:
     """Make a line for each part of the margin, and one for their sum."""
     if case.margin is None:
         return None
@@ -198,7 +198,7 @@ def _margin(case: Case, study: Study) -> _Margin | None:
     cosines, scores = case.ranking.cosines, case.ranking.scores
     steps = charts.waterfall(case.margin.distance2)
     rows = []
-    for part in range(len(study.part_names)):
+    for part in range(len(task.part_names)):
         ranks: tuple[int | None, int | None] = (None, None)
         if case.without is not None:
             without, alone = case.without.without[part], case.without.alone[part]
@@ -206,28 +206,28 @@ def _margin(case: Case, study: Study) -> _Margin | None:
         rows.append(_Step((cosines[pair[0]][part], cosines[pair[1]][part]), steps[part], ranks))
     now = case.without.now.rank if case.without is not None else None
     rows.append(_Step((scores[pair[0]], scores[pair[1]]), steps[-1], (now, "")))
-    names = study.gallery[pair[0]].name, study.gallery[pair[1]].name
+    names = task.gallery[pair[0]].name, task.gallery[pair[1]].name
     return _Margin(names, rows, case.without is not None)
 
 
-def _with_parts(picture: UInt8Array, study: Study, side: int) -> str:
-    view = study.views[side]
-    shown = images.resize(picture, *_size(study, _LARGE))
-    return overlays.data_uri(overlays.with_rings(shown, study.spec.partition(view), study.map_sizes[view]), 70)
+def _with_parts(picture: UInt8Array, task: Task, side: int) -> str:
+    view = task.views[side]
+    shown = images.resize(picture, *_size(task, _LARGE))
+    return overlays.data_uri(overlays.with_rings(shown, task.spec.partition(view), task.map_sizes[view]), 70)
 
 
-def _with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float, study: Study, side: int) -> str:
-    shown = overlays.with_evidence(images.resize(picture, *_size(study, _MAP)), cells, limit)
-    return overlays.data_uri(overlays.with_rings(shown, study.spec.partition(study.views[side]), cells.shape), 66)
+def _with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float, task: Task, side: int) -> str:
+    shown = overlays.with_evidence(images.resize(picture, *_size(task, _MAP)), cells, limit)
+    return overlays.data_uri(overlays.with_rings(shown, task.spec.partition(task.views[side]), cells.shape), 66)
 
 
-def _size(study: Study, width: int) -> tuple[int, int]:
+def _size(task: Task, width: int) -> tuple[int, int]:
     """Return the height and width at which a picture is shown."""
-    height, across = study.spec.input_size
-    width = 2 * width if _is_panorama(study) else width
+    height, across = task.spec.input_size
+    width = 2 * width if _is_panorama(task) else width
     return max(1, round(width * height / across)), width
 
 
-def _is_panorama(study: Study) -> bool:
-    height, width = study.spec.input_size
+def _is_panorama(task: Task) -> bool:
+    height, width = task.spec.input_size
     return width >= _PANORAMA * height

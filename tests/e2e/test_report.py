@@ -10,7 +10,7 @@ from playwright.sync_api import Browser
 
 import lpn
 from lpn import report
-from lpn.analysis.task import open_study
+from lpn.analysis.task import open_task
 from lpn.datasets import open_dataset
 from lpn.report import Options
 
@@ -18,8 +18,8 @@ from lpn.report import Options
 @pytest.fixture
 def file(data: Path, model_file: Path, tmp_path: Path) -> Path:
     """A report of two queries with profiles."""
-    study = open_study(lpn.load(model_file), "model.onnx", open_dataset(data))
-    (tmp_path / "report.html").write_bytes(report.build(study, [0, 5], Options(profile=True, step=90)))
+    task = open_task(lpn.load(model_file), "model.onnx", open_dataset(data))
+    (tmp_path / "report.html").write_bytes(report.build(task, [0, 5], Options(profile=True, step=90)))
     return tmp_path / "report.html"
 
 

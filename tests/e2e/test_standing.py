@@ -21,12 +21,12 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(ranking_job, "QUICK", 0)
     workspace = open_model(small_worlds.make_dataset(tmp_path / "places"), model_file)
-    task = workspace.tasks["drone-to-satellite"]
+    ranking = workspace.rankings["drone-to-satellite"]
     app = App(workspace, "127.0.0.1", 0)
     try:
         explorer = ExplorerPage(contexts().new_page())
         header, picker = explorer.page.locator("#lpn-header"), explorer.page.locator("#lpn-picker")
-        with task.standing._turn:  # no ranking begins meanwhile
+        with ranking._turn:  # no ranking begins meanwhile
             explorer.open(f"http://127.0.0.1:{app.server.get_port()}")
             expect(header).to_contain_text("Results: ranking 0 of 14 queries")
             expect(picker.locator(".thumb b")).to_have_count(0)
@@ -36,8 +36,8 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
             expect(explorer.page.get_by_text("All queries are still being ranked")).to_be_visible()
             explorer.key("b")
             expect(explorer.page.locator("#lpn-lab-waiting")).to_contain_text("Ranking 14 queries")
-        assert task.standing.ask("test").wait(20)
-        expect(header).to_contain_text(f"{task.results['recall@1']:.1f} %")
+        assert ranking.ask("test").wait(20)
+        expect(header).to_contain_text(f"{ranking.results['recall@1']:.1f} %")
         expect(picker.locator(".thumb b")).to_have_count(12)
         expect(explorer.page.locator("#lpn-lab-table")).to_be_visible()
         explorer.expect_status("query", "1")

@@ -28,8 +28,8 @@ def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data:
     live = open_model(data, model_file)
     assert list(workspace.tasks) == ["drone-to-satellite"]
     saved, task = workspace.tasks["drone-to-satellite"], live.tasks["drone-to-satellite"]
-    assert saved.results == pytest.approx(task.results)
-    np.testing.assert_array_equal(saved.ranks, task.ranks)
+    assert saved.results == pytest.approx(workspace.rankings[task.name].results)
+    np.testing.assert_array_equal(saved.ranks, workspace.rankings[task.name].ranks)
     for query in (0, 5):
         state = SessionState("drone-to-satellite", 4, query=query, enabled=(True, False, True, True))
         one, other = (StateAnalyser(shown).analyse(shown.possible(state), 10) for shown in (workspace, live))

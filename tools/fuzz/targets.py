@@ -313,22 +313,24 @@ def notes(folder: Path) -> list[Case]:
 
 def rankings(folder: Path) -> list[Case]:
     """A ranking kept between runs."""
+    from lpn.analysis import ranking_cache
     from lpn.models.base import normalise
     from lpn.retrieval import metrics
-    from lpn.retrieval.ranking_cache import Sides, keep, kept
+    from tools.fixtures.tasks import descriptor_task
 
     os.environ["LPN_CACHE"] = str(folder)
     rng = np.random.default_rng(0)
     asked, tiles = (normalise(rng.standard_normal((count, 2, 8)).astype(np.float32)) for count in (10, 7))
-    sides = Sides(asked, tiles, rng.integers(0, 4, 10), rng.integers(-1, 3, 7), identity="these")
-    keep(sides, metrics.retrieve(sides.asked, sides.query_labels, sides.tiles, sides.labels))
-    file = sides.file
+    labels = rng.integers(0, 4, 10), rng.integers(-1, 3, 7)
+    task = descriptor_task(asked, tiles, *labels, identity="these")
+    ranking_cache.save(task, metrics.retrieve(asked, labels[0], tiles, labels[1]))
+    file = ranking_cache.cache_file(task)
     assert file is not None
     whole = file.read_bytes()
 
     def read(data: bytes) -> None:
         file.write_bytes(data)
-        found = kept(sides)
+        found = ranking_cache.load(task)
         assert found is None or found.figures()["gallery"] == 7
 
     def inner(name: str) -> Case:

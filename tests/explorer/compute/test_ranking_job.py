@@ -3,20 +3,22 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from explorer.compute import ranking_job
+from explorer.compute.ranking_job import RankingJob
 from explorer.compute.ranking_progress import RankingProgress
 from explorer.explain_window import model_comparison
 from explorer.failure_lab.service import Laboratory
 from explorer.opening import open_model
 from explorer.panels import pages
-from explorer.workspace import Task, Workspace
+from explorer.workspace import Workspace
+from lpn.analysis import ranking_cache
 from lpn.core.errors import LPNError
-from lpn.retrieval import ranking_cache
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
@@ -36,9 +38,9 @@ def workspace(data: Path, model_file: Path) -> Workspace:
     return open_model(data, model_file)
 
 
-def at_once(data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> Task:
+def at_once(data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> RankingJob:
     monkeypatch.setattr(ranking_job, "QUICK", 10**12)
-    return open_model(data, model_file).tasks[TASK]
+    return open_model(data, model_file).rankings[TASK]
 
 
 def until(true: Callable[[], bool]) -> None:
@@ -51,104 +53,104 @@ def until(true: Callable[[], bool]) -> None:
 def test_long_rankings_are_made_when_somebody_waits_and_are_the_same(
     data: Path, workspace: Workspace, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    task = workspace.tasks[TASK]
-    assert task.found is None
-    job = task.standing.ask("me")
-    assert job is task.standing.ask("you")
+    ranking = workspace.rankings[TASK]
+    assert ranking.found is None
+    job = ranking.ask("me")
+    assert job is ranking.ask("you")
     assert job.wait(20)
     assert job.flaw is None
     quick = at_once(data, model_file, monkeypatch)
-    assert task.results == quick.results
-    assert "median error m" in task.results
-    np.testing.assert_array_equal(task.ranks, quick.ranks)
+    assert ranking.results == quick.results
+    assert "median error m" in ranking.results
+    np.testing.assert_array_equal(ranking.ranks, quick.ranks)
 
 
 def test_the_next_start_has_them_at_once_unless_a_picture_changed(
     data: Path, workspace: Workspace, model_file: Path
 ) -> None:
-    assert workspace.tasks[TASK].standing.ask("me").wait(20)
-    again = open_model(data, model_file).tasks
-    assert again[TASK].results == workspace.tasks[TASK].results
+    assert workspace.rankings[TASK].ask("me").wait(20)
+    again = open_model(data, model_file).rankings
+    assert again[TASK].results == workspace.rankings[TASK].results
     assert again["satellite-to-drone"].found is None
     file = workspace.tasks[TASK].queries[3].path
     small_worlds.write(file, small_worlds.place(99))
-    assert open_model(data, model_file).tasks[TASK].found is None
+    assert open_model(data, model_file).rankings[TASK].found is None
 
 
 def test_pages_say_how_far_it_is_and_mark_nothing_that_is_not_known(workspace: Workspace) -> None:
-    task = workspace.tasks[TASK]
+    ranking = workspace.rankings[TASK]
     buttons = [f"b{i}" for i in range(4)]
-    assert "Results: ranking 0 of 9 queries" in pages.header(workspace, task)
-    before = pages.picker(workspace, task, [0, 1], 0, 0, 1, buttons)
+    assert "Results: ranking 0 of 9 queries" in pages.header(workspace, ranking.task)
+    before = pages.picker(workspace, ranking.task, [0, 1], 0, 0, 1, buttons)
     assert not any(sign in before for sign in ("✓", "✗"))
-    assert "when both have ranked" in model_comparison._changes(task, task, ("a", "b"), workspace)
-    assert task.standing.ask("me").wait(20)
-    assert "R@1" in pages.header(workspace, task)
-    assert any(sign in pages.picker(workspace, task, [0, 1], 0, 0, 1, buttons) for sign in ("✓", "✗"))
-    assert "alone finds" in model_comparison._changes(task, task, ("a", "b"), workspace)
+    assert "when both have ranked" in model_comparison._changes(ranking, ranking, ("a", "b"), workspace)
+    assert ranking.ask("me").wait(20)
+    assert "R@1" in pages.header(workspace, ranking.task)
+    assert any(sign in pages.picker(workspace, ranking.task, [0, 1], 0, 0, 1, buttons) for sign in ("✓", "✗"))
+    assert "alone finds" in model_comparison._changes(ranking, ranking, ("a", "b"), workspace)
 
 
 def test_a_ranking_that_nobody_waits_for_stands_still_and_goes_on(workspace: Workspace) -> None:
-    task = workspace.tasks[TASK]
-    with task.standing._turn:  # so that it cannot begin
-        given_up = task.standing.ask("me")
-        task.standing.leave("me")
-        going = task.standing.ask("you")
+    ranking = workspace.rankings[TASK]
+    with ranking._turn:  # so that it cannot begin
+        given_up = ranking.ask("me")
+        ranking.leave("me")
+        going = ranking.ask("you")
     assert given_up.wait(20)
     assert given_up.given_up
-    assert task.standing.flaw == ""
+    assert ranking.flaw == ""
     assert going.wait(20)
-    assert task.found is not None
+    assert ranking.found is not None
 
 
 def test_the_laboratory_waits_for_the_same_ranking(workspace: Workspace) -> None:
-    laboratory, task = Laboratory(workspace), workspace.tasks[TASK]
+    laboratory, ranking = Laboratory(workspace), workspace.rankings[TASK]
     job = laboratory.build(TASK, "me")
     assert job.wait(20)
     assert job.flaw is None
     found = laboratory.findings(TASK)
     assert found is not None
-    np.testing.assert_array_equal(found.outcomes.rank, task.ranks)
+    np.testing.assert_array_equal(found.outcomes.rank, ranking.ranks)
 
 
 def test_a_page_is_told_of_progress_and_of_the_end(workspace: Workspace) -> None:
-    one, other = workspace.tasks.values()
+    one, other = workspace.rankings.values()
     told, ends = [], threading.Semaphore(0)
-    follower = RankingProgress(lambda task: told.append(task.name), ends.release)
+    follower = RankingProgress(lambda ranking: told.append(ranking.task.name), ends.release)
     follower.follow(one, other)
     for _ in range(2):
         assert ends.acquire(timeout=20)
     assert one.found is not None
     assert other.found is not None
-    assert set(told) == {one.name}
+    assert set(told) == {one.task.name}
     follower.follow(other)
     until(lambda: follower._thread is None)
 
 
 def test_a_page_that_is_gone_waits_no_longer(workspace: Workspace) -> None:
-    task = workspace.tasks[TASK]
+    ranking = workspace.rankings[TASK]
     ended: list[int] = []
     follower = RankingProgress(lambda _: None, lambda: ended.append(1))
-    with task.standing._turn:
-        follower.follow(task)
-        until(lambda: task.standing._job is not None)
-        job = task.standing.ask("me")
-        task.standing.leave("me")
+    with ranking._turn:
+        follower.follow(ranking)
+        until(lambda: ranking._job is not None)
+        job = ranking.ask("me")
+        ranking.leave("me")
         follower.leave()
     assert job.wait(20)
     assert job.given_up
     assert not ended
     until(lambda: follower._thread is None)
-    follower.follow(task)  # an answer that was under way when it left
+    follower.follow(ranking)  # an answer that was under way when it left
     assert follower._thread is None
-    assert task.standing._job is job
+    assert ranking._job is job
 
 
 def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(workspace: Workspace) -> None:
-    task = workspace.tasks[TASK]
-    spoilt = np.array(task.descriptors)
-    spoilt[0, 0, 0] = np.nan
-    broken = ranking_job.RankingJob(ranking_cache.Sides(task.asked, spoilt, task.query_labels, task.labels), None)
+    ranking = workspace.rankings[TASK]
+    damaged = np.array(ranking.task.gallery_descriptors)
+    damaged[0, 0, 0] = np.nan
+    broken = ranking_job.RankingJob(replace(ranking.task, gallery_descriptors=damaged, geometry=None))
     with pytest.raises(LPNError, match="not finite"):
         broken.wait("me", lambda *_: None)
     assert "not finite" in broken.flaw
@@ -157,18 +159,18 @@ def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(workspace: W
 def test_a_ranking_that_failed_once_can_be_asked_for_again(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    task = workspace.tasks[TASK]
+    ranking = workspace.rankings[TASK]
     with monkeypatch.context() as patched:
-        patched.setattr(ranking_cache, "keep", lambda *_: 1 / 0)
+        patched.setattr(ranking_cache, "save", lambda *_: 1 / 0)
         with pytest.raises(LPNError, match="ZeroDivisionError"):
-            task.standing.wait("me", lambda *_: None)
-    assert task.standing.wait("me", lambda *_: None) is task.standing.found
+            ranking.wait("me", lambda *_: None)
+    assert ranking.wait("me", lambda *_: None) is ranking.found
 
 
 def test_a_page_whose_telling_fails_can_follow_again(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    task, told = workspace.tasks[TASK], []
+    ranking, told = workspace.rankings[TASK], []
 
-    def tell(shown: Task) -> None:
+    def tell(shown: RankingJob) -> None:
         told.append(shown)
         if threading.current_thread().name == "explorer-follower" and len(told) < 3:
             raise RuntimeError("the page is not there yet")
@@ -176,7 +178,7 @@ def test_a_page_whose_telling_fails_can_follow_again(workspace: Workspace, monke
     monkeypatch.setattr(threading, "excepthook", lambda _: None)
     ended = threading.Event()
     follower = RankingProgress(tell, ended.set)
-    follower.follow(task)
+    follower.follow(ranking)
     until(lambda: follower._thread is None)
-    follower.follow(task)
-    assert task.found is not None or ended.wait(20)
+    follower.follow(ranking)
+    assert ranking.found is not None or ended.wait(20)

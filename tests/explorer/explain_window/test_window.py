@@ -76,8 +76,8 @@ def test_the_page_holds_every_cell_and_its_mate(workspace: Workspace) -> None:
 
 def test_a_contest_is_between_the_truth_and_what_it_is_compared_with(workspace: Workspace) -> None:
     task = workspace.tasks["drone-to-satellite"]
-    late = int(np.argmax(task.ranks))
-    assert task.ranks[late] > 0
+    late = int(np.argmax(workspace.rankings[task.name].ranks))
+    assert workspace.rankings[task.name].ranks[late] > 0
     contest = Comparison.of(analysed(workspace, query=late))
     assert contest is not None
     assert (contest.ahead.true, contest.rival.rank) == (True, 1)
@@ -95,7 +95,7 @@ def test_a_contest_is_between_the_truth_and_what_it_is_compared_with(workspace: 
 
 def test_the_waterfall_and_the_smallest_change_are_said(workspace: Workspace) -> None:
     task = workspace.tasks["drone-to-satellite"]
-    for query in np.flatnonzero(task.ranks > 0):
+    for query in np.flatnonzero(workspace.rankings[task.name].ranks > 0):
         analysis = analysed(workspace, query=int(query))
         contest = Comparison.of(analysis)
         assert contest is not None
@@ -110,7 +110,7 @@ def test_the_waterfall_and_the_smallest_change_are_said(workspace: Workspace) ->
         assert "The smallest change" in html
         effect = Effect(50.0, 40.0, np.array([1]), np.array([2, 3]), 13)
         assert "it harms" in comparison.page(analysis, workspace, contest, effect, False)
-    first = analysed(workspace, query=int(np.flatnonzero(task.ranks == 0)[0]))
+    first = analysed(workspace, query=int(np.flatnonzero(workspace.rankings[task.name].ranks == 0)[0]))
     assert "first already" in comparison.page(first, workspace, Comparison.of(first), None, False)
 
 
@@ -120,7 +120,7 @@ def test_a_profile_is_drawn_from_its_first_point_on(workspace: Workspace) -> Non
     task = analysis.task
     changes = sweeps.changes_over("rotation", 45)
     steps = sweeps.profile(
-        workspace.model, analysis.source, "drone", task.descriptors, analysis.ranking.weights, changes, task.labels,
+        workspace.model, analysis.source, "drone", task.gallery_descriptors, analysis.ranking.weights, changes, task.gallery_labels,
         int(task.query_labels[0]),
     )  # fmt: skip
     points = [next(steps)]
@@ -144,7 +144,9 @@ def test_a_region_ranks_by_what_its_cells_add(workspace: Workspace) -> None:
     assert whole.query.trace is not None
     cells = np.zeros((4, 4), bool)
     cells.reshape(-1)[[5, 6, 9]] = True
-    added = [explain.side(whole.query.trace, tile).cells.mean(axis=0)[cells].sum() for tile in whole.task.descriptors]
+    added = [
+        explain.side(whole.query.trace, tile).cells.mean(axis=0)[cells].sum() for tile in whole.task.gallery_descriptors
+    ]
     assert [match.index for match in part.matches] == np.argsort(-np.array(added), kind="stable")[:10].tolist()
     for match in part.matches:
         assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-5)

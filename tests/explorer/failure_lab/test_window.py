@@ -42,8 +42,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Wor
     (data / "metadata.csv").write_text("\n".join(lines))
     opened = open_model(data, model_file)
     # An untrained network finds some places of 13, and which ones is up to its weights: these tests need both kinds.
-    task = opened.tasks[TASK]
-    assert 0 < (task.ranks > 0).sum() < 13
+    assert 0 < (opened.rankings[TASK].ranks > 0).sum() < 13
     return opened
 
 
@@ -78,7 +77,7 @@ def test_the_table_is_made_once_for_all_who_ask(laboratory: Laboratory) -> None:
 
 
 def test_ranks_are_those_of_the_explorer(workspace: Workspace, found: Findings) -> None:
-    np.testing.assert_array_equal(found.outcomes.rank, workspace.tasks[TASK].ranks)
+    np.testing.assert_array_equal(found.outcomes.rank, workspace.rankings[TASK].ranks)
     assert found.table.columns["part"].values[0] in workspace.part_names
     assert {"distance", "altitude", "weather", "tags"} <= set(found.table.columns)
 
@@ -204,7 +203,7 @@ def test_a_report_says_all_that_chose_and_ordered_its_queries(found: Findings, l
 
 def test_pairs_and_parts_choose_the_failures_they_count(workspace: Workspace, found: Findings, lab: LabState) -> None:
     task = found.task
-    for one in breakdown.confusions(found.outcomes, task.query_labels, task.labels):
+    for one in breakdown.confusions(found.outcomes, task.query_labels, task.gallery_labels):
         pick = lab_state.pick_pair(found, lab, one.place, one.answered)
         assert pick is not None
         assert pick.rows.tolist() == one.queries.tolist()
@@ -339,7 +338,7 @@ def test_a_map_is_kept_until_something_on_it_changes(laboratory: Laboratory, fou
         assert chosen.picks[0].rows.tolist() == list(range(13))
         for wrong in ([kind, [0, 0]], ["umap", [0, 0], [1, 1]], [kind, [0, 0], [2, 1]], None):
             assert messages.rectangle(shown, wrong, view.drawn) is None
-    assert messages.map_kind(lab, replace(found, task=replace(found.task, places=None)), "ground") is None
+    assert messages.map_kind(lab, replace(found, task=replace(found.task, geometry=None)), "ground") is None
 
 
 def test_names_and_metadata_never_become_html(workspace: Workspace, found: Findings, lab: LabState) -> None:

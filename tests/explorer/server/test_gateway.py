@@ -241,7 +241,7 @@ def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[Talker]:
         talker.wait(lambda: talker.status("angle") == "30")
         workspace = app_workspace(app)
         task = workspace.tasks["drone-to-satellite"]
-        state = SessionState(task.name, 4, query=task.names.index("0005"), angle=30.0)
+        state = SessionState(task.name, 4, query=task.query_names.index("0005"), angle=30.0)
         answer = StateAnalyser(workspace).analyse(state, 10)
         assert talker.status("top") == str(answer.matches[0].index)
         assert "Traceback" not in capfd.readouterr().err

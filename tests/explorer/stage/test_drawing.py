@@ -66,7 +66,7 @@ def test_answers_reuse_what_did_not_change_and_are_exact(workspace: Workspace) -
         assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-6)
     task = workspace.tasks["drone-to-satellite"]
     found = [analyser.analyse(replace(state, query=q), 10).truth for q in range(len(task.queries))]
-    assert [truth.rank - 1 for truth in found if truth] == task.ranks.tolist()
+    assert [truth.rank - 1 for truth in found if truth] == workspace.rankings[task.name].ranks.tolist()
 
 
 def test_words_name_the_part_that_decides(workspace: Workspace) -> None:
@@ -76,11 +76,11 @@ def test_words_name_the_part_that_decides(workspace: Workspace) -> None:
     for query in range(len(task.queries)):
         analysis = analyser.analyse(SessionState(task.name, 4, query=query), 10)
         true, headline, reason = answer_text.verdict(analysis, workspace.part_names)
-        assert true == (task.ranks[query] == 0)
+        assert true == (workspace.rankings[task.name].ranks[query] == 0)
         assert any(f"part {name}" in reason for name in workspace.part_names)
         seen.add(true)
         if not true:
-            assert answer_text.ordinal(int(task.ranks[query]) + 1) in headline
+            assert answer_text.ordinal(int(workspace.rankings[task.name].ranks[query]) + 1) in headline
     own = analyser.analyse(SessionState(task.name, 4, upload=Upload("own", small_worlds.place(50))), 10)
     assert answer_text.verdict(own, workspace.part_names)[0] is None
     assert [answer_text.ordinal(i) for i in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
@@ -100,11 +100,11 @@ def test_names_from_files_never_become_html(workspace: Workspace) -> None:
 def test_a_true_tile_below_the_list_is_offered(workspace: Workspace) -> None:
     task = workspace.tasks["drone-to-satellite"]
     analyser = StateAnalyser(workspace)
-    late = int(np.argmax(task.ranks))
+    late = int(np.argmax(workspace.rankings[task.name].ranks))
     analysis = analyser.analyse(SessionState(task.name, 4, query=late), 1)
     html = unescape(pages.matches(analysis, workspace, ["first", "truth"]))
-    assert ("lpn-truth" in html) == (task.ranks[late] > 0)
-    assert ('getElementById("truth")' in html) == (task.ranks[late] > 0)
+    assert ("lpn-truth" in html) == (workspace.rankings[task.name].ranks[late] > 0)
+    assert ('getElementById("truth")' in html) == (workspace.rankings[task.name].ranks[late] > 0)
 
 
 def test_a_model_without_the_views_of_the_data_is_refused(tmp_path: Path, model_file: Path) -> None:

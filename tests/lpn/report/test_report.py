@@ -15,9 +15,10 @@ import pytest
 import lpn
 from lpn import report, retrieval
 from lpn.analysis.notes import NAME as NOTES
-from lpn.analysis.task import Study, open_study
+from lpn.analysis.task import Task, open_task
 from lpn.cli import main
 from lpn.core import images
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
@@ -26,6 +27,7 @@ from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect, Reweighting, Standing, Without
 from lpn.explain.sweeps import Point, Profile
 from lpn.report import Options, Own
+from lpn.retrieval import Ranking, scoring
 from tools.fixtures import small_worlds
 
 VOID = {"meta", "img", "br", "line", "rect", "circle", "polyline"}
@@ -69,20 +71,24 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def study(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Study:
+def task(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Task:
     """The drawn places under the drawn model."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("cache")))
-        return open_study(lpn.load(model_file), "model.onnx", open_dataset(data))
+        return open_task(lpn.load(model_file), "model.onnx", open_dataset(data))
 
 
-def worst(study: Study) -> int:
+def rank(task: Task, descriptor: Float32Array, query: int) -> Ranking:
+    return task.rank(query, scoring.part_cosines(descriptor, task.gallery_descriptors), task.part_weights)
+
+
+def worst(task: Task) -> int:
     """The query whose truth is farthest behind."""
-    return int(np.argmin(study.outcomes.margin))
+    return int(np.argmin(task.outcomes.margin))
 
 
-def test_one_file_holds_everything_and_reaches_for_nothing(study: Study) -> None:
-    page = Page(report.build(study, [worst(study), 3], made=datetime(2031, 5, 6, tzinfo=UTC)))
+def test_one_file_holds_everything_and_reaches_for_nothing(task: Task) -> None:
+    page = Page(report.build(task, [worst(task), 3], made=datetime(2031, 5, 6, tzinfo=UTC)))
     names = {tag for tag, _ in page.elements}
     assert not names & {"script", "link", "iframe", "object", "base", "form"}
     for _, attributes in page.elements:
@@ -100,33 +106,33 @@ def test_one_file_holds_everything_and_reaches_for_nothing(study: Study) -> None
     assert [section["id"] for section in page.all("section")] == ["q1", "q2"]
     links = {link["href"] for link in page.all("a")}
     assert {"#q1", "#q2", "#top"} == links
-    for said in ("2031-05-06", study.model.fingerprint, "drone-to-satellite", "14 queries", "R@1", "Protocol"):  # type: ignore[union-attr]
+    for said in ("2031-05-06", task.model.fingerprint, "drone-to-satellite", "14 queries", "R@1", "Protocol"):  # type: ignore[union-attr]
         assert said in page.text
 
 
-def test_the_numbers_are_those_of_the_outcomes_and_add_up(study: Study) -> None:
-    query = worst(study)
-    outcomes = study.outcomes
-    text = Page(report.build(study, [query])).text
+def test_the_numbers_are_those_of_the_outcomes_and_add_up(task: Task) -> None:
+    query = worst(task)
+    outcomes = task.outcomes
+    text = Page(report.build(task, [query])).text
     assert outcomes.rank[query] > 0
     assert f"Wrong: the true tile is {verdicts.ordinal(int(outcomes.rank[query]) + 1)}" in text
     shares = [float(value) for value in re.findall(r"part [^:\n]*: ([\d.]+)", text)]
-    listed = min(5, len(study.gallery)) + (outcomes.rank[query] >= 5)
+    listed = min(5, len(task.gallery)) + (outcomes.rank[query] >= 5)
     sums = np.array(shares).reshape(listed, 4).sum(axis=1)
-    ranking = study.rank(study.asked[query], query)
+    ranking = rank(task, task.query_descriptors[query], query)
     expected = [match.distance2 for match in ranking.top(5)]
     np.testing.assert_allclose(sums[:5], expected, atol=5e-4)
     steps = 2 * outcomes.parts[query]
     for step in (*steps, steps.sum()):
         assert f"{step:+.3f}" in text
-    assert f"{study.figures['recall@1']:.1f} %" in text
+    assert f"{task.figures['recall@1']:.1f} %" in text
     without = counterfactual.without(ranking)
     assert without is not None
-    assert verdicts.left_out(without, study.part_names) in text
+    assert verdicts.left_out(without, task.part_names) in text
 
 
-def test_evidence_bars_add_up_to_each_parts_share(study: Study) -> None:
-    text = Page(report.build(study, [worst(study)])).text
+def test_evidence_bars_add_up_to_each_parts_share(task: Task) -> None:
+    text = Page(report.build(task, [worst(task)])).text
     cells = [[float(v) for v in re.findall(rf"{name}: ([+-][\d.]+)", text)] for name in ("cells for", "cells against")]
     constants = [float(value) for value in re.findall(r"constant: ([+-][\d.]+)", text)]
     scores = [float(value) for value in re.findall(r": score (-?[\d.]+)", text)]
@@ -140,7 +146,7 @@ def test_what_files_say_is_shown_and_never_obeyed(data: Path, model_file: Path, 
     path = next((root / "test" / "query_drone").rglob("*.png")).relative_to(root).as_posix()
     (root / "metadata.csv").write_text(f'path,<b>mood</b>\n{path},"{evil}"\n'.replace("<b>mood</b>", "mood & tone"))
     (root / NOTES).write_text(f'path,tags,note\n{path},odd,"{evil} & more"\n')
-    made = open_study(lpn.load(model_file), "<i>m</i>.onnx", open_dataset(root))
+    made = open_task(lpn.load(model_file), "<i>m</i>.onnx", open_dataset(root))
     found = report.build(made, [made.table.paths.index(path)], Options(chosen="<u>mine</u>"))
     page = Page(found)
     assert b"<script" not in found
@@ -152,70 +158,70 @@ def test_what_files_say_is_shown_and_never_obeyed(data: Path, model_file: Path, 
 
 def test_metres_are_said_where_the_map_is_known(data: Path, model_file: Path, tmp_path: Path) -> None:
     root = small_worlds.map_dataset(shutil.copytree(data, tmp_path / "places"))
-    made = open_study(lpn.load(model_file), "model.onnx", open_dataset(root))
+    made = open_task(lpn.load(model_file), "model.onnx", open_dataset(root))
     text = Page(report.build(made, [worst(made)])).text
     metres = made.table.column("distance").values[worst(made)]
     assert f"The answer is {metres:,.0f} m off." in text
     assert "off by" in text
 
 
-def test_a_picture_of_ones_own_has_no_verdict_and_a_chosen_tile_is_compared(study: Study) -> None:
-    picture = images.load_picture(study.queries[2].path)
-    text = Page(report.build(study, [Own("mine.jpg", picture)], Options(against=5))).text
+def test_a_picture_of_ones_own_has_no_verdict_and_a_chosen_tile_is_compared(task: Task) -> None:
+    picture = images.load_picture(task.queries[2].path)
+    text = Page(report.build(task, [Own("mine.jpg", picture)], Options(against=5))).text
     assert "Its true place is not known here" in text
     assert "Tile looked at" in text or "Top match" in text
-    assert study.gallery[5].name in text
+    assert task.gallery[5].name in text
     assert "against wrong tile" not in text
-    again = Page(report.build(study, [2], Options(against=5))).text
-    assert f"against wrong tile {study.gallery[5].name}" in again
+    again = Page(report.build(task, [2], Options(against=5))).text
+    assert f"against wrong tile {task.gallery[5].name}" in again
     with pytest.raises(InputError, match="no gallery picture 99"):
-        report.build(study, [2], Options(against=99))
+        report.build(task, [2], Options(against=99))
 
 
-def test_saved_descriptors_are_reported_without_evidence(study: Study) -> None:
-    saved = replace(study, model=None, model_name="result.mat")
-    page = Page(report.build(saved, [worst(study)]))
+def test_saved_descriptors_are_reported_without_evidence(task: Task) -> None:
+    saved = replace(task, model=None, model_name="result.mat")
+    page = Page(report.build(saved, [worst(task)]))
     assert "Evidence for and against" not in page.text
     assert "against wrong tile" in page.text
     for options in (Options(profile=True), Options(change=Change(rotate=30))):
         with pytest.raises(InputError, match="without their network"):
             report.build(saved, [0], options)
     with pytest.raises(InputError, match="a query of its own"):
-        report.build(saved, [Own("mine.jpg", images.load_picture(study.queries[2].path))])
+        report.build(saved, [Own("mine.jpg", images.load_picture(task.queries[2].path))])
 
 
-def test_a_profile_is_drawn_and_progress_tells_of_each_step(study: Study) -> None:
+def test_a_profile_is_drawn_and_progress_tells_of_each_step(task: Task) -> None:
     seen: list[tuple[int, int]] = []
-    page = Page(report.build(study, [4, 1], Options(profile=True, step=90), lambda *done: seen.append(done)))
+    page = Page(report.build(task, [4, 1], Options(profile=True, step=90), lambda *done: seen.append(done)))
     assert seen == [(step, 10) for step in range(1, 11)]
     assert page.text.count("The query turned once around") == 2
     assert len(page.all("polyline")) == 2 * (4 + 3)
-    assert "The query turned once around" not in Page(report.build(study, [4])).text
+    assert "The query turned once around" not in Page(report.build(task, [4])).text
 
 
-def test_what_progress_raises_ends_the_work(study: Study) -> None:
+def test_what_progress_raises_ends_the_work(task: Task) -> None:
     def stop(*_: int) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        report.build(study, [4, 1], progress=stop)
+        report.build(task, [4, 1], progress=stop)
 
 
-def test_changed_queries_and_weights_are_said(study: Study) -> None:
-    weighted = replace(study, weights=[0, 1, 1, 2])
+def test_changed_queries_and_weights_are_said(task: Task) -> None:
+    weighted = replace(task, weights=[0, 1, 1, 2])
     text = Page(report.build(weighted, [1], Options(change=Change(rotate=30)))).text
     assert "queries turned 30° first" in text
     assert "part weights 0 : 25 : 25 : 50 %" in text
-    picture = images.load_picture(study.queries[1].path)
-    assert study.model is not None
-    seen = retrieval.describe_picture(study.model, picture, "drone", Change(rotate=30))
-    assert f"d² {weighted.rank(seen.descriptor, 1).match(0).distance2:.3f}" in text
+    picture = images.load_picture(task.queries[1].path)
+    assert task.model is not None
+    seen = retrieval.describe_picture(task.model, picture, "drone", Change(rotate=30))
+    assert f"d² {rank(weighted, seen.descriptor, 1).match(0).distance2:.3f}" in text
 
 
 @pytest.mark.parametrize("queries", [[], [99], [-1], [0] * 201])
-def test_a_selection_that_cannot_be_reported_is_refused(study: Study, queries: list[int]) -> None:
+def test_a_selection_that_cannot_be_reported_is_refused(task: Task, queries: list[int]) -> None:
     with pytest.raises(InputError):
-        report.build(study, queries)
+        report.build(task, queries)
 
 
 def standings(now: int, without: list[int | None], alone: list[int]) -> Without:
@@ -268,14 +274,14 @@ def run(data: Path, model_file: Path, *more: object) -> int:
 
 
 def test_the_worst_failures_come_first(
-    data: Path, model_file: Path, tmp_path: Path, study: Study, capsys: pytest.CaptureFixture[str]
+    data: Path, model_file: Path, tmp_path: Path, task: Task, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "new" / "report.html"
     assert run(data, model_file, "--failures", 2, "--out", out) == 0
     page = Page(out.read_bytes())
-    order = [study.queries[i].name for i in np.argsort(study.outcomes.margin, kind="stable")[:2]]
+    order = [task.queries[i].name for i in np.argsort(task.outcomes.margin, kind="stable")[:2]]
     assert re.findall(r" Query (\S+)", page.text) == order
-    assert f"the worst of {int(study.outcomes.failed.sum())} failures" in page.text
+    assert f"the worst of {int(task.outcomes.failed.sum())} failures" in page.text
     assert "2 queries" in capsys.readouterr().out
     assert list(out.parent.iterdir()) == [out]
     assert run(data, model_file, "--where", f"name = {order[1]}", "--out", out) == 0
@@ -306,10 +312,10 @@ def test_mistakes_get_one_sentence_and_leave_no_file(
     data: Path,
     model_file: Path,
     tmp_path: Path,
-    study: Study,
+    task: Task,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    del study
+    del task
     out = tmp_path / "report.html"
     assert run(data, model_file, *given, "--out", out) == 2
     said = capsys.readouterr().err

@@ -5,16 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explorer.stage import gallery_geometry
+from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.datasets import geo, open_dataset
 from lpn.datasets.geo import Position, Positions
+from lpn.drawing import mosaic
 from tools.fixtures import small_worlds
 
 
-def laid_out(root: Path) -> tuple[gallery_geometry.Places, list[Path]]:
+def laid_out(root: Path) -> tuple[GalleryGeometry, list[Path]]:
     dataset, where = open_dataset(root), Positions(root)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
-    return gallery_geometry.places(where.of(queries), where.of(gallery)), [picture.path for picture in gallery]
+    return GalleryGeometry.of(where.of(queries), where.of(gallery)), [picture.path for picture in gallery]
 
 
 @pytest.fixture(scope="module")
@@ -32,11 +33,11 @@ def test_tiles_lie_where_their_positions_say(root: Path) -> None:
     assert west == pytest.approx(laid.ground[:, 0].min() - 45)
     assert north == pytest.approx(laid.ground[:, 1].max() + 45)
     assert (east - west, north - south) == pytest.approx((3 * 100 + 90, 4 * 100 + 90), rel=0.02)
-    np.testing.assert_allclose(laid.off(3), geo.metres([laid.queries[3]] * 14, laid.tiles))
-    assert laid.off(3)[3] == pytest.approx(0, abs=1e-6)
-    found = laid.errors(np.where(np.arange(len(laid.queries)) == 2, -1, 0))
+    np.testing.assert_allclose(laid.errors_m(3), geo.metres([laid.queries[3]] * 14, laid.tiles))
+    assert laid.errors_m(3)[3] == pytest.approx(0, abs=1e-6)
+    found = laid.answer_errors_m(np.where(np.arange(len(laid.queries)) == 2, -1, 0))
     assert np.isinf(found).tolist() == [query == 2 for query in range(len(found))]
-    assert found[1] == pytest.approx(laid.off(1)[0])
+    assert found[1] == pytest.approx(laid.errors_m(1)[0])
 
 
 def test_the_picture_of_all_tiles_shows_each_at_its_place(tmp_path: Path) -> None:
@@ -46,11 +47,11 @@ def test_the_picture_of_all_tiles_shows_each_at_its_place(tmp_path: Path) -> Non
         small_worlds.write(tmp_path / f"{i}.png", np.full((40, 40, 3), colour, np.uint8))
         files.append(tmp_path / f"{i}.png")
     tiles = [Position(0.0, 0.0, width=100), Position(0.003, 0.0, width=100), Position(0.0, 0.003, width=100)]
-    laid = gallery_geometry.places(tiles, tiles)
-    picture = gallery_geometry.mosaic(laid, files)
+    laid = GalleryGeometry.of(tiles, tiles)
+    picture = mosaic.draw(laid, files)
     west, south, east, north = laid.bounds()
-    scale = gallery_geometry.LARGEST / max(east - west, north - south)
-    assert max(picture.shape[:2]) == gallery_geometry.LARGEST
+    scale = mosaic.LARGEST / max(east - west, north - south)
+    assert max(picture.shape[:2]) == mosaic.LARGEST
     for (x, y), colour in zip(laid.ground, colours, strict=True):
         assert picture[int((north - y) * scale), int((x - west) * scale)].tolist() == list(colour)
     assert picture[0, -1].max() < 60
@@ -58,5 +59,5 @@ def test_the_picture_of_all_tiles_shows_each_at_its_place(tmp_path: Path) -> Non
 
 def test_a_width_that_is_not_given_is_the_usual_distance() -> None:
     tiles = [Position(0.0, i * 0.001) for i in range(6)]
-    assert gallery_geometry.places(tiles, tiles).width == pytest.approx(111.3, abs=0.1)
-    assert gallery_geometry.places(tiles[:1], tiles[:1]).width == 100
+    assert GalleryGeometry.of(tiles, tiles).width == pytest.approx(111.3, abs=0.1)
+    assert GalleryGeometry.of(tiles[:1], tiles[:1]).width == 100

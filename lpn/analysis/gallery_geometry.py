@@ -1,0 +1,69 @@
+"""Positions of a task's queries and tiles on the ground, in metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array, Int64Array
+from lpn.datasets import geo
+from lpn.datasets.geo import Position
+
+_LONE_TILE_M = 100.0
+_SAMPLE = 500
+
+
+@dataclass(frozen=True, eq=False)
+class GalleryGeometry:
+    """The positions of one task's pictures.
+
+    Attributes:
+        queries, tiles: positions, in the order of the pictures.
+        origin: the middle of the tiles.
+        ground: metres east and north of the origin for each tile's centre, (G, 2).
+        width: metres of ground that a tile shows; by default the median distance to the nearest neighbour.
+    """
+
+    queries: list[Position]
+    tiles: list[Position]
+    origin: Position
+    ground: Float64Array
+    width: float
+
+    @classmethod
+    def of(cls, queries: list[Position], tiles: list[Position]) -> GalleryGeometry:
+        """Lay out a task's pictures around the middle of its tiles."""
+        latitudes, longitudes = ([getattr(tile, key) for tile in tiles] for key in ("latitude", "longitude"))
+        origin = Position((min(latitudes) + max(latitudes)) / 2, (min(longitudes) + max(longitudes)) / 2)
+        ground = geo.on_plane(tiles, origin)
+        widths = [tile.width for tile in tiles if tile.width is not None]
+        return cls(queries, tiles, origin, ground, float(np.median(widths)) if widths else _neighbour_distance(ground))
+
+    def errors_m(self, query: int) -> Float64Array:
+        """Metres from the place that a query shows to the centre of each tile, (G,)."""
+        return geo.metres_between(geo.radians([self.queries[query]]), self._radians)
+
+    def answer_errors_m(self, answers: Int64Array) -> Float64Array:
+        """Metres from the place that each query shows to its answer, (Q,); infinite where the answer is -1, that is, none."""
+        metres = geo.metres_between(geo.radians(self.queries), self._radians[answers])
+        return np.where(answers < 0, np.inf, metres)
+
+    @cached_property
+    def _radians(self) -> Float64Array:
+        return geo.radians(self.tiles)
+
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east, and north border of all tiles, in metres from the origin."""
+        low, high = self.ground.min(axis=0) - self.width / 2, self.ground.max(axis=0) + self.width / 2
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def _neighbour_distance(ground: Float64Array) -> float:
+    """The median distance to the nearest neighbour in metres, from an even sample of the tiles."""
+    if len(ground) < 2:
+        return _LONE_TILE_M
+    sample = ground[:: max(1, len(ground) // _SAMPLE)]
+    nearest = np.partition(np.linalg.norm(sample[:, None] - ground[None], axis=2), 1, axis=1)[:, 1]
+    return max(float(np.median(nearest)), 1.0)

@@ -1,0 +1,151 @@
+"""Resumable rankings of all queries of a task, cached on disk between runs.
+
+    <cache>/rankings/<key>.npz     first, true, false (Q,) int64, precision (Q,) float64, gallery: see `metrics.Retrieval`
+
+The key is a digest of both sides' descriptors and of the true matches, so that a stale ranking is never found. A file that is
+damaged, or that is about other numbers of pictures, counts as missing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import logging
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from tokenize import TokenError
+from zipfile import BadZipFile
+
+import numpy as np
+
+from lpn.analysis.task import Task
+from lpn.core.arrays import AnyArray
+from lpn.core.errors import OutputError
+from lpn.core.files import write_atomic
+from lpn.descriptors import cache_folder
+from lpn.retrieval import metrics
+from lpn.retrieval.metrics import Retrieval
+from lpn.retrieval.ranks import Ranked
+
+log = logging.getLogger(__name__)
+
+FORMAT = "lpn-ranking/1"
+# Queries ranked at a time; a ranking that is stopped loses the current step at most.
+STEP = 4096
+_COLUMNS = ("first", "true", "false", "precision")
+# Errors that NumPy raises for a damaged archive or array header.
+_DAMAGE = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    EOFError,
+    BadZipFile,
+    zlib.error,
+    NotImplementedError,
+    SyntaxError,
+    TokenError,
+    OverflowError,
+    MemoryError,
+    RuntimeError,
+)
+
+
+class ResumableRanking:
+    """The ranking of all queries of a task under equal part weights, for one thread at a time.
+
+    A call of `finish` that is interrupted by its `progress` is resumed by the next call.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+        self._steps: list[Ranked] = []
+
+    def finish(self, progress: Callable[[int, int], None]) -> Retrieval:
+        """Rank the queries that are not ranked yet.
+
+        Args:
+            progress: called with the numbers of ranked and of all queries; an exception that it raises stops the ranking.
+
+        Raises:
+            InputError: as for `metrics.retrieve`.
+        """
+        task, total = self._task, len(self._task.query_descriptors)
+        while (done := sum(len(step.first) for step in self._steps)) < total:
+            progress(done, total)
+            rows = slice(done, done + STEP)
+
+            def on_progress(count: int, _: int, before: int = done) -> None:
+                progress(before + count, total)
+
+            ranked = metrics.retrieve(
+                task.query_descriptors[rows],
+                task.query_labels[rows],
+                task.gallery_descriptors,
+                task.gallery_labels,
+                None if task.truth is None else task.truth[rows],
+                progress=on_progress,
+            )
+            self._steps.append(ranked)
+        return metrics.joined(self._steps, len(task.gallery_descriptors))
+
+
+def cost(task: Task) -> int:
+    """Multiplications that the ranking of a task takes."""
+    return task.query_descriptors.size * len(task.gallery_descriptors)
+
+
+def cache_file(task: Task) -> Path | None:
+    """The file of a task's ranking; None where the descriptors have no identity or there is no cache folder."""
+    if not task.identity:
+        return None
+    try:
+        folder = cache_folder() / "rankings"
+    except OutputError:
+        return None
+    digest = hashlib.sha256(f"{FORMAT} {task.identity}".encode())
+    for labels in (task.query_labels, task.gallery_labels):
+        digest.update(np.ascontiguousarray(labels, np.int64).tobytes() + b"|")
+    for truth in task.truth or ():
+        digest.update(truth.good.astype(np.int64).tobytes() + b"/" + truth.junk.astype(np.int64).tobytes() + b"|")
+    return folder / f"{digest.hexdigest()[:24]}.npz"
+
+
+def save(task: Task, ranking: Retrieval) -> None:
+    """Write a ranking to the cache; log a warning where that fails."""
+    file = cache_file(task)
+    if file is None:
+        return
+    data = io.BytesIO()
+    np.savez(data, gallery=ranking.gallery, **{name: getattr(ranking, name) for name in _COLUMNS})
+    try:
+        write_atomic(file, data.getvalue())
+    except OutputError as error:
+        log.warning("The ranking is not kept for the next time: %s", error)
+
+
+def load(task: Task) -> Retrieval | None:
+    """Read a task's ranking from the cache; None where it is missing or damaged."""
+    file = cache_file(task)
+    if file is None:
+        return None
+    try:
+        with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as archive:
+            columns = [archive[name] for name in _COLUMNS]
+            gallery = int(archive["gallery"])
+    except _DAMAGE:
+        return None
+    if not all(isinstance(column, np.ndarray) for column in columns):
+        return None
+    queries, tiles = len(task.query_descriptors), len(task.gallery_descriptors)
+    first, true, false, precision = columns
+    positions_valid = all(_valid(column, np.int64, queries, -1, tiles - 1) for column in (first, true, false))
+    if gallery != tiles or not positions_valid or not _valid(precision, np.float64, queries, 0, 1):
+        return None
+    return Retrieval(first, true, false, precision, tiles)
+
+
+def _valid(column: AnyArray, dtype: type, length: int, low: int, high: int) -> bool:
+    """Whether a column has the dtype, the length, and values within low .. high."""
+    return column.dtype == dtype and column.shape == (length,) and bool(((column >= low) & (column <= high)).all())
