@@ -56,7 +56,7 @@ class TrainCommand:
         trainer = import_module("lpn.training.trainer").Trainer
         dataset = import_module("lpn.datasets").open_dataset(self.data)
         group = import_module("lpn.training.multi_process").join()
-        run = group.together(
+        run = group.run_on_all(
             lambda: trainer(
                 dataset,
                 self.out,
@@ -72,7 +72,7 @@ class TrainCommand:
         run.console.print(f"Recipe {self.recipe}: {self.settings.to_json()}")
         model = run.run()
         group.leave()
-        if group.leads:
+        if group.is_leader:
             print(f"The model is in {model}.")
 
     def resume_hint(self) -> str:

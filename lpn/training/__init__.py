@@ -1,3 +1,5 @@
-"""Training: recipes, batches, losses, optimizer, checkpoints to resume from, and the log of a run.
+"""Training: recipes, batches, losses, optimizer, resume state, and the log of a run.
 
-It imports `retrieval` and the packages below it, and needs the extra `train`."""
+It imports `retrieval` and the packages below it; `report`, `reproduce`, `doctor`, and `cli` import it. It needs the extra
+`train`; `lpn.training.recipes` alone runs without torch.
+"""

@@ -1,4 +1,4 @@
-"""Random changes to training pictures: compression, one geometric warp, then colour."""
+"""Random augmentation of training pictures: JPEG compression, one geometric warp, then colour."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from lpn.core.views import View
 from lpn.training.recipes import Recipe
 
 
-def place_draw(recipe: Recipe, rng: np.random.Generator) -> tuple[float, bool]:
-    """What all views of a place share this time: an angle in degrees, and whether they are mirrored."""
+def draw_place_pose(recipe: Recipe, rng: np.random.Generator) -> tuple[float, bool]:
+    """Draw the rotation in degrees and the mirroring that all views of a place share."""
     return float(rng.uniform(-1, 1)) * recipe.place_rotation, recipe.flip == "place" and rng.random() < 0.5
 
 
@@ -28,17 +28,18 @@ def augment(
     view: View,
     panorama: bool = False,
 ) -> UInt8Array:
-    """One random version of a picture at the recipe's input size: (height, width, 3) uint8.
+    """Augment a picture and resize it to the recipe's input size: (height, width, 3) uint8.
 
     Args:
-        angle: degrees counter-clockwise the whole place is turned, mirror: whether it is mirrored, see `place_draw`.
-        view: the satellite alone has its further rotation, and is unrolled where the recipe says so.
-        panorama: the picture shows the full circle, north in the middle; it is turned by moving its columns around.
+        angle: rotation of the whole place, in degrees counter-clockwise; see `draw_place_pose`.
+        mirror: mirror the whole place.
+        view: the satellite view alone has a further rotation, and is unrolled if the recipe is polar.
+        panorama: the picture covers the full circle with north in the middle, so a rotation rolls its columns.
     """
     height, width = recipe.input_size
     unrolled = recipe.polar and view == "satellite"
     if recipe.compression and rng.random() < recipe.compression:
-        picture = _compressed(picture, int(rng.integers(40, 96)))
+        picture = _compress(picture, int(rng.integers(40, 96)))
     if mirror or (recipe.flip == "picture" and rng.random() < 0.5):
         picture = cast(UInt8Array, np.ascontiguousarray(picture[:, ::-1]))
     if panorama:
@@ -50,31 +51,30 @@ def augment(
         angle += float(rng.uniform(-1, 1)) * recipe.rotation
         if view == "satellite":
             angle += float(rng.uniform(-1, 1)) * recipe.satellite_rotation
-        picture = _warped(picture, angle, recipe, rng)
+        picture = _warp(picture, angle, recipe, rng)
         picture = images.polar(picture, height, width) if unrolled else images.resize(picture, height, width)
     return _recolour(picture, recipe.colour, rng) if recipe.colour else picture
 
 
-def _warped(picture: UInt8Array, angle: float, recipe: Recipe, rng: np.random.Generator) -> UInt8Array:
-    """Turned, scaled, and shifted in one step."""
+def _warp(picture: UInt8Array, angle: float, recipe: Recipe, rng: np.random.Generator) -> UInt8Array:
+    """Rotate, scale, and shift in one interpolation."""
     scale = math.exp(float(rng.uniform(-1, 1)) * recipe.scale)
     height, width = picture.shape[:2]
     matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, scale)
     matrix[:, 2] = matrix[:, 2] + rng.uniform(-1, 1, 2) * recipe.shift * (width, height)
-    black = rng.random() < recipe.black_corners
-    turned = cv2.BORDER_CONSTANT if black else cv2.BORDER_REFLECT_101
-    border = turned if angle else cv2.BORDER_REPLICATE
+    corners = cv2.BORDER_CONSTANT if rng.random() < recipe.black_corners else cv2.BORDER_REFLECT_101
+    border = corners if angle else cv2.BORDER_REPLICATE
     return cast(UInt8Array, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=border))
 
 
-def _compressed(picture: UInt8Array, quality: int) -> UInt8Array:
-    """What is left of a picture after JPEG; a network that has seen only one quality leans on its traces."""
+def _compress(picture: UInt8Array, quality: int) -> UInt8Array:
+    """Compress as JPEG: a network trained on one quality overfits to its artefacts."""
     _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     return cast(UInt8Array, cv2.cvtColor(cast(UInt8Array, cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB))
 
 
 def _recolour(picture: UInt8Array, strength: float, rng: np.random.Generator) -> UInt8Array:
-    """Brightness, colour cast, contrast, and now and then grey."""
+    """Change brightness, colour cast, and contrast, and sometimes remove all colour."""
     values = picture.astype(np.float32)
     gain = (1 + 0.3 * strength * rng.uniform(-1, 1)) * (1 + 0.15 * strength * rng.uniform(-1, 1, 3))
     values = values * gain.astype(np.float32) + np.float32(20 * strength * rng.uniform(-1, 1))

@@ -1,10 +1,9 @@
-"""What a training changes, one step at a time: the network, its optimizer, and the average of its weights."""
+"""The state that one training step changes: the network, its optimizer, and the average of its weights."""
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -16,7 +15,7 @@ from lpn.models.network import LPN
 from lpn.training.loader import TrainingBatch
 from lpn.training.losses import total_loss
 from lpn.training.multi_process import ProcessGroup
-from lpn.training.optimizer import Arithmetic, build_optimizer, follow, rate_factor
+from lpn.training.optimizer import MixedPrecision, average_weights, build_optimizer, rate_factor
 from lpn.training.recipes import Recipe
 
 
@@ -24,78 +23,93 @@ class Learner:
     """A network in training.
 
     Args:
-        network: moved to the group's device, channels last, which is the quicker order for its convolutions.
+        network: moved to the group's device, in channels-last order, which makes its convolutions faster.
         recipe: optimizer, rates, losses, and precision.
-        group: the processes that share the training; `share_out` joins their networks.
+        group: the processes that share the training; `distribute` connects their gradients.
     """
 
     def __init__(self, network: LPN, recipe: Recipe, group: ProcessGroup) -> None:
         self.network, self.recipe, self.group = network, recipe, group
         network.to(group.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        # What is saved and tested is the first process's.
-        self.average = copy.deepcopy(network) if recipe.ema and group.leads else None
-        self.arithmetic = Arithmetic(recipe, group.device)
+        # Only the leader saves and tests the average.
+        self.average = average_weights(network, recipe.ema) if recipe.ema and group.is_leader else None
+        self.arithmetic = MixedPrecision(recipe, group.device)
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]
-        self.views: nn.Module = Views(network, recipe.joint_views)
+        self.views: nn.Module = MultiViewNetwork(network, recipe.joint_views)
 
-    def share_out(self) -> None:
-        """Let the processes' gradients be averaged from now on; on GPUs, BatchNorm sees the pictures of all."""
+    def distribute(self) -> None:
+        """Average the gradients of all processes from now on; on GPUs, BatchNorm sees the whole batch."""
         if self.group.size == 1 or isinstance(self.views, DistributedDataParallel):
             return
         device = self.group.device
         cuda = device.type == "cuda"
         if cuda:
             nn.SyncBatchNorm.convert_sync_batchnorm(self.network)  # type: ignore[no-untyped-call]
-        # A static graph allows for heads that the recipe's loss does not use.
+        # A static graph allows heads that the recipe's loss does not use.
         self.views = DistributedDataParallel(self.views, device_ids=[device.index] if cuda else None, static_graph=True)
 
     def step(self, batch: TrainingBatch, step: int, steps: int) -> tuple[Tensor, float]:
-        """One step, counted from 0 over all epochs of `steps` each: the loss of the whole batch, and the heads' rate."""
+        """Take one training step.
+
+        Args:
+            step: number of the step, from 0, over all epochs.
+            steps: steps per epoch.
+
+        Returns:
+            The loss of the whole batch and the learning rate of the heads.
+        """
         factor = rate_factor(self.recipe, step, steps)
         for parameters, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
             parameters["lr"] = rate * factor
-        with self.arithmetic.forward():
+        with self.arithmetic.autocast():
             outputs = self.views(batch.sets)
         loss = total_loss(self.group.gather(outputs), batch.places, self.recipe)
         self.arithmetic.step(loss, self.optimizer)
         if self.average is not None:
-            follow(self.average, self.network, self.recipe.ema, step)
+            # A resumed run knows its step, so the count need not be saved.
+            self.average.n_averaged.fill_(step + 1)
+            self.average.update_parameters(self.network)
         return loss.detach(), self.rates[-1] * factor
 
-    def finite(self) -> bool:
-        """Whether every weight is a number."""
+    def is_finite(self) -> bool:
+        """Check that every weight is a finite number."""
         return all(bool(torch.isfinite(tensor).all()) for tensor in self.network.state_dict().values())
 
     def save_model(self, path: Path, metadata: dict[str, str]) -> None:
-        """Write the model, which is the average where there is one."""
-        checkpoints.save(self.average or self.network, path, metadata)
+        """Write the averaged model, or the model itself if the recipe has no average."""
+        model = self.network if self.average is None else cast(LPN, self.average.module)
+        checkpoints.save(model, path, metadata)
 
     def state(self) -> dict[str, Any]:
-        """All that the next step depends on, as tensors and numbers."""
+        """Return everything the next step depends on, as tensors and numbers."""
         return {
             "network": self.network.state_dict(),
-            "average": self.average.state_dict() if self.average is not None else {},
+            "average": {} if self.average is None else self.average.module.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "scaler": self.arithmetic.scaler.state_dict(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go back to what `state` gave; RuntimeError, ValueError, or KeyError where it does not fit."""
+        """Restore what `state` returned.
+
+        Raises:
+            RuntimeError, ValueError, KeyError: when the state does not fit this network and optimizer.
+        """
         self.network.load_state_dict(state["network"])
         if self.average is not None:
-            self.average.load_state_dict(state["average"])
+            self.average.module.load_state_dict(state["average"])
         self.optimizer.load_state_dict(state["optimizer"])
-        # Empty when the run that goes on had no use for a scaler.
+        # The scaler's state is empty if the run did not use float16.
         if state["scaler"]:
             self.arithmetic.scaler.load_state_dict(state["scaler"])
 
 
-class Views(nn.Module):
-    """A network as it is trained: all sets of a step in one call, as DistributedDataParallel needs it.
+class MultiViewNetwork(nn.Module):
+    """All picture sets of a step in one forward call, as DistributedDataParallel requires.
 
-    Each set is a batch of its own, as published, or where `joint`, those that share weights and partition are one:
-    BatchNorm then sees them together.
+    By default each set is a batch of its own, as in the published code. If `joint`, sets that share weights and partition
+    form one batch, so that BatchNorm sees them together.
     """
 
     def __init__(self, network: LPN, joint: bool) -> None:
@@ -103,7 +117,7 @@ class Views(nn.Module):
         self.network, self.joint = network, joint
 
     def forward(self, sets: dict[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
-        """Part embeddings (b, n, D) and class scores (b, n, classes) of each set (b, 3, H, W)."""
+        """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set (b, 3, H, W)."""
         outputs: dict[str, tuple[Tensor, Tensor]] = {}
         groups = self.network.spec.groups()
         batches: dict[object, list[str]] = {}

@@ -1,7 +1,7 @@
-"""Batches for training: pictures decoded and augmented by several threads, some batches ahead of the network.
+"""Batches for training: worker threads decode and augment pictures a few batches ahead of the network.
 
-Threads rather than processes: decoding, resizing, and warping leave Python's lock, so two threads do as much as two
-processes, and share the pictures that are kept decoded.
+The workers are threads, not processes: decoding, resizing, and warping release Python's global lock, and threads share the
+cache of decoded pictures.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from lpn.core.arrays import Int64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.resources import usable_cores
 from lpn.core.views import branch_of
-from lpn.training.augmentation import augment, place_draw
+from lpn.training.augmentation import augment, draw_place_pose
 from lpn.training.recipes import Recipe
 from lpn.training.training_set import TrainingSet
 
-_AHEAD = 2
-"""Batches in preparation while one is computed with; more for batches so small that they would leave workers idle."""
-_MOST_WORKERS = 16
+# Batches prepared ahead of the network, at least; small batches need more to keep all workers busy.
+_PREFETCH = 2
+_MAX_WORKERS = 16
 
 
 @dataclass(frozen=True)
 class TrainingBatch:
-    """One step's input.
+    """The input of one step.
 
     Attributes:
-        sets: for each picture set, this process's share of the batch, (b, 3, H, W) float32, normalised, channels last.
+        sets: for each picture set, this process's share of the batch: (b, 3, H, W) float32, normalised, channels last.
         places: class of each place of the whole batch, (B,) int64.
     """
 
@@ -43,15 +43,15 @@ class TrainingBatch:
 
 
 class Loader:
-    """The batches of a training in order, the same for any number of workers: every place's draws have a seed of their own.
+    """The batches of a training in order. Each place has its own random seed, so the number of workers changes nothing.
 
     Args:
-        share: the rows of every batch that are prepared.
-        workers: threads; 0 for what suits the machine, see `choose_workers`.
-        processes: how many processes share the machine.
+        share: rows of every batch that this process prepares.
+        workers: number of threads; 0 chooses one for the machine, see `choose_workers`.
+        processes: number of processes that share the machine.
 
     Raises:
-        InputError: when there are fewer places than a batch has, or the number of workers is negative.
+        InputError: when there are fewer places than rows in a batch, or the number of workers is negative.
     """
 
     def __init__(
@@ -65,33 +65,31 @@ class Loader:
     ) -> None:
         if len(places) < 2:
             raise InputError(
-                f"There is {len(places) or 'no'} place to train on, and a training tells places apart; give at least two."
+                f"The training set has {len(places) or 'no'} place; a training needs at least two to tell apart."
             )
         if len(places) < recipe.batch:
             raise InputError(
-                f"There are {len(places)} places and a batch of {recipe.batch}; set --batch to at most that."
+                f"There are {len(places)} places and a batch of {recipe.batch}; set --batch to at most {len(places)}."
             )
         if workers < 0:
             raise InputError(
-                f"The number of workers is {workers}; expected 1 or more, or 0 for what suits the machine."
+                f"The number of workers is {workers}; expected 1 or more, or 0 to choose it automatically."
             )
         self.places, self.recipe, self.device, self.share = places, recipe, device, share
         self.workers = workers or choose_workers(device, processes)
         rows = len(range(recipe.batch)[share])
-        self._ahead = max(_AHEAD, -(-2 * self.workers // rows))
+        self._prefetch = max(_PREFETCH, -(-2 * self.workers // rows))
         self._scale, self._offset = (
             torch.from_numpy(values).to(device)[:, None, None] for values in (images.SCALE, images.OFFSET)
         )
 
     @property
     def steps(self) -> int:
-        """Steps per epoch; places that do not fill a batch wait for another epoch's order."""
+        """Steps per epoch. Places that do not fill a last batch are left out of that epoch."""
         return len(self.places) // self.recipe.batch
 
     def stream(self, first: int, end: int) -> Iterator[TrainingBatch]:
-        """The batches of the epochs `first` to `end` - 1, prepared ahead across the border of epochs.
-
-        Close it to stop the workers.
+        """Yield the batches of epochs `first` to `end` - 1. Close the iterator to stop the workers.
 
         Raises:
             PictureError: when a picture cannot be read.
@@ -101,8 +99,8 @@ class Loader:
         try:
             for epoch in range(first, end):
                 for chunk in self._chunks(epoch):
-                    ahead.append((chunk, [pool.submit(self._place, int(p), epoch) for p in chunk[self.share]]))
-                    if len(ahead) > self._ahead:
+                    ahead.append((chunk, [pool.submit(self._draw, int(p), epoch) for p in chunk[self.share]]))
+                    if len(ahead) > self._prefetch:
                         yield self._batch(*ahead.popleft())
             while ahead:
                 yield self._batch(*ahead.popleft())
@@ -113,10 +111,10 @@ class Loader:
         order = np.random.default_rng([self.recipe.seed, epoch]).permutation(len(self.places))
         return [order[i * self.recipe.batch : (i + 1) * self.recipe.batch] for i in range(self.steps)]
 
-    def _place(self, place: int, epoch: int) -> dict[str, UInt8Array]:
-        """One picture of each set, (H, W, 3) uint8: a worker's task."""
+    def _draw(self, place: int, epoch: int) -> dict[str, UInt8Array]:
+        """Draw and augment one picture of each set, (H, W, 3) uint8; runs in a worker."""
         rng = np.random.default_rng([self.recipe.seed, epoch, place])
-        angle, mirror = place_draw(self.recipe, rng)
+        angle, mirror = draw_place_pose(self.recipe, rng)
         drawn = {}
         for name, files in self.places.files.items():
             path = files[place][int(rng.integers(len(files[place])))]
@@ -131,7 +129,7 @@ class Loader:
         return TrainingBatch(sets, torch.from_numpy(chunk).to(self.device))
 
     def _network_input(self, pictures: Sequence[UInt8Array]) -> Tensor:
-        """Pictures to the device as bytes, and normalised there."""
+        """Move pictures to the device as bytes, and normalise them there."""
         cuda = self.device.type == "cuda"
         raw = torch.empty((len(pictures), *pictures[0].shape), dtype=torch.uint8, pin_memory=cuda)
         np.stack(pictures, out=raw.numpy())
@@ -140,9 +138,9 @@ class Loader:
 
 
 def choose_workers(device: torch.device, processes: int = 1) -> int:
-    """How many threads prepare pictures, for each of the processes that share the machine.
+    """Choose the number of worker threads for each of the processes that share the machine.
 
-    Beside a GPU all cores but the one that drives it, up to 16. Beside a network that computes on the CPU, one in four.
+    With a GPU, all cores but one prepare pictures, 16 at most. Without one the network needs the cores, and a quarter does.
     """
     own = usable_cores() // processes
-    return max(1, min(_MOST_WORKERS, own - 1 if device.type == "cuda" else own // 4))
+    return max(1, min(_MAX_WORKERS, own - 1 if device.type == "cuda" else own // 4))

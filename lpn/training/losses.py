@@ -11,6 +11,9 @@ from torch import Tensor
 
 from lpn.training.recipes import Recipe
 
+# Lower bound of squared distances: the slope of the square root is unbounded near 0.
+_MIN_SQUARED = 1e-12
+
 
 def instance_loss(scores: Tensor, places: Tensor, smoothing: float = 0.0) -> Tensor:
     """Cross-entropy over places of each part, averaged over pictures: (n,) (equation 4 of the paper).
@@ -25,7 +28,7 @@ def instance_loss(scores: Tensor, places: Tensor, smoothing: float = 0.0) -> Ten
 
 
 def descriptors(parts: Tensor) -> Tensor:
-    """What retrieval compares: part embeddings (B, n, D), each divided by its norm and by sqrt(n), as (B, n D)."""
+    """Descriptors as retrieval compares them: parts (B, n, D), each divided by its norm and by sqrt(n), as (B, n D)."""
     return F.normalize(parts, dim=2).flatten(1) / math.sqrt(parts.shape[1])
 
 
@@ -43,46 +46,51 @@ def infonce_loss(first: Tensor, second: Tensor, temperature: float, smoothing: f
 
 
 def contrastive_loss(first: Tensor, second: Tensor, margin: float, hardest: bool = False) -> Tensor:
-    """Hadsell et al. 2006: d^2 of true pairs plus max(0, margin - d)^2 of false ones, each averaged; as for `triplet_loss`."""
-    squared = _squared(first, second)
-    short = (margin - squared.clamp_min(_TINY).sqrt()).clamp_min(0).square()
-    wrong = torch.stack([_wrong(s, hardest, torch.amax).mean() for s in (short, short.T)])
-    return squared.diagonal().mean() + wrong.mean()
+    """Contrastive loss (Hadsell et al. 2006): d^2 of positives plus max(0, margin - d)^2 of negatives, each averaged.
+
+    The arguments are those of `triplet_loss`.
+    """
+    squared = _squared_distances(first, second)
+    short = (margin - squared.clamp_min(_MIN_SQUARED).sqrt()).clamp_min(0).square()
+    negatives = torch.stack([_negatives(s, hardest, torch.amax).mean() for s in (short, short.T)])
+    return squared.diagonal().mean() + negatives.mean()
 
 
 def triplet_loss(first: Tensor, second: Tensor, margin: float, hardest: bool = False) -> Tensor:
-    """max(0, margin + d_true - d_false) over the batch, from the first view to the second and back.
+    """Triplet loss max(0, margin + d_positive - d_negative) over the batch, in both directions.
 
     Args:
         first, second: descriptors (B, F) of unit length; row i of both shows place i, and places differ within the batch.
         margin: in Euclidean distance d.
-        hardest: each picture's nearest wrong one counts alone. Otherwise all wrong ones do, and the mean is over those
-            within the margin, as the many far ones would outweigh them.
+        hardest: count only the hardest negative of each picture. Otherwise all negatives count, and the mean is over
+            those within the margin, because the many easy ones would outweigh them.
     """
-    distance = _squared(first, second).clamp_min(_TINY).sqrt()
+    distance = _squared_distances(first, second).clamp_min(_MIN_SQUARED).sqrt()
     terms = []
     for d in (distance, distance.T):
-        within = (margin + d.diagonal()[:, None] - _wrong(d, hardest, torch.amin)).clamp_min(0)
+        within = (margin + d.diagonal()[:, None] - _negatives(d, hardest, torch.amin)).clamp_min(0)
         terms.append(within.sum() / within.gt(0).sum().clamp_min(1))
     return torch.stack(terms).mean()
 
 
 def soft_margin_loss(first: Tensor, second: Tensor, alpha: float, hardest: bool = False) -> Tensor:
-    """Weighted soft-margin triplet loss (Hu et al. 2018), log(1 + exp(alpha (d_true^2 - d_false^2))) averaged over the batch,
-    both ways; arguments as for `triplet_loss`."""
-    squared = _squared(first, second)
+    """Weighted soft-margin triplet loss (Hu et al. 2018): log(1 + exp(alpha (d_positive^2 - d_negative^2))).
+
+    It is averaged over the batch in both directions. The arguments are those of `triplet_loss`.
+    """
+    squared = _squared_distances(first, second)
     terms = [
-        F.softplus(alpha * (d.diagonal()[:, None] - _wrong(d, hardest, torch.amin))).mean()
+        F.softplus(alpha * (d.diagonal()[:, None] - _negatives(d, hardest, torch.amin))).mean()
         for d in (squared, squared.T)
     ]
     return torch.stack(terms).mean()
 
 
 def total_loss(outputs: Mapping[str, tuple[Tensor, Tensor]], places: Tensor, recipe: Recipe) -> Tensor:
-    """A recipe's loss for one step.
+    """Compute a recipe's loss for one step.
 
     Args:
-        outputs: for each picture set (satellite, drone, street, google), part embeddings and class scores.
+        outputs: part embeddings and class scores of each picture set (satellite, drone, street, google).
         places: class of each row, the same in every set, (B,).
     """
     loss = torch.zeros((), device=places.device)
@@ -94,12 +102,12 @@ def total_loss(outputs: Mapping[str, tuple[Tensor, Tensor]], places: Tensor, rec
     if (recipe.infonce or recipe.metric != "none") and "satellite" in outputs:
         described = {name: descriptors(parts.float()) for name, (parts, _) in outputs.items()}
         tiles = described.pop("satellite")
-        loss = loss + torch.stack([_between(tiles, others, recipe) for others in described.values()]).mean()
+        loss = loss + torch.stack([_pair_loss(tiles, others, recipe) for others in described.values()]).mean()
     return loss
 
 
-def _between(tiles: Tensor, others: Tensor, recipe: Recipe) -> Tensor:
-    """The recipe's losses on descriptors of two views."""
+def _pair_loss(tiles: Tensor, others: Tensor, recipe: Recipe) -> Tensor:
+    """Sum the recipe's losses on descriptors of two views."""
     loss = torch.zeros((), device=tiles.device)
     if recipe.infonce:
         loss = loss + recipe.infonce * infonce_loss(tiles, others, recipe.temperature, recipe.label_smoothing)
@@ -113,17 +121,13 @@ def _between(tiles: Tensor, others: Tensor, recipe: Recipe) -> Tensor:
     return loss
 
 
-_TINY = 1e-12
-"""Below this, the slope of a square root is out of bounds."""
-
-
-def _squared(first: Tensor, second: Tensor) -> Tensor:
-    """Squared distances of unit vectors (B, F) and (B, F): (B, B), 0 .. 4."""
+def _squared_distances(first: Tensor, second: Tensor) -> Tensor:
+    """Squared distances of unit vectors (B, F) and (B, F): (B, B), from 0 to 4."""
     return 2 - 2 * first @ second.T
 
 
-def _wrong(table: Tensor, hardest: bool, worst: Callable[..., Tensor]) -> Tensor:
-    """Without its diagonal, (B, B) as (B, B - 1); or of each row the worst alone, (B, 1)."""
+def _negatives(table: Tensor, hardest: bool, reduce: Callable[..., Tensor]) -> Tensor:
+    """Drop the diagonal of (B, B), giving (B, B - 1), or reduce each row to its hardest negative, (B, 1)."""
     b = len(table)
-    off = table.flatten()[1:].view(b - 1, b + 1)[:, :-1].reshape(b, b - 1)
-    return worst(off, dim=1, keepdim=True) if hardest else off
+    off_diagonal = table.flatten()[1:].view(b - 1, b + 1)[:, :-1].reshape(b, b - 1)
+    return reduce(off_diagonal, dim=1, keepdim=True) if hardest else off_diagonal

@@ -1,4 +1,4 @@
-"""Which epoch of a training is the best, and what that is measured on: places held out, or the test split."""
+"""Selection of the best epoch, by retrieval on held-out places or on the test split."""
 
 from __future__ import annotations
 
@@ -18,51 +18,54 @@ from lpn.models.base import Model
 from lpn.retrieval import metrics
 from lpn.retrieval.evaluate import check_test_split, evaluate
 
-Row = dict[str, float]
-"""One epoch's figures, a line of log.csv."""
+# The metrics of one epoch: a line of log.csv.
+EpochMetrics = dict[str, float]
 
 
-class Judge(Protocol):
-    """Measures a model in the middle of its training."""
+class Validator(Protocol):
+    """Measures a model during its training.
+
+    Attributes:
+        column: the column of log.csv by which the best epoch is chosen.
+        description: the same metric in words.
+    """
 
     column: str
-    """The figure the best epoch is chosen by, as log.csv calls it."""
-    said: str
-    """The same in words."""
+    description: str
 
-    def measure(self, model: Model) -> Row:
-        """A model's figures in percent."""
+    def measure(self, model: Model) -> EpochMetrics:
+        """Measure a model, in percent."""
         ...
 
 
 class TestSplit:
-    """Retrieval on the test split: the first task decides, which flatters the model chosen.
+    """Retrieval on the test split. The first task chooses the epoch, which flatters the chosen model.
 
     Raises:
-        LPNError: when a picture of it is broken or it is incomplete, see `lpn.retrieval.evaluate.check_test_split`.
+        LPNError: when the split is incomplete or a picture of it is broken, see `lpn.retrieval.evaluate.check_test_split`.
     """
 
-    __test__ = False  # for pytest, which takes it for a test by its name
+    __test__ = False  # pytest takes the class for a test by its name
 
     def __init__(self, dataset: Dataset, tasks: Sequence[str]) -> None:
         check_test_split(dataset, tasks)
         self.dataset, self.tasks = dataset, tasks
         self.column = f"recall@1 {tasks[0]}"
-        self.said = f"R@1 of {tasks[0]} on the test split, which flatters it there (--validate does not)"
+        self.description = f"R@1 of {tasks[0]} on the test split, which flatters it there (--validate does not)"
 
-    def measure(self, model: Model, console: Console | None = None) -> Row:
-        """Recall@1 and AP of every task, and where a console is given, what Recall@5 and the others are too."""
-        row: Row = {}
-        seen: dict[object, Float32Array] = {}
+    def measure(self, model: Model, console: Console | None = None) -> EpochMetrics:
+        """Measure Recall@1 and AP of every task, in percent; print all metrics if a console is given."""
+        row: EpochMetrics = {}
+        cache: dict[object, Float32Array] = {}
 
-        def once(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
+        def cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
             key = (view, change, tuple(picture.path for picture in pictures))
-            if key not in seen:
-                seen[key] = descriptors.temporary_descriptors(model, pictures, view, change)
-            return seen[key]
+            if key not in cache:
+                cache[key] = descriptors.temporary_descriptors(model, pictures, view, change)
+            return cache[key]
 
         for task in self.tasks:
-            result = evaluate(model, self.dataset, task, read=once)
+            result = evaluate(model, self.dataset, task, read=cached)
             recall = result.recall
             if console is not None:
                 console.print(
@@ -76,7 +79,7 @@ class TestSplit:
 
 
 class HeldOut:
-    """Retrieval of the satellite pictures of training places that were held out, by their drone or street pictures."""
+    """Retrieval of the satellite pictures of held-out training places by their drone or street pictures."""
 
     def __init__(self, places: Mapping[int, Mapping[str, Sequence[Path]]]) -> None:
         first = next(iter(places.values()))
@@ -87,23 +90,23 @@ class HeldOut:
         }
         task = f"{self.view}-to-satellite"
         self.column = f"recall@1 {task} held out"
-        self.said = f"R@1 of {task} on {len(places)} places held out of the training"
+        self.description = f"R@1 of {task} on {len(places)} places held out of the training"
 
-    def measure(self, model: Model) -> Row:
-        """Recall@1 and AP among the held-out places alone."""
-        sides = [
+    def measure(self, model: Model) -> EpochMetrics:
+        """Measure Recall@1 and AP among the held-out places alone, in percent."""
+        query, gallery = (
             (
                 descriptors.temporary_descriptors(model, pictures, cast(View, view)),
                 np.array([picture.label for picture in pictures]),
             )
             for view, pictures in self.pictures.items()
-        ]
-        figures = metrics.evaluate(*sides[0], *sides[1])
+        )
+        figures = metrics.evaluate(*query, *gallery)
         return {self.column: figures["recall@1"], self.column.replace("recall@1", "ap"): figures["ap"]}
 
 
-def best(history: Sequence[Row], column: str) -> tuple[int, float] | None:
-    """The epoch, counted from 1, whose figure is the highest, the first of equals, and the figure; None without any."""
+def best_epoch(history: Sequence[EpochMetrics], column: str) -> tuple[int, float] | None:
+    """Return the first epoch, from 1, with the highest metric, and that metric; None if no epoch was measured."""
     scores = [(row[column], -epoch) for epoch, row in enumerate(history, 1) if column in row]
     if not scores:
         return None

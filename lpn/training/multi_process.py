@@ -1,4 +1,4 @@
-"""Training by several processes, one for each GPU, as `torchrun` starts them; a training alone is a group of one."""
+"""Distributed training by the processes that `torchrun` starts, one for each GPU."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from lpn.models.checkpoints import best_device
 
 T = TypeVar("T")
 
-_PATIENCE = timedelta(days=1)
-"""How long processes wait for the first, which tests alone; where one dies, torchrun ends the others at once."""
+# Processes wait while the leader tests. If one dies, torchrun ends the others at once.
+_TIMEOUT = timedelta(days=1)
 
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """The processes of one training.
+    """The processes of one training; a training without torchrun is a group of one.
 
     Attributes:
-        device: what this process computes on.
-        rank, size: this process's number, 0 for the one that prints and writes, and how many there are.
-        local_size: how many of them share this machine.
+        device: the device of this process.
+        rank: number of this process; 0 is the leader, which prints, tests, and writes.
+        size: number of processes.
+        local_size: number of processes on this machine.
     """
 
     device: torch.device
@@ -38,18 +39,18 @@ class ProcessGroup:
     local_size: int = 1
 
     @property
-    def leads(self) -> bool:
-        """Whether this process prints, tests, and writes."""
+    def is_leader(self) -> bool:
+        """True for the process that prints, tests, and writes."""
         return self.rank == 0
 
     def share(self, batch: int) -> slice:
-        """Which rows of every batch are this process's.
+        """Select this process's rows of every batch.
 
         Raises:
-            InputError: when the batch cannot be shared evenly, or leaves a process fewer than the two BatchNorm needs.
+            InputError: when the batch is not divisible, or a process gets fewer than the two rows that BatchNorm needs.
         """
-        each, rest = divmod(batch, self.size)
-        if rest or each < 2:
+        each, remainder = divmod(batch, self.size)
+        if remainder or each < 2:
             raise InputError(
                 f"A batch of {batch} places cannot be shared by {self.size} processes; set --batch to a multiple of "
                 f"{self.size}, at least {2 * self.size}."
@@ -57,10 +58,10 @@ class ProcessGroup:
         return slice(self.rank * each, (self.rank + 1) * each)
 
     def gather(self, outputs: Mapping[str, tuple[Tensor, Tensor]]) -> dict[str, tuple[Tensor, Tensor]]:
-        """The outputs of all processes in the order of the batch: of each pair (b, ...), all (b size, ...).
+        """Gather the outputs of all processes in the order of the batch: each tensor (b, ...) becomes (b size, ...).
 
-        Every process computes the loss of the whole batch from them. Its gradient reaches the process's own rows alone,
-        times `size`, so that DistributedDataParallel's mean over processes is the gradient of that loss.
+        Every process computes the loss of the whole batch from them. The gradient flows into the process's own rows only,
+        multiplied by `size`, so that DistributedDataParallel's mean over processes is the gradient of that loss.
         """
         if self.size == 1:
             return dict(outputs)
@@ -72,14 +73,12 @@ class ProcessGroup:
             for name, pair in outputs.items()
         }
 
-    def together(self, work: Callable[[], T]) -> T:
-        """What each process does for itself before the first step.
-
-        Where it fails, one of those it failed for says why, and all leave.
+    def run_on_all(self, work: Callable[[], T]) -> T:
+        """Run work in every process before the first step; if it fails in one, all exit and one reports the error.
 
         Raises:
-            LPNError: that of `work`, in the first process it failed for.
-            SystemExit: in the others.
+            LPNError: the error of `work`, in the first process it failed in.
+            SystemExit: in the other processes.
         """
         if self.size == 1:
             return work()
@@ -89,27 +88,27 @@ class ProcessGroup:
             result.append(work())
         except LPNError as error:
             failure = error
-        heard: list[Any] = [None] * self.size
-        dist.all_gather_object(heard, failure is not None)
-        if True in heard:
-            raise self.said_once(failure, heard.index(True))
+        failed: list[Any] = [None] * self.size
+        dist.all_gather_object(failed, failure is not None)
+        if True in failed:
+            raise self.error_once(failure, failed.index(True))
         return result[0]
 
-    def said_once(self, error: LPNError | None, rank: int = 0) -> BaseException:
-        """What to raise for an error all processes have met: the error in one, a silent exit in the others."""
+    def error_once(self, error: LPNError | None, rank: int = 0) -> BaseException:
+        """Return the exception to raise for an error of all processes: one raises it, the others exit silently."""
         return error if error is not None and rank == self.rank else SystemExit(2)
 
-    def led(self, work: Callable[[], T]) -> T:
-        """What the first process alone does, and all get the result of; the others wait."""
+    def run_on_leader(self, work: Callable[[], T]) -> T:
+        """Run work in the leader while the others wait, and return its result in every process."""
         if self.size == 1:
             return work()
-        box: list[Any] = [work() if self.leads else None]
+        box: list[Any] = [work() if self.is_leader else None]
         dist.broadcast_object_list(box, src=0)
         return cast(T, box[0])
 
     @contextmanager
-    def watch(self) -> Iterator[None]:
-        """Turn the loss of another process into a sentence.
+    def report_lost_process(self) -> Iterator[None]:
+        """Turn the loss of another process into one sentence.
 
         Raises:
             LPNError: when another process has stopped.
@@ -122,57 +121,59 @@ class ProcessGroup:
             )
             if self.size == 1 or not lost:
                 raise
-            raise LPNError(f"Process {self.rank} stops, because another one stopped; that one says why.") from error
+            raise LPNError(
+                f"Process {self.rank} stops, because another one stopped; see that one's message."
+            ) from error
 
     def leave(self) -> None:
-        """Take the group apart after a training that went well."""
+        """Leave the group after a successful training."""
         if self.size > 1:
             dist.destroy_process_group()
 
 
-def alone() -> ProcessGroup:
-    """A group of this process only, on the GPU where there is one."""
+def single_process() -> ProcessGroup:
+    """Make a group of this process only, on the GPU if there is one."""
     return ProcessGroup(best_device())
 
 
 def join() -> ProcessGroup:
-    """The group in which `torchrun` started this process, else `alone`.
+    """Join the group in which `torchrun` started this process, or make a group of one.
 
     Raises:
         InputError: when there are more processes than GPUs, or the group cannot be formed.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1 or "RANK" not in os.environ:
-        return alone()
+        return single_process()
     rank, size = int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"])
     local_rank, local_size = (int(os.environ.get(f"LOCAL_{key}", "0")) for key in ("RANK", "WORLD_SIZE"))
     device = best_device()
     if device.type == "cuda":
         if local_rank >= torch.cuda.device_count():
             raise InputError(
-                f"There are {local_size} processes for {torch.cuda.device_count()} GPUs; start torchrun with at most that "
-                "many by --nproc-per-node."
+                f"There are {local_size} processes for {torch.cuda.device_count()} GPUs; give torchrun at most "
+                f"--nproc-per-node {torch.cuda.device_count()}."
             )
         device = torch.device("cuda", local_rank)
         torch.cuda.set_device(device)
     try:
-        dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=_PATIENCE)
+        dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=_TIMEOUT)
     except (ValueError, RuntimeError) as error:
         raise InputError(
-            f"The processes of the training do not find each other ({error}); start it by torchrun."
+            f"The processes of the training cannot connect to each other ({error}); start them with torchrun."
         ) from error
     return ProcessGroup(device, rank, size, max(local_size, 1))
 
 
 class _Gather(torch.autograd.Function):
-    """Rows of all processes; backwards, the rows of this one, times the number of processes."""
+    """All-gather of rows, whose backward pass keeps the process's own rows times the number of processes."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor, group: ProcessGroup) -> Tensor:
         ctx.group = group
         rows = rows.contiguous()
-        heard = [torch.empty_like(rows) for _ in range(group.size)]
-        dist.all_gather(heard, rows)
-        return torch.cat(heard)
+        gathered = [torch.empty_like(rows) for _ in range(group.size)]
+        dist.all_gather(gathered, rows)
+        return torch.cat(gathered)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:

@@ -1,21 +1,23 @@
-"""How a step changes the weights: the optimizer, its rates, the arithmetic, and the average of the weights."""
+"""The optimizer, its learning rates, mixed precision, and the moving average of the weights."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from contextlib import AbstractContextManager, nullcontext
 
 import torch
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from lpn.models.network import LPN
 from lpn.training.recipes import Recipe
 
 
-class Arithmetic:
-    """The forward pass's numbers: float32, or mixed precision in bfloat16 or float16.
+class MixedPrecision:
+    """The arithmetic of the forward pass: float32, or mixed precision in bfloat16 or float16.
 
-    float16, whose range is small, has its loss scaled so that small gradients do not vanish.
+    With float16 the loss is scaled, so that small gradients do not underflow.
     """
 
     def __init__(self, recipe: Recipe, device: torch.device) -> None:
@@ -24,15 +26,15 @@ class Arithmetic:
 
     @property
     def name(self) -> str:
-        """Such as "bfloat16"."""
+        """Name of the dtype, such as "bfloat16"."""
         return str(self.dtype).removeprefix("torch.")
 
-    def forward(self) -> AbstractContextManager[object]:
-        """What the forward pass runs in."""
+    def autocast(self) -> AbstractContextManager[object]:
+        """Context of the forward pass."""
         return nullcontext() if self.dtype == torch.float32 else torch.autocast(self.device.type, self.dtype)
 
     def step(self, loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
-        """Change the weights by the gradient of `loss`; with float16, a step whose gradient overflows is left out."""
+        """Update the weights. With float16, a step whose gradient overflows is skipped."""
         optimizer.zero_grad(set_to_none=True)
         self.scaler.scale(loss).backward()  # type: ignore[no-untyped-call]
         self.scaler.step(optimizer)
@@ -40,9 +42,10 @@ class Arithmetic:
 
 
 def choose_dtype(recipe: Recipe, device: torch.device) -> torch.dtype:
-    """What the recipe asks for; "auto" is bfloat16 where the hardware has it, else float16 on CUDA, else float32.
+    """Choose the dtype of the forward pass.
 
-    Emulated, bfloat16 would be slower than float32.
+    "auto" is bfloat16 where the hardware has it, else float16 on CUDA and float32 elsewhere. Emulated bfloat16 would be
+    slower than float32.
     """
     if recipe.precision != "auto":
         return torch.bfloat16 if recipe.precision == "bfloat16" else torch.float32
@@ -52,7 +55,7 @@ def choose_dtype(recipe: Recipe, device: torch.device) -> torch.dtype:
 
 
 def build_optimizer(network: LPN, recipe: Recipe) -> torch.optim.Optimizer:
-    """Two groups: the backbones at their lower rate, then the heads."""
+    """Build the optimizer with two groups: the backbones at their lower rate, then the heads."""
     backbone = {id(p): p for view in network.spec.views for p in network.branch(view).model.parameters()}
     heads = [p for p in network.parameters() if id(p) not in backbone]
     groups = [
@@ -66,19 +69,37 @@ def build_optimizer(network: LPN, recipe: Recipe) -> torch.optim.Optimizer:
 
 
 def rate_factor(recipe: Recipe, step: int, steps: int) -> float:
-    """The learning rate at a step, counted from 0 over all epochs of `steps` each, relative to the recipe's."""
+    """Learning rate at a step relative to the recipe's.
+
+    Args:
+        step: number of the step, from 0, over all epochs.
+        steps: steps per epoch.
+    """
     factor = min(1.0, (step + 1) / max(recipe.warmup_epochs * steps, 1))
     if recipe.schedule == "cosine":
         return factor * 0.5 * (1 + math.cos(math.pi * step / (recipe.epochs * steps)))
     return factor * (0.1 if step >= recipe.decay_epoch * steps else 1.0)
 
 
-@torch.no_grad()
-def follow(average: LPN, network: LPN, decay: float, step: int) -> None:
-    """Move an average of the weights towards them, faster at the start."""
-    share = 1 - min(decay, (1 + step) / (10 + step))
-    for mean, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
-        if mean.is_floating_point():
-            mean.lerp_(value, share)
-        else:
-            mean.copy_(value)
+def average_weights(network: LPN, decay: float) -> AveragedModel:
+    """Make an exponential moving average of weights and BatchNorm statistics.
+
+    The decay rises to `decay` with the count n of averaged steps: it is min(decay, n / (9 + n)). Set `n_averaged` to n
+    before each update; AveragedModel would copy the weights at 0. Each branch of the network averages its tensors, so those
+    that two branches share move twice a step.
+    """
+
+    def update(averages: list[Tensor], values: list[Tensor], _: Tensor | int) -> None:
+        if not averages[0].is_floating_point():
+            torch._foreach_copy_(averages, values)
+            return
+        n = int(average.n_averaged)  # on the CPU, where reading it does not stall a GPU
+        move = get_ema_multi_avg_fn(min(decay, n / (9 + n)))  # type: ignore[no-untyped-call]
+        move(averages, values, n)
+        shared = [pair for pair in zip(averages, values, strict=True) if branches[pair[0].data_ptr()] > 1]
+        if shared:
+            move(*map(list, zip(*shared, strict=True)), n)
+
+    average = AveragedModel(network, multi_avg_fn=update, use_buffers=True)  # type: ignore[arg-type]
+    branches = Counter(tensor.data_ptr() for tensor in average.module.state_dict().values())
+    return average

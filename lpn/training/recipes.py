@@ -1,4 +1,4 @@
-"""Named training recipes and the methods the paper compares: every number that decides what a training does."""
+"""Named training recipes, which hold every number of a training, and the methods that the paper compares."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from lpn.models.spec import Layout, Pooling
 _ABOVE_ZERO = math.ulp(0.0)
 _BELOW_ONE = math.nextafter(1.0, 0.0)
 _MOST = sys.float_info.max
+# The range of each number, in words last; NaN and infinity are outside of all.
 _RANGES: dict[str, tuple[float, float, str]] = {
     # BatchNorm in the heads needs two places a step.
     **dict.fromkeys(("batch",), (2, _MOST, "2 or more")),
     **dict.fromkeys(("n_parts", "epochs", "maps"), (1, _MOST, "1 or more")),
-    # VGG's five poolings leave nothing of less.
+    # VGG's five pooling layers reduce anything smaller to nothing.
     "size": (32, _MOST, "32 or more"),
     **dict.fromkeys(("scale", "margin"), (0, 2, "a number from 0 to 2")),
     **dict.fromkeys(("lr", "temperature", "alpha"), (_ABOVE_ZERO, _MOST, "a number above 0")),
@@ -45,115 +46,114 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     ),
     "seed": (0, 2**32 - 1, "a whole number from 0 to 4294967295"),
 }
-"""The least and the most each number may be; a number that is not finite is outside."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to train. The defaults are the paper's recipe for University-1652."""
+    """Every setting of a training. The defaults are the paper's recipe for University-1652."""
 
     backbone: Literal["resnet18", "resnet50", "vgg16_bn"] = "resnet50"
-    """Network under the parts."""
+    """The backbone network."""
     last_layer: Literal["layer3", "layer4"] = "layer4"
-    """Where a ResNet is cut; layer3 costs about half and keeps the 16 x 16 map of a 256-pixel picture."""
+    """Last layer of a ResNet; layer3 costs about half, and a 256-pixel picture keeps its 16 x 16 map."""
     n_parts: int = 4
-    """Parts per descriptor; 1 is the baseline with global average pooling."""
+    """Parts of a descriptor; 1 is the baseline with global average pooling."""
     weighting: Weighting = "published"
-    """How a ring is averaged: published (divided by its whole box) or area (its own mean)."""
+    """Average over a ring: published (its sum divided by the area of its bounding box) or area (its mean)."""
     shared: bool = True
-    """Satellite and drone share their weights."""
+    """Share weights between the satellite and the drone branch."""
     layout: Layout = "university"
-    """How maps are cut: university (rings in every view), cvusa (rings of the satellite, outermost first, against rows of the
-    panorama), or strips (columns of every view, Figure 4)."""
+    """Partition of the maps: university (rings in every view), cvusa (rings of the satellite, outermost first, against rows
+    of the panorama), or strips (columns of every view, Figure 4)."""
     pooling: Pooling = "average"
-    """What becomes of a part: average (its mean through a head) or safa (sums weighted by spatial-aware layers)."""
+    """Pooling of a part: average (its mean through a head) or safa (sums weighted by spatial-aware layers)."""
     maps: int = 8
-    """Weighted sums per part with safa."""
+    """Weighted sums per part with safa pooling."""
     polar: bool = False
-    """Satellite tiles are unrolled around their centre into a panorama's shape first."""
+    """Unroll satellite tiles around their centre into the shape of a panorama."""
     google: bool = True
-    """Pictures of train/google, where there are any, train the street branch as well."""
+    """Train the street branch on the pictures of train/google as well, if there are any."""
     size: int = 256
-    """Height in pixels of the pictures the network is fed."""
+    """Height of the network's input in pixels."""
     width: int = 0
-    """Their width; 0 for the same."""
+    """Width of the network's input in pixels; 0 means the height."""
     dropout: float = 0.5
     """Dropout in the heads (0.5 in the paper; the released script passes 0.75)."""
 
     epochs: int = 120
     """Passes over all places, one picture of each view per place."""
     batch: int = 32
-    """Places per step; each step sees one picture of every view of each."""
+    """Places per step; a step has one picture of every view of each place."""
     optimizer: Literal["sgd", "adam", "adamw"] = "sgd"
-    """SGD has momentum 0.9 with Nesterov."""
+    """Optimizer; sgd has Nesterov momentum 0.9."""
     lr: float = 0.01
     """Learning rate of the heads."""
     backbone_ratio: float = 0.1
     """Learning rate of the backbone relative to the heads'."""
     schedule: Literal["step", "cosine"] = "step"
-    """Step: x 0.1 after `decay_epoch`. Cosine: down to 0 at the end."""
+    """Learning rate schedule: step (x 0.1 after `decay_epoch`) or cosine (down to 0 at the end)."""
     decay_epoch: int = 80
-    """When the step schedule decays."""
+    """Epoch after which the step schedule decays."""
     warmup_epochs: int = 0
-    """Epochs of linear rise of the rate from 0."""
+    """Epochs of linear warm-up of the learning rate from 0."""
     weight_decay: float = 5e-4
     """Weight decay."""
     ema: float = 0.0
-    """Decay of an exponential moving average of the weights, which is then what is saved and tested; 0 for none."""
+    """Decay of an exponential moving average of the weights, which is saved and tested instead of them; 0 for none."""
 
     joint_views: bool = False
-    """Views that share their weights go through as one batch, so that BatchNorm sees them together; published: each alone."""
+    """Put views that share weights into one batch, so that BatchNorm sees them together; published: each alone."""
     instance: float = 1.0
     """Weight of the instance loss: cross-entropy over places, for each part and view (equation 4 of the paper)."""
     reduction: Literal["sum", "mean"] = "sum"
-    """How the instance losses of parts and views are put together; the paper sums, a mean keeps their weight for any n."""
+    """Reduction of the instance losses over parts and views; the paper sums, a mean is independent of the number of parts."""
     label_smoothing: float = 0.0
-    """Smoothing of the targets of both losses."""
+    """Label smoothing of the instance and the InfoNCE loss."""
     infonce: float = 0.0
     """Weight of a symmetric InfoNCE loss between each view's descriptors and the satellite's, over the batch."""
     temperature: float = 0.07
     """Temperature of the InfoNCE loss."""
     metric: Literal["none", "contrastive", "triplet", "soft_margin"] = "none"
-    """A loss on distances between each view's descriptors and the satellite's, over the batch: contrastive, triplet, or
-    weighted soft-margin triplet."""
+    """Metric loss between each view's descriptors and the satellite's, over the batch: contrastive, triplet, or weighted
+    soft-margin triplet."""
     margin: float = 0.3
     """Margin of the contrastive and the triplet loss, in Euclidean distance (0 to 2)."""
     alpha: float = 10.0
-    """Weight of the soft-margin triplet loss inside its exponent."""
+    """Factor inside the exponent of the soft-margin triplet loss."""
     mining: Literal["all", "hardest"] = "all"
-    """Which wrong places of the batch count: all of them, or only the nearest to each picture."""
+    """Negatives of the metric loss: all other places of the batch, or only the hardest for each picture."""
 
     rotation: float = 0.0
-    """Each picture is turned by up to this many degrees either way, on its own."""
+    """Random rotation of each picture on its own, up to this many degrees either way."""
     satellite_rotation: float = 90.0
-    """Satellites are turned further by up to this many degrees either way."""
+    """Further random rotation of satellite tiles, up to this many degrees either way."""
     place_rotation: float = 0.0
-    """All views of a place are turned together by up to this many degrees either way."""
+    """Random rotation of all views of a place together, up to this many degrees either way."""
     black_corners: float = 1.0
-    """How often what a rotation uncovers is black, as in a rotated query, rather than mirrored from inside."""
+    """Probability that the corners of a rotated picture are black, as in a rotated query, rather than mirrored."""
     own_canvas: float = 0.0
-    """How often a picture is turned at its own resolution and then resized, as a rotated query is, not the reverse."""
+    """Probability that a picture is rotated at its own resolution and then resized, as a rotated query is, not the reverse."""
     shift: float = 10 / 256
-    """Random shift, as a share of the size (padding 10 pixels at the edge and cropping, at 256)."""
+    """Random shift as a fraction of the size; the default is padding by 10 pixels and cropping, at 256."""
     scale: float = 0.0
-    """Random scale, up to exp(+-scale)."""
+    """Random scale, from exp(-scale) to exp(scale)."""
     colour: float = 0.0
-    """Strength 0 .. 1 of random brightness, contrast, colour cast, and grey."""
+    """Strength, from 0 to 1, of random brightness, contrast, colour cast, and grey."""
     compression: float = 0.0
-    """How often a picture is compressed as JPEG first, with a quality from 40 to 95."""
+    """Probability that a picture is first compressed as JPEG, with a quality from 40 to 95."""
     flip: Literal["none", "picture", "place"] = "picture"
-    """What is mirrored, half of the time: each picture on its own (published), or all views of a place together."""
+    """Random mirroring: none, each picture on its own (published), or all views of a place together."""
 
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Arithmetic of the forward pass; auto is bfloat16 where the processor has it, else float32."""
+    """Arithmetic of the forward pass; auto is bfloat16 where the hardware has it, else float16 on CUDA and float32 elsewhere."""
     seed: int = 0
     """Seed of initialisation, order, and augmentation."""
 
     def __post_init__(self) -> None:
-        for name, (low, high, said) in _RANGES.items():
+        for name, (low, high, expected) in _RANGES.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise InputError(f"The recipe has {name} = {value}; expected {said}.")
+                raise InputError(f"The recipe has {name} = {value}; expected {expected}.")
         if self.backbone == "vgg16_bn" and self.last_layer != "layer4":
             raise InputError(
                 "The recipe has last_layer = layer3 with vgg16_bn, which has no such layer; leave it at layer4."
@@ -169,7 +169,7 @@ class Recipe:
 
     @property
     def input_size(self) -> tuple[int, int]:
-        """(height, width) in pixels of the pictures the network is fed."""
+        """Height and width of the network's input in pixels."""
         return self.size, self.width or self.size
 
     def to_json(self) -> str:
@@ -217,6 +217,10 @@ _CVUSA = Recipe(
     flip="place",
 )
 
+# university1652, cvusa: the paper's recipes.
+# safa: the recipe of SAFA, whose panoramas have 112 x 616 pixels.
+# small: some hundred places whose drone pictures share a heading, from an ImageNet backbone.
+# world: the same for drone pictures of any heading, as around the buildings of a rendered city.
 RECIPES: dict[str, Recipe] = {
     "university1652": Recipe(),
     "cvusa": _CVUSA,
@@ -243,9 +247,6 @@ RECIPES: dict[str, Recipe] = {
     "small": _SMALL,
     "world": replace(_SMALL, epochs=60, satellite_rotation=180.0, place_rotation=0.0, compression=0.5),
 }
-"""university1652, cvusa: the paper's. safa: that of SAFA, whose panoramas have 112 x 616 pixels. small: for some hundred
-places, from an ImageNet backbone, where drone pictures share a heading. world: the same where each has its own, as around a
-rendered city's buildings."""
 
 _PARTS: dict[str, Any] = {"pooling": "average", "polar": False, "instance": 1.0, "infonce": 0.0, "metric": "none"}
 _BASELINE: dict[str, Any] = {**_PARTS, "n_parts": 1, "layout": "university"}
@@ -262,6 +263,13 @@ _SAFA: dict[str, Any] = {
     "width": 616,
 }
 
+# The methods that the paper compares, as changes of a recipe; each states its whole loss.
+# lpn: square rings.
+# instance: the baseline with global average pooling.
+# contrastive, triplet-*, soft-margin: the baseline trained with a metric loss over the batch instead.
+# lpn-cvusa: the released rings against rows.
+# lpn-strips: columns of the panorama and of the unrolled tile.
+# safa, safa-lpn: Shi et al. 2019, alone and with strips.
 METHODS: dict[str, dict[str, Any]] = {
     "lpn": {**_PARTS, "layout": "university"},
     "instance": _BASELINE,
@@ -274,14 +282,10 @@ METHODS: dict[str, dict[str, Any]] = {
     "safa": {**_SAFA, "n_parts": 1},
     "safa-lpn": {**_SAFA, "n_parts": 8},
 }
-"""What the paper compares, each as what it changes in a recipe; each states all of its loss, whatever the recipe has. lpn: square
-rings. instance: the baseline with global average pooling. contrastive, triplet-*, soft-margin: the baseline trained by distances
-over the batch instead. lpn-cvusa: the released rings against rows. lpn-strips: columns of panorama and unrolled tile. safa,
-safa-lpn: Shi et al. 2019, alone and by strips."""
 
 
 def method(name: str, recipe: Recipe) -> Recipe:
-    """A recipe with what a method of `METHODS` changes in it.
+    """Apply a method of `METHODS` to a recipe.
 
     Raises:
         InputError: when there is no such method.

@@ -1,4 +1,4 @@
-"""What a run's `state.pt` holds, and the checks before a training goes on from it."""
+"""The `state.pt` of a run, and the checks before a training is resumed from it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lpn.core.checksums import check_entries
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import write_atomic
 from lpn.core.formats import newer_version
-from lpn.training.model_selection import Row
+from lpn.training.model_selection import EpochMetrics
 from lpn.training.recipes import Recipe
 
 FORMAT = 2
@@ -25,19 +25,19 @@ class ResumeState:
     """A training after a whole epoch.
 
     Attributes:
-        history: each epoch's figures.
-        first_loss: of the very first step, by which a divergence is told.
-        processes: how many shared the training.
-        tensors: the state dicts of network, average, optimizer, and scaler.
+        history: the metrics of each epoch.
+        first_loss: loss of the very first step, the reference for divergence.
+        processes: number of processes that shared the training.
+        tensors: state dicts of network, average, optimizer, and scaler.
     """
 
-    history: list[Row]
+    history: list[EpochMetrics]
     first_loss: float
     processes: int
     tensors: dict[str, Any]
 
     def write(self, path: Path, recipe: Recipe, places: str) -> None:
-        """Write the file whole; `places` identifies the training pictures."""
+        """Write the file atomically; `places` is the digest of the training pictures."""
         values = {
             "format": FORMAT,
             "recipe": recipe.to_json(),
@@ -47,30 +47,30 @@ class ResumeState:
             "processes": self.processes,
             **self.tensors,
         }
-        whole = io.BytesIO()
-        torch.save(values, whole)
-        write_atomic(path, whole.getvalue())
+        data = io.BytesIO()
+        torch.save(values, data)
+        write_atomic(path, data.getvalue())
 
 
 def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
-    """Read what `ResumeState.write` wrote, for the same training.
+    """Read the state of the same training.
 
     Raises:
-        InputError: when there is none, or it is of another recipe or of other pictures.
-        ModelFileError: when it is damaged, or of another version of the program.
+        InputError: when there is none, or it has another recipe or other training pictures.
+        ModelFileError: when it is damaged, or another version of lpn wrote it.
     """
     if not path.is_file():
         raise InputError(f"There is no {path.name} in {path.parent} to resume from; start without --resume.")
     check_entries(path, "start the run again without --resume, in another --out")
     try:
         values: Any = torch.load(path, map_location="cpu", weights_only=True)
-        found = values.get("format")
-        if isinstance(found, int) and found > FORMAT:
-            raise ModelFileError(newer_version(path, str(found), str(FORMAT)))
-        if found != FORMAT:
+        version = values.get("format")
+        if isinstance(version, int) and version > FORMAT:
+            raise ModelFileError(newer_version(path, str(version), str(FORMAT)))
+        if version != FORMAT:
             raise ModelFileError(
-                f"{path} was written by an earlier version of lpn, whose runs cannot be resumed exactly; start anew in another "
-                "--out."
+                f"{path} was written by an earlier version of lpn, whose runs cannot be resumed exactly; start anew in "
+                "another --out."
             )
         saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         history, digest = json.loads(values["history"]), values["places"]
@@ -78,7 +78,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
         state = ResumeState(history, float(values["first_loss"]), int(values["processes"]), tensors)
     except ModelFileError:
         raise
-    except Exception as error:  # the unpickler raises anything on what it does not know
+    except Exception as error:  # the unpickler raises any exception on unknown data
         raise ModelFileError(f"{path} is damaged; start the run again without --resume, in another --out.") from error
     differs = [k for k, v in json.loads(recipe.to_json()).items() if saved.get(k) != v]
     if differs:

@@ -27,39 +27,39 @@ from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
 from lpn.training.learner import Learner
 from lpn.training.loader import Loader, TrainingBatch
-from lpn.training.model_selection import HeldOut, Judge, Row, TestSplit, best
-from lpn.training.multi_process import ProcessGroup, alone
+from lpn.training.model_selection import EpochMetrics, HeldOut, TestSplit, Validator, best_epoch
+from lpn.training.multi_process import ProcessGroup, single_process
 from lpn.training.recipes import Recipe
 from lpn.training.resume_state import ResumeState, read_state
 from lpn.training.run_log import RunLog
 from lpn.training.training_set import TrainingSet
 
+# A training has diverged if its mean loss exceeds the first step's, which is about chance, by this factor ...
 _EXPLODED = 10.0
-"""A mean loss this many times the first step's, which is about chance, is that of a training that has diverged."""
+# ... over this many steps, or over an epoch if it has fewer.
 _SURE_AFTER = 100
-"""Steps whose mean is trusted to tell that; an epoch of fewer is judged at its end."""
 
 
 class Trainer:
-    """One training run in a folder, see docs/training.md for its files.
+    """A training run in a folder; docs/training.md lists its files.
 
     Args:
-        dataset: with pictures to train on.
+        dataset: the data set with the training pictures.
         out: the run's folder.
         recipe: every number of the training.
-        init: weights for the backbone, loaded as far as they go.
-        resume: go on from the last whole epoch in `out`, to the same losses as an uninterrupted run.
-        evaluate_every: test every so many epochs, and keep the best; 0 for the end only.
-        workers: threads that prepare pictures; 0 for what suits the machine. They change no result.
-        validate: share of the places that are held out of the training, to choose the best epoch by.
-        group: the processes that share the training; this one alone by default.
+        init: pretrained weights of the backbone; tensors that do not fit are skipped.
+        resume: continue after the last whole epoch in `out`, with the same losses as an uninterrupted run.
+        evaluate_every: test after every so many epochs, and keep the best model; 0 tests at the end only.
+        workers: threads that prepare pictures; 0 chooses the number. They change no result.
+        validate: share of the places held out of the training to choose the best epoch.
+        group: the processes that share the training; by default this one alone.
         test: measure the last model on the test split.
 
     Raises:
         DataError: when the data set cannot be trained on.
         InputError: when `out` holds another run, or there is nothing to resume.
         ModelFileError: when `init` cannot be used.
-        OutputError: when nothing can be written to `out`.
+        OutputError: when `out` cannot be written.
     """
 
     def __init__(
@@ -76,24 +76,25 @@ class Trainer:
         group: ProcessGroup | None = None,
         test: bool = True,
     ) -> None:
-        self.group = group or alone()
-        self.console = (console or Console()) if self.group.leads else Console(quiet=True)
+        self.group = group or single_process()
+        self.console = (console or Console()) if self.group.is_leader else Console(quiet=True)
         self.dataset, self.out, self.recipe, self.evaluate_every = dataset, out, recipe, evaluate_every
         self.places, self.device = TrainingSet(dataset, self.console, recipe.google), self.group.device
         held = self.places.hold_out(validate, recipe.seed)
         there = [name for name in ("state.pt", "last.safetensors", "log.csv") if (out / name).exists()]
         if resume and there and "state.pt" not in there and _first_epoch_alone(out):
-            self.console.print(f"The run in {out} was stopped before its first epoch was whole, so it starts anew.")
-            resume = False
-            there = []
+            self.console.print(f"The run in {out} was stopped during its first epoch, so it starts anew.")
+            resume, there = False, []
         if not resume and there:
             raise InputError(
-                f"{out} holds {there[0]} of a training run already; add --resume to go on with it, or choose another --out."
+                f"{out} holds {there[0]} of a training run already; add --resume to continue it, or choose another --out."
             )
         if evaluate_every < 0:
-            raise InputError(f"The figures are asked for every {evaluate_every} epochs; expected 0 or more.")
+            raise InputError(f"--evaluate-every is {evaluate_every}; expected 0 or more.")
         if held and not evaluate_every:
-            raise InputError("Places held out choose among the epochs that are tested; say which by --evaluate-every.")
+            raise InputError(
+                "--validate chooses among the tested epochs, and none is tested; give --evaluate-every as well."
+            )
         share = self.group.share(recipe.batch)
         self.loader = Loader(self.places, recipe, self.device, share, workers, self.group.local_size)
         self.steps = self.loader.steps
@@ -103,80 +104,83 @@ class Trainer:
         if init is not None and not resume:
             self._load_init(network, init)
         self.learner = Learner(network, recipe, self.group)
-        self.history: list[Row] = []
+        self.history: list[EpochMetrics] = []
         self.first_loss = math.nan
         tasks = [task for task in dataset.tasks() if set(views_of(task)) <= set(self.places.views)]
         self.test_split = TestSplit(dataset, tasks) if tasks and (test or evaluate_every) else None
-        self.judge: Judge | None = HeldOut(held) if held else self.test_split
+        self.validator: Validator | None = HeldOut(held) if held else self.test_split
         self._places_digest = self.places.digest(dataset.root)
         if resume:
             self._resume()
 
     @property
     def network(self) -> LPN:
-        """The network in training."""
+        """The network that is trained."""
         return self.learner.network
 
     def run(self) -> Path:
         """Train to the last epoch, test, and return the path of the model.
 
         Raises:
-            InputError: when the training diverges.
-            LPNError: when a picture cannot be read, a file not be written, or another process stopped.
+            DivergedError: when the training diverges.
+            LPNError: when a picture cannot be read, a file cannot be written, or another process stopped.
         """
-        self.learner.share_out()
-        self._say_how()
-        logbook = RunLog(self.out, self.history, self.console) if self.group.leads else None
+        self.learner.distribute()
+        self._print_setup()
+        run_log = RunLog(self.out, self.history, self.console) if self.group.is_leader else None
         try:
-            with self.group.watch():
-                self._train(logbook)
+            with self.group.report_lost_process():
+                self._train(run_log)
         finally:
-            if logbook is not None:
-                logbook.close()
+            if run_log is not None:
+                run_log.close()
         return self.out / "last.safetensors"
 
-    def _train(self, logbook: RunLog | None) -> None:
+    def _train(self, run_log: RunLog | None) -> None:
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
-            TextColumn("{task.fields[said]}"),
+            TextColumn("{task.fields[status]}"),
             TimeRemainingColumn(),
         )
         done, epochs = len(self.history), self.recipe.epochs
         stream = self.loader.stream(done, epochs)
-        with closing(cast(Any, stream)), Progress(*columns, console=self.console, disable=not self.group.leads) as bar:
-            task = bar.add_task("Training", total=epochs * self.steps, completed=done * self.steps, said="")
-            # An epoch whose test was interrupted.
-            self._choose(logbook)
+        quiet = not self.group.is_leader
+        with closing(cast(Any, stream)), Progress(*columns, console=self.console, disable=quiet) as bar:
+            task = bar.add_task("Training", total=epochs * self.steps, completed=done * self.steps, status="")
+            # The run may have been interrupted while its last epoch was tested.
+            self._select(run_log)
             for epoch in range(done, epochs):
                 bar.update(task, description=f"Epoch {epoch + 1}/{epochs}")
                 batches = islice(stream, self.steps)
-                self.history.append(self._epoch(epoch, batches, lambda said: bar.update(task, advance=1, said=said)))
-                self._save(logbook)
-                self._choose(logbook)
-                if logbook is not None:
-                    logbook.say_epoch(epochs)
-        self._finish(logbook)
+                self.history.append(self._epoch(epoch, batches, lambda text: bar.update(task, advance=1, status=text)))
+                self._save(run_log)
+                self._select(run_log)
+                if run_log is not None:
+                    run_log.print_epoch(epochs)
+        self._finish(run_log)
 
-    def _epoch(self, epoch: int, batches: Iterator[TrainingBatch], report: Callable[[str], object]) -> Row:
+    def _epoch(
+        self, epoch: int, batches: Iterator[TrainingBatch], on_progress: Callable[[str], object]
+    ) -> EpochMetrics:
         self.network.train()
-        # Seeded by epoch, so that a resumed run repeats what an uninterrupted one does; and each process for itself.
+        # One seed for each epoch and process: a resumed run repeats what an uninterrupted one does.
         torch.manual_seed(self.recipe.seed * 100_003 + epoch + (self.group.rank << 50))
-        started, total, seen, rate = time.perf_counter(), 0.0, 0, 0.0
-        before: Tensor | None = None
+        started, total, pictures, rate = time.perf_counter(), 0.0, 0, 0.0
+        previous: Tensor | None = None
         for step, batch in enumerate(batches):
             loss, rate = self.learner.step(batch, epoch * self.steps + step, self.steps)
-            seen += len(batch.places) * len(batch.sets)
-            # A step's loss is read when the next step is under way, so that a GPU need not wait for it.
-            if before is not None:
-                total += self._checked(float(before), total, epoch, step)
-                speed = seen / (time.perf_counter() - started)
-                report(f"loss {total / step:.3f}  {speed:.1f} images/s")
-            before = loss
-        assert before is not None
-        total += self._checked(float(before), total, epoch, self.steps)
-        report(f"loss {total / self.steps:.3f}")
-        if self.group.leads and not self.learner.finite():
+            pictures += len(batch.places) * len(batch.sets)
+            # Read a loss one step late, so that the GPU is never idle.
+            if previous is not None:
+                total += self._check_loss(float(previous), total, epoch, step)
+                speed = pictures / (time.perf_counter() - started)
+                on_progress(f"loss {total / step:.3f}  {speed:.1f} images/s")
+            previous = loss
+        assert previous is not None
+        total += self._check_loss(float(previous), total, epoch, self.steps)
+        on_progress(f"loss {total / self.steps:.3f}")
+        if self.group.is_leader and not self.learner.is_finite():
             raise self._diverged("A weight is no longer a number", epoch, self.steps)
         seconds = time.perf_counter() - started
         return {
@@ -184,99 +188,95 @@ class Trainer:
             "loss": total / self.steps,
             "lr": rate,
             "seconds": seconds,
-            "images_per_second": seen / seconds,
+            "images_per_second": pictures / seconds,
         }
 
-    def _checked(self, loss: float, total: float, epoch: int, step: int) -> float:
-        """The loss of the epoch's step number `step`, from 1, after steps whose losses sum to `total`."""
+    def _check_loss(self, loss: float, total: float, epoch: int, step: int) -> float:
+        """Return the loss of a step, from 1, or raise if it has diverged; `total` is the sum of those before."""
         if not math.isfinite(loss):
             raise self._diverged(f"The loss became {loss}", epoch, step)
         if math.isnan(self.first_loss):
             self.first_loss = loss
         mean, first = (total + loss) / step, self.first_loss
-        # A loss near 0 has no tenfold that would mean anything.
+        # Ten times a loss near 0 is no divergence.
         if step >= min(_SURE_AFTER, self.steps) and mean > _EXPLODED * max(first, 1.0):
             raise self._diverged(
                 f"The loss rose to {mean:.3g} on average, from {first:.3g} at the first step,", epoch, step
             )
         return loss
 
-    def _diverged(self, found: str, epoch: int, step: int) -> BaseException:
-        kept = f"{self.out} keeps the model of epoch {epoch}; " if epoch else ""
-        return self.group.said_once(
+    def _diverged(self, reason: str, epoch: int, step: int) -> BaseException:
+        model = f"{self.out} keeps the model of epoch {epoch}; " if epoch else ""
+        return self.group.error_once(
             DivergedError(
-                f"{found} in epoch {epoch + 1}, step {step}; {kept}start again with a smaller --lr in another --out."
+                f"{reason} in epoch {epoch + 1}, step {step}; {model}start again with a smaller --lr in another --out."
             )
         )
 
-    def _choose(self, logbook: RunLog | None) -> None:
-        """Where it is due, test the last epoch, and keep it apart if it is the best so far."""
-        epoch = len(self.history)
+    def _select(self, run_log: RunLog | None) -> None:
+        """Test the last epoch if it is due, and save its model if it is the best so far."""
+        epoch, validator = len(self.history), self.validator
         due = self.evaluate_every and epoch and (epoch % self.evaluate_every == 0 or epoch == self.recipe.epochs)
-        judge = self.judge
-        if not due or judge is None or judge.column in self.history[-1]:
+        if not due or validator is None or validator.column in self.history[-1]:
             return
-        path = self.out / "last.safetensors"
-        say = {"console": self.console} if judge is self.test_split and epoch == self.recipe.epochs else {}
-        row = self.group.led(lambda: judge.measure(checkpoints.load_torch(path, self.device), **say))
-        self.history[-1] |= row
-        chosen = best(self.history, judge.column)
-        if chosen is not None and chosen[0] == epoch and self.group.leads:
-            more = {"epoch": str(epoch), "score": f"{chosen[1]:.4f}", "chosen by": judge.said}
+        # The last epoch's figures on the test split are printed in full.
+        options = {"console": self.console} if validator is self.test_split and epoch == self.recipe.epochs else {}
+        self.history[-1] |= self.group.run_on_leader(lambda: validator.measure(self._load("last"), **options))
+        best = best_epoch(self.history, validator.column)
+        if best is not None and best[0] == epoch and self.group.is_leader:
+            more = {"epoch": str(epoch), "score": f"{best[1]:.4f}", "chosen by": validator.description}
             self.learner.save_model(self.out / "best.safetensors", self._metadata() | more)
-        self._save(logbook)
+        self._save(run_log)
 
-    def _finish(self, logbook: RunLog | None) -> None:
-        """Test what has not been tested, and say which epoch was the best."""
-        split, judge = self.test_split, self.judge
-        chosen = best(self.history, judge.column) if judge is not None else None
+    def _finish(self, run_log: RunLog | None) -> None:
+        """Test the last epoch if it was not tested yet, and print which epoch was the best."""
+        split, validator = self.test_split, self.validator
         if split is not None and split.column not in self.history[-1]:
-            last = self.out / "last.safetensors"
-            row = self.group.led(lambda: split.measure(checkpoints.load_torch(last, self.device), self.console))
-            self.history[-1] |= row
-            self._save(logbook)
-        self.group.led(lambda: self._conclude(cast(RunLog, logbook), chosen))
+            self.history[-1] |= self.group.run_on_leader(lambda: split.measure(self._load("last"), self.console))
+            self._save(run_log)
+        best = best_epoch(self.history, validator.column) if validator is not None else None
+        if validator is not None and best is not None and self.evaluate_every:
+            self.group.run_on_leader(lambda: self._print_best(validator, *best))
 
-    def _conclude(self, logbook: RunLog, chosen: tuple[int, float] | None) -> None:
-        """What the terminal shows at the end."""
-        split, judge = self.test_split, self.judge
-        logbook.say_curves(None if judge is None else judge.column)
-        if judge is None or chosen is None or not self.evaluate_every:
-            return
-        epoch, score = chosen
+    def _print_best(self, validator: Validator, epoch: int, score: float) -> None:
         self.console.print(
-            f"best.safetensors is of epoch {epoch}, chosen by {judge.said}: {score:.2f}.", soft_wrap=True
-        )
-        if split is not None and judge is not split and epoch < len(self.history):
-            self.console.print("Its figures on the test split:")
-            split.measure(checkpoints.load_torch(self.out / "best.safetensors", self.device), self.console)
-
-    def _say_how(self) -> None:
-        group, norm = self.group, ""
-        if group.size > 1:
-            batch = self.recipe.batch // group.size
-            sees = "all of them" if self.device.type == "cuda" else "its own process's"
-            norm = f" {group.size} processes take {batch} places of each batch; BatchNorm sees {sees}."
-        self.console.print(
-            f"Computing in {self.learner.arithmetic.name} on {self.device.type}; {self.loader.workers} "
-            f"{'thread prepares' if self.loader.workers == 1 else 'threads prepare'} pictures.{norm}",
+            f"best.safetensors is the model of epoch {epoch}, chosen by {validator.description}: {score:.2f}.",
             soft_wrap=True,
         )
-        if self.evaluate_every and self.judge is None:
+        split = self.test_split
+        if split is not None and validator is not split and epoch < len(self.history):
+            self.console.print("Its figures on the test split:")
+            split.measure(self._load("best"), self.console)
+
+    def _load(self, name: str) -> checkpoints.TorchModel:
+        return checkpoints.load_torch(self.out / f"{name}.safetensors", self.device)
+
+    def _print_setup(self) -> None:
+        group, shares = self.group, ""
+        if group.size > 1:
+            batch = self.recipe.batch // group.size
+            norm = "the whole batch" if self.device.type == "cuda" else "the process's own share"
+            shares = f" Each of {group.size} processes takes {batch} places of a batch; BatchNorm sees {norm}."
+        workers = f"{self.loader.workers} thread{'' if self.loader.workers == 1 else 's'}"
+        self.console.print(
+            f"Computing in {self.learner.arithmetic.name} on {self.device.type}; pictures are prepared by {workers}.{shares}",
+            soft_wrap=True,
+        )
+        if self.evaluate_every and self.validator is None:
             self.console.print(f"{self.dataset.root.name} has no test split, so no epoch is tested.")
 
     def _load_init(self, network: LPN, init: Path) -> None:
         filled, total, missing = checkpoints.load_backbone(network, init)
-        rest = f"; not or not wholly in it, so as initialised: {', '.join(missing)}" if missing else ""
+        rest = f"; missing or incomplete, so as initialised: {', '.join(missing)}" if missing else ""
         self.console.print(f"{init.name} fills {filled} of the backbone's {total} tensors{rest}.")
 
-    def _save(self, logbook: RunLog | None) -> None:
-        """Model, logs, and last the state, which is what a resumed run trusts."""
-        if logbook is None:
+    def _save(self, run_log: RunLog | None) -> None:
+        """Write model and logs, and last the state, from which a run is resumed."""
+        if run_log is None:
             return
         with uninterrupted():
             self.learner.save_model(self.out / "last.safetensors", self._metadata())
-            logbook.save()
+            run_log.save()
             state = ResumeState(self.history, self.first_loss, self.group.size, self.learner.state())
             state.write(self.out / "state.pt", self.recipe, self._places_digest)
 
@@ -299,18 +299,15 @@ class Trainer:
         self.history, self.first_loss = state.history, state.first_loss
         if state.processes != self.group.size:
             self.console.print(
-                f"The run had {state.processes} processes and goes on with {self.group.size}, so its losses will differ from "
-                "those of an uninterrupted one.",
+                f"The run had {state.processes} processes and now has {self.group.size}, so its losses will differ from those "
+                "of an uninterrupted run.",
                 soft_wrap=True,
             )
-        self.console.print(f"Going on after epoch {len(self.history)} of {self.recipe.epochs}.")
+        self.console.print(f"Resuming after epoch {len(self.history)} of {self.recipe.epochs}.")
 
 
 def _first_epoch_alone(out: Path) -> bool:
-    """Whether a folder without a state holds no more than the model and log of a first epoch, as a kill may leave them.
-
-    A model of more epochs is somebody's work, which must not be written over.
-    """
+    """Check that a run without state.pt was killed in its first epoch; more epochs must not be overwritten."""
     rows = (out / "log.csv").read_bytes().count(b"\n") if (out / "log.csv").exists() else 0
     last = out / "last.safetensors"
     epochs = checkpoints.epochs_of(last) if last.exists() else 1

@@ -1,4 +1,4 @@
-"""The pictures a training draws from, place by place."""
+"""The training set: the pictures of each place, and a cache of decoded ones."""
 
 from __future__ import annotations
 
@@ -17,17 +17,23 @@ from lpn.core.views import VIEWS, View
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import list_errors, picture_errors
 
+# Size limit of the cache of decoded pictures.
 CACHE_BYTES = 2_000_000_000
-"""Pictures are decoded once and kept, as long as those kept take less than this."""
 
 
 class TrainingSet:
-    """The training pictures by place: for each set (satellite, drone, street, google), each place's files.
+    """The training pictures: for each set (satellite, drone, street, google), the files of each place.
 
-    Pictures that are not whole (see `lpn.datasets.integrity`) are left out, which is said once.
+    Broken pictures (see `lpn.datasets.integrity`) are left out, with one message.
+
+    Attributes:
+        labels: label of each place.
+        files: for each set, the files of each place.
+        views: the views that are trained.
+        panoramas: the street pictures cover the full circle.
 
     Raises:
-        DataError: when there is no place with a satellite picture and one of another view.
+        DataError: when no place has both a satellite picture and one of another view.
     """
 
     def __init__(self, dataset: Dataset, console: Console, google: bool = True) -> None:
@@ -46,11 +52,11 @@ class TrainingSet:
             )
         _leave_out_broken(by_place, dataset.root, console)
         everywhere = set.intersection(*(set(places) for places in by_place.values()))
-        partial = sorted(set.union(*(set(places) for places in by_place.values())) - everywhere)
-        if partial:
-            some = ", ".join(f"{label:04d}" for label in partial[:5])
+        incomplete = sorted(set.union(*(set(places) for places in by_place.values())) - everywhere)
+        if incomplete:
+            some = ", ".join(f"{label:04d}" for label in incomplete[:5])
             console.print(
-                f"{len(partial)} places lack a picture in one of {', '.join(by_place)} and are left out: {some}."
+                f"{len(incomplete)} places lack a picture in one of {', '.join(by_place)} and are left out: {some}."
             )
         if not everywhere:
             raise DataError(
@@ -60,57 +66,57 @@ class TrainingSet:
         self.files = {name: [places[label] for label in self.labels] for name, places in by_place.items()}
         self.views: tuple[View, ...] = tuple(view for view in VIEWS if view in by_place)
         self.panoramas = dataset.panoramas
-        self._kept: dict[Path, UInt8Array] = {}
-        self._kept_bytes = 0
+        self._cache: dict[Path, UInt8Array] = {}
+        self._cache_bytes = 0
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
         return len(self.labels)
 
     def digest(self, root: Path) -> str:
-        """What identifies the list of training pictures: a run is resumed on the same only."""
+        """Hash the list of training pictures: a run can be resumed only on the same list."""
         names = {
             name: [[str(file.relative_to(root)) for file in place] for place in s] for name, s in self.files.items()
         }
         return hashlib.sha256(json.dumps(names, sort_keys=True).encode()).hexdigest()
 
     def hold_out(self, share: float, seed: int) -> dict[int, dict[str, list[Path]]]:
-        """Take a share of the places out of the training, chosen by the seed alone.
+        """Remove a share of the places from the training set, chosen by the seed alone.
 
         Returns:
-            For each place taken out, by label, its files of each set.
+            The files of each set, for each removed place by its label.
 
         Raises:
-            InputError: when the share is not from 0 up to 1, or comes to a single place or all but one.
+            InputError: when the share is outside [0, 1), or either side would have fewer than 2 places.
         """
         count = round(share * len(self)) if 0 <= share < 1 else 0
         if share and not 2 <= count <= len(self) - 2:
             raise InputError(
-                f"The share of places held out is {share:g}, {count} of {len(self)}; expected a number from 0 up to 1 that "
-                "leaves at least 2 on either side."
+                f"The share of places held out is {share:g}, {count} of {len(self)} places; expected a number from 0 up to 1 "
+                "that leaves at least 2 on either side."
             )
         order = np.random.default_rng([seed, len(self)]).permutation(len(self))
-        out, kept = sorted(order[:count]), sorted(order[count:])
+        out, rest = sorted(order[:count]), sorted(order[count:])
         held = {self.labels[i]: {name: places[i] for name, places in self.files.items()} for i in out}
-        self.labels = [self.labels[i] for i in kept]
-        self.files = {name: [places[i] for i in kept] for name, places in self.files.items()}
+        self.labels = [self.labels[i] for i in rest]
+        self.files = {name: [places[i] for i in rest] for name, places in self.files.items()}
         return held
 
     def picture(self, path: Path) -> UInt8Array:
-        """A decoded picture, kept in memory as long as there is room for it; for any thread."""
-        kept = self._kept.get(path)
-        if kept is not None:
-            return kept
+        """Decode a picture, or take it from the cache; thread-safe."""
+        cached = self._cache.get(path)
+        if cached is not None:
+            return cached
         picture = images.load_picture(path)
         with self._lock:
-            if path not in self._kept and self._kept_bytes + picture.nbytes < CACHE_BYTES:
-                self._kept[path] = picture
-                self._kept_bytes += picture.nbytes
+            if path not in self._cache and self._cache_bytes + picture.nbytes < CACHE_BYTES:
+                self._cache[path] = picture
+                self._cache_bytes += picture.nbytes
         return picture
 
 
 def _leave_out_broken(by_place: dict[str, dict[int, list[Path]]], root: Path, console: Console) -> None:
-    """Take out of each set the pictures that would stop the run, and the places that lose all of theirs."""
+    """Remove broken pictures from each set, and places without any picture left."""
     files = [file for places in by_place.values() for of_place in places.values() for file in of_place]
     broken = picture_errors(files)
     if not broken:

@@ -67,7 +67,7 @@ def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> 
         assert not half_written(out)
         assert all(verdict.whole for verdict in verify(out))
         with Process([*given, "--resume"], tmp_path / "again") as again:
-            again.until(lambda: "Going on after epoch" in again.out and "Epoch" in again.out)
+            again.until(lambda: "Resuming after epoch" in again.out and "Epoch" in again.out)
             again.terminate()
             assert again.ended()[0] == 143
             assert last_line(again).endswith("go on with the same command.")

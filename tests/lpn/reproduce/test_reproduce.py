@@ -178,7 +178,7 @@ def test_an_unfinished_run_goes_on_only_as_it_began(
     note.write_bytes(kept)
     made = reproduction(places, out, changes=longer)
     made.run(["table4"])
-    assert "Going on after epoch 1 of 2" in said(made)
+    assert "Resuming after epoch 1 of 2" in said(made)
 
 
 @pytest.mark.slow

@@ -10,16 +10,16 @@ from rich.console import Console
 from tensorboardX.proto.event_pb2 import Event
 
 from lpn.core.errors import OutputError
-from lpn.training.model_selection import Row, best
-from lpn.training.run_log import RunLog, chart
+from lpn.training.model_selection import EpochMetrics, best_epoch
+from lpn.training.run_log import RunLog
 
 
-def row(epoch: int, loss: float, **more: float) -> Row:
+def row(epoch: int, loss: float, **more: float) -> EpochMetrics:
     return {"epoch": epoch, "loss": loss, "lr": 1e-3, "seconds": 1.0, "images_per_second": 8.0, **more}
 
 
 def scalars(out: Path) -> list[tuple[str, int, float]]:
-    """What a TensorBoard log holds, read from its records: length, two checksums, an event."""
+    """Read tag, step, and value of each scalar in a TensorBoard log; a record is a length, two checksums, and an event."""
     (file,) = (out / "tensorboard").iterdir()
     data, found, position = file.read_bytes(), [], 0
     while position < len(data):
@@ -33,15 +33,15 @@ def scalars(out: Path) -> list[tuple[str, int, float]]:
 def test_logs_hold_every_epoch_once_although_the_run_was_resumed(tmp_path: Path) -> None:
     console = Console(file=io.StringIO(), width=100)
     history = [row(1, 4.0)]
-    book = RunLog(tmp_path, history, console)
-    book.save()
+    run_log = RunLog(tmp_path, history, console)
+    run_log.save()
     history[-1] |= {"recall@1 drone-to-satellite": 25.0}
-    book.save()
-    book.close()
+    run_log.save()
+    run_log.close()
     again = [*history, row(2, 3.0)]
-    book = RunLog(tmp_path, again, console)
-    book.save()
-    book.close()
+    run_log = RunLog(tmp_path, again, console)
+    run_log.save()
+    run_log.close()
     found = scalars(tmp_path)
     assert len({(tag, step) for tag, step, _ in found}) == len(found)
     assert [(step, value) for tag, step, value in found if tag == "loss"] == [(1, 4.0), (2, 3.0)]
@@ -52,33 +52,10 @@ def test_logs_hold_every_epoch_once_although_the_run_was_resumed(tmp_path: Path)
 
 def test_an_epoch_is_one_line_with_what_was_tested(tmp_path: Path) -> None:
     said = io.StringIO()
-    book = RunLog(tmp_path, [row(1, 4.0, **{"recall@1 drone-to-satellite": 25.0})], Console(file=said, width=40))
-    book.say_epoch(30)
-    book.close()
+    run_log = RunLog(tmp_path, [row(1, 4.0, **{"recall@1 drone-to-satellite": 25.0})], Console(file=said, width=40))
+    run_log.print_epoch(30)
+    run_log.close()
     assert said.getvalue() == "Epoch 1/30  loss 4.000  rate 1.0e-03  8.0 images/s  R@1 drone-to-satellite 25.00\n"
-
-
-def test_a_chart_rises_where_its_values_do() -> None:
-    lines = chart({epoch: float(epoch) for epoch in range(1, 21)}, "loss", width=20)
-    assert lines[0] == "loss by epoch"
-    assert lines[1].startswith(f"{20.0:9.3g} ┤")
-    bars = [line.partition("┤")[2].ljust(20) for line in lines[1:-1]]
-    heights = [sum(" ▁▂▃▄▅▆▇█".index(line[column]) for line in bars) for column in range(20)]
-    assert heights == sorted(heights)
-    assert heights[0] == 1
-    assert heights[-1] == 8 * len(bars)
-    assert lines[-1].split() == ["1", "20"]
-    assert max(map(len, chart(dict.fromkeys(range(1, 500), 1.0), "loss", width=50))) <= 50 + 11
-
-
-def test_a_chart_is_plain_text_where_the_terminal_is(tmp_path: Path) -> None:
-    raw = io.BytesIO()
-    said = io.TextIOWrapper(raw, encoding="ascii")
-    book = RunLog(tmp_path, [row(1, 4.0), row(2, 3.0)], Console(file=said, width=40))
-    book.say_curves(None)
-    book.close()
-    said.flush()
-    assert b"#" in raw.getvalue()
 
 
 def test_a_log_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
@@ -89,5 +66,5 @@ def test_a_log_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
 
 def test_the_best_epoch_is_the_first_of_the_highest() -> None:
     history = [row(1, 4.0, score=20.0), row(2, 3.0), row(3, 2.0, score=50.0), row(4, 1.0, score=50.0)]
-    assert best(history, "score") == (3, 50.0)
-    assert best(history, "other") is None
+    assert best_epoch(history, "score") == (3, 50.0)
+    assert best_epoch(history, "other") is None

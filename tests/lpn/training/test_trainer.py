@@ -194,8 +194,7 @@ def test_the_best_epoch_is_kept_beside_the_last(places: Path, tmp_path: Path, mo
         found = file.metadata()
     assert (found["epoch"], found["score"]) == ("2", "50.0000")
     assert "on the test split" in found["chosen by"]
-    assert "best.safetensors is of epoch 2" in said.getvalue()
-    assert "R@1 drone-to-satellite by epoch" in said.getvalue()
+    assert "best.safetensors is the model of epoch 2" in said.getvalue()
     best, last = (load_torch(tmp_path / "run" / f"{name}.safetensors") for name in ("best", "last"))
     assert best.fingerprint != last.fingerprint
 
@@ -204,8 +203,8 @@ def test_held_out_places_choose_and_are_not_trained_on(places: Path, tmp_path: P
     quick = replace(QUICK, epochs=1)
     run, said = trainer(places, tmp_path / "run", quick, evaluate_every=1, validate=0.25)
     assert (len(run.places), load_torch(run.run()).spec.classes) == (18, 18)
-    assert isinstance(run.judge, HeldOut)
-    held = {picture.label for picture in run.judge.pictures["drone"]}
+    assert isinstance(run.validator, HeldOut)
+    held = {picture.label for picture in run.validator.pictures["drone"]}
     assert len(held) == 6
     assert held.isdisjoint(run.places.labels)
     assert "on 6 places held out of the training" in said.getvalue()

@@ -1,4 +1,4 @@
-"""What test_distributed.py has torchrun start twice: a training, one that is cut and resumed, and their weights."""
+"""The program of test_multi_process.py, which torchrun starts twice: a whole training, and one that is cut and resumed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RECIPE = replace(
 
 
 def trainer(data: Path, out: Path, group: ProcessGroup | None = None, resume: bool = False) -> Trainer:
-    """A training whose BatchNorm is frozen, so that it does not matter how a batch is shared out."""
+    """Make a training with frozen BatchNorm, so that the division of a batch changes nothing."""
     with (out.parent / f"{out.name}.txt").open("a") as said:
         run = Trainer(open_dataset(data), out, RECIPE, resume=resume, console=Console(file=said), group=group)
     run.console = Console(quiet=True)
@@ -59,8 +59,8 @@ def main(data: Path, out: Path) -> None:
         patch.setattr(Trainer, "_epoch", killed)
         with pytest.raises(KeyboardInterrupt):
             run.run()
-    # The first process may still be writing what the run is resumed from.
-    group.led(lambda: None)
+    # Wait until the leader has written the state.
+    group.run_on_leader(lambda: None)
     trainer(data, out / "cut", group, resume=True).run()
     group.leave()
 
