@@ -298,9 +298,9 @@ def test_an_onnx_whose_metadata_lie_is_refused(
 
 
 def test_an_onnx_whose_shapes_lie_is_told_when_it_runs(tmp_path: Path) -> None:
-    from tools.fuzz.small_models import SPEC, onnx_file
+    from tools.fixtures.small_models import SPEC, onnx_file
 
-    proto = onnx.load_model_from_string(onnx_file(seal=False))
+    proto = onnx.load_model_from_string(onnx_file(sealed=False))
     reshape = next(one for one in proto.graph.initializer if one.name == "mix")
     reshape.CopyFrom(onnx.numpy_helper.from_array(np.zeros((7, 3, 1, 1), np.float32), "mix"))
     (tmp_path / "lies.onnx").write_bytes(proto.SerializeToString())

@@ -77,14 +77,14 @@ def published(network: TorchModel, files: Sequence[Path], workers: int) -> Float
                 raw += network.network.embed(batch.flip(3) if mirrored else batch, "drone")[0]
             norms = raw.norm(dim=2, keepdim=True) * SPEC.n_parts**0.5
             rows.append((raw / norms).flatten(1))
-    return torch.cat(rows).numpy()  # type: ignore[no-any-return]
+    return torch.cat(rows).numpy()
 
 
 def ours(model: Model, files: Sequence[Path], root: Path) -> Float32Array:
     """A store's descriptors, made anew, (N, n D)."""
     with tempfile.TemporaryDirectory() as out, redirect_stdout(io.StringIO()):
         store = descriptors.describe(model, files, "drone", out, root=root)
-        return np.array(store.descriptors).reshape(len(files), -1)
+        return np.array(store.descriptors, np.float32).reshape(len(files), -1)
 
 
 def bare(engine: Engine, passes: int) -> None:

@@ -1,8 +1,6 @@
-"""Whether evidence points at what matters: `python -m tools.bench.faithful [DATA MODEL] [QUERIES]`.
+"""Measure how faithful evidence is to the model: `python -m tools.bench.faithful [DATA MODEL] [QUERIES]`.
 
-For queries with their true tile, the cells of the query are blurred one after the other (deletion), or come back in a blurred
-picture (insertion), in the order of their evidence, at random, and from the centre outwards. Good evidence makes the score
-fall soon in the first and rise soon in the second. Figures are means over queries; the area is the curve's mean.
+The curves are those of `tools.fixtures.faithfulness`, as means over queries; the area is the mean of a curve.
 """
 
 from __future__ import annotations
@@ -10,50 +8,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 import lpn
-from lpn import explain, retrieval
-from lpn.core import images
 from lpn.core.demo import DEMO
-from lpn.datasets import open_dataset
-from lpn.explain import occlusion
-from lpn.models.base import Model
-from lpn.retrieval import scoring
+from tools.fixtures.faithfulness import curves
 
 STEPS = 8
-
-
-def curves(data: Path, model: Model, queries: int, steps: int = STEPS) -> dict[tuple[str, str], np.ndarray]:
-    """Mean scores (steps + 1,) by "deletion" or "insertion" and order, over queries from all over the list."""
-    dataset, rng = open_dataset(data), np.random.default_rng(0)
-    tiles = {entry.label: entry for entry in dataset.gallery("satellite")}
-    entries = [entry for entry in dataset.queries("drone") if entry.label in tiles]
-    chosen = [entries[len(entries) * i // queries] for i in range(queries)]
-    sums: dict[tuple[str, str], np.ndarray] = {}
-    weights = scoring.part_weights(model.n_parts)
-    for entry in track(chosen, "Covering", console=Console(stderr=True)):
-        picture = images.load_picture(entry.path)
-        query = retrieval.describe_picture(model, picture, "drone")
-        tile = retrieval.describe_picture(model, images.load_picture(tiles[entry.label].path), "satellite")
-        assert query.trace is not None
-        total = explain.side(query.trace, tile.descriptor).total(weights).reshape(-1)
-        size = query.trace.size
-        orders = {
-            "evidence": [int(cell) for cell in np.argsort(-total, kind="stable")],
-            "random": [int(cell) for cell in rng.permutation(total.size)],
-            "centre first": occlusion.centre_first(size),
-        }
-        for name, order in orders.items():
-            for kind in ("deletion", "insertion"):
-                found = occlusion.curve(
-                    model, picture, "drone", tile.descriptor, weights, order, size, steps, kind == "insertion"
-                )
-                sums[kind, name] = sums.get((kind, name), 0) + found / queries
-    return sums
 
 
 def main() -> None:
@@ -61,7 +23,7 @@ def main() -> None:
     given = sys.argv[1:]
     data, model = (Path(given[0]), Path(given[1])) if len(given) > 1 else (DEMO, DEMO / "lpn.onnx")
     queries = int(given[-1]) if given and given[-1].isdigit() else 40
-    found = curves(data, lpn.load(model), queries)
+    found = curves(data, lpn.load(model), queries, STEPS)
     shown = Table(title=f"Mean score of {queries} queries with their true tile")
     shown.add_column("order")
     for step in range(STEPS + 1):

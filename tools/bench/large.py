@@ -68,10 +68,11 @@ def make(folder: Path, share: float) -> tuple[Path, Path]:
     queries, asked, tiles, labels = draw(size, 1.0)
     # Pictures of one place lie together, and files are listed by place.
     queries = queries[np.argsort(asked, kind="stable")]
-    for role, view, of, values in (
+    sides: list[tuple[str, View, np.ndarray, np.ndarray]] = [
         ("query", "drone", np.sort(asked), queries),
         ("gallery", "satellite", labels, tiles),
-    ):
+    ]
+    for role, view, of, values in sides:
         first = np.searchsorted(of, of)
         for index, label in enumerate(of.tolist()):
             file = data / "test" / f"{role}_{view}" / f"{label:04d}" / f"image-{index - first[index]:03d}.jpg"

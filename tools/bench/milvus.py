@@ -74,13 +74,13 @@ def places(count: int) -> Any:
     return np.stack([np.zeros(count), np.random.default_rng(3).uniform(-180, 180, count)], axis=1)
 
 
-def on_disk(place: Path) -> Counter[str]:
+def on_disk(place: Path) -> dict[str, float]:
     """MB of a server's data, by what they are."""
     sizes: Counter[str] = Counter()
     for file in (place / "data").rglob("*"):
         if file.is_file():
-            sizes[FOLDERS.get(file.relative_to(place / "data").parts[0], "")] += file.stat().st_size / 1e6
-    return sizes
+            sizes[FOLDERS.get(file.relative_to(place / "data").parts[0], "")] += file.stat().st_size
+    return {name: size / 1e6 for name, size in sizes.items()}
 
 
 def measure(structure: Structure, count: int, place: Path, rounds: int) -> tuple[list[str], list[list[str]]]:
@@ -116,7 +116,7 @@ def measure(structure: Structure, count: int, place: Path, rounds: int) -> tuple
                 row.append(f"{after_writes(index, asked, block, at[:1]):.0f}")
     costs = [f"{count / adding:,.0f}", f"{built:.0f}", f"{loaded:.0f}"]
     costs += [f"{memory[name] - empty[name]:,.0f}" for name in ("anonymous", "mapped")]
-    return [*costs, *(f"{disk[name]:,.0f}" for name in ("data", "index", "queue"))], rows
+    return [*costs, *(f"{disk.get(name, 0):,.0f}" for name in ("data", "index", "queue"))], rows
 
 
 def searched(

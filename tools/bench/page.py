@@ -175,7 +175,7 @@ def slider_seconds(page: Page) -> float:
     times = []
     for angle in range(3, 3 + 7 * ROUNDS, 7):
         box.fill(str(angle), timeout=5000)
-        seconds = page.evaluate(SHOWN, str(angle)) / 1000
+        seconds = float(page.evaluate(SHOWN, str(angle))) / 1000
         if seconds != seconds:
             raise SystemExit(f"The page did not show {angle} degrees within 5 s.")
         times.append(seconds)
@@ -191,7 +191,7 @@ def pick_seconds(page: Page) -> float:
     for _ in range(ROUNDS):
         before = page.get_attribute("#lpn-status", "data-query")
         page.keyboard.press("n")
-        seconds = page.evaluate(PICKED, before) / 1000
+        seconds = float(page.evaluate(PICKED, before)) / 1000
         if seconds != seconds:
             raise SystemExit("The page did not show the next picture within 5 s.")
         times.append(seconds)

@@ -11,6 +11,8 @@ from __future__ import annotations
 import io
 import sys
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +68,11 @@ def bare(file: Path) -> ort.InferenceSession:
     return ort.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
 
 
+def describe(engine: Engine, data: bytes) -> object:
+    """Our way from a file's bytes to a descriptor."""
+    return retrieval.describe_picture(engine, images.decode_picture(data, ""), "drone")
+
+
 def measure(name: str, spec: ModelSpec, dataset: Dataset, folder: Path) -> list[Figure]:
     """The figures of one network."""
     save(LPN(spec), folder / "model.safetensors")
@@ -79,11 +86,11 @@ def measure(name: str, spec: ModelSpec, dataset: Dataset, folder: Path) -> list[
     single = images.prepare(picture, spec.input_size)
     both = np.stack([single, single[..., ::-1]])
     outputs = ["parts", "features"]
-    tasks = {"published": lambda: published(data)}
+    tasks: dict[str, Callable[[], object]] = {"published": lambda: published(data)}
     for kind, engine in engines.items():
-        tasks[kind] = lambda engine=engine: retrieval.describe_picture(engine, images.decode_picture(data, ""), "drone")
-        tasks[f"{kind} pass"] = lambda engine=engine: engine.run(both, "drone")
-        tasks[f"{kind} bare"] = lambda kind=kind: sessions[kind].run(outputs, {"images": both})
+        tasks[kind] = partial(describe, engine, data)
+        tasks[f"{kind} pass"] = partial(engine.run, both, "drone")
+        tasks[f"{kind} bare"] = partial(sessions[kind].run, outputs, {"images": both})
     change = Change(rotate=ANGLE)
     tasks["prepare"] = lambda: np.stack(
         [ready := images.normalise(images.resize(change.apply(picture), *spec.input_size)), ready[..., ::-1]]

@@ -96,7 +96,9 @@ def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
     with TemporaryDirectory() as folder:
         file = Path(folder) / "page.png"
         page.screenshot(path=str(file))
-        data = cv2.imencode(".jpg", cv2.imread(str(file)), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
+        shown = cv2.imread(str(file))
+        assert shown is not None
+        data = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
     write_atomic(out / shot.file, data)
     page.close()
 

@@ -25,6 +25,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import AbstractContextManager
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lpn.core.arrays import Float32Array
+from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.resources import usable_cores
 from lpn.index import Box, ExactIndex, Kind, base
 from lpn.index.scan import PRECISIONS
@@ -69,7 +70,7 @@ def drawn(count: int, seed: int = 0) -> Iterator[tuple[int, Float32Array]]:
         yield start, normalise(about + np.random.default_rng(7).standard_normal(shape, np.float32))
 
 
-def places(start: int, count: int) -> base.Exact:
+def places(start: int, count: int) -> Float64Array:
     """Positions of the tiles of a block, (count, 2)."""
     return np.random.default_rng([2, start]).uniform(*CORNERS, (count, 2))
 
@@ -85,8 +86,11 @@ def queries(gallery: Float32Array) -> Float32Array:
 def medians(tasks: dict[str, Task], rounds: int) -> dict[str, float]:
     """Median milliseconds of each task; each round has another query."""
     numbers = {name: itertools.count() for name in tasks}
-    each = {name: lambda name=name: tasks[name](next(numbers[name]) % QUERIES) for name in tasks}
-    return measuring.medians(each, rounds)
+
+    def run(name: str) -> object:
+        return tasks[name](next(numbers[name]) % QUERIES)
+
+    return measuring.medians({name: partial(run, name) for name in tasks}, rounds)
 
 
 def readers(rows: Float32Array) -> dict[str, Task]:
@@ -95,10 +99,11 @@ def readers(rows: Float32Array) -> dict[str, Task]:
     numbers = rows.reshape(-1).view(np.int32)
     shares = np.array_split(numbers, THREADS)
     pool = ThreadPoolExecutor(THREADS)
-    return {
-        f"read by {name}": lambda _, how=how: list(pool.map(how, shares))
-        for name, how in {"or": np.bitwise_or.reduce, "max": np.max}.items()
-    }
+
+    def read(reduce: Callable[[Any], Any], _: int) -> object:
+        return list(pool.map(reduce, shares))
+
+    return {"read by or": partial(read, np.bitwise_or.reduce), "read by max": partial(read, np.max)}
 
 
 def top(scores: Float32Array) -> Any:
@@ -154,10 +159,14 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
     equal, other = scoring.part_weights(KIND.n_parts), scoring.part_weights(KIND.n_parts, OTHER)
     indexes = {name: filled(ExactIndex.create(folder / f"{count}-{name}", KIND, name), count) for name in PRECISIONS}
     tasks = readers(gallery) | peers(gallery, asked, equal)
+
+    def search(index: ExactIndex, weights: Float32Array, box: base.Box | None, number: int) -> object:
+        return index.search(asked[number], weights, TOP, box)
+
     for name, index in indexes.items():
         for said, weights in (("", equal), (", other weights", other)):
-            tasks[f"{name}{said}"] = lambda i, index=index, weights=weights: index.search(asked[i], weights, TOP)
-        tasks[f"{name}, a box of 1 %"] = lambda i, index=index: index.search(asked[i], equal, TOP, BOX)
+            tasks[f"{name}{said}"] = partial(search, index, weights, None)
+        tasks[f"{name}, a box of 1 %"] = partial(search, index, equal, BOX)
     found = medians(tasks, rounds)
     for index in indexes.values():
         index.close()
@@ -165,16 +174,16 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
     faiss = found.get("faiss flat")
     title = f"search {count:,} x {KIND.numbers}, top {TOP} with vectors"
     made = []
-    for name in (name for name in found if name.startswith(PRECISIONS)):
-        what = f"{title}, {name}"
-        if name.endswith("1 %"):
-            made.append(Figure(f"{what} (peer: NumPy)", found[name], "ms", found["NumPy in a box"]))
+    for task in (task for task in found if task.startswith(PRECISIONS)):
+        what = f"{title}, {task}"
+        if task.endswith("1 %"):
+            made.append(Figure(f"{what} (peer: NumPy)", found[task], "ms", found["NumPy in a box"]))
         elif count <= SMALL:
-            made.append(below(what, found[name], 1, peer=faiss))
-        elif name.startswith("float32"):
-            made.append(within(what, found[name], limit, 1.3, peer=faiss))
+            made.append(below(what, found[task], 1, peer=faiss))
+        elif task.startswith("float32"):
+            made.append(within(what, found[task], limit, 1.3, peer=faiss))
         else:
-            made.append(Figure(what, found[name], "ms", faiss, limit, "0.65 x limit", found[name] <= 0.65 * limit))
+            made.append(Figure(what, found[task], "ms", faiss, limit, "0.65 x limit", found[task] <= 0.65 * limit))
     made.append(Figure(f"the same by NumPy, {count:,} x {KIND.numbers}", found["NumPy"], "ms", faiss, limit))
     return made
 

@@ -71,6 +71,11 @@ class PlainLoop:
         crop = padded[top : top + size, left : left + size]
         return torch.from_numpy(images.normalise(crop[:, ::-1] if self.rng.random() < 0.5 else crop))
 
+    def steps(self, count: int) -> None:
+        """Some steps."""
+        for _ in range(count):
+            self.step()
+
     def step(self) -> None:
         """One step over a random batch."""
         chosen = self.rng.permutation(len(self.places))[: self.recipe.batch]
@@ -121,7 +126,7 @@ def measure(data: Path, recipe: Recipe, folder: Path) -> dict[str, tuple[float, 
     cold = trainer("cold")
     cold.loader.places = Unkept(open_dataset(data), quiet)
     tasks: dict[str, Callable[[], object]] = {
-        "plain loop": lambda: [plain.step() for _ in range(STEPS)],
+        "plain loop": lambda: plain.steps(STEPS),
         "ours, first pass": ours(cold),
         "ours": ours(trainer("kept")),
         "ours, float32": ours(trainer("float32", precision="float32")),
@@ -159,5 +164,5 @@ def figures(root: Path | None = None, resnet50: bool = False) -> list[Figure]:
 
 
 if __name__ == "__main__":
-    given = [Path(argument) for argument in sys.argv[1:] if not argument.startswith("--")]
-    show("Training", figures(*given, resnet50="--resnet50" in sys.argv))
+    folders = [Path(argument) for argument in sys.argv[1:] if not argument.startswith("--")]
+    show("Training", figures(folders[0] if folders else None, resnet50="--resnet50" in sys.argv))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import time
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -208,7 +207,7 @@ def matlab(folder: Path) -> list[Case]:
 def onnx(folder: Path) -> list[Case]:
     """Exported models, sealed and as before there were seals."""
     from lpn.models.onnx_engine import Engine
-    from tools.fuzz.small_models import SPEC, onnx_file
+    from tools.fixtures.small_models import SPEC, onnx_file
 
     blank = np.ones((1, 3, *SPEC.input_size), np.float32)
 
@@ -223,7 +222,7 @@ def onnx(folder: Path) -> list[Case]:
             model.heads(view)
             model.map_size(view)
 
-    return [Case([onnx_file(seal=True)], read), *[Case([onnx_file(seal=False)], read)] * 3]
+    return [Case([onnx_file(sealed=True)], read), *[Case([onnx_file(sealed=False)], read)] * 3]
 
 
 def safetensors(folder: Path) -> list[Case]:
@@ -232,7 +231,7 @@ def safetensors(folder: Path) -> list[Case]:
 
     from lpn.core.checksums import SEAL, UNSEALED, seal
     from lpn.models.checkpoints import FORMAT, load_torch
-    from tools.fuzz.small_models import SPEC, state_dict
+    from tools.fixtures.small_models import SPEC, state_dict
 
     metadata = {"format": FORMAT, "spec": SPEC.to_json(), "recipe": "{}", "epochs": "3"}
     plain = save(state_dict(), metadata)
@@ -255,7 +254,7 @@ def pth(folder: Path) -> list[Case]:
     from lpn.models.checkpoints import load_torch
     from lpn.training.recipes import RECIPES
     from lpn.training.resume_state import ResumeState, read_state
-    from tools.fuzz.small_models import pth_file, state_dict
+    from tools.fixtures.small_models import pth_file, state_dict
 
     file, options = folder / "net.pth", folder / "opts.yaml"
     whole = pth_file(state_dict())
@@ -381,10 +380,10 @@ def links(folder: Path) -> list[Case]:
     from explorer.session_state import SessionState
     from explorer.url_state import UrlState
     from tools.fixtures import small_worlds
-    from tools.fuzz.small_models import onnx_file
+    from tools.fixtures.small_models import onnx_file
 
     os.environ["LPN_CACHE"] = str(folder / "cache")
-    (folder / "model.onnx").write_bytes(onnx_file(seal=True))
+    (folder / "model.onnx").write_bytes(onnx_file(sealed=True))
     data = small_worlds.make_dataset(folder / "places", train=1, test=3)
     workspace = open_model(data, folder / "model.onnx")
     made = UrlState(workspace)
@@ -450,22 +449,6 @@ def cities(folder: Path) -> list[Case]:
         read(whole[:8] + total.to_bytes(4, "little") + len(text).to_bytes(4, "little") + whole[16:20] + text + rest)
 
     return [Case([whole], read), Case([whole[20 : 20 + size]], header)]
-
-
-def misbehaving(folder: Path) -> list[Case]:
-    """What no reader may do, to test the program by: it ends the process, comes to no end, or raises, as the input says."""
-    del folder
-
-    def read(data: bytes) -> None:
-        kind = zlib.crc32(data) % 4
-        if kind == 0:
-            os.abort()
-        if kind == 1:
-            time.sleep(3600)
-        if kind == 2:
-            raise KeyError(kind)
-
-    return [Case([b"0123456789" * 10], read)]
 
 
 TARGETS: dict[str, Callable[[Path], list[Case]]] = {

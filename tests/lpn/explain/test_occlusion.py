@@ -12,8 +12,8 @@ from lpn.core import images
 from lpn.core.demo import DEMO
 from lpn.explain import occlusion
 from lpn.retrieval import scoring
-from tools.bench.faithful import curves
 from tools.fixtures import small_worlds
+from tools.fixtures.faithfulness import curves
 
 
 def test_a_square_s_loss_is_what_its_blurring_costs(model_file: Path) -> None:
