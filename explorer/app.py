@@ -17,7 +17,7 @@ from typing import Any
 import viser
 
 from explorer import session_state
-from explorer.compute.inference_scheduler import AGAIN, BusyError
+from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
 from explorer.compute.ranking_progress import RankingProgress
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import DelayedCall, Worker
@@ -83,14 +83,14 @@ class Visitor:
         task = next(iter(workspace.tasks))
         state = SessionState(task, workspace.spec.n_parts, query=workspace.first, page=workspace.first // PAGE_SIZE)
         self._state = workspace.possible(state)
-        self._asker = RequestContext(workspace.inference)
-        self._analyser = StateAnalyser(workspace, self._asker.of(workspace.model))
+        self._requests = RequestContext(workspace.inference)
+        self._analyser = StateAnalyser(workspace, self._requests.queued(workspace.model))
         with self._lock:  # a control works as soon as it is in the page, and its change waits here for the rest
             self._dress(self._state)
             self._panels = Panels(client, workspace, self._state, self.change)
-            room, self._reporter = Viewport(), Reporter(client, self._asker.of(workspace.model, patient=True))
+            room, self._reporter = Viewport(), Reporter(client, self._requests.queued(workspace.model, background=True))
             self._explain_window = ExplainWindow(
-                client, workspace, self.change, self._failed, room, self._reporter, self._asker
+                client, workspace, self.change, self._failed, room, self._reporter, self._requests
             )
             self._lab = Lab(client, workspace, laboratory, self.change, room, self._reporter)
             self._panels.navigation.order = self._lab.order
@@ -107,7 +107,7 @@ class Visitor:
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, further)
             self._stage = Stage(client, workspace, self._selected)
             self._worker = Worker(self._work, self._failed)
-            self._follower = RankingProgress(self._panels.answer.show_results, self._worker.wake)
+            self._ranking_progress = RankingProgress(self._panels.answer.show_results, self._worker.wake)
             self._opening = DelayedCall(GREETING, self._worker.wake)
 
     def change(self, change: StateChange) -> None:
@@ -124,7 +124,7 @@ class Visitor:
             if changed.why and not self._state.why:
                 self._bridge.call("reveal", "#lpn-why")
             self._state = changed
-            self._asker.moved()
+            self._requests.supersede()
             self._panels.write(changed)
         self._worker.wake()
 
@@ -133,13 +133,13 @@ class Visitor:
 
     def leave(self) -> None:
         """The browser is gone: stop its worker."""
-        self._opening.there()
-        self._follower.leave()
+        self._opening.cancel()
+        self._ranking_progress.close()
         self._reporter.leave()
         self._explain_window.leave()
         self._worker.stop()
         self._lab.leave()
-        self._asker.leave()
+        self._requests.close()
 
     def _hello(self, value: Any) -> None:
         """The page says what its address asks for and how large it is; it repeats that until it is answered."""
@@ -148,7 +148,7 @@ class Visitor:
             if self._greeted or not isinstance(search, str):
                 return
             self._greeted = True
-            self._opening.there()
+            self._opening.cancel()
             self._fit(value.get("small"))
             before = self._state
             asked, said = self._links.read(search, before)
@@ -174,25 +174,25 @@ class Visitor:
     def _work(self) -> float | None:
         slow = DelayedCall(SLOW, self._panels.answer.show_busy)
         try:
-            analysis = self._asker.newest(lambda: self._analyser.analyse(self._state, SHOWN))
+            analysis = self._requests.compute_newest(lambda: self._analyser.analyse(self._state, SHOWN))
             self._sequence += 1
             started = time.perf_counter()
             with self._client.atomic():  # the page takes all of it at once, and draws one frame rather than several
                 self._stage.show(analysis)
                 self._explain_window.show(analysis)
                 self._lab.show(analysis)
-                slow.there()
+                slow.cancel()
                 self._panels.show(analysis, self._sequence, started)
         except BusyError:
-            slow.there()
+            slow.cancel()
             self._panels.answer.show_overloaded()
-            return AGAIN
+            return RETRY_AFTER
         finally:
-            slow.there()
+            slow.cancel()
         beside = self._workspace.beside
         name = analysis.task.name
         other = None if beside is None else beside.rankings.get(name)
-        self._follower.follow(self._workspace.rankings[name], other)
+        self._ranking_progress.follow(self._workspace.rankings[name], other)
         self._bridge.set_address(self._links.write(analysis.state), self._links.keys)
         if log.isEnabledFor(logging.DEBUG):
             log.debug("%s", self._line(analysis, time.perf_counter() - started))

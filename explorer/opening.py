@@ -102,7 +102,7 @@ def open_saved(data: Path, saved: Saved, query: str | None = None) -> Workspace:
 def _begin_ranking(task: Task) -> RankingJob:
     ranking = RankingJob(task)
     with _status(f"Ranking {len(task.gallery):,} pictures for {len(task.queries):,} queries, {task.name}"):
-        ranking.begin()
+        ranking.start()
     return ranking
 
 

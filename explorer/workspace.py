@@ -196,7 +196,7 @@ class StateAnalyser:
     def __init__(self, workspace: Workspace, model: QueuedModel | None = None) -> None:
         self._workspace, self._model = workspace, model or workspace.model
         self._asked = (
-            None if self._model is None else self._model.replaceable()
+            None if self._model is None else self._model.cancellable()
         )  # unlike tiles, which others wait for, too
         self._picture_key: object = None
         self._picture: UInt8Array
@@ -213,7 +213,7 @@ class StateAnalyser:
 
         Raises:
             BusyError: when the network has too much to do; the same state can be asked for again.
-            SupersededError: when another state is wanted, see `inference.RequestContext.newest`.
+            SupersededError: when the state changed, see `RequestContext.compute_newest`.
             LPNError: when it cannot be answered.
         """
         started = time.perf_counter()

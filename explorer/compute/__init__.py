@@ -1,3 +1,4 @@
-"""The inference scheduler, background jobs, and caches that all browsers share.
+"""Scheduling of the computations that all browsers share: inference, background jobs, and caches.
 
-Nothing here draws."""
+Nothing here draws. Imports `lpn`; `app`, `workspace`, and the windows import it.
+"""

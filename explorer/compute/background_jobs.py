@@ -1,4 +1,4 @@
-"""Long work that several browsers wait for: done once, off the event loop, and ended when nobody waits any longer."""
+"""Long work that several clients may share: it runs once, on its own thread, and is cancelled when the last client leaves."""
 
 from __future__ import annotations
 
@@ -17,134 +17,130 @@ from lpn.core.errors import LPNError
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
+# Takes the finished and the total amount of work, (0, 0) if unknown. Raises `WorkCancelledError` when all clients have left.
 ReportProgress = Callable[[int, int], None]
-"""Told how much is done, and of how much; (0, 0) where that cannot be said. Raises `WorkCancelledError` when nobody waits."""
 
 
 class WorkCancelledError(Exception):
-    """Nobody waits for the work any longer."""
+    """No client waits for the work any longer."""
 
 
 class BackgroundJob(Generic[T]):
-    """Work on a thread of its own.
+    """Work on its own thread, which starts at once.
 
     Attributes:
-        done, total: as the work last said.
-        value: the result, None before it is there.
-        flaw: one sentence why there is none, or None.
+        done, total: progress as last reported.
+        value: the result, None until the work succeeds.
+        error: one sentence if the work failed or was cancelled, else None.
+        cancelled: all clients left before the work ended.
     """
 
-    def __init__(self, work: Callable[[ReportProgress], T], who: object) -> None:
-        self._work, self._waiting, self._lock = work, {id(who)}, threading.Lock()
-        self._finished, self._given_up = threading.Event(), False
+    def __init__(self, work: Callable[[ReportProgress], T], client: object) -> None:
+        self._work, self._lock = work, threading.Lock()
+        self._clients = {id(client)}  # ids, so that a finished job keeps no client alive
+        self._finished, self._started = threading.Event(), time.monotonic()
         self.done, self.total = 0, 0
-        self._began = time.monotonic()
         self.value: T | None = None
-        self.flaw: str | None = None
+        self.error: str | None = None
+        self.cancelled = False
         threading.Thread(target=self._run, name="explorer-job", daemon=True).start()
 
     @property
-    def given_up(self) -> bool:
-        """Whether everybody left before it ended."""
-        return self._given_up
-
-    @property
-    def seconds(self) -> float:
-        """Since it was begun."""
-        return time.monotonic() - self._began
+    def elapsed(self) -> float:
+        """Seconds since the start."""
+        return time.monotonic() - self._started
 
     def wait(self, seconds: float) -> bool:
-        """Whether the work has ended, in success or not, within some seconds."""
+        """Wait for the end; return whether the work has ended, with or without success."""
         return self._finished.wait(seconds)
 
-    def join(self, who: object) -> bool:
-        """Wait for it too; False when it has been given up."""
+    def join(self, client: object) -> bool:
+        """Add a client; return False if the job has been cancelled."""
         with self._lock:
-            if not self._given_up:
-                self._waiting.add(id(who))
-            return not self._given_up
+            if not self.cancelled:
+                self._clients.add(id(client))
+            return not self.cancelled
 
-    def leave(self, who: object) -> None:
-        """Wait for it no longer."""
+    def leave(self, client: object) -> None:
+        """Remove a client; the last one to leave cancels the work."""
         with self._lock:
-            self._waiting.discard(id(who))
-            self._given_up = not self._waiting and not self._finished.is_set()
+            self._clients.discard(id(client))
+            self.cancelled = not self._clients and not self._finished.is_set()
 
-    def _progress(self, done: int, total: int) -> None:
+    def _report(self, done: int, total: int) -> None:
         self.done, self.total = done, total
-        if self._given_up:
+        if self.cancelled:
             raise WorkCancelledError
 
     def _run(self) -> None:
         try:
-            self.value = self._work(self._progress)
+            self.value = self._work(self._report)
         except WorkCancelledError:
-            self.flaw = "It was cancelled."
+            self.error = "It was cancelled."
         except LPNError as error:
-            self.flaw = str(error)
+            self.error = str(error)
         except Exception as error:
             log.exception("A job failed")
-            self.flaw = f"{type(error).__name__}: the details are in the server's log."
+            self.error = f"{type(error).__name__}: the details are in the server's log."
         self._finished.set()
 
 
 class BackgroundJobs:
-    """One job for each kind of work. One that was given up is begun anew when it is asked for again; one that failed, once it
-    is forgotten."""
+    """At most one job for each key; thread-safe. A cancelled job starts again when joined, a failed one once forgotten."""
 
     def __init__(self) -> None:
         self._jobs: dict[Hashable, BackgroundJob[Any]] = {}
         self._lock = threading.Lock()
 
-    def ask(self, key: Hashable, who: object, work: Callable[[ReportProgress], T]) -> BackgroundJob[T]:
-        """The job of a key, joined or begun."""
+    def join(self, key: Hashable, client: object, work: Callable[[ReportProgress], T]) -> BackgroundJob[T]:
+        """Return the job of a key; start it if there is none."""
         with self._lock:
             job = self._jobs.get(key)
-            if job is None or not job.join(who):
-                job = self._jobs[key] = BackgroundJob(work, who)
+            if job is None or not job.join(client):
+                job = self._jobs[key] = BackgroundJob(work, client)
             return job
 
-    def forget(self, key: Hashable) -> None:
-        """Let the next one who asks begin anew, where the job failed."""
+    def forget_failed(self, key: Hashable) -> None:
+        """Forget the job of a key if it failed, so that it can start again."""
         with self._lock:
             job = self._jobs.get(key)
-            if job is not None and job.flaw is not None:
+            if job is not None and job.error is not None:
                 del self._jobs[key]
 
-    def leave(self, who: object, key: Hashable | None = None) -> None:
-        """Wait no longer for one job, or for any."""
+    def leave(self, client: object, key: Hashable | None = None) -> None:
+        """Remove a client from the job of a key, or from all jobs."""
         with self._lock:
             for name, job in self._jobs.items():
                 if key is None or name == key:
-                    job.leave(who)
+                    job.leave(client)
 
 
-def in_process(progress: ReportProgress, function: Callable[..., T], *arguments: object) -> T:
-    """Call a function in a process of its own, which is ended when `progress` raises: some work cannot be stopped otherwise.
+def in_process(report: ReportProgress, function: Callable[..., T], *arguments: object) -> T:
+    """Call a function that cannot be interrupted in its own process, which is killed when `report` raises.
 
     Args:
-        function: of a module, so that the other process can import it; arguments and result are pickled.
+        function: importable by the other process; its arguments and result are pickled.
 
     Raises:
-        LPNError: what the function raised, or that the process ended without a word.
+        LPNError: raised by the function, or because the process was killed.
     """
     context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_call, args=(there, function, arguments), daemon=True)
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_send_result, args=(sender, function, arguments), daemon=True)
     try:
-        with _without_interrupts():
+        with _sigint_blocked():
             process.start()
-        there.close()
-        while not here.poll(0.2):
-            progress(0, 0)
-        error, value = here.recv()
-        process.join(5)  # it may have things to put away
-    except EOFError as ended:
-        raise LPNError("The process that computed it was ended, which is often for want of memory.") from ended
+        sender.close()
+        while not receiver.poll(0.2):
+            report(0, 0)
+        error, value = receiver.recv()
+        process.join(5)  # lets the process clean up
+    except EOFError as end:
+        raise LPNError("The process that computed it was killed, often because memory ran out.") from end
     finally:
         process.kill()
         process.join()
-        here.close()
+        receiver.close()
     if error is not None:
         raise error
     result: T = value
@@ -152,8 +148,8 @@ def in_process(progress: ReportProgress, function: Callable[..., T], *arguments:
 
 
 @contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Processes started here know no Ctrl-C, which a terminal sends to them too: who started them ends them."""
+def _sigint_blocked() -> Iterator[None]:
+    """Block SIGINT, also in processes started meanwhile: a terminal sends Ctrl-C to them, too, but their parent ends them."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -164,9 +160,9 @@ def _without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _call(connection: Connection, function: Callable[..., Any], arguments: tuple[object, ...]) -> None:
+def _send_result(connection: Connection, function: Callable[..., Any], arguments: tuple[object, ...]) -> None:
     try:
-        answer: tuple[LPNError | None, Any] = (None, function(*arguments))
+        outcome: tuple[LPNError | None, Any] = (None, function(*arguments))
     except LPNError as error:
-        answer = (error, None)
-    connection.send(answer)
+        outcome = (error, None)
+    connection.send(outcome)

@@ -1,4 +1,4 @@
-"""Requests for a pass of the network, what is computed with what, and a batch of them computed."""
+"""Requests for forward passes, and their computation in batches."""
 
 from __future__ import annotations
 
@@ -19,100 +19,107 @@ if TYPE_CHECKING:
 
 
 class SupersededError(Exception):
-    """Another answer is wanted in place of the one that was asked for."""
+    """A newer request has replaced this one."""
 
 
 class InferenceRequest:
-    """Pictures (B, 3, H, W) of one view that wait for their pass."""
+    """Pictures (B, 3, H, W) of one view that wait for a forward pass.
+
+    Args:
+        background: long work, which lets interactive requests go first.
+        cancellable: dropped when `context` supersedes it.
+        enqueued: time at which it was made, in seconds.
+
+    Attributes:
+        position: order among interactive requests; the smallest is first.
+        batch_key: requests of equal keys may share a batch.
+    """
 
     def __init__(
         self,
-        asker: RequestContext,
+        context: RequestContext,
         model: Model,
         images: Float32Array,
         view: View,
-        patient: bool,
-        replaceable: bool,
-        since: float,
+        background: bool,
+        cancellable: bool,
+        enqueued: float,
     ) -> None:
-        self.asker, self.model, self.images, self.view, self.patient = asker, model, images, view, patient
-        self.replaceable, self.since = replaceable, since
-        self.place = 0
-        """Among the answers, the least first."""
-        self.kind: Hashable = (model, view, images.shape[1:], images.dtype)
-        """Requests of one kind can be computed in one pass."""
-        self._ended = threading.Event()
-        self._found: ForwardPass | None = None
-        self._error: Exception | None = None
+        self.context, self.model, self.images, self.view = context, model, images, view
+        self.background, self.cancellable, self.enqueued = background, cancellable, enqueued
+        self.position = 0
+        self.batch_key: Hashable = (model, view, images.shape[1:], images.dtype)
+        self._finished = threading.Event()
+        self._result: ForwardPass | None = None
+        self._error: BaseException | None = None
 
-    def end(self, found: ForwardPass | None = None, error: Exception | None = None) -> None:
-        """Hand over the outcome."""
-        self._found, self._error = found, error
-        self._ended.set()
+    def finish(self, result: ForwardPass) -> None:
+        """Wake the waiting thread with a result."""
+        self._result = result
+        self._finished.set()
+
+    def fail(self, error: BaseException) -> None:
+        """Wake the waiting thread with an error."""
+        self._error = error
+        self._finished.set()
 
     def wait(self) -> ForwardPass:
-        """The outcome, waited for; raises what went wrong."""
-        self._ended.wait()
-        if self._error is not None:
+        """Wait for the result; raise the error if it failed."""
+        self._finished.wait()
+        if isinstance(self._error, Exception):
             raise self._error
-        assert self._found is not None
-        return self._found
+        if self._error is not None:  # SystemExit and the like must not end the waiting thread
+            raise LPNError(f"The network ended with {type(self._error).__name__}; try again.")
+        assert self._result is not None
+        return self._result
 
 
-def together(waiting: list[InferenceRequest]) -> list[InferenceRequest]:
-    """The oldest request, and what can be computed with it."""
-    batch, size = waiting[:1], len(waiting[0].images) if waiting else 0
-    for request in waiting[1:]:
-        if request.kind == batch[0].kind and size + len(request.images) <= request.model.batch:
+def next_batch(requests: list[InferenceRequest]) -> list[InferenceRequest]:
+    """Return the first request, and further ones that fit into its batch."""
+    batch, size = requests[:1], len(requests[0].images) if requests else 0
+    for request in requests[1:]:
+        if request.batch_key == batch[0].batch_key and size + len(request.images) <= request.model.batch:
             batch.append(request)
             size += len(request.images)
     return batch
 
 
-def told(error: BaseException) -> Exception:
-    """An error as it can be raised in the thread that asked, which is not to end by it."""
-    return (
-        error
-        if isinstance(error, Exception)
-        else LPNError(f"The network ended with {type(error).__name__}; try again.")
-    )
-
-
 def compute(batch: list[InferenceRequest]) -> None:
-    """Run a batch, and hand each request its rows. Where several fail, each is tried alone: what is wrong with one is not
-    wrong with the others."""
+    """Compute a batch. If it fails, compute each request alone, so that one bad request does not fail the others."""
     first = batch[0]
     try:
-        alone = len(batch) == 1
-        images = first.images if alone else np.concatenate([request.images for request in batch])
-        found = first.model.run(images, first.view)
-        rows = [found] if alone else _divided(found, [len(request.images) for request in batch])
-    except BaseException as error:  # who asked waits until there is an outcome
         if len(batch) == 1:
-            first.end(error=told(error))
+            first.finish(first.model.run(first.images, first.view))
+            return
+        results = _split(
+            first.model.run(np.concatenate([request.images for request in batch]), first.view),
+            [len(request.images) for request in batch],
+        )
+    except BaseException as error:  # every waiting thread must be woken
+        if len(batch) == 1:
+            first.fail(error)
         else:
             for request in batch:
                 compute([request])
         return
-    for request, own in zip(batch, rows, strict=True):
-        request.end(own)
+    for request, result in zip(batch, results, strict=True):
+        request.finish(result)
 
 
-def _divided(found: ForwardPass, sizes: list[int]) -> list[ForwardPass]:
-    """Each request's rows, copied: a row that is kept would keep the whole batch."""
-    ends = np.cumsum([0, *sizes])
+def _split(result: ForwardPass, sizes: list[int]) -> list[ForwardPass]:
+    """Return each request's rows as copies; a view would keep the whole batch in memory."""
     return [
-        ForwardPass(*(None if array is None else array[begin:end].copy() for array in found))  # type: ignore[arg-type]
-        for begin, end in pairwise(ends)
+        ForwardPass(*(None if array is None else array[begin:end].copy() for array in result))  # type: ignore[arg-type]
+        for begin, end in pairwise(np.cumsum([0, *sizes]))
     ]
 
 
-def joined(passes: list[ForwardPass]) -> ForwardPass:
-    """The passes of pictures that were too many for one, as if they had been one."""
-    if len(passes) == 1:
-        return passes[0]
-    columns = zip(*passes, strict=True)
+def concatenate(results: list[ForwardPass]) -> ForwardPass:
+    """Join the results of consecutive batches."""
+    if len(results) == 1:
+        return results[0]
     parts, features, attention = (
-        None if c[0] is None else np.concatenate(cast("list[Float32Array]", c)) for c in columns
+        None if column[0] is None else np.concatenate(cast("list[Float32Array]", column))
+        for column in zip(*results, strict=True)
     )
     return ForwardPass(cast(Float32Array, parts), cast(Float32Array, features), attention)

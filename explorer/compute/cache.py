@@ -1,4 +1,4 @@
-"""What was made last, kept for all browsers."""
+"""A cache that all browsers share."""
 
 from __future__ import annotations
 
@@ -12,36 +12,36 @@ V = TypeVar("V")
 
 
 class SingleFlightCache(Generic[K, V]):
-    """The values used last, at most `most`; thread-safe. Several who want one that is not there have it made once.
+    """A thread-safe LRU cache of at most `size` values that computes each value once (single flight).
 
-    `functools.lru_cache` would make it for each of them, and knows no way to say who asks.
+    `functools.lru_cache` would compute a value in every thread that misses it.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most, self._lock = most, threading.Lock()
+    def __init__(self, size: int) -> None:
+        self._size, self._lock = size, threading.Lock()
         self._values: OrderedDict[K, V] = OrderedDict()
-        self._making: dict[K, threading.Event] = {}
+        self._in_flight: dict[K, threading.Event] = {}
 
-    def get(self, key: K, make: Callable[[], V]) -> V:
-        """The value of a key, made where it is not there; what `make` raises concerns only who called it."""
+    def get(self, key: K, compute: Callable[[], V]) -> V:
+        """Return the value of a key. An error of `compute` is raised in the calling thread only; the next caller retries."""
         while True:
             with self._lock:
                 if key in self._values:
                     self._values.move_to_end(key)
                     return self._values[key]
-                made = self._making.get(key)
-                if made is None:
-                    mine = self._making[key] = threading.Event()
+                finished = self._in_flight.get(key)
+                if finished is None:
+                    finished = self._in_flight[key] = threading.Event()
                     break
-            made.wait()
+            finished.wait()
         try:
-            value = make()
+            value = compute()
             with self._lock:
                 self._values[key] = value
-                if len(self._values) > self._most:
+                if len(self._values) > self._size:
                     self._values.popitem(last=False)
             return value
         finally:
             with self._lock:
-                del self._making[key]
-            mine.set()
+                del self._in_flight[key]
+            finished.set()

@@ -1,10 +1,10 @@
-"""One queue before the network for all browsers: what waits is computed together, in the order in which it came.
+"""The queue in front of the network, shared by all browsers.
 
-A thread that asks waits for its pass, so it has one in the queue at a time, and the order of coming is a round among all that
-ask: nobody waits longer than one pass of everybody else. Long work (profiles, reports, a second model) asks for a pass at a
-time, too. Answers go before it, yet one of `TURN` passes is its own. Of answers no more wait than there is room for;
-the next are refused, and who was refused is taken before those who come for the first time. Who wants another answer by the
-time its turn is next asks for that one in the same place.
+A thread waits for its request, so it has at most one in the queue, and first-in, first-out order is fair: nobody waits longer
+than one request of everybody else. Background work (sweeps, reports, a second model) queues apart, and interactive requests
+go first; every fourth batch goes to background work, so that it cannot starve. The interactive queue is bounded
+(back-pressure): further requests raise `BusyError`, and who was refused is admitted before newcomers. A superseded request
+gives its place to the next request of its browser.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from itertools import count
 from typing import TYPE_CHECKING
 
 from explorer.compute.background_jobs import WorkCancelledError
-from explorer.compute.batching import InferenceRequest, SupersededError, compute, together, told
+from explorer.compute.batching import InferenceRequest, SupersededError, compute, next_batch
+from explorer.compute.cache import SingleFlightCache
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
 from lpn.core.views import View
@@ -29,177 +30,173 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-ROOM = 32
-"""Answers that wait at a time. A large network on two cores takes a tenth of a second for each, so the last waits for three."""
-TURN = 4
-"""Of so many passes, one is of long work where some waits, however many answers do."""
-AGAIN = 0.5
-"""Seconds after which who was refused had best ask again."""
-KEPT = 4 * AGAIN
-"""Seconds for which a place is kept for who was refused, and may come again."""
-IDLE = 60.0
-"""Seconds without work after which the queue's thread ends; the next request begins one."""
+# Interactive requests in the queue. A large network takes 0.1 s for each on two cores, so the last one waits for 3 s.
+MAX_QUEUED = 32
+# One of this many batches goes to background work if there is any.
+BACKGROUND_INTERVAL = 4
+# Seconds after which a refused request should be made again, and for which its place is reserved.
+RETRY_AFTER = 0.5
+RESERVATION = 4 * RETRY_AFTER
+# Seconds without requests after which the thread ends; the next request starts another one.
+IDLE_TIMEOUT = 60.0
+_MAX_HEADS = 16
 
 
 class BusyError(LPNError):
-    """More answers wait than there is room for."""
+    """The queue of interactive requests is full."""
 
 
 class InferenceScheduler:
-    """The queue, and the one thread that computes what waits in it.
+    """The queue and its one thread, which computes the requests in batches.
 
-    A pass has at most `Model.batch` pictures, four of an exported model, which is two browsers' pictures with their mirrors:
-    a CPU's cores are busy with one picture already, so a larger batch takes longer in proportion, all of it wait for the next
-    answers, and the memory of its feature maps. A model in PyTorch says eight, on a GPU 64.
+    A batch has at most `Model.batch` pictures. For an exported model these are four, two pictures and their mirrored copies:
+    one picture occupies all cores of a CPU, so larger batches would only increase memory and everybody's latency.
 
     Args:
-        room: answers that wait at a time.
-        clock: seconds from any beginning.
+        max_queued: bound of the interactive queue.
+        clock: returns seconds.
     """
 
-    def __init__(self, room: int = ROOM, clock: Callable[[], float] = time.monotonic) -> None:
-        self._room, self._clock = room, clock
+    def __init__(self, max_queued: int = MAX_QUEUED, clock: Callable[[], float] = time.monotonic) -> None:
+        self._max_queued, self._clock = max_queued, clock
         self._changed = threading.Condition()
-        self._answers: list[InferenceRequest] = []
-        self._long: list[InferenceRequest] = []
-        self._passed_over = 0
-        """Passes since long work had its turn, while some waits."""
+        self._interactive: list[InferenceRequest] = []
+        self._background: list[InferenceRequest] = []
+        self._batches_since_background = 0
+        # Refused contexts, oldest first, and the times until which their places are reserved.
         self._refused: dict[RequestContext, float] = {}
-        """Who was refused, the first first, and until when a place is kept."""
-        self._places = count()
+        self._positions = count()
+        # Positions of contexts whose request was superseded and that have not made the next one yet.
         self._held: dict[RequestContext, int] = {}
-        """The places of those who were told that another answer is wanted, and have not asked for it yet."""
         self._thread: threading.Thread | None = None
-        self._heads: dict[tuple[Model, View], Heads] = {}
-        self._heads_lock = threading.Lock()
+        self._heads: SingleFlightCache[tuple[Model, View], Heads] = SingleFlightCache(_MAX_HEADS)
 
     @property
-    def waiting(self) -> int:
-        """Requests that are in the queue, without those that are being computed."""
+    def queue_length(self) -> int:
+        """Number of waiting requests, without those being computed."""
         with self._changed:
-            return len(self._answers) + len(self._long)
+            return len(self._interactive) + len(self._background)
 
     def heads(self, model: Model, view: View) -> Heads:
-        """A model's heads, read once: some models make them anew, of many megabytes, whenever they are asked."""
-        with self._heads_lock:
-            key = model, view
-            if key not in self._heads:
-                self._heads[key] = model.heads(view)
-            return self._heads[key]
+        """Return a model's heads, cached: some models read many megabytes for each call."""
+        return self._heads.get((model, view), lambda: model.heads(view))
 
-    def ask(
+    def run(
         self,
-        asker: RequestContext,
+        context: RequestContext,
         model: Model,
         images: Float32Array,
         view: View,
-        patient: bool = False,
-        replaceable: bool = False,
+        background: bool = False,
+        cancellable: bool = False,
     ) -> ForwardPass:
-        """One pass, waited for.
+        """Queue a request and wait for its result.
 
         Raises:
-            BusyError: when too many answers wait.
-            SupersededError: when it is replaceable, and the asker has moved on.
-            WorkCancelledError: when the asker has left.
+            BusyError: when the queue is full.
+            SupersededError: when it is cancellable and its context superseded it.
+            WorkCancelledError: when the context is closed.
         """
-        request = InferenceRequest(asker, model, images, view, patient, replaceable, self._clock())
+        request = InferenceRequest(context, model, images, view, background, cancellable, self._clock())
         with self._changed:
-            if asker.left:
+            if context.closed:
                 raise WorkCancelledError
-            if patient:
-                self._long.append(request)
+            if background:
+                self._background.append(request)
             else:
-                if asker not in self._held:
-                    self._admit(asker)
-                    self._held[asker] = next(self._places)
-                request.place = self._held.pop(asker)
-                insort(self._answers, request, key=lambda one: one.place)
+                if context not in self._held:
+                    self._admit(context)
+                    self._held[context] = next(self._positions)
+                request.position = self._held.pop(context)
+                insort(self._interactive, request, key=lambda other: other.position)
             if self._thread is None:
                 try:
-                    self._begin()
-                except BaseException:  # as when there can be no more threads: this one would wait for ever
-                    self._take([request])
+                    self._start_thread()
+                except BaseException:  # for example too many threads; nobody would answer the request
+                    self._remove([request])
                     raise
             self._changed.notify_all()
         return request.wait()
 
-    def drop(self, asker: RequestContext) -> None:
-        """Take out of the queue what an asker waits for; see `RequestContext.leave`."""
+    def drop(self, context: RequestContext) -> None:
+        """Close a context: fail its requests and give up its places."""
         with self._changed:
-            asker.left = True
-            self._refused.pop(asker, None)
-            self._held.pop(asker, None)
-            dropped = [request for request in (*self._answers, *self._long) if request.asker is asker]
-            self._take(dropped)
+            context.closed = True
+            self._refused.pop(context, None)
+            self._held.pop(context, None)
+            dropped = [request for request in (*self._interactive, *self._background) if request.context is context]
+            self._remove(dropped)
         for request in dropped:
-            request.end(error=WorkCancelledError())
+            request.fail(WorkCancelledError())
 
-    def free(self, asker: RequestContext) -> None:
-        """Give the place of an asker back that was to ask for another answer."""
+    def release(self, context: RequestContext) -> None:
+        """Give up the place that is held for a context's next request."""
         with self._changed:
-            self._held.pop(asker, None)
+            self._held.pop(context, None)
 
-    def _begin(self) -> None:
+    def _start_thread(self) -> None:
         thread = threading.Thread(target=self._loop, name="explorer-inference", daemon=True)
         thread.start()
         self._thread = thread
 
-    def _admit(self, asker: RequestContext) -> None:
-        """Raise BusyError unless there is room beside those who were refused before."""
+    def _admit(self, context: RequestContext) -> None:
+        """Raise BusyError unless there is a place besides those reserved for earlier refused contexts."""
         now = self._clock()
-        self._refused = {one: until for one, until in self._refused.items() if until > now}
-        before = list(self._refused)
-        place = before.index(asker) if asker in self._refused else len(before)
-        if place >= self._room - len(self._answers) - len(self._held):
-            self._refused[asker] = now + KEPT  # in its old place, where it had one
-            raise BusyError(
-                f"{len(self._answers)} answers are waited for already, and no more are taken; ask again in a moment."
-            )
-        self._refused.pop(asker, None)
+        self._refused = {other: until for other, until in self._refused.items() if until > now}
+        waiting = list(self._refused)
+        ahead = waiting.index(context) if context in self._refused else len(waiting)
+        if ahead >= self._max_queued - len(self._interactive) - len(self._held):
+            self._refused[context] = now + RESERVATION  # keeps the place of an earlier refusal
+            raise BusyError(f"{len(self._interactive)} requests are queued, which is the limit; try again in a moment.")
+        self._refused.pop(context, None)
 
     def _loop(self) -> None:
         try:
             self._work()
         except BaseException as error:
-            log.exception("The queue before the network failed")
-            with self._changed:  # nobody would answer these; who asks next begins anew
-                lost, self._thread = [*self._answers, *self._long], None
-                self._take(lost)
+            log.exception("The inference scheduler failed")
+            with self._changed:  # fail all requests; the next one starts another thread
+                lost, self._thread = [*self._interactive, *self._background], None
+                self._remove(lost)
             for request in lost:
-                request.end(error=told(error))
+                request.fail(error)
 
     def _work(self) -> None:
         while True:
             with self._changed:
-                while not self._answers and not self._long:
-                    if not self._changed.wait(IDLE) and not self._answers and not self._long:
-                        self._thread = None
-                        return
-                batch = self._next()
-                moved = self._moved()
-            for request in moved:  # what is wanted instead is prepared during the pass
-                request.end(error=SupersededError())
+                if not self._changed.wait_for(lambda: self._interactive or self._background, IDLE_TIMEOUT):
+                    self._thread = None
+                    return
+                batch = self._next_batch()
+                superseded = self._take_superseded()
+            for request in superseded:  # their contexts prepare the next request while this batch is computed
+                request.fail(SupersededError())
             compute(batch)
-            del batch  # its pictures would stay until the next
+            del batch  # frees the pictures
 
-    def _next(self) -> list[InferenceRequest]:
-        """The oldest request of those whose turn it is, and what can be computed with it."""
-        long = not self._answers or (bool(self._long) and self._passed_over >= TURN - 1)
-        self._passed_over = self._passed_over + 1 if self._long and not long else 0
-        # Never both in a pass: an answer would take as long as both.
-        batch = together(self._long if long else self._answers)
-        self._take(batch)
+    def _next_batch(self) -> list[InferenceRequest]:
+        """Take the next batch; it is never mixed, since interactive requests would wait for the background work in it."""
+        background = not self._interactive or (
+            bool(self._background) and self._batches_since_background >= BACKGROUND_INTERVAL - 1
+        )
+        counting = bool(self._background) and not background
+        self._batches_since_background = self._batches_since_background + 1 if counting else 0
+        batch = next_batch(self._background if background else self._interactive)
+        self._remove(batch)
         return batch
 
-    def _moved(self) -> list[InferenceRequest]:
-        """Those of the next pass of answers that are not wanted as they are, taken out; their places are held."""
+    def _take_superseded(self) -> list[InferenceRequest]:
+        """Take the superseded requests of the interactive batch after this one, and hold their positions."""
         now = self._clock()
-        moved = [one for one in together(self._answers) if one.replaceable and one.asker.calls_off(now - one.since)]
-        self._take(moved)
-        self._held.update((request.asker, request.place) for request in moved)
-        return moved
+        superseded = [
+            request
+            for request in next_batch(self._interactive)
+            if request.cancellable and request.context.cancels(now - request.enqueued)
+        ]
+        self._remove(superseded)
+        self._held.update((request.context, request.position) for request in superseded)
+        return superseded
 
-    def _take(self, requests: Iterable[InferenceRequest]) -> None:
+    def _remove(self, requests: Iterable[InferenceRequest]) -> None:
         for request in requests:
-            (self._long if request.patient else self._answers).remove(request)
+            (self._background if request.background else self._interactive).remove(request)

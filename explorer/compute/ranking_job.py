@@ -1,9 +1,7 @@
-"""What became of all queries of a task: known at once where that is quick, else ranked once for all browsers, meanwhile."""
+"""The ranking of all queries of a task: at once if that is quick, otherwise in the background, shared by all browsers."""
 
 from __future__ import annotations
 
-import os
-import sys
 import threading
 from dataclasses import dataclass
 
@@ -16,17 +14,17 @@ from lpn.core.errors import LPNError
 from lpn.retrieval.evaluate import error_shares
 from lpn.retrieval.metrics import Retrieval
 
-QUICK = 20_000_000_000
-"""Multiplications that are done before the first page is served: half a second of two cores."""
+# Multiplications of a ranking that is computed before the first page is served: half a second on two cores.
+QUICK_COST = 20_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class TaskRanking:
-    """What became of all queries of a task.
+    """The ranks of all queries of a task.
 
     Attributes:
-        ranking: of the gallery for each.
-        results: recall and AP in percent, see `lpn.retrieval.metrics.evaluate`; with positions, `median error m` and more.
+        ranking: ranks and best matches by query.
+        results: recall and AP in percent, see `lpn.retrieval.metrics.evaluate`; with positions also `median error m` etc.
     """
 
     ranking: Retrieval
@@ -34,87 +32,92 @@ class TaskRanking:
 
 
 class RankingJob:
-    """The ranking of a task's queries; thread-safe."""
+    """Ranks the queries of a task while a client waits; thread-safe.
+
+    Attributes:
+        task: the ranked task.
+        result: None until all queries are ranked.
+    """
 
     def __init__(self, task: Task) -> None:
         self.task = task
+        self.result: TaskRanking | None = None
         self._ranking, self._jobs, self._turn = ResumableRanking(task), BackgroundJobs(), threading.Lock()
         self._job: BackgroundJob[TaskRanking] | None = None
-        self.found: TaskRanking | None = None
-        """None until all are ranked."""
 
-    def begin(self) -> None:
-        """Rank at once where that is quick, and take what is kept of another time; InputError when that cannot be done."""
-        if ranking_cache.cost(self.task) <= QUICK:
-            self.found = self._told(self._ranking.finish(lambda *_: None))
+    def start(self) -> None:
+        """Rank at once if that is quick, otherwise load a cached ranking if there is one.
+
+        Raises:
+            InputError: when the task cannot be ranked.
+        """
+        if ranking_cache.cost(self.task) <= QUICK_COST:
+            self.result = self._result(self._ranking.finish(lambda *_: None))
         elif (cached := ranking_cache.load(self.task)) is not None:
-            self.found = self._told(cached)
+            self.result = self._result(cached)
 
     @property
     def ranks(self) -> Int64Array:
         """0-based rank of each query's first true match, -1 without one, (Q,); only when the task is ranked."""
-        assert self.found is not None
-        return self.found.ranking.first
+        assert self.result is not None
+        return self.result.ranking.first
 
     @property
     def results(self) -> dict[str, float]:
         """See `TaskRanking`; only when the task is ranked."""
-        assert self.found is not None
-        return self.found.results
+        assert self.result is not None
+        return self.result.results
 
     @property
     def done(self) -> int:
-        """How many queries are ranked."""
-        job = self._job
-        return 0 if job is None else job.done
+        """Number of ranked queries."""
+        return 0 if self._job is None else self._job.done
 
     @property
-    def flaw(self) -> str:
-        """Why they cannot be ranked; empty where they can."""
+    def error(self) -> str:
+        """One sentence if the ranking failed, else empty."""
         job = self._job
-        return "" if job is None or job.given_up else job.flaw or ""
+        return "" if job is None or job.cancelled else job.error or ""
 
-    def ask(self, who: object) -> BackgroundJob[TaskRanking]:
-        """Wait for the ranking, begun or gone on with; a ranking that nobody waits for stands still."""
-        self._job = job = self._jobs.ask("ranking", who, self._rank)
+    def join(self, client: object) -> BackgroundJob[TaskRanking]:
+        """Start or resume the ranking for a client; it pauses when all clients have left."""
+        self._job = job = self._jobs.join("ranking", client, self._rank)
         return job
 
-    def leave(self, who: object) -> None:
-        """Wait for it no longer."""
-        self._jobs.leave(who)
+    def leave(self, client: object) -> None:
+        """Remove a client."""
+        self._jobs.leave(client)
 
-    def wait(self, who: object, progress: ReportProgress) -> TaskRanking:
-        """What became of the queries, waited for.
+    def wait(self, client: object, report: ReportProgress) -> TaskRanking:
+        """Wait for the result.
 
         Args:
-            progress: told how many are ranked, and of how many; what it raises ends the waiting.
+            report: called with the numbers of ranked and of all queries; an exception that it raises ends the wait.
 
         Raises:
-            LPNError: when they cannot be ranked; who waits next begins anew.
+            LPNError: when the ranking failed; the next call tries again.
         """
         try:
-            while self.found is None:
-                job = self.ask(who)
+            while self.result is None:
+                job = self.join(client)
                 if not job.wait(0.2):
-                    progress(job.done, job.total)
-                elif job.flaw is not None and not job.given_up:
-                    self._jobs.forget("ranking")
-                    raise LPNError(job.flaw)
+                    report(job.done, job.total)
+                elif job.error is not None and not job.cancelled:
+                    self._jobs.forget_failed("ranking")
+                    raise LPNError(job.error)
         finally:
-            self.leave(who)
-        return self.found
+            self.leave(client)
+        return self.result
 
-    def _rank(self, progress: ReportProgress) -> TaskRanking:
-        if sys.platform == "linux":  # there, a thread has a niceness of its own: what a browser asks for goes first
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
-        with self._turn:  # one that was given up may still be at its last block
-            ranking = self._ranking.finish(progress)
+    def _rank(self, report: ReportProgress) -> TaskRanking:
+        with self._turn:  # a cancelled job may still compute its last block
+            ranking = self._ranking.finish(report)
         ranking_cache.save(self.task, ranking)
-        self.found = self._told(ranking)
-        return self.found
+        self.result = self._result(ranking)
+        return self.result
 
-    def _told(self, ranking: Retrieval) -> TaskRanking:
-        near: dict[str, float] = {}
+    def _result(self, ranking: Retrieval) -> TaskRanking:
+        shares: dict[str, float] = {}
         if self.task.geometry is not None:
-            near = error_shares(self.task.geometry.answer_errors_m(ranking.best))
-        return TaskRanking(ranking, ranking.figures() | near)
+            shares = error_shares(self.task.geometry.answer_errors_m(ranking.best))
+        return TaskRanking(ranking, ranking.figures() | shares)

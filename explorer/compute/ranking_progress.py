@@ -1,4 +1,4 @@
-"""Keeps one browser's page up to date while the queries of the task that it shows are being ranked."""
+"""Updates one browser's page while the queries of its tasks are being ranked."""
 
 from __future__ import annotations
 
@@ -7,71 +7,70 @@ from collections.abc import Callable
 
 from explorer.compute.ranking_job import RankingJob
 
-_OFTEN = 0.5
-"""Seconds between two looks at how far it is."""
+_INTERVAL = 0.5  # seconds between progress reports
 
 
 class RankingProgress:
-    """Waits on a thread of its own for the rankings of the tasks that are shown, which begins them.
+    """Waits on its own thread for the rankings that a page needs, and thereby starts them.
 
     Args:
-        tell: shows how far a ranking is; called by one thread at a time.
-        there: shows the page anew.
+        on_progress: shows the progress of a ranking; never called by two threads at a time.
+        on_done: called after each ranking; it shows the page anew.
     """
 
-    def __init__(self, tell: Callable[[RankingJob], None], there: Callable[[], None]) -> None:
-        self._tell, self._there, self._lock = tell, there, threading.Lock()
-        self._waiting: tuple[RankingJob, ...] = ()
+    def __init__(self, on_progress: Callable[[RankingJob], None], on_done: Callable[[], None]) -> None:
+        self._on_progress, self._on_done, self._lock = on_progress, on_done, threading.Lock()
+        self._pending: tuple[RankingJob, ...] = ()
         self._shown: RankingJob | None = None
         self._thread: threading.Thread | None = None
-        self._left = False
+        self._closed = False
 
     def follow(self, shown: RankingJob, other: RankingJob | None = None) -> None:
-        """Wait for the ranking that is shown, then for another, and for no others."""
-        rankings = [ranking for ranking in (shown, other) if ranking is not None]
-        waiting = tuple(ranking for ranking in rankings if ranking.found is None and not ranking.flaw)
+        """Wait for the ranking that the page shows, then for another one, and for no others."""
+        needed = (shown,) if other is None else (shown, other)
+        pending = tuple(ranking for ranking in needed if ranking.result is None and not ranking.error)
         with self._lock:
-            if waiting == self._waiting or self._left:
+            if pending == self._pending or self._closed:
                 return
-            for ranking in self._waiting:
-                if ranking not in waiting:
+            for ranking in self._pending:
+                if ranking not in pending:
                     ranking.leave(self)
-            self._waiting, self._shown = waiting, shown
-            if waiting and self._thread is None:
-                self._thread = threading.Thread(target=self._loop, name="explorer-follower", daemon=True)
+            self._pending, self._shown = pending, shown
+            if pending and self._thread is None:
+                self._thread = threading.Thread(target=self._loop, name="explorer-ranking", daemon=True)
                 self._thread.start()
-            self._tell(shown)  # what the thread said last may have been of the ranking before
+            self._on_progress(shown)  # the thread's last report may be about another ranking
 
-    def leave(self) -> None:
-        """The browser is gone."""
+    def close(self) -> None:
+        """Stop waiting for good: the browser has left."""
         with self._lock:
-            for ranking in self._waiting:
+            for ranking in self._pending:
                 ranking.leave(self)
-            self._waiting, self._left = (), True
+            self._pending, self._closed = (), True
 
     def _loop(self) -> None:
         try:
             self._wait()
         except BaseException:
             with self._lock:
-                self._waiting, self._thread = (), None
+                self._pending, self._thread = (), None
             raise
 
     def _wait(self) -> None:
         while True:
             with self._lock:
-                if not self._waiting:
+                if not self._pending:
                     self._thread = None
                     return
-                ranking = self._waiting[0]
-                job = ranking.ask(self)
-            ended = job.wait(_OFTEN) and not job.given_up
+                ranking = self._pending[0]
+                job = ranking.join(self)
+            ended = job.wait(_INTERVAL) and not job.cancelled
             with self._lock:
-                if self._waiting[:1] != (ranking,):
+                if self._pending[:1] != (ranking,):
                     continue
                 if self._shown is ranking:
-                    self._tell(ranking)
+                    self._on_progress(ranking)
                 if ended:
-                    self._waiting = self._waiting[1:]
+                    self._pending = self._pending[1:]
             if ended:
-                self._there()
+                self._on_done()

@@ -1,11 +1,11 @@
-"""One who asks the queue before the network, such as a browser, and the model that it asks."""
+"""One browser's access to the inference scheduler, and models that use it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TypeVar
 
-from explorer.compute.batching import SupersededError, joined
+from explorer.compute.batching import SupersededError, concatenate
 from explorer.compute.inference_scheduler import InferenceScheduler
 from lpn.core.arrays import Float32Array
 from lpn.core.views import View
@@ -13,102 +13,114 @@ from lpn.models.base import ForwardPass, Heads, Model
 
 T = TypeVar("T")
 
-STALE = 0.2
-"""Seconds that an answer must have waited before another is asked for in its place: preparing that one takes time, too."""
+# Seconds that a request must have waited to be superseded: preparing the next one takes time, too.
+MIN_WAIT = 0.2
 
 
 class RequestContext:
-    """One who asks, such as a browser; what it asks for is dropped when it leaves.
+    """The source of requests, such as a browser; its requests are dropped when it is closed.
 
     Attributes:
-        left: whether it is gone.
+        closed: `close` was called.
     """
 
-    def __init__(self, inference: InferenceScheduler) -> None:
-        self._inference = inference
-        self.left = False
-        self._moved = False
-        self._once = False
-        """Whether what it waits for may be called off: once in an answer, or who moves on and on would never have one."""
+    def __init__(self, scheduler: InferenceScheduler) -> None:
+        self._scheduler = scheduler
+        self.closed = False
+        self._superseded = False
+        # Cancel at most once per answer; otherwise a user who keeps dragging would never see one (starvation).
+        self._may_cancel = False
 
-    def of(self, model: QueuedModel | None, patient: bool = False) -> QueuedModel | None:
-        """A model for this one to ask, None for None.
+    def queued(self, model: Model | None, background: bool = False) -> QueuedModel | None:
+        """Return a model whose requests belong to this context; None for None.
 
         Args:
-            patient: for long work, which lets answers go before it and is never refused.
+            background: for long work, which lets interactive requests go first and is never refused.
         """
-        return None if model is None else QueuedModel(model.own, self._inference, self, patient)
+        if isinstance(model, QueuedModel):
+            model = model.model
+        return None if model is None else QueuedModel(model, self._scheduler, self, background)
 
-    def newest(self, answer: Callable[[], T]) -> T:
-        """What `answer` makes of the newest state, which it reads itself; where `moved` is called before the turn of its
-        `QueuedModel.replaceable` passes has come, it is called again, in the same place of the queue."""
-        self._moved, self._once = False, True
+    def compute_newest(self, compute: Callable[[], T]) -> T:
+        """Return what `compute` makes of the newest state, which it reads itself.
+
+        If `supersede` is called while a cancellable request waits, `compute` starts again, in the same place of the queue.
+        """
+        self._superseded, self._may_cancel = False, True
         try:
             try:
-                return answer()
+                return compute()
             except SupersededError:
-                return answer()
+                return compute()
         finally:
-            self._once = False
-            self._inference.free(self)
+            self._may_cancel = False
+            self._scheduler.release(self)
 
-    def moved(self) -> None:
-        """It wants another answer than the one that it may be waiting for."""
-        self._moved = True
+    def supersede(self) -> None:
+        """Note that the state changed, so that a waiting request may be out of date."""
+        self._superseded = True
 
-    def calls_off(self, waited: float) -> bool:
-        """Whether a pass that has waited some seconds is not wanted any more; true once in an answer."""
-        off = self._moved and self._once and waited >= STALE
-        self._once = self._once and not off
-        return off
+    def cancels(self, waited: float) -> bool:
+        """Return whether to cancel a request that has waited some seconds; True at most once per answer."""
+        cancel = self._superseded and self._may_cancel and waited >= MIN_WAIT
+        self._may_cancel = self._may_cancel and not cancel
+        return cancel
 
-    def leave(self) -> None:
-        """It is gone: what it waits for is not computed any more, and raises WorkCancelledError; and so does what it asks later."""
-        self._inference.drop(self)
+    def close(self) -> None:
+        """Drop the waiting requests; these and all later ones raise WorkCancelledError."""
+        self._scheduler.drop(self)
 
 
 class QueuedModel(Model):
-    """A model whose passes wait their turn in a queue; for everything that is not a pass, the model itself.
+    """A model whose forward passes wait in the scheduler's queue.
 
     Attributes:
-        own: the model that computes.
+        model: the model that computes.
     """
 
     def __init__(
         self,
-        own: Model,
-        inference: InferenceScheduler,
-        asker: RequestContext,
-        patient: bool = False,
-        replaceable: bool = False,
+        model: Model,
+        scheduler: InferenceScheduler,
+        context: RequestContext,
+        background: bool = False,
+        cancellable: bool = False,
     ) -> None:
-        self.own, self._inference, self._asker, self._patient = own, inference, asker, patient
-        self._replaceable = replaceable
-        self.spec, self.fingerprint, self.compute, self.batch = own.spec, own.fingerprint, own.compute, own.batch
+        self.model, self._scheduler, self._context = model, scheduler, context
+        self._background, self._cancellable = background, cancellable
+        self.spec, self.fingerprint, self.compute, self.batch = (
+            model.spec,
+            model.fingerprint,
+            model.compute,
+            model.batch,
+        )
 
-    def replaceable(self) -> QueuedModel:
-        """The same for passes that are of one state alone: SupersededError where another is wanted meanwhile, see `RequestContext.newest`."""
-        return QueuedModel(self.own, self._inference, self._asker, self._patient, replaceable=True)
+    def cancellable(self) -> QueuedModel:
+        """Return this model for requests that depend on one state only; they may raise SupersededError."""
+        return QueuedModel(self.model, self._scheduler, self._context, self._background, cancellable=True)
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
-        """One pass of pictures (B, 3, H, W), waited for; more pictures than one pass has are several.
+        """Compute pictures (B, 3, H, W), in several batches if necessary.
 
         Raises:
-            BusyError: when too many answers wait.
-            SupersededError: see `replaceable`.
-            WorkCancelledError: when who asks has left.
+            BusyError: when the queue is full.
+            SupersededError: see `cancellable`.
+            WorkCancelledError: when the context is closed.
             LPNError: as the model does.
         """
         size = max(self.batch, 1)
-        chunks = [images[at : at + size] for at in range(0, len(images), size)] or [images]
-        asked = self._asker, self.own
-        how = self._patient, self._replaceable
-        return joined([self._inference.ask(*asked, chunk, view, *how) for chunk in chunks])
+        chunks = [images[start : start + size] for start in range(0, len(images), size)] or [images]
+        return concatenate(
+            [
+                self._scheduler.run(self._context, self.model, chunk, view, self._background, self._cancellable)
+                for chunk in chunks
+            ]
+        )
 
     def heads(self, view: View) -> Heads:
-        """The affine heads and cell weights for exact explanation; InputError where the model has none."""
-        return self._inference.heads(self.own, view)
+        """Return the affine heads and cell weights; InputError if the model has none."""
+        return self._scheduler.heads(self.model, view)
 
     def map_size(self, view: View) -> tuple[int, int]:
-        """(h, w) of the feature map of a picture of the model's input size."""
-        return self.own.map_size(view)
+        """Return (h, w) of the feature map of a picture of the model's input size."""
+        return self.model.map_size(view)

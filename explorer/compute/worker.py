@@ -1,4 +1,4 @@
-"""One worker per browser. The newest request wins: requests that come while it works become one."""
+"""Threads of one browser: a worker that always computes the newest request, and a delayed call."""
 
 from __future__ import annotations
 
@@ -12,72 +12,70 @@ log = logging.getLogger(__name__)
 
 
 class DelayedCall:
-    """Calls `tell`, once, when it is not told within some seconds that what was waited for is there."""
+    """Calls a function once after a delay, unless it is cancelled before."""
 
-    def __init__(self, seconds: float, tell: Callable[[], None]) -> None:
-        self._tell, self._lock, self._there = tell, threading.Lock(), False
-        self._timer = threading.Timer(seconds, self._late)
+    def __init__(self, seconds: float, function: Callable[[], None]) -> None:
+        self._function, self._lock, self._cancelled = function, threading.Lock(), False
+        self._timer = threading.Timer(seconds, self._call)
         self._timer.daemon = True
         self._timer.start()
 
-    def there(self) -> None:
-        """It is there: `tell` has been called by now, or never will be."""
+    def cancel(self) -> None:
+        """Cancel the call, or wait until it returns if it has started."""
         self._timer.cancel()
         with self._lock:
-            self._there = True
+            self._cancelled = True
 
-    def _late(self) -> None:
+    def _call(self) -> None:
         with self._lock:
-            if not self._there:
-                self._tell()
+            if not self._cancelled:
+                self._function()
 
 
 class Worker:
-    """Runs `work` on a thread of its own after each `wake`, once for any number of wakes meanwhile.
-
-    The thread is there from the first `wake` on.
+    """Runs `work` on its own thread after each `wake`; several wakes during a run lead to one more run.
 
     Args:
-        work: reads the newest state itself; returns None, or the seconds after which it is run again unless it is woken before.
-        failed: is told of an exception, and the worker goes on.
+        work: reads the newest state itself; returns the seconds until the next run, or None to wait for `wake`.
+        on_error: called with an exception of `work`; the worker continues.
     """
 
-    def __init__(self, work: Callable[[], float | None], failed: Callable[[Exception], None]) -> None:
-        self._work, self._failed = work, failed
+    def __init__(self, work: Callable[[], float | None], on_error: Callable[[Exception], None]) -> None:
+        self._work, self._on_error = work, on_error
         self._requested, self._lock = threading.Event(), threading.Lock()
         self._stopped = False
         self._thread: threading.Thread | None = None
 
     def wake(self) -> None:
-        """Ask for one more run with the newest state."""
+        """Request a run; the first call starts the thread."""
         self._requested.set()
         with self._lock:
             if self._thread is None and not self._stopped:
                 thread = threading.Thread(target=self._loop, name="explorer-worker", daemon=True)
                 thread.start()
-                self._thread = thread  # not before: where there can be no more threads, the next `wake` tries again
+                self._thread = thread  # after `start`: if it fails for lack of threads, the next `wake` tries again
 
     def stop(self) -> None:
-        """End the thread after the run in progress."""
+        """End the thread after the current run."""
         with self._lock:
             self._stopped = True
         self._requested.set()
 
     def _loop(self) -> None:
-        again: float | None = None
+        delay: float | None = None
         while True:
-            self._requested.wait(again)
+            self._requested.wait(delay)
             self._requested.clear()
             if self._stopped:
                 return
-            again = None
+            delay = None
             try:
-                again = self._work()
+                delay = self._work()
             except Exception as error:
                 if self._stopped:
                     return
-                if isinstance(error, LPNError):  # of which one sentence says all
+                if isinstance(error, LPNError):  # its message suffices
                     log.warning("A browser's request failed: %s", error)
                 else:
                     log.exception("A browser's request failed")
-                self._failed(error)
+                self._on_error(error)

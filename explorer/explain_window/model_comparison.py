@@ -24,8 +24,8 @@ _SHOWN, _LISTED, _HEIGHT = 5, 8, 240
 class ModelComparison:
     """Answers one browser's states with the second model."""
 
-    def __init__(self, other: Workspace, asker: RequestContext) -> None:
-        self._other, self._analyser = other, StateAnalyser(other, asker.of(other.model, patient=True))
+    def __init__(self, other: Workspace, requests: RequestContext) -> None:
+        self._other, self._analyser = other, StateAnalyser(other, requests.queued(other.model, background=True))
 
     def page(self, analysis: StateAnalysis, workspace: Workspace) -> str:
         """The whole tab."""
@@ -62,7 +62,7 @@ def _column(analysis: StateAnalysis, workspace: Workspace) -> str:
         for match in analysis.matches[:_SHOWN]
     )
     ranking = workspace.rankings[task.name]
-    recall = "R@1 not known yet" if ranking.found is None else f"R@1 {ranking.results['recall@1']:.1f} %"
+    recall = "R@1 not known yet" if ranking.result is None else f"R@1 {ranking.results['recall@1']:.1f} %"
     return (
         f"<div><h2>{escape(workspace.model_name)}</h2><div class='dim'>{escape(workspace.description)}, {recall}</div>"
         f"<div class='said'><b>{SIGNS[first.true]}</b> {rank}</div>"
@@ -89,7 +89,7 @@ def _evidence(analysis: StateAnalysis, workspace: Workspace) -> str:
 
 def _changes(ours: RankingJob, theirs: RankingJob, names: tuple[str, str], workspace: Workspace) -> str:
     """How many queries each finds alone, and those whose rank differs most."""
-    if ours.found is None or theirs.found is None:
+    if ours.result is None or theirs.result is None:
         return "<div class='said dim'>Which queries one of them finds alone is said when both have ranked all of them.</div>"
     one, other = ours.ranks, theirs.ranks
     known = (one >= 0) & (other >= 0)

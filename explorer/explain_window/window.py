@@ -91,7 +91,7 @@ class ExplainWindow:
         on_error: receives the exceptions of long computations.
         viewport: the room that the stage has for the window.
         reporter: makes reports of the shown analysis.
-        asker: gives access to the networks for this browser.
+        requests: gives access to the networks for this browser.
     """
 
     def __init__(
@@ -102,11 +102,11 @@ class ExplainWindow:
         on_error: Callable[[Exception], None],
         viewport: Viewport,
         reporter: Reporter,
-        asker: RequestContext,
+        requests: RequestContext,
     ) -> None:
         self._workspace, self._change, self._viewport, self._reporter = workspace, change, viewport, reporter
-        self._model = asker.of(workspace.model, patient=True)
-        self._models = None if workspace.beside is None else ModelComparison(workspace.beside, asker)
+        self._model = requests.queued(workspace.model, background=True)
+        self._models = None if workspace.beside is None else ModelComparison(workspace.beside, requests)
         self._lock = Lock()
         self._content: WindowContent | None = None
         self._open = False

@@ -79,17 +79,17 @@ class Laboratory:
 
     def build(self, task: str, who: object) -> BackgroundJob[None]:
         """Make a task's table."""
-        return self._jobs.ask(task, who, lambda progress: self._build(self._workspace.tasks[task], progress))
+        return self._jobs.join(task, who, lambda progress: self._build(self._workspace.tasks[task], progress))
 
     def points(self, kind: MapKind, task: str, who: object) -> BackgroundJob[Points]:
         """Make a map of a task; `ground` only where the task has places."""
-        return self._jobs.ask(
+        return self._jobs.join(
             (kind, task), who, lambda progress: self._points(kind, self._workspace.tasks[task], progress)
         )
 
     def again(self, task: str, kind: MapKind | None = None) -> None:
         """Forget that a table or map could not be made."""
-        self._jobs.forget(task if kind is None else (kind, task))
+        self._jobs.forget_failed(task if kind is None else (kind, task))
 
     def leave(self, who: object, task: str | None = None, kind: MapKind | None = None) -> None:
         """Wait no longer for a table or map, or for anything; work that nobody waits for ends."""

@@ -154,13 +154,13 @@ def waiting(job: BackgroundJob[Any] | None, what: str, cancelled: bool, key: str
     """How far some work is, with cancel; why there is no result, with another try; or that it was cancelled."""
     if cancelled:
         body = f"<div>{escape(what)} was cancelled. <a class='link' {send('lab-go', key)}>Go on</a></div>"
-    elif job is not None and job.flaw is not None:
+    elif job is not None and job.error is not None:
         body = (
-            f"<div class='flaw' role='alert'>⚠ {escape(what)} is not there: {escape(job.flaw)} "
+            f"<div class='flaw' role='alert'>⚠ {escape(what)} is not there: {escape(job.error)} "
             f"<a class='link' {send('lab-go', key)}>Try again</a></div>"
         )
     else:
-        done, total, seconds = (0, 0, 0.0) if job is None else (job.done, job.total, job.seconds)
+        done, total, seconds = (0, 0, 0.0) if job is None else (job.done, job.total, job.elapsed)
         share = 100 * done / total if total else 0.0
         far = f"{share:.0f} % ({done:,} of {total:,} queries)" if total else f"{seconds:.0f} s so far"
         line = f"<div class='bar'><i style='width:{share:.1f}%'></i></div>" if total else ""

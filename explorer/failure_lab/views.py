@@ -41,7 +41,7 @@ class MapView:
         if job is None or not job.wait(0.4) or job.value is None:
             self._key, self.drawn = None, None
             choice = f"<div class='lpn' id='lpn-lab-nomap'>{charts.map_choice(found, lab, self._shared.umap)}</div>"
-            return choice + table.waiting(job, "The map", stopped, lab.map), job is None or job.flaw is not None
+            return choice + table.waiting(job, "The map", stopped, lab.map), job is None or job.error is not None
         points = job.value
         around = 210 + (30 if window[0] < 700 else 0)
         size = (max(window[0] - 34, 280), max(window[1] - around, 180))

@@ -191,7 +191,7 @@ class Lab:
             self._shared.leave(self, lab.task)
         else:
             job = self._shared.build(lab.task, self)
-            if job.wait(0.4) and job.flaw is None:
+            if job.wait(0.4) and job.error is None:
                 self._worker.wake()
                 return
         for part in (self._bar, self._boxes, self._said, self._columns):
@@ -200,7 +200,7 @@ class Lab:
         self._notes.show(None, None)
         queries = len(self._workspace.tasks[lab.task].queries)
         self._body.show(table.waiting(job, f"Ranking {queries:,} queries", stopped, "table"))
-        if job is not None and job.flaw is None:
+        if job is not None and job.error is None:
             self._worker.wake()
 
     def _paged(self, lab: LabState, view: View, rows: Int64Array) -> LabState:

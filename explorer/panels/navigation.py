@@ -40,7 +40,7 @@ class Navigation:
     def failure(self, state: SessionState) -> SessionState | None:
         """Choose any other query whose positive is not ranked first."""
         ranking = self._workspace.rankings[state.task]
-        if ranking.found is None:
+        if ranking.result is None:
             self._notify("Not known yet", "All queries are still being ranked; ask again when they are.")
             return None
         chosen = session_state.random_failure(state, ranking.ranks.tolist(), self._rng)

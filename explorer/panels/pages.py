@@ -54,9 +54,9 @@ def header(workspace: Workspace, task: Task) -> str:
         "panels/header",
         workspace=workspace,
         task=task,
-        results=None if ranking.found is None else ranking.results,
+        results=None if ranking.result is None else ranking.results,
         done=ranking.done,
-        error=ranking.flaw,
+        error=ranking.error,
     )
 
 
@@ -120,7 +120,7 @@ def picker(
 ) -> str:
     """Return the thumbnails of one page of queries; the last two buttons turn the page."""
     ranking = workspace.rankings[task.name]
-    ranks = None if ranking.found is None else ranking.ranks
+    ranks = None if ranking.result is None else ranking.ranks
     queries = [(index, None if ranks is None else bool(ranks[index] == 0)) for index in shown]
     return render(
         "panels/picker",

@@ -19,7 +19,7 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
     tmp_path: Path, model_file: Path, contexts: Callable[[], BrowserContext], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(ranking_job, "QUICK", 0)
+    monkeypatch.setattr(ranking_job, "QUICK_COST", 0)
     workspace = open_model(small_worlds.make_dataset(tmp_path / "places"), model_file)
     ranking = workspace.rankings["drone-to-satellite"]
     app = App(workspace, "127.0.0.1", 0)
@@ -36,7 +36,7 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
             expect(explorer.page.get_by_text("All queries are still being ranked")).to_be_visible()
             explorer.key("b")
             expect(explorer.page.locator("#lpn-lab-waiting")).to_contain_text("Ranking 14 queries")
-        assert ranking.ask("test").wait(20)
+        assert ranking.join("test").wait(20)
         expect(header).to_contain_text(f"{ranking.results['recall@1']:.1f} %")
         expect(picker.locator(".thumb b")).to_have_count(12)
         expect(explorer.page.locator("#lpn-lab-table")).to_be_visible()

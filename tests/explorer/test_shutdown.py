@@ -34,9 +34,9 @@ def slow(self, state, k):
 StateAnalyser.analyse = slow
 """
 SLOW_RANKING = """
-import time, explorer.compute.ranking_job as standing
+import time, explorer.compute.ranking_job
 from lpn import metrics
-standing.QUICK = -1
+ranking_job.QUICK_COST = -1
 def slow(*given, progress, **more):
     print("ranking", flush=True)
     time.sleep(30)

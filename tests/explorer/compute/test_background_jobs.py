@@ -36,19 +36,19 @@ def test_work_ends_when_the_last_one_leaves_and_begins_anew() -> None:
         return 5
 
     one, other = object(), object()
-    job = jobs.ask("k", one, work)
-    assert jobs.ask("k", other, work) is job
+    job = jobs.join("k", one, work)
+    assert jobs.join("k", other, work) is job
     jobs.leave(one)
     assert not ended.wait(0.1)
     assert (job.done, job.total) == (3, 10)
     jobs.leave(other)
     assert ended.wait(5)
-    again = jobs.ask("k", one, work)
+    again = jobs.join("k", one, work)
     assert again is not job
     assert again.wait(5)
     assert again.value == 5
     jobs.leave(one)
-    assert jobs.ask("k", one, work) is again
+    assert jobs.join("k", one, work) is again
 
 
 def test_a_failure_is_one_sentence_and_is_tried_again_when_asked() -> None:
@@ -57,15 +57,15 @@ def test_a_failure_is_one_sentence_and_is_tried_again_when_asked() -> None:
     def work(_: ReportProgress) -> int:
         raise InputError("The file is damaged.")
 
-    job = jobs.ask("k", 1, work)
+    job = jobs.join("k", 1, work)
     assert job.wait(5)
-    assert job.flaw == "The file is damaged."
-    assert jobs.ask("k", 1, work) is job
+    assert job.error == "The file is damaged."
+    assert jobs.join("k", 1, work) is job
     html = table.waiting(job, "The <map>", False, "pca")
     assert "The &lt;map&gt; is not there: The file is damaged." in html
     assert "lab-go" in html
-    jobs.forget("k")
-    assert jobs.ask("k", 1, lambda _: 3) is not job
+    jobs.forget_failed("k")
+    assert jobs.join("k", 1, lambda _: 3) is not job
 
 
 def test_progress_is_a_share_with_a_way_to_cancel() -> None:

@@ -12,8 +12,14 @@ import pytest
 from explorer.compute import inference_scheduler
 from explorer.compute.background_jobs import WorkCancelledError
 from explorer.compute.cache import SingleFlightCache
-from explorer.compute.inference_scheduler import KEPT, ROOM, TURN, BusyError, InferenceScheduler
-from explorer.compute.request_context import STALE, QueuedModel, RequestContext
+from explorer.compute.inference_scheduler import (
+    BACKGROUND_INTERVAL,
+    MAX_QUEUED,
+    RESERVATION,
+    BusyError,
+    InferenceScheduler,
+)
+from explorer.compute.request_context import MIN_WAIT, QueuedModel, RequestContext
 from explorer.compute.worker import Worker
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, LPNError, ModelFileError
@@ -24,11 +30,11 @@ from lpn.models.spec import ModelSpec
 SPEC = ModelSpec(views=("satellite", "drone"), n_parts=2, embedding=3, input_size=(4, 4))
 
 
-class Slow(Model):
+class ManualModel(Model):
     """Answers with the mean of each picture, one pass each time it is let; `passes` has the marks of each pass's pictures."""
 
     def __init__(self, held: bool = True) -> None:
-        self.spec, self.fingerprint = SPEC, "slow"
+        self.spec, self.fingerprint = SPEC, "network"
         self.passes: list[list[int]] = []
         self.viewed: list[View] = []
         self.read = 0
@@ -74,24 +80,24 @@ def pictures(mark: int, count: int = 1) -> Float32Array:
     return np.full((count, 3, 4, 4), mark, np.float32)
 
 
-class Asking(threading.Thread):
+class Client(threading.Thread):
     """One thread that asks once."""
 
     def __init__(self, model: QueuedModel | None, mark: int, count: int = 1, view: View = "drone") -> None:
         super().__init__(daemon=True)
         assert model is not None
         self._model, self._images, self._view = model, pictures(mark, count), view
-        self.found: ForwardPass | None = None
+        self.result: ForwardPass | None = None
         self.error: Exception | None = None
         self.start()
 
     def run(self) -> None:
         try:
-            self.found = self._model.run(self._images, self._view)
+            self.result = self._model.run(self._images, self._view)
         except Exception as error:
             self.error = error
 
-    def ended(self) -> Asking:
+    def finished(self) -> Client:
         self.join(20)
         assert not self.is_alive()
         return self
@@ -105,96 +111,96 @@ def until(true: Callable[[], bool]) -> None:
 
 
 @pytest.fixture
-def slow() -> Slow:
-    return Slow()
+def network() -> ManualModel:
+    return ManualModel()
 
 
-def shared(slow: Slow, queue: InferenceScheduler, patient: bool = False) -> QueuedModel:
-    return QueuedModel(slow, queue, RequestContext(queue), patient)
+def queued(network: ManualModel, queue: InferenceScheduler, background: bool = False) -> QueuedModel:
+    return QueuedModel(network, queue, RequestContext(queue), background)
 
 
-def held_up(slow: Slow, queue: InferenceScheduler, mark: int = 99) -> Asking:
+def occupy(network: ManualModel, queue: InferenceScheduler, mark: int = 99) -> Client:
     """A pass that has begun and does not end, so that what comes now waits."""
-    first = Asking(shared(slow, queue), mark)
-    slow.began()
+    first = Client(queued(network, queue), mark)
+    network.began()
     return first
 
 
-def in_line(queue: InferenceScheduler, *asking: Callable[[], Asking]) -> list[Asking]:
+def queue_up(queue: InferenceScheduler, *clients: Callable[[], Client]) -> list[Client]:
     """Threads that ask one after the other."""
     begun = []
-    for one in asking:
-        before = queue.waiting
+    for one in clients:
+        before = queue.queue_length
         begun.append(one())
-        until(lambda before=before: queue.waiting > before)  # type: ignore[misc]
+        until(lambda before=before: queue.queue_length > before)  # type: ignore[misc]
     return begun
 
 
-def test_what_waits_is_one_pass_and_each_gets_its_own_rows(slow: Slow) -> None:
+def test_what_waits_is_one_pass_and_each_gets_its_own_rows(network: ManualModel) -> None:
     queue = InferenceScheduler()
-    first = held_up(slow, queue)
-    waiting = in_line(queue, *(lambda mark=mark: Asking(shared(slow, queue), mark, 2) for mark in (1, 2, 3)))
-    slow.let(3)
+    first = occupy(network, queue)
+    waiting = queue_up(queue, *(lambda mark=mark: Client(queued(network, queue), mark, 2) for mark in (1, 2, 3)))
+    network.let(3)
     for mark, one in enumerate(waiting, 1):
-        found = one.ended().found
+        found = one.finished().result
         assert found is not None
         np.testing.assert_array_equal(found.parts, np.full((2, 2, 3), mark))
         np.testing.assert_array_equal(found.features, np.full((2, 1, 4, 4), 2 * mark))
         assert found.features.base is None, "a view would keep the whole batch"
-    first.ended()
-    assert slow.passes == [[99], [1, 1, 2, 2], [3, 3]]
+    first.finished()
+    assert network.passes == [[99], [1, 1, 2, 2], [3, 3]]
 
 
-def test_views_sizes_and_models_are_not_mixed_and_the_oldest_goes_first(slow: Slow) -> None:
-    queue, other = InferenceScheduler(), Slow(held=False)
-    first = held_up(slow, queue)
-    waiting = in_line(
+def test_views_sizes_and_models_are_not_mixed_and_the_oldest_goes_first(network: ManualModel) -> None:
+    queue, other = InferenceScheduler(), ManualModel(held=False)
+    first = occupy(network, queue)
+    waiting = queue_up(
         queue,
-        lambda: Asking(shared(slow, queue), 1),
-        lambda: Asking(shared(slow, queue), 2, view="satellite"),
-        lambda: Asking(shared(other, queue), 3),
-        lambda: Asking(shared(slow, queue), 4),
+        lambda: Client(queued(network, queue), 1),
+        lambda: Client(queued(network, queue), 2, view="satellite"),
+        lambda: Client(queued(other, queue), 3),
+        lambda: Client(queued(network, queue), 4),
     )
-    slow.let(10)
+    network.let(10)
     for one in (first, *waiting):
-        assert one.ended().error is None
-    assert slow.passes == [[99], [1, 4], [2]]
-    assert slow.viewed == ["drone", "drone", "satellite"]
+        assert one.finished().error is None
+    assert network.passes == [[99], [1, 4], [2]]
+    assert network.viewed == ["drone", "drone", "satellite"]
     assert other.passes == [[3]]
 
 
-def test_more_pictures_than_a_pass_has_are_several(slow: Slow) -> None:
-    slow._held = False
+def test_more_pictures_than_a_pass_has_are_several(network: ManualModel) -> None:
+    network._held = False
     images = np.concatenate([pictures(mark) for mark in range(10)])
-    found = shared(slow, InferenceScheduler()).run(images, "drone")
-    assert [len(marks) for marks in slow.passes] == [4, 4, 2]
+    found = queued(network, InferenceScheduler()).run(images, "drone")
+    assert [len(marks) for marks in network.passes] == [4, 4, 2]
     np.testing.assert_array_equal(found.parts[:, 0, 0], np.arange(10))
     assert found.attention is None
 
 
-def test_what_is_wrong_with_one_is_not_wrong_with_the_others(slow: Slow) -> None:
+def test_what_is_wrong_with_one_is_not_wrong_with_the_others(network: ManualModel) -> None:
     queue = InferenceScheduler()
-    first = held_up(slow, queue)
-    waiting = in_line(queue, *(lambda mark=mark: Asking(shared(slow, queue), mark) for mark in (1, 13, 2)))
-    slow.let(10)
-    one, bad, other = (asking.ended() for asking in waiting)
+    first = occupy(network, queue)
+    waiting = queue_up(queue, *(lambda mark=mark: Client(queued(network, queue), mark) for mark in (1, 13, 2)))
+    network.let(10)
+    one, bad, other = (clients.finished() for clients in waiting)
     assert isinstance(bad.error, ModelFileError)
-    assert bad.found is None
-    for good in (one, other, first.ended()):
+    assert bad.result is None
+    for good in (one, other, first.finished()):
         assert good.error is None
-        assert good.found is not None
-    assert slow.passes == [[99], [1, 13, 2], [1], [13], [2]]
-    assert Asking(shared(slow, queue), 5).ended().found is not None, "it goes on"
+        assert good.result is not None
+    assert network.passes == [[99], [1, 13, 2], [1], [13], [2]]
+    assert Client(queued(network, queue), 5).finished().result is not None, "it goes on"
 
 
-def test_wrong_input_is_said_as_the_model_says_it(slow: Slow) -> None:
-    slow._held = False
-    model = shared(slow, InferenceScheduler())
+def test_wrong_input_is_said_as_the_model_says_it(network: ManualModel) -> None:
+    network._held = False
+    model = queued(network, InferenceScheduler())
     with pytest.raises(InputError, match="no 'street' view"):
         model.descriptors(pictures(1), "street")
     with pytest.raises(InputError, match="expected float32"):
         model.descriptors(np.zeros((2, 2)), "drone")
-    assert model.describe() == slow.describe()
+    assert model.describe() == network.describe()
     assert model.descriptors(pictures(1), "drone").shape == (1, 2, 3)
 
 
@@ -207,21 +213,23 @@ class Clock:
         return self.now
 
 
-class Round:
+class RoundRobin:
     """Browsers that ask again as soon as they are answered, and how many passes each had between."""
 
-    def __init__(self, slow: Slow, queue: InferenceScheduler, answers: int, long: int, room: int = ROOM) -> None:
-        self._slow, self._queue, self._room = slow, queue, room
+    def __init__(
+        self, network: ManualModel, queue: InferenceScheduler, answers: int, long: int, room: int = MAX_QUEUED
+    ) -> None:
+        self._slow, self._queue, self._room = network, queue, room
         self._going = True
         self._threads = [
-            threading.Thread(target=self._ask, args=(shared(slow, queue, mark >= answers), mark), daemon=True)
+            threading.Thread(target=self._ask, args=(queued(network, queue, mark >= answers), mark), daemon=True)
             for mark in range(answers + long)
         ]
         self.count = answers + long
 
     def run(self, passes: int) -> list[list[int]]:
         """The marks of so many passes, before each of which everybody else waits."""
-        first = held_up(self._slow, self._queue)
+        first = occupy(self._slow, self._queue)
         for thread in self._threads:
             thread.start()
         for _ in range(passes):
@@ -234,13 +242,13 @@ class Round:
         self._slow.let(1000)
         for thread in self._threads:
             thread.join(20)
-        first.ended()
+        first.finished()
         return self._slow.passes[1 : passes + 1]
 
     def _all_wait(self, others: int) -> bool:
         """Whether all others wait, or have been refused where there is no room."""
         waiting = min(others, self._room)
-        return self._queue.waiting == waiting and len(self._queue._refused) == others - waiting
+        return self._queue.queue_length == waiting and len(self._queue._refused) == others - waiting
 
     def _ask(self, model: QueuedModel, mark: int) -> None:
         while self._going:
@@ -250,9 +258,9 @@ class Round:
                 time.sleep(0.001)
 
 
-def test_nobody_is_answered_twice_while_another_waits(slow: Slow) -> None:
-    slow.batch = 2
-    passes = Round(slow, InferenceScheduler(), answers=7, long=0).run(42)
+def test_nobody_is_answered_twice_while_another_waits(network: ManualModel) -> None:
+    network.batch = 2
+    passes = RoundRobin(network, InferenceScheduler(), answers=7, long=0).run(42)
     turns = [mark for marks in passes for mark in marks]
     for mark in range(7):
         places = [place for place, of in enumerate(turns) if of == mark]
@@ -261,141 +269,143 @@ def test_nobody_is_answered_twice_while_another_waits(slow: Slow) -> None:
         assert len(places) >= len(turns) // 7 - 1
 
 
-def test_more_browsers_than_there_is_room_for_are_answered_in_turn(slow: Slow) -> None:
-    slow.batch = 1
-    passes = Round(slow, InferenceScheduler(3, Clock()), answers=7, long=0, room=3).run(42)
+def test_more_browsers_than_there_is_room_for_are_answered_in_turn(network: ManualModel) -> None:
+    network.batch = 1
+    passes = RoundRobin(network, InferenceScheduler(3, Clock()), answers=7, long=0, room=3).run(42)
     turns = [marks[0] for marks in passes]
     for mark in range(7):
         assert np.diff([place for place, of in enumerate(turns) if of == mark]).max() <= 7 + 1
         assert turns.count(mark) >= 5
 
 
-def test_long_work_neither_holds_up_answers_nor_waits_for_ever(slow: Slow) -> None:
-    slow.batch = 1
-    passes = [marks[0] for marks in Round(slow, InferenceScheduler(), answers=3, long=4).run(32)]
+def test_long_work_neither_holds_up_answers_nor_waits_for_ever(network: ManualModel) -> None:
+    network.batch = 1
+    passes = [marks[0] for marks in RoundRobin(network, InferenceScheduler(), answers=3, long=4).run(32)]
     long = [mark >= 3 for mark in passes]
-    assert np.diff(np.flatnonzero(long)).tolist() == [TURN] * (sum(long) - 1)
+    assert np.diff(np.flatnonzero(long)).tolist() == [BACKGROUND_INTERVAL] * (sum(long) - 1)
     assert sum(long) == 8
     assert {mark for mark in passes if mark >= 3} == {3, 4, 5, 6}, "each of it"
     for mark in range(3):
         assert np.diff([place for place, of in enumerate(passes) if of == mark]).max() <= 3 + 1
 
 
-def test_alone_long_work_has_every_pass(slow: Slow) -> None:
-    slow.batch = 4
-    passes = Round(slow, InferenceScheduler(), answers=0, long=3).run(6)
+def test_alone_long_work_has_every_pass(network: ManualModel) -> None:
+    network.batch = 4
+    passes = RoundRobin(network, InferenceScheduler(), answers=0, long=3).run(6)
     assert all(len(marks) >= 1 for marks in passes)
     assert set(np.concatenate(passes).tolist()) == {0, 1, 2}
 
 
-def test_a_full_queue_refuses_in_one_sentence_and_keeps_the_place(slow: Slow) -> None:
+def test_a_full_queue_refuses_in_one_sentence_and_keeps_the_place(network: ManualModel) -> None:
     clock = Clock()
-    queue = InferenceScheduler(room=2, clock=clock)
-    slow.batch = 1
-    first = held_up(slow, queue)
-    waiting = in_line(queue, *(lambda mark=mark: Asking(shared(slow, queue), mark) for mark in (1, 2)))
-    refused, newcomer = shared(slow, queue), shared(slow, queue)
-    with pytest.raises(BusyError, match=r"^2 answers are waited for already, and no more are taken; ask again"):
+    queue = InferenceScheduler(max_queued=2, clock=clock)
+    network.batch = 1
+    first = occupy(network, queue)
+    waiting = queue_up(queue, *(lambda mark=mark: Client(queued(network, queue), mark) for mark in (1, 2)))
+    refused, newcomer = queued(network, queue), queued(network, queue)
+    with pytest.raises(BusyError, match=r"^2 requests are queued, which is the limit; try again"):
         refused.run(pictures(3), "drone")
-    slow.let()
-    slow.began()  # one place is free, and it is kept
+    network.let()
+    network.began()  # one place is free, and it is kept
     with pytest.raises(BusyError):
         newcomer.run(pictures(4), "drone")
-    waiting += in_line(queue, lambda: Asking(refused, 3))
-    clock.now += KEPT + 1
+    waiting += queue_up(queue, lambda: Client(refused, 3))
+    clock.now += RESERVATION + 1
     with pytest.raises(BusyError):
         newcomer.run(pictures(4), "drone")
-    slow.let()
-    slow.began()
-    clock.now += KEPT + 1  # who was refused does not come again
-    waiting += in_line(queue, lambda: Asking(shared(slow, queue), 5))
-    slow.let(10)
+    network.let()
+    network.began()
+    clock.now += RESERVATION + 1  # who was refused does not come again
+    waiting += queue_up(queue, lambda: Client(queued(network, queue), 5))
+    network.let(10)
     for one in (first, *waiting):
-        assert one.ended().error is None
-    assert slow.passes == [[99], [1], [2], [3], [5]]
+        assert one.finished().error is None
+    assert network.passes == [[99], [1], [2], [3], [5]]
 
 
-def test_long_work_is_never_refused_and_takes_nobodys_room(slow: Slow) -> None:
-    queue = InferenceScheduler(room=1)
-    first = held_up(slow, queue)
-    waiting = in_line(queue, *(lambda: Asking(shared(slow, queue, patient=True), 1) for _ in range(5)))
-    waiting += in_line(queue, lambda: Asking(shared(slow, queue), 2))
-    slow.let(10)
+def test_long_work_is_never_refused_and_takes_nobodys_room(network: ManualModel) -> None:
+    queue = InferenceScheduler(max_queued=1)
+    first = occupy(network, queue)
+    waiting = queue_up(queue, *(lambda: Client(queued(network, queue, background=True), 1) for _ in range(5)))
+    waiting += queue_up(queue, lambda: Client(queued(network, queue), 2))
+    network.let(10)
     for one in (first, *waiting):
-        assert one.ended().error is None
-    assert slow.passes[:2] == [[99], [2]]
+        assert one.finished().error is None
+    assert network.passes[:2] == [[99], [2]]
 
 
-def test_what_a_browser_that_left_waits_for_is_not_computed(slow: Slow) -> None:
+def test_what_a_browser_that_left_waits_for_is_not_computed(network: ManualModel) -> None:
     queue = InferenceScheduler()
-    first = held_up(slow, queue)
+    first = occupy(network, queue)
     gone = RequestContext(queue)
-    answers, long = (gone.of(shared(slow, queue), patient) for patient in (False, True))
-    dropped = in_line(queue, lambda: Asking(answers, 1), lambda: Asking(long, 2))
-    stays = in_line(queue, lambda: Asking(shared(slow, queue), 3))
-    gone.leave()
+    answers, long = (gone.queued(queued(network, queue), background) for background in (False, True))
+    dropped = queue_up(queue, lambda: Client(answers, 1), lambda: Client(long, 2))
+    stays = queue_up(queue, lambda: Client(queued(network, queue), 3))
+    gone.close()
     for one in dropped:
-        assert isinstance(one.ended().error, WorkCancelledError)
-    assert queue.waiting == 1
-    assert isinstance(Asking(answers, 4).ended().error, WorkCancelledError)
-    slow.let(10)
+        assert isinstance(one.finished().error, WorkCancelledError)
+    assert queue.queue_length == 1
+    assert isinstance(Client(answers, 4).finished().error, WorkCancelledError)
+    network.let(10)
     for one in (first, *stays):
-        assert one.ended().error is None
-    assert slow.passes == [[99], [3]]
-    gone.leave()
+        assert one.finished().error is None
+    assert network.passes == [[99], [3]]
+    gone.close()
 
 
-def test_a_browser_that_leaves_during_its_pass_frees_the_place_that_was_kept(slow: Slow) -> None:
-    queue = InferenceScheduler(room=1)
+def test_a_browser_that_leaves_during_its_pass_frees_the_place_that_was_kept(network: ManualModel) -> None:
+    queue = InferenceScheduler(max_queued=1)
     going = RequestContext(queue)
-    model = going.of(shared(slow, queue))
-    pending = Asking(model, 1)
-    slow.began()
-    waiting = in_line(queue, lambda: Asking(shared(slow, queue), 2))
+    model = going.queued(queued(network, queue))
+    pending = Client(model, 1)
+    network.began()
+    waiting = queue_up(queue, lambda: Client(queued(network, queue), 2))
     other = RequestContext(queue)
     with pytest.raises(BusyError):
-        other.of(model).run(pictures(3), "drone")  # type: ignore[union-attr]
-    other.leave()
-    going.leave()
-    slow.let()
-    slow.began()
-    waiting += in_line(queue, lambda: Asking(shared(slow, queue), 4))
-    slow.let(10)
-    assert pending.ended().found is not None, "it was being computed"
+        other.queued(model).run(pictures(3), "drone")  # type: ignore[union-attr]
+    other.close()
+    going.close()
+    network.let()
+    network.began()
+    waiting += queue_up(queue, lambda: Client(queued(network, queue), 4))
+    network.let(10)
+    assert pending.finished().result is not None, "it was being computed"
     for one in waiting:
-        assert one.ended().error is None
+        assert one.finished().error is None
 
 
-def test_heads_are_read_once_of_each_model(slow: Slow) -> None:
+def test_heads_are_read_once_of_each_model(network: ManualModel) -> None:
     queue = InferenceScheduler()
-    one, other = shared(slow, queue), shared(slow, queue)
+    one, other = queued(network, queue), queued(network, queue)
     assert one.heads("drone") is other.heads("drone")
-    assert slow.read == 1
-    assert shared(Slow(), queue).heads("drone") is not one.heads("drone")
+    assert network.read == 1
+    assert queued(ManualModel(), queue).heads("drone") is not one.heads("drone")
     with pytest.raises(InputError, match="street"):
         one.heads("street")
-    assert RequestContext(queue).of(None) is None
+    assert RequestContext(queue).queued(None) is None
 
 
-def test_the_thread_ends_when_nobody_asks_and_begins_anew(slow: Slow, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inference_scheduler, "IDLE", 0.01)
-    slow._held = False
+def test_the_thread_ends_when_nobody_asks_and_begins_anew(
+    network: ManualModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(inference_scheduler, "IDLE_TIMEOUT", 0.01)
+    network._held = False
     queue = InferenceScheduler()
     for mark in (1, 2):
-        assert Asking(shared(slow, queue), mark).ended().found is not None
+        assert Client(queued(network, queue), mark).finished().result is not None
         until(lambda: queue._thread is None)
-    assert slow.passes == [[1], [2]]
+    assert network.passes == [[1], [2]]
 
 
-class Dragging(threading.Thread):
+class DraggingBrowser(threading.Thread):
     """A browser that wants one answer, of two passes: of its state alone, and one that others may wait for, too."""
 
-    def __init__(self, slow: Slow, queue: InferenceScheduler, mark: int) -> None:
+    def __init__(self, network: ManualModel, queue: InferenceScheduler, mark: int) -> None:
         super().__init__(daemon=True)
-        self.mark, self.asker = mark, RequestContext(queue)
+        self.mark, self.context = mark, RequestContext(queue)
         self.begun = self.shown = 0
         self.error: Exception | None = None
-        model = self.asker.of(shared(slow, queue))
+        model = self.context.queued(queued(network, queue))
         assert model is not None
         self._model = model
         self.start()
@@ -403,11 +413,11 @@ class Dragging(threading.Thread):
     def moves(self, mark: int) -> None:
         """Its state changes."""
         self.mark = mark
-        self.asker.moved()
+        self.context.supersede()
 
     def run(self) -> None:
         try:
-            self.shown = self.asker.newest(self._answer)
+            self.shown = self.context.compute_newest(self._answer)
         except Exception as error:
             self.error = error
 
@@ -415,110 +425,112 @@ class Dragging(threading.Thread):
         self.begun, mark = self.begun + 1, self.mark
         if mark == 0:
             raise ModelFileError("There is no such picture.")
-        self._model.replaceable().run(pictures(mark), "drone")
+        self._model.cancellable().run(pictures(mark), "drone")
         self._model.run(pictures(100 + mark), "drone")
         return mark
 
 
-def dragged(slow: Slow, queue: InferenceScheduler, *marks: int) -> list[Dragging]:
-    begun: list[Dragging] = []
+def drag(network: ManualModel, queue: InferenceScheduler, *marks: int) -> list[DraggingBrowser]:
+    begun: list[DraggingBrowser] = []
     for mark in marks:
-        begun.append(Dragging(slow, queue, mark))
-        until(lambda: queue.waiting == len(begun))
+        begun.append(DraggingBrowser(network, queue, mark))
+        until(lambda: queue.queue_length == len(begun))
     return begun
 
 
-def test_who_moves_on_while_waiting_is_answered_for_the_newest_state_in_the_same_place(slow: Slow) -> None:
+def test_who_moves_on_while_waiting_is_answered_for_the_newest_state_in_the_same_place(network: ManualModel) -> None:
     clock = Clock()
-    queue, slow.batch = InferenceScheduler(room=3, clock=clock), 1
-    first = held_up(slow, queue)
-    asking = dragged(slow, queue, 1, 2, 3)
-    other, third = asking[1:]
-    clock.now += STALE
+    queue, network.batch = InferenceScheduler(max_queued=3, clock=clock), 1
+    first = occupy(network, queue)
+    clients = drag(network, queue, 1, 2, 3)
+    other, third = clients[1:]
+    clock.now += MIN_WAIT
     other.moves(22)
-    slow.let()
-    slow.began()  # that of `one`, during which `other` prepares what it wants now
-    until(lambda: other.begun == 2 and queue.waiting == 2)
+    network.let()
+    network.began()  # that of `one`, during which `other` prepares what it wants now
+    until(lambda: other.begun == 2 and queue.queue_length == 2)
     third.moves(33)
-    slow.let()
-    slow.began()
-    until(lambda: third.begun == 2 and queue.waiting == 2)
-    clock.now += STALE
-    for dragging in asking:  # what they wait for next is called off for nobody: no answer would ever be shown
-        dragging.moves(7)
-    slow.let(20)
-    for dragging in asking:
-        dragging.join(20)
-        assert dragging.error is None
-    first.ended()
-    assert slow.passes[:4] == [[99], [1], [22], [33]]
-    assert sorted(slow.passes[4:]) == [[101], [122], [133]]
-    assert [dragging.shown for dragging in asking] == [1, 22, 33]
+    network.let()
+    network.began()
+    until(lambda: third.begun == 2 and queue.queue_length == 2)
+    clock.now += MIN_WAIT
+    for browser in clients:  # what they wait for next is called off for nobody: no answer would ever be shown
+        browser.moves(7)
+    network.let(20)
+    for browser in clients:
+        browser.join(20)
+        assert browser.error is None
+    first.finished()
+    assert network.passes[:4] == [[99], [1], [22], [33]]
+    assert sorted(network.passes[4:]) == [[101], [122], [133]]
+    assert [browser.shown for browser in clients] == [1, 22, 33]
 
 
-def test_what_has_hardly_waited_is_computed_though_its_browser_moved_on(slow: Slow) -> None:
-    queue, slow.batch = InferenceScheduler(clock=Clock()), 1
-    first = held_up(slow, queue)
-    asking = dragged(slow, queue, 1, 2)
-    for dragging in asking:
-        dragging.moves(9)
-    slow.let(20)
-    for dragging in asking:
-        dragging.join(20)
-    first.ended()
-    assert [(dragging.shown, dragging.begun) for dragging in asking] == [(1, 1), (2, 1)]
+def test_what_has_hardly_waited_is_computed_though_its_browser_moved_on(network: ManualModel) -> None:
+    queue, network.batch = InferenceScheduler(clock=Clock()), 1
+    first = occupy(network, queue)
+    clients = drag(network, queue, 1, 2)
+    for browser in clients:
+        browser.moves(9)
+    network.let(20)
+    for browser in clients:
+        browser.join(20)
+    first.finished()
+    assert [(browser.shown, browser.begun) for browser in clients] == [(1, 1), (2, 1)]
 
 
-def test_a_place_that_is_held_is_nobody_elses_and_is_given_back(slow: Slow) -> None:
+def test_a_place_that_is_held_is_nobody_elses_and_is_given_back(network: ManualModel) -> None:
     clock = Clock()
-    queue, slow.batch = InferenceScheduler(room=2, clock=clock), 1
-    first = held_up(slow, queue)
-    one, other = dragged(slow, queue, 1, 2)
-    clock.now += STALE
+    queue, network.batch = InferenceScheduler(max_queued=2, clock=clock), 1
+    first = occupy(network, queue)
+    one, other = drag(network, queue, 1, 2)
+    clock.now += MIN_WAIT
     other.moves(0)
-    slow.let()
-    slow.began()
+    network.let()
+    network.began()
     other.join(20)
     assert isinstance(other.error, ModelFileError)
     assert not queue._held, "it asked for nothing"
-    queue._held[other.asker] = 0
-    waiting = in_line(queue, lambda: Asking(shared(slow, queue), 4))
+    queue._held[other.context] = 0
+    waiting = queue_up(queue, lambda: Client(queued(network, queue), 4))
     with pytest.raises(BusyError):
-        shared(slow, queue).run(pictures(5), "drone")
-    other.asker.leave()
-    clock.now += KEPT + 1  # until which the one who was refused has a place
-    waiting += in_line(queue, lambda: Asking(shared(slow, queue), 6))
-    slow.let(20)
+        queued(network, queue).run(pictures(5), "drone")
+    other.context.close()
+    clock.now += RESERVATION + 1  # until which the one who was refused has a place
+    waiting += queue_up(queue, lambda: Client(queued(network, queue), 6))
+    network.let(20)
     one.join(20)
-    for asking in (first, *waiting):
-        assert asking.ended().error is None
+    for clients in (first, *waiting):
+        assert clients.finished().error is None
 
 
-def test_a_model_that_ends_its_thread_is_an_error_and_the_queue_goes_on(slow: Slow) -> None:
-    slow._held = False
+def test_a_model_that_ends_its_thread_is_an_error_and_the_queue_goes_on(network: ManualModel) -> None:
+    network._held = False
     queue = InferenceScheduler()
-    assert isinstance(Asking(shared(slow, queue), 14).ended().error, LPNError)
-    assert Asking(shared(slow, queue), 1).ended().found is not None
+    assert isinstance(Client(queued(network, queue), 14).finished().error, LPNError)
+    assert Client(queued(network, queue), 1).finished().result is not None
 
 
-def test_a_queue_that_fails_answers_who_waits_and_begins_anew(slow: Slow, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_queue_that_fails_answers_who_waits_and_begins_anew(
+    network: ManualModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     queue = InferenceScheduler()
-    first = held_up(slow, queue)
-    waiting = in_line(queue, *(lambda mark=mark: Asking(shared(slow, queue), mark) for mark in (1, 2)))
+    first = occupy(network, queue)
+    waiting = queue_up(queue, *(lambda mark=mark: Client(queued(network, queue), mark) for mark in (1, 2)))
     with monkeypatch.context() as patched:
-        patched.setattr(queue, "_next", lambda: 1 // 0)
-        slow.let()
+        patched.setattr(queue, "_next_batch", lambda: 1 // 0)
+        network.let()
         for one in waiting:
-            assert isinstance(one.ended().error, ZeroDivisionError)
-    assert first.ended().error is None
-    slow.let()
-    assert Asking(shared(slow, queue), 3).ended().found is not None
+            assert isinstance(one.finished().error, ZeroDivisionError)
+    assert first.finished().error is None
+    network.let()
+    assert Client(queued(network, queue), 3).finished().result is not None
 
 
 def test_where_there_can_be_no_more_threads_the_next_one_tries_again(
-    slow: Slow, monkeypatch: pytest.MonkeyPatch
+    network: ManualModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    slow._held = False
+    network._held = False
     queue, ran = InferenceScheduler(), threading.Event()
     worker = Worker(ran.set, lambda _: None)
 
@@ -528,19 +540,19 @@ def test_where_there_can_be_no_more_threads_the_next_one_tries_again(
     with monkeypatch.context() as patched:
         patched.setattr(threading.Thread, "start", full)
         with pytest.raises(RuntimeError):
-            shared(slow, queue).run(pictures(1), "drone")
+            queued(network, queue).run(pictures(1), "drone")
         with pytest.raises(RuntimeError):
             worker.wake()
-    assert queue.waiting == 0
-    assert Asking(shared(slow, queue), 2).ended().found is not None
-    assert slow.passes == [[2]]
+    assert queue.queue_length == 0
+    assert Client(queued(network, queue), 2).finished().result is not None
+    assert network.passes == [[2]]
     worker.wake()
     assert ran.wait(20)
     worker.stop()
 
 
 def test_what_several_want_is_made_once_and_the_oldest_is_forgotten() -> None:
-    kept: SingleFlightCache[int, object] = SingleFlightCache(2)
+    cache: SingleFlightCache[int, object] = SingleFlightCache(2)
     making, go, made, got = threading.Event(), threading.Event(), [], []
 
     def make() -> object:
@@ -549,7 +561,7 @@ def test_what_several_want_is_made_once_and_the_oldest_is_forgotten() -> None:
         assert go.wait(20)
         return object()
 
-    threads = [threading.Thread(target=lambda: got.append(kept.get(1, make))) for _ in range(5)]
+    threads = [threading.Thread(target=lambda: got.append(cache.get(1, make))) for _ in range(5)]
     for thread in threads:
         thread.start()
     assert making.wait(20)
@@ -559,15 +571,15 @@ def test_what_several_want_is_made_once_and_the_oldest_is_forgotten() -> None:
     assert len(made) == 1
     assert len(got) == 5
     assert len(set(map(id, got))) == 1
-    kept.get(2, object)
-    assert kept.get(1, object) is got[0]
-    kept.get(3, object)
-    assert kept.get(1, object) is got[0]
-    assert kept.get(2, lambda: "anew") == "anew"
+    cache.get(2, object)
+    assert cache.get(1, object) is got[0]
+    cache.get(3, object)
+    assert cache.get(1, object) is got[0]
+    assert cache.get(2, lambda: "anew") == "anew"
 
 
 def test_what_cannot_be_made_for_one_is_made_for_the_next() -> None:
-    kept: SingleFlightCache[int, str] = SingleFlightCache(2)
+    cache: SingleFlightCache[int, str] = SingleFlightCache(2)
     making, go, got = threading.Event(), threading.Event(), []
 
     def fail() -> str:
@@ -577,11 +589,11 @@ def test_what_cannot_be_made_for_one_is_made_for_the_next() -> None:
 
     def failing() -> None:
         with pytest.raises(WorkCancelledError):
-            kept.get(1, fail)
+            cache.get(1, fail)
 
     threads = [
         threading.Thread(target=failing),
-        threading.Thread(target=lambda: got.append(kept.get(1, lambda: "made"))),
+        threading.Thread(target=lambda: got.append(cache.get(1, lambda: "made"))),
     ]
     threads[0].start()
     assert making.wait(20)

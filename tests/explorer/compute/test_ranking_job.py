@@ -28,7 +28,7 @@ TASK = "drone-to-satellite"
 def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A data set that takes too long to be ranked before the first page is served."""
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(ranking_job, "QUICK", 0)
+    monkeypatch.setattr(ranking_job, "QUICK_COST", 0)
     monkeypatch.setattr(ranking_cache, "STEP", 2)
     return small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=1, test=9))
 
@@ -39,7 +39,7 @@ def workspace(data: Path, model_file: Path) -> Workspace:
 
 
 def at_once(data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> RankingJob:
-    monkeypatch.setattr(ranking_job, "QUICK", 10**12)
+    monkeypatch.setattr(ranking_job, "QUICK_COST", 10**12)
     return open_model(data, model_file).rankings[TASK]
 
 
@@ -54,11 +54,11 @@ def test_long_rankings_are_made_when_somebody_waits_and_are_the_same(
     data: Path, workspace: Workspace, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ranking = workspace.rankings[TASK]
-    assert ranking.found is None
-    job = ranking.ask("me")
-    assert job is ranking.ask("you")
+    assert ranking.result is None
+    job = ranking.join("me")
+    assert job is ranking.join("you")
     assert job.wait(20)
-    assert job.flaw is None
+    assert job.error is None
     quick = at_once(data, model_file, monkeypatch)
     assert ranking.results == quick.results
     assert "median error m" in ranking.results
@@ -68,13 +68,13 @@ def test_long_rankings_are_made_when_somebody_waits_and_are_the_same(
 def test_the_next_start_has_them_at_once_unless_a_picture_changed(
     data: Path, workspace: Workspace, model_file: Path
 ) -> None:
-    assert workspace.rankings[TASK].ask("me").wait(20)
+    assert workspace.rankings[TASK].join("me").wait(20)
     again = open_model(data, model_file).rankings
     assert again[TASK].results == workspace.rankings[TASK].results
-    assert again["satellite-to-drone"].found is None
+    assert again["satellite-to-drone"].result is None
     file = workspace.tasks[TASK].queries[3].path
     small_worlds.write(file, small_worlds.place(99))
-    assert open_model(data, model_file).rankings[TASK].found is None
+    assert open_model(data, model_file).rankings[TASK].result is None
 
 
 def test_pages_say_how_far_it_is_and_mark_nothing_that_is_not_known(workspace: Workspace) -> None:
@@ -84,7 +84,7 @@ def test_pages_say_how_far_it_is_and_mark_nothing_that_is_not_known(workspace: W
     before = pages.picker(workspace, ranking.task, [0, 1], 0, 0, 1, buttons)
     assert not any(sign in before for sign in ("✓", "✗"))
     assert "when both have ranked" in model_comparison._changes(ranking, ranking, ("a", "b"), workspace)
-    assert ranking.ask("me").wait(20)
+    assert ranking.join("me").wait(20)
     assert "R@1" in pages.header(workspace, ranking.task)
     assert any(sign in pages.picker(workspace, ranking.task, [0, 1], 0, 0, 1, buttons) for sign in ("✓", "✗"))
     assert "alone finds" in model_comparison._changes(ranking, ranking, ("a", "b"), workspace)
@@ -93,21 +93,21 @@ def test_pages_say_how_far_it_is_and_mark_nothing_that_is_not_known(workspace: W
 def test_a_ranking_that_nobody_waits_for_stands_still_and_goes_on(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
     with ranking._turn:  # so that it cannot begin
-        given_up = ranking.ask("me")
+        given_up = ranking.join("me")
         ranking.leave("me")
-        going = ranking.ask("you")
+        going = ranking.join("you")
     assert given_up.wait(20)
-    assert given_up.given_up
-    assert ranking.flaw == ""
+    assert given_up.cancelled
+    assert ranking.error == ""
     assert going.wait(20)
-    assert ranking.found is not None
+    assert ranking.result is not None
 
 
 def test_the_laboratory_waits_for_the_same_ranking(workspace: Workspace) -> None:
     laboratory, ranking = Laboratory(workspace), workspace.rankings[TASK]
     job = laboratory.build(TASK, "me")
     assert job.wait(20)
-    assert job.flaw is None
+    assert job.error is None
     found = laboratory.findings(TASK)
     assert found is not None
     np.testing.assert_array_equal(found.outcomes.rank, ranking.ranks)
@@ -116,33 +116,33 @@ def test_the_laboratory_waits_for_the_same_ranking(workspace: Workspace) -> None
 def test_a_page_is_told_of_progress_and_of_the_end(workspace: Workspace) -> None:
     one, other = workspace.rankings.values()
     told, ends = [], threading.Semaphore(0)
-    follower = RankingProgress(lambda ranking: told.append(ranking.task.name), ends.release)
-    follower.follow(one, other)
+    progress = RankingProgress(lambda ranking: told.append(ranking.task.name), ends.release)
+    progress.follow(one, other)
     for _ in range(2):
         assert ends.acquire(timeout=20)
-    assert one.found is not None
-    assert other.found is not None
+    assert one.result is not None
+    assert other.result is not None
     assert set(told) == {one.task.name}
-    follower.follow(other)
-    until(lambda: follower._thread is None)
+    progress.follow(other)
+    until(lambda: progress._thread is None)
 
 
 def test_a_page_that_is_gone_waits_no_longer(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
     ended: list[int] = []
-    follower = RankingProgress(lambda _: None, lambda: ended.append(1))
+    progress = RankingProgress(lambda _: None, lambda: ended.append(1))
     with ranking._turn:
-        follower.follow(ranking)
+        progress.follow(ranking)
         until(lambda: ranking._job is not None)
-        job = ranking.ask("me")
+        job = ranking.join("me")
         ranking.leave("me")
-        follower.leave()
+        progress.close()
     assert job.wait(20)
-    assert job.given_up
+    assert job.cancelled
     assert not ended
-    until(lambda: follower._thread is None)
-    follower.follow(ranking)  # an answer that was under way when it left
-    assert follower._thread is None
+    until(lambda: progress._thread is None)
+    progress.follow(ranking)  # an answer that was under way when it left
+    assert progress._thread is None
     assert ranking._job is job
 
 
@@ -153,7 +153,7 @@ def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(workspace: W
     broken = ranking_job.RankingJob(replace(ranking.task, gallery_descriptors=damaged, geometry=None))
     with pytest.raises(LPNError, match="not finite"):
         broken.wait("me", lambda *_: None)
-    assert "not finite" in broken.flaw
+    assert "not finite" in broken.error
 
 
 def test_a_ranking_that_failed_once_can_be_asked_for_again(
@@ -164,7 +164,7 @@ def test_a_ranking_that_failed_once_can_be_asked_for_again(
         patched.setattr(ranking_cache, "save", lambda *_: 1 / 0)
         with pytest.raises(LPNError, match="ZeroDivisionError"):
             ranking.wait("me", lambda *_: None)
-    assert ranking.wait("me", lambda *_: None) is ranking.found
+    assert ranking.wait("me", lambda *_: None) is ranking.result
 
 
 def test_a_page_whose_telling_fails_can_follow_again(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,13 +172,13 @@ def test_a_page_whose_telling_fails_can_follow_again(workspace: Workspace, monke
 
     def tell(shown: RankingJob) -> None:
         told.append(shown)
-        if threading.current_thread().name == "explorer-follower" and len(told) < 3:
+        if threading.current_thread().name == "explorer-ranking" and len(told) < 3:
             raise RuntimeError("the page is not there yet")
 
     monkeypatch.setattr(threading, "excepthook", lambda _: None)
     ended = threading.Event()
-    follower = RankingProgress(tell, ended.set)
-    follower.follow(ranking)
-    until(lambda: follower._thread is None)
-    follower.follow(ranking)
-    assert ranking.found is not None or ended.wait(20)
+    progress = RankingProgress(tell, ended.set)
+    progress.follow(ranking)
+    until(lambda: progress._thread is None)
+    progress.follow(ranking)
+    assert ranking.result is not None or ended.wait(20)

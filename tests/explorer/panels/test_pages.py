@@ -84,14 +84,14 @@ def test_a_status_line_that_waits_still_says_what_is_shown(workspace: Workspace)
 
 def test_what_is_there_in_time_is_not_spoken_of() -> None:
     told: list[float] = []
-    patience = DelayedCall(0.05, lambda: told.append(time.monotonic()))
-    patience.there()
+    call = DelayedCall(0.05, lambda: told.append(time.monotonic()))
+    call.cancel()
     time.sleep(0.15)
     assert not told
     rung = threading.Event()
-    patience = DelayedCall(0.01, rung.set)
+    call = DelayedCall(0.01, rung.set)
     assert rung.wait(5)
-    patience.there()
+    call.cancel()
 
 
 def test_a_message_that_is_none_reaches_no_handler() -> None:
