@@ -48,7 +48,7 @@ from lpn.core.files import exclusive_lock
 from lpn.core.views import View
 from lpn.datasets import geo
 from lpn.descriptors import Box
-from lpn.descriptors.store import box_of
+from lpn.descriptors.store import float_box
 from lpn.models.onnx_engine import Engine, graph_files
 
 _SAY_EVERY = 5.0
@@ -145,7 +145,7 @@ def _items(source: Storage, positions: str | Path | None, boxes: Mapping[str, Bo
     rows = source.files(images.SUFFIXES)
     if not rows:
         raise DataError(f"{source.where} holds no pictures; expected files ending in {', '.join(images.SUFFIXES)}.")
-    rows = [replace(row, box=box_of(boxes[row.file])) if row.file in boxes else row for row in rows]
+    rows = [replace(row, box=float_box(boxes[row.file])) if row.file in boxes else row for row in rows]
     found = _positions(source, positions)
     if found is None:
         return [ShardItem(row) for row in rows]

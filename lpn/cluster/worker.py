@@ -20,7 +20,7 @@ from lpn.core.views import View
 from lpn.datasets.integrity import DAMAGED, stream_error
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.descriptors.transforms import UNCHANGED
-from lpn.descriptors.writer import prepared
+from lpn.descriptors.writer import prepare_row
 from lpn.models.onnx_engine import Engine
 
 
@@ -119,7 +119,7 @@ class DescribeWorker:
         except PictureError as error:
             raise PictureError(DAMAGED) from error
         try:
-            return prepared(self.model, picture, item.row, UNCHANGED, cast(View, self.task.plan.view))
+            return prepare_row(self.model, picture, item.row, UNCHANGED, cast(View, self.task.plan.view))
         except PictureError as error:
             raise PictureError(f"cannot be cropped ({error})") from error
 

@@ -1,34 +1,39 @@
-"""Versions of the formats that we write, "kind/number", and the sentence about a file that a later version wrote."""
+"""Versions of our file formats, "kind/number", and the message about a file of a later version."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import msgspec
+
+# The format of world.json, which data sets read without knowing how a world is made.
 WORLD = "lpn-world/1"
-"""Of world.json, which those read who know nothing of how a world is made."""
 UPGRADE = "install the newer version of lpn-explorer"
 
 
+class _Header(msgspec.Struct):
+    format: Any = None
+
+
+def format_of(data: bytes) -> Any:
+    """Return the entry `format` of a JSON file; None if it has none or is not such a file."""
+    try:
+        return msgspec.json.decode(data, type=_Header).format
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return None
+
+
 def is_newer(found: Any, ours: str) -> bool:
-    """Whether a file says that it is of a later version of a format than ours."""
+    """Return whether `found` is a later version of the format `ours`."""
     if not isinstance(found, str):
         return False
     kind, _, number = found.partition("/")
-    ours_kind, _, ours_number = ours.partition("/")
-    # int() knows other digits too, and refuses thousands of them.
-    return (
-        kind == ours_kind
-        and number.isascii()
-        and number.isdecimal()
-        and len(number) < 10
-        and int(number) > int(ours_number)
-    )
+    our_kind, _, our_number = ours.partition("/")
+    # int() accepts other scripts' digits too, and refuses thousands of digits.
+    plain = number.isascii() and number.isdecimal() and len(number) < 10
+    return kind == our_kind and plain and int(number) > int(our_number)
 
 
 def newer_version(what: object, found: str, ours: str) -> str:
-    """One sentence about it.
-
-    Args:
-        what: the file, as the subject of the sentence.
-    """
+    """Return the message about a file (`what`, the sentence's subject) that a later version wrote."""
     return f"{what} was written by a later version of lpn ({found}, and this one knows {ours}); {UPGRADE}."

@@ -18,11 +18,10 @@ from lpn.descriptors.cache import (
     stored_side,
     temporary_descriptors,
 )
-from lpn.descriptors.store import BEFORE, FORMAT, Box, Manifest, Precision, Row, Store, open_store
+from lpn.descriptors.store import FORMAT, Box, Manifest, Precision, Row, Store, open_store
 from lpn.descriptors.writer import describe, pictures_below
 
 __all__ = [
-    "BEFORE",
     "FORMAT",
     "STORES",
     "Box",

@@ -18,7 +18,7 @@ from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import printable
 from lpn.core.views import View
 from lpn.datasets import Picture
-from lpn.descriptors.partial_store import complete
+from lpn.descriptors.partial_store import complete_store
 from lpn.descriptors.store import Box, Manifest, open_store, row_of
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.descriptors.writer import describe
@@ -162,7 +162,7 @@ def _held(
     model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[Box | None]
 ) -> StoredDescriptors | None:
     """Descriptors of files that a store has, all or some, so that a part of a folder does not replace the whole."""
-    store = complete(folder)
+    store = complete_store(folder)
     if store is None or len(store.manifest.rows) < len(files):
         return None
     if not Manifest.for_model(model, view, change, ()).comparable(store.manifest):

@@ -1,11 +1,11 @@
-"""What is in a store's folder while it is being filled, and after a kill.
+"""A store that is being filled, and its folder after a kill.
 
-Rows lie in `descriptors.part`, `planned.json` is the manifest to be, and `progress.json` says which rows are good: a list of
-ranges, each with its first row and the one after its last.
+`descriptors.part` holds the rows, `planned.json` the future manifest, and `progress.json` the finished rows, as a list of
+ranges [first, end).
 
-When the list of files has changed, all three are made anew under names that end in `.new`, `progress.json.new` last, and then
-take the place of the old ones, progress last: while it is there, what is new is whole, under one name or the other, and the
-next run ends the change. A kill at any step loses no row.
+If the list of files changes, all three are written anew under names that end in `.new`, `progress.json.new` last, and then
+replace the old ones, progress last. While `progress.json.new` exists, all new files are complete under one name or the other,
+and the next run finishes the replacement. A kill at any step loses no row.
 """
 
 from __future__ import annotations
@@ -17,58 +17,62 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from lpn.core.arrays import AnyArray, BoolArray, Float32Array
 from lpn.core.errors import LPNError, NewerStoreError, StoreError
 from lpn.core.files import open_memmap, write_atomic
-from lpn.descriptors.store import FORMAT, Manifest, Store, stored, with_array
+from lpn.descriptors.store import FORMAT, Manifest, Store, encode, open_array
 
-_SECONDS = 1.0
-"""What is computed between two saves, and so what a kill costs."""
-
+# A kill loses the work of this many seconds.
+_SAVE_SECONDS = 1.0
+# In the order in which new files replace old ones.
 _NAMES = ("descriptors.part", "planned.json", "progress.json")
-"""In the order in which new files take the place of old ones."""
+
+
+class _Progress(msgspec.Struct):
+    done: list[tuple[int, int]]
 
 
 class PartialStore:
-    """The rows of a store to be; those that an interrupted run or an earlier store has are there from the start.
+    """The rows of a future store; rows of an interrupted run or of an earlier store are reused.
 
     Attributes:
-        good: which rows are there, (N,) bool.
+        good: the finished rows, (N,) bool.
     """
 
     def __init__(self, out: Path, manifest: Manifest, before: Store | None) -> None:
         self._part, planned, self._progress = (out / name for name in _NAMES)
         self._precision = manifest.precision
-        _take_place(out)
-        left = _interrupted(manifest, self._part, planned, self._progress)
+        _replace_old(out)
+        interrupted = _interrupted(manifest, self._part, planned, self._progress)
         known = {} if before is None else _known(manifest, before.manifest, before.descriptors, ~before.damaged())
-        if left is not None and left[0] == manifest:
-            self.good = left[2]
+        if interrupted is not None and interrupted[0] == manifest:
+            self.good = interrupted[2]
             self._array = np.lib.format.open_memmap(self._part, mode="r+")
-            self._take(known)
+            self._copy(known)
         else:
-            known |= {} if left is None else _known(manifest, *left)
+            known |= {} if interrupted is None else _known(manifest, *interrupted)
             self.good = np.zeros(len(manifest.rows), np.bool_)
             shape = (len(manifest.rows), manifest.n_parts, manifest.embedding)
-            self._array = _reserved(_new(self._part), manifest.precision, shape)
-            self._take(known)
+            self._array = _allocate(_new(self._part), manifest.precision, shape)
+            self._copy(known)
             self._array.flush()
             write_atomic(_new(planned), manifest.to_json())
             write_atomic(_new(self._progress), self._good_ranges())
-            _take_place(out)
+            _replace_old(out)
         self.save()
 
     def put(self, rows: Sequence[int], descriptors: Float32Array) -> None:
-        """Set rows from descriptors (B, n, D) float32; saved about once a second."""
-        self._array[rows] = stored(descriptors, self._precision)
+        """Set rows from descriptors (B, n, D) float32; they are saved about once a second."""
+        self._array[rows] = encode(descriptors, self._precision)
         self.good[rows] = True
-        if time.monotonic() - self._saved >= _SECONDS:
+        if time.monotonic() - self._saved >= _SAVE_SECONDS:
             self.save()
 
     def save(self) -> None:
-        """Bring the rows to the disk, then say so."""
+        """Write the rows to disk, then record them as finished."""
         self._array.flush()
         write_atomic(self._progress, self._good_ranges())
         self._saved = time.monotonic()
@@ -77,7 +81,7 @@ class PartialStore:
         edges = np.flatnonzero(np.diff(self.good, prepend=False, append=False))
         return json.dumps({"done": edges.reshape(-1, 2).tolist()}).encode()
 
-    def _take(self, known: dict[int, AnyArray]) -> None:
+    def _copy(self, known: dict[int, AnyArray]) -> None:
         for i, row in known.items():
             if not self.good[i]:
                 self._array[i] = row
@@ -88,19 +92,19 @@ def _new(path: Path) -> Path:
     return path.with_name(path.name + ".new")
 
 
-def _take_place(out: Path) -> None:
-    """Give new files their names where all of them are whole, and delete them where the run was killed before they were."""
+def _replace_old(out: Path) -> None:
+    """Replace the old files if all new ones are complete, else delete the new ones."""
     files = [out / name for name in _NAMES]
-    whole = _new(files[-1]).exists()
+    complete = _new(files[-1]).exists()
     for file in files:
-        if not whole:
+        if not complete:
             _new(file).unlink(missing_ok=True)
         elif _new(file).exists():
             os.replace(_new(file), file)
 
 
-def _reserved(path: Path, precision: str, shape: tuple[int, ...]) -> np.memmap[Any, Any]:
-    """A new array on disk that has its room there: a disk that fills up under a mapped file ends the process without a word."""
+def _allocate(path: Path, precision: str, shape: tuple[int, ...]) -> np.memmap[Any, Any]:
+    """Create an array and reserve its disk space; a disk that fills up under a memory map kills the process."""
     try:
         array: np.memmap[Any, Any] = np.lib.format.open_memmap(path, mode="w+", dtype=precision, shape=shape)
         if hasattr(os, "posix_fallocate"):
@@ -112,17 +116,21 @@ def _reserved(path: Path, precision: str, shape: tuple[int, ...]) -> np.memmap[A
     return array
 
 
-def renamed_only(folder: Path) -> bool:
-    """Whether a run was killed after its rows got their name and before its manifest was written."""
+def lacks_manifest_only(folder: Path) -> bool:
+    """Return whether a run was killed between renaming its array and writing its manifest."""
     there = [
         (folder / name).exists() for name in ("progress.json", "descriptors.npy", "descriptors.part", "manifest.json")
     ]
     return there == [True, True, False, False]
 
 
-def usable(out: Path, manifest: Manifest) -> Store | None:
-    """The complete store in `out` whose rows may be taken over; StoreError when they are of another kind."""
-    store = complete(out)
+def reusable_store(out: Path, manifest: Manifest) -> Store | None:
+    """Return the complete store in `out` whose rows can be reused.
+
+    Raises:
+        StoreError: if its descriptors are of another model, view, transform, or precision.
+    """
+    store = complete_store(out)
     if store is not None and not manifest.comparable(store.manifest):
         held = store.manifest
         raise StoreError(
@@ -133,17 +141,17 @@ def usable(out: Path, manifest: Manifest) -> Store | None:
     return store
 
 
-def complete(folder: Path) -> Store | None:
-    """The complete store in a folder, or None when there is none or its array is damaged.
+def complete_store(folder: Path) -> Store | None:
+    """Return the complete store in a folder, or None if there is none or its array is damaged.
 
     Raises:
-        StoreError: when the folder holds files of other origin under a store's names.
+        StoreError: if the folder holds files of other origin under a store's names.
     """
-    manifest = folder / "manifest.json"
-    if manifest.exists():
+    file = folder / "manifest.json"
+    if file.exists():
         try:
-            written = manifest.read_bytes()
-            read = Manifest.from_json(written, manifest.name)
+            written = file.read_bytes()
+            manifest = Manifest.from_json(written, file.name)
         except NewerStoreError:
             raise
         except (StoreError, OSError) as error:
@@ -152,7 +160,7 @@ def complete(folder: Path) -> Store | None:
                 "is of no use."
             ) from error
         try:
-            return with_array(folder, read, written)
+            return open_array(folder, manifest, written)
         except StoreError:
             return None
     if (folder / "descriptors.npy").exists() and not (folder / "planned.json").exists():
@@ -165,7 +173,7 @@ def complete(folder: Path) -> Store | None:
 def _interrupted(
     manifest: Manifest, part: Path, planned: Path, progress: Path
 ) -> tuple[Manifest, AnyArray, BoolArray] | None:
-    """What an interrupted run with this model, view, and change left: the manifest it planned, the rows, and which are good."""
+    """Return the planned manifest, the rows, and the finished rows of an interrupted run with comparable rows."""
     try:
         plan = Manifest.from_json(planned.read_bytes(), planned.name)
         array = open_memmap(part)
@@ -173,24 +181,22 @@ def _interrupted(
         fits = array.shape == expected and array.dtype == np.dtype(manifest.precision)
         if not fits or not manifest.comparable(plan):
             return None
-        done: Any = json.loads(progress.read_bytes())["done"]
         good = np.zeros(len(plan.rows), np.bool_)
-        # A number in older folders: that many rows from the first.
-        for start, end in [(0, done)] if isinstance(done, int) else done:
+        for start, end in msgspec.json.decode(progress.read_bytes(), type=_Progress).done:
             if not 0 <= start < end <= len(good):
                 return None
             good[start:end] = True
         return plan, array, good
     except NewerStoreError:
         raise
-    except (OSError, ValueError, OverflowError, KeyError, TypeError, AttributeError, RecursionError, LPNError):
+    except (OSError, ValueError, RecursionError, msgspec.MsgspecError, LPNError):
         return None
 
 
 def _known(
     manifest: Manifest, other: Manifest, descriptors: AnyArray, good: BoolArray | None = None
 ) -> dict[int, AnyArray]:
-    """Rows of the same files that another manifest's descriptors have, all of them or the good ones."""
+    """Return the good rows of another store's descriptors for files that did not change, by new row number."""
     if not manifest.comparable(other):
         return {}
     have = {row: i for i, row in enumerate(other.rows) if good is None or good[i]}

@@ -1,12 +1,11 @@
-"""What a store of descriptors is: a folder that a later step can read, resume, or check.
+"""The format of a store of descriptors: a folder that a later step can read, resume, or check.
 
-    descriptors.npy   (N, n, D) float32, float16, or int8, memory-mapped when read; each part has norm 1/sqrt(n), and in int8
-                      the direction alone, its largest number brought to 127
-    manifest.json     format, model fingerprint, view, what was done to the pictures, and for each row its file with size and
-                      time, and the box it was cropped to where it was
+    descriptors.npy   (N, n, D) float32, float16, or int8, memory-mapped when read. Each part has norm 1/sqrt(n);
+                      int8 keeps its direction alone, the largest number scaled to 127
+    manifest.json     format, model fingerprint, view, the transform of the pictures, and for each row its file with size,
+                      modification time, and crop box
 
-The manifest is written last, so a folder with a manifest is complete. It has checksums of the array, see `lpn.core.checksums`; those
-of earlier versions have none.
+The manifest is written last, so a folder with a manifest is complete. It holds checksums of the array (`lpn.core.checksums`).
 """
 
 from __future__ import annotations
@@ -15,30 +14,37 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
 from lpn.core.arrays import AnyArray, BoolArray, Float16Array, Float32Array, Int8Array, IntegerArray
 from lpn.core.checksums import Checksums, crc_of_blocks, crc_of_values
 from lpn.core.errors import InputError, NewerStoreError, PictureError, StoreError
 from lpn.core.files import open_memmap, unreadable_error
-from lpn.core.formats import is_newer, newer_version
+from lpn.core.formats import format_of, is_newer, newer_version
 from lpn.core.views import View
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
 
 FORMAT = "lpn-descriptors/2"
-BEFORE = "lpn-descriptors/1"
-"""Knew of no shift, scale, or boxes; what it says is true of such stores still."""
 Precision = Literal["float32", "float16", "int8"]
 Box = tuple[float, float, float, float]
+Count = Annotated[int, Meta(gt=0, lt=2**31)]
 
 
 @dataclass(frozen=True)
 class Row:
-    """The file behind one row: its path (relative to the described folder), size in bytes, time of change, and the box
-    (left, top, right, bottom) in pixels that it was cropped to, None for the whole picture."""
+    """The file behind one row.
+
+    Attributes:
+        file: its path, relative to the described folder.
+        size: in bytes.
+        time_ns: its modification time.
+        box: the crop (left, top, right, bottom) in pixels; None for the whole picture.
+    """
 
     file: str
     size: int
@@ -48,27 +54,27 @@ class Row:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a store holds.
+    """The contents of a store.
 
     Attributes:
-        fingerprint: of the model; descriptors of another model cannot be compared with these.
+        fingerprint: of the model; descriptors of different models cannot be compared.
         view: the branch used.
-        rotate: degrees counter-clockwise the pictures were turned first.
+        rotate: degrees counter-clockwise by which the pictures were rotated first.
         n_parts, embedding: n and D.
         rows: the file of each row.
         precision: of the numbers on disk.
-        shift: pixels of the network's input they were moved to the right.
-        scale: factor they were zoomed by.
-        down: pixels of the network's input they were moved down; written only where they were.
-        around: they are panoramas, turned by moving their columns around; written only where they were.
-        checksums: None in stores of earlier versions, and before the store is complete.
+        shift: pixels of the network's input by which they were shifted right.
+        scale: factor by which they were zoomed.
+        down: pixels of the network's input by which they were shifted down; written only if not zero.
+        around: the pictures are panoramas, rotated by rolling their columns; written only if true.
+        checksums: None before the store is complete.
     """
 
     fingerprint: str
     view: str
     rotate: float
-    n_parts: int
-    embedding: int
+    n_parts: Count
+    embedding: Count
     rows: tuple[Row, ...]
     precision: Precision = "float32"
     shift: int = 0
@@ -82,14 +88,14 @@ class Manifest:
     def for_model(
         cls, model: Model, view: View, change: Change, rows: tuple[Row, ...], precision: Precision = "float32"
     ) -> Manifest:
-        """The manifest of files described by a model."""
-        done = (change.shift, change.scale, change.down, change.around)
+        """Return the manifest of files that a model describes."""
+        transform = (change.shift, change.scale, change.down, change.around)
         n, embedding = model.n_parts, model.spec.embedding
-        return cls(model.fingerprint, view, change.rotate, n, embedding, rows, precision, *done)
+        return cls(model.fingerprint, view, change.rotate, n, embedding, rows, precision, *transform)
 
     @property
     def change(self) -> Change:
-        """What was done to the pictures."""
+        """The transform of the pictures."""
         return Change(self.rotate, self.shift, self.scale, self.down, self.around)
 
     @property
@@ -98,27 +104,27 @@ class Manifest:
         return any(row.box is not None for row in self.rows)
 
     def to_json(self) -> bytes:
-        """The manifest as a JSON file."""
+        """Return the manifest as the contents of its file."""
         values = self._values()
         if self.checksums is not None:
             values["checksums"] = asdict(self.checksums)
         return json.dumps(values, indent=1).encode()
 
-    def checked(self, array: Path) -> Manifest:
-        """The same with the checksums of the array's file, and of itself."""
+    def with_checksums(self, array: Path) -> Manifest:
+        """Return the manifest with checksums of the array's file and of itself."""
         return replace(self, checksums=Checksums.compute(array, self._values()))
 
     @property
     def damaged(self) -> bool:
-        """Whether it differs from what its checksum was made of."""
+        """Whether the manifest differs from its own checksum."""
         return self.checksums is not None and self.checksums.manifest != crc_of_values(self._values())
 
     def _values(self) -> dict[str, Any]:
         values = asdict(self)
         del values["checksums"]
-        for late in ("down", "around"):
-            if not values[late]:
-                del values[late]
+        for optional in ("down", "around"):
+            if not values[optional]:
+                del values[optional]
         for row in values["rows"]:
             if row["box"] is None:
                 del row["box"]
@@ -126,36 +132,27 @@ class Manifest:
 
     @classmethod
     def from_json(cls, data: bytes, name: str) -> Manifest:
-        """Read what `to_json` wrote; StoreError when it is something else, NewerStoreError when a later version wrote it."""
+        """Read the output of `to_json`; `name` is the file's, for messages.
+
+        Raises:
+            NewerStoreError: if a later version wrote it.
+            StoreError: if it is anything else.
+        """
+        if is_newer(found := format_of(data), FORMAT):
+            raise NewerStoreError(newer_version(name, str(found), FORMAT))
         try:
-            values: Any = json.loads(data)
-            found = values.pop("format")
-            if is_newer(found, FORMAT):
-                raise NewerStoreError(newer_version(name, found, FORMAT))
-            if found not in (FORMAT, BEFORE):
+            manifest = msgspec.json.decode(data, type=cls)
+            _ = manifest.change  # checks its numbers
+            if found != FORMAT:
                 raise ValueError("another format")
-            rows = tuple(
-                Row(str(r["file"]), int(r["size"]), int(r["time_ns"]), box_of(r.get("box"))) for r in values.pop("rows")
-            )
-            if values.get("precision", "float32") not in get_args(Precision):
-                raise ValueError("another precision")
-            told = values.pop("checksums", None)
-            read = cls(rows=rows, **values, checksums=None if told is None else Checksums.from_json(told))
-            read._check()
-            return read
-        except (ValueError, OverflowError, KeyError, TypeError, AttributeError, RecursionError, InputError) as error:
+            return manifest
+        except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError, InputError) as error:
             raise StoreError(
                 f"{name} is not a manifest of descriptors ({FORMAT}); describe the pictures again."
             ) from error
 
-    def _check(self) -> None:
-        _ = self.change  # checks its numbers
-        whole = all(type(number) is int and 0 < number < 2**31 for number in (self.n_parts, self.embedding))
-        if not whole or not isinstance(self.fingerprint, str) or not isinstance(self.view, str):
-            raise ValueError("values of another kind")
-
     def comparable(self, other: Manifest) -> bool:
-        """Whether rows of the same file may be taken over from another store."""
+        """Whether rows of the same file can be copied from another store."""
         return self._kind == other._kind
 
     @property
@@ -165,10 +162,13 @@ class Manifest:
 
 @dataclass(frozen=True, eq=False)
 class Store:
-    """A complete store. `descriptors` is (N, n, D) in the manifest's precision, memory-mapped, read-only.
+    """A complete store.
 
-    `identity` is a text that no other store has: of the manifest's contents, and of the array's size and time. `file` is the
-    array's.
+    Attributes:
+        manifest: its contents.
+        descriptors: (N, n, D) in the manifest's precision, memory-mapped, read-only.
+        identity: a digest of the manifest and of the array's size and time.
+        file: the array's file.
     """
 
     manifest: Manifest
@@ -177,33 +177,30 @@ class Store:
     file: Path | None = None
 
     def damaged(self) -> BoolArray:
-        """Which rows lie in blocks that differ from what their checksums were made of, (N,) bool; reads the whole array.
-
-        None where the store has no checksums.
-        """
-        found = np.zeros(len(self.descriptors), np.bool_)
-        told = self.manifest.checksums
-        if told is None or self.file is None:
-            return found
-        if -(-self.file.stat().st_size // told.block) != len(told.blocks):
-            return ~found
-        blocks = crc_of_blocks(self.file, told.block)
+        """Return which rows lie in blocks that differ from their checksums, (N,) bool; reads the whole array."""
+        damaged = np.zeros(len(self.descriptors), np.bool_)
+        checksums = self.manifest.checksums
+        if checksums is None or self.file is None:
+            return damaged
+        if -(-self.file.stat().st_size // checksums.block) != len(checksums.blocks):
+            return ~damaged
+        blocks = crc_of_blocks(self.file, checksums.block)
         row = self.descriptors.dtype.itemsize * self.manifest.n_parts * self.manifest.embedding
-        before = self.file.stat().st_size - row * len(found)
-        for i in (i for i, (now, then) in enumerate(zip(blocks, told.blocks, strict=True)) if now != then):
-            start, end = i * told.block - before, (i + 1) * told.block - before
-            found[max(start // row, 0) : max(-(-end // row), 0)] = True
+        header = self.file.stat().st_size - row * len(damaged)
+        for i in (i for i, (now, then) in enumerate(zip(blocks, checksums.blocks, strict=True)) if now != then):
+            start, end = i * checksums.block - header, (i + 1) * checksums.block - header
+            damaged[max(start // row, 0) : max(-(-end // row), 0)] = True
             if start < 0:
-                found[:] = True  # its shape and order may be wrong
-        return found
+                damaged[:] = True  # the array's shape may be wrong
+        return damaged
 
     @property
     def float32(self) -> Float32Array:
-        """The descriptors (N, n, D) in float32: memory-mapped where they are stored so, else a copy."""
+        """The descriptors (N, n, D) in float32: memory-mapped if stored so, else a copy."""
         return self.rows(slice(None))
 
     def rows(self, rows: slice | IntegerArray) -> Float32Array:
-        """Some of them in float32, without reading the others."""
+        """Return some rows in float32 without reading the others."""
         values = self.descriptors[rows].astype(np.float32, copy=False)
         if self.manifest.precision == "int8":
             norms = np.linalg.norm(values, axis=2, keepdims=True)
@@ -215,7 +212,7 @@ def open_store(folder: str | Path) -> Store:
     """Open a store.
 
     Raises:
-        StoreError: when the folder is not a complete store or its files do not fit each other.
+        StoreError: if the folder is not a complete store, or its files do not fit each other.
     """
     folder = Path(folder)
     if not (folder / "manifest.json").is_file():
@@ -224,30 +221,35 @@ def open_store(folder: str | Path) -> Store:
         )
         raise StoreError(f"{folder} has no manifest.json, so it is not a store of descriptors{unfinished}.")
     written = (folder / "manifest.json").read_bytes()
-    return with_array(folder, Manifest.from_json(written, "manifest.json"), written)
+    return open_array(folder, Manifest.from_json(written, "manifest.json"), written)
 
 
-def with_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
-    """The store of a manifest and of the bytes it was read from; StoreError when its array does not fit."""
+def open_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
+    """Return the store of a manifest and of the bytes it was read from.
+
+    Raises:
+        StoreError: if the array does not fit the manifest.
+    """
     expected = (len(manifest.rows), manifest.n_parts, manifest.embedding)
+    file = folder / "descriptors.npy"
     try:
-        stat = (folder / "descriptors.npy").stat()
-        descriptors = open_memmap(folder / "descriptors.npy")
+        stat = file.stat()
+        descriptors = open_memmap(file)
     except (FileNotFoundError, ValueError) as error:
         raise StoreError(f"descriptors.npy in {folder} is missing or damaged; describe the pictures again.") from error
     except OSError as error:
-        raise unreadable_error(folder / "descriptors.npy", error) from error
+        raise unreadable_error(file, error) from error
     if descriptors.shape != expected or descriptors.dtype != np.dtype(manifest.precision):
         raise StoreError(
             f"descriptors.npy in {folder} is {descriptors.dtype} {descriptors.shape}, but its manifest says "
             f"{manifest.precision} {expected}; describe the pictures again."
         )
-    told = f"{stat.st_size} {stat.st_mtime_ns}".encode()
-    return Store(manifest, descriptors, hashlib.sha256(written + told).hexdigest(), folder / "descriptors.npy")
+    identity = hashlib.sha256(written + f"{stat.st_size} {stat.st_mtime_ns}".encode()).hexdigest()
+    return Store(manifest, descriptors, identity, file)
 
 
-def stored(descriptors: Float32Array, precision: Precision) -> AnyArray:
-    """Descriptors as they are kept on disk, see the top of this module."""
+def encode(descriptors: Float32Array, precision: Precision) -> AnyArray:
+    """Convert descriptors (B, n, D) to their representation on disk."""
     if precision == "int8":
         largest = np.abs(descriptors).max(axis=2, keepdims=True)
         directions: Int8Array = np.round(descriptors * (127 / np.maximum(largest, 1e-12))).astype(np.int8)
@@ -256,15 +258,20 @@ def stored(descriptors: Float32Array, precision: Precision) -> AnyArray:
 
 
 def row_of(file: Path, root: Path | None, box: Box | None) -> Row:
+    """Return the row of a picture file.
+
+    Raises:
+        PictureError: if the file cannot be read.
+    """
     try:
         stat = file.stat()
     except OSError as error:
         raise PictureError(f"The picture {file} cannot be read ({error.strerror or error}); check the path.") from error
-    return Row(str(file.relative_to(root) if root else file), stat.st_size, stat.st_mtime_ns, box_of(box))
+    return Row(str(file.relative_to(root) if root else file), stat.st_size, stat.st_mtime_ns, float_box(box))
 
 
-def box_of(values: Any) -> Box | None:
-    """A box as it is compared: four floats, as JSON gives them back."""
+def float_box(values: Any) -> Box | None:
+    """Convert a box to four floats, as JSON returns them."""
     if values is None:
         return None
     left, top, right, bottom = (float(value) for value in values)

@@ -1,4 +1,4 @@
-"""Describing pictures into a store: nothing is computed twice, and a kill costs about a second's work."""
+"""Describe pictures into a store: nothing is computed twice, and a kill costs about a second's work."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lpn.core.views import View
 from lpn.datasets import files_below
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.parallel_inference import describe_each
-from lpn.descriptors.partial_store import PartialStore, renamed_only, usable
+from lpn.descriptors.partial_store import PartialStore, lacks_manifest_only, reusable_store
 from lpn.descriptors.store import Box, Manifest, Precision, Row, Store, open_store, row_of
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
@@ -34,65 +34,64 @@ def describe(
     title: str = "Describing",
     precision: Precision = "float32",
 ) -> Store:
-    """Describe picture files into a store, mirror included; what is there already is not computed again.
+    """Describe picture files, mirror included, into a store; existing rows are not computed again.
 
-    Killed at any moment, the next call goes on where it stood. A complete store in `out` of the same model, view,
-    change, and precision hands over the rows of files that did not change.
+    After a kill, the next call resumes. If `out` holds a complete store of the same model, view, transform, and precision,
+    the rows of unchanged files are copied from it.
 
     Args:
         files: the pictures, in the order of the rows.
         out: the store's folder.
-        root: folder that the file names in the manifest are relative to.
-        change: what is done to each picture first.
-        boxes: what each picture is cropped to before anything else, None for the whole of it; one for each file.
-        title: shown beside the progress bar.
+        root: the folder that file names in the manifest are relative to.
+        change: the transform of each picture.
+        boxes: the crop of each picture before anything else; None for a whole picture.
+        title: the label of the progress bar.
         precision: of the numbers on disk; they are computed in float32.
 
     Raises:
-        PictureError: naming the files that are no whole pictures (see `lpn.datasets.integrity`), before anything is computed.
-        InputError: when the model has no such view, or the change would leave nothing of a picture.
-        StoreError: when `out` cannot be written, or holds descriptors of another model, view, change, or precision.
+        PictureError: if files are broken (see `lpn.datasets.integrity`), before anything is computed.
+        InputError: if the model lacks the view, or the transform leaves nothing of a picture.
+        StoreError: if `out` cannot be written, or holds other descriptors.
     """
     model.check_view(view)
     change.check(model.input_size)
     out = Path(out)
     rows = tuple(row_of(file, root, box) for file, box in zip(files, boxes or [None] * len(files), strict=True))
     manifest = Manifest.for_model(model, view, change, rows, precision)
-    before = usable(out, manifest)
+    before = reusable_store(out, manifest)
     if before is not None and before.manifest == manifest:
         return before
     check_whole(files, "pictures")
-    return write_store(out, manifest, lambda unfinished: _fill(model, files, manifest, unfinished, title))
+    return write_store(out, manifest, lambda partial: _fill(model, files, manifest, partial, title))
 
 
 def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], None]) -> Store:
-    """Write a store, or open the one that is there already.
+    """Write a store, or open the existing one.
 
     Args:
         out: its folder.
-        manifest: what it shall hold.
-        fill: puts all rows that are not there yet.
+        manifest: its contents.
+        fill: puts every missing row.
 
     Raises:
-        StoreError: when `out` cannot be written, or holds descriptors of another model, view, change, or precision, or `fill`
-            left rows out.
+        StoreError: if `out` cannot be written or holds other descriptors, or if `fill` leaves rows out.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
         with exclusive_lock(out, wait=True):
             # Another process may have described the same pictures while this one waited.
-            before = usable(out, manifest)
+            before = reusable_store(out, manifest)
             if before is None or before.manifest != manifest:
-                if renamed_only(out):
+                if lacks_manifest_only(out):
                     os.replace(out / "descriptors.npy", out / "descriptors.part")
-                unfinished = PartialStore(out, manifest, before)
+                partial = PartialStore(out, manifest, before)
                 try:
-                    fill(unfinished)
+                    fill(partial)
                 finally:
-                    unfinished.save()
-                if not unfinished.good.all():
+                    partial.save()
+                if not partial.good.all():
                     raise StoreError(
-                        f"{int((~unfinished.good).sum())} of {len(manifest.rows)} rows of the store {out} were not written; run "
+                        f"{int((~partial.good).sum())} of {len(manifest.rows)} rows of the store {out} were not written; run "
                         "this again, which goes on there."
                     )
                 _finish(out, manifest)
@@ -104,45 +103,44 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], No
 
 
 def _finish(out: Path, manifest: Manifest) -> None:
-    checked = manifest.checked(out / "descriptors.part")
-    # The old manifest must never lie beside the new rows, even when killed between these lines.
+    final = manifest.with_checksums(out / "descriptors.part")
+    # The old manifest must never lie beside the new rows, even after a kill between these lines.
     (out / "manifest.json").unlink(missing_ok=True)
     os.replace(out / "descriptors.part", out / "descriptors.npy")
-    write_atomic(out / "manifest.json", checked.to_json())
+    write_atomic(out / "manifest.json", final.to_json())
     for name in ("progress.json", "planned.json"):
         (out / name).unlink(missing_ok=True)
 
 
-def _fill(model: Model, files: Sequence[Path], manifest: Manifest, unfinished: PartialStore, title: str) -> None:
-    """Compute the rows that are not there yet."""
-    missing = [i for i, good in enumerate(unfinished.good) if not good]
+def _fill(model: Model, files: Sequence[Path], manifest: Manifest, partial: PartialStore, title: str) -> None:
+    missing = [i for i, good in enumerate(partial.good) if not good]
     view = cast(View, manifest.view)
 
     def prepare(i: int) -> Float32Array:
-        return prepared(model, images.load_picture(files[i]), manifest.rows[i], manifest.change, view)
+        return prepare_row(model, images.load_picture(files[i]), manifest.rows[i], manifest.change, view)
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns) as bar:
         task = bar.add_task(title, total=len(files), completed=len(files) - len(missing))
-        for some in describe_each(model, missing, prepare, view):
-            if some.items:
-                unfinished.put([missing[i] for i in some.items], some.descriptors)
-            for _, error in some.broken:
+        for batch in describe_each(model, missing, prepare, view):
+            if batch.items:
+                partial.put([missing[i] for i in batch.items], batch.descriptors)
+            for _, error in batch.broken:
                 raise error
-            bar.advance(task, len(some.items))
+            bar.advance(task, len(batch.items))
 
 
-def prepared(model: Model, picture: UInt8Array, row: Row, change: Change, view: View) -> Float32Array:
-    """A picture (H, W, 3) as the model takes it, (3, H, W): cropped, turned and zoomed, brought to size, shifted, normalised."""
-    cut = images.crop(picture, row.box, printable(row.file))
-    return images.normalise(change.move(model.to_input_size(change.apply(cut), view)))
+def prepare_row(model: Model, picture: UInt8Array, row: Row, change: Change, view: View) -> Float32Array:
+    """Convert a picture (H, W, 3) to the model's input (3, H, W): crop, rotate and zoom, resize, shift, normalise."""
+    cropped = images.crop(picture, row.box, printable(row.file))
+    return images.normalise(change.move(model.to_input_size(change.apply(cropped), view)))
 
 
 def pictures_below(folder: str | Path) -> list[Path]:
-    """All picture files below a folder, in order of path.
+    """Return all picture files below a folder, in order of path.
 
     Raises:
-        DataError: when there is no such folder or no picture in it.
+        DataError: if the folder does not exist or holds no picture.
     """
     folder = Path(folder)
     if not folder.is_dir():

@@ -16,7 +16,7 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor
 
 from lpn.core.arrays import Float32Array
-from lpn.core.checksums import SEAL, UNSEALED, check_claimed_size, check_entries, check_seal, seal
+from lpn.core.checksums import SEAL, UNSEALED, check_claimed_size, check_entries, check_seal, with_seal
 from lpn.core.errors import ModelFileError
 from lpn.core.files import fingerprint, write_atomic
 from lpn.core.formats import is_newer, newer_version
@@ -102,7 +102,7 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None) ->
     own = _own_keys(network)
     tensors = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items() if k in own}
     metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json(), SEAL: UNSEALED}
-    write_atomic(Path(path), seal(save_tensors(tensors, metadata)))
+    write_atomic(Path(path), with_seal(save_tensors(tensors, metadata)))
 
 
 def epochs_of(path: Path) -> int | None:

@@ -15,7 +15,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from lpn.core.checksums import SEAL, UNSEALED, seal
+from lpn.core.checksums import SEAL, UNSEALED, with_seal
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.views import View
@@ -134,7 +134,7 @@ def _graph(model: TorchModel, view: View, metadata: dict[str, str], storage: Sto
     onnx.helper.set_model_props(proto, metadata | {SEAL: UNSEALED})
     buffer = io.BytesIO()
     onnx.save_model(proto, buffer)
-    return seal(buffer.getvalue())
+    return with_seal(buffer.getvalue())
 
 
 def _forget_origin(proto: onnx.ModelProto) -> None:

@@ -20,7 +20,7 @@ from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantTy
 
 from lpn.core import images
 from lpn.core.arrays import Float32Array
-from lpn.core.checksums import SEAL, UNSEALED, seal
+from lpn.core.checksums import SEAL, UNSEALED, with_seal
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import check_writable, printable, write_atomic
 from lpn.core.views import View
@@ -153,7 +153,7 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
         result = onnx.load_model(made)
     del result.metadata_props[:]
     onnx.helper.set_model_props(result, {**metadata, COMPUTE: "int8", SEAL: UNSEALED})
-    return seal(cast(bytes, result.SerializeToString()))
+    return with_seal(cast(bytes, result.SerializeToString()))
 
 
 def _upstream(graph: onnx.GraphProto, output: str) -> set[str]:

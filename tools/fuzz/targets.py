@@ -229,13 +229,13 @@ def safetensors(folder: Path) -> list[Case]:
     """Our checkpoints."""
     from safetensors.torch import save
 
-    from lpn.core.checksums import SEAL, UNSEALED, seal
+    from lpn.core.checksums import SEAL, UNSEALED, with_seal
     from lpn.models.checkpoints import FORMAT, load_torch
     from tools.fixtures.small_models import SPEC, state_dict
 
     metadata = {"format": FORMAT, "spec": SPEC.to_json(), "recipe": "{}", "epochs": "3"}
     plain = save(state_dict(), metadata)
-    whole = seal(save(state_dict(), metadata | {SEAL: UNSEALED}))
+    whole = with_seal(save(state_dict(), metadata | {SEAL: UNSEALED}))
 
     def read(data: bytes) -> None:
         (folder / "model.safetensors").write_bytes(data)

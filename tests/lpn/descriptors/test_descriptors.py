@@ -383,18 +383,9 @@ def test_a_kill_before_the_new_manifest_leaves_no_old_one_and_loses_nothing(
     np.testing.assert_allclose(again.descriptors, expected, atol=1e-6)
 
 
-def test_a_store_from_before_there_were_shifts_is_still_used(
-    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_descriptors_of_another_transform_are_refused(model: Model, folder: Path, tmp_path: Path) -> None:
     files, store = descriptors.pictures_below(folder), tmp_path / "store"
-    made = descriptors.describe(model, files, "drone", store)
-    manifest = json.loads((store / "manifest.json").read_text())
-    assert manifest["format"] == "lpn-descriptors/2"
-    assert (manifest.pop("shift"), manifest.pop("scale")) == (0, 1)
-    (store / "manifest.json").write_text(json.dumps(manifest | {"format": "lpn-descriptors/1"}))
-    count = Counting(model, monkeypatch)
-    np.testing.assert_array_equal(descriptors.describe(model, files, "drone", store).descriptors, made.descriptors)
-    assert count.described == 0
+    descriptors.describe(model, files, "drone", store)
     with pytest.raises(StoreError, match=r"unchanged, in float32, and these would be .* shifted 3 px to the right"):
         descriptors.describe(model, files, "drone", store, change=Change(shift=3))
 
@@ -452,25 +443,11 @@ def test_rows_are_kept_in_whatever_order_they_were_done(
     assert count.described == 15
 
 
-def test_an_unfinished_store_of_before_is_gone_on_with(
-    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    files, out = descriptors.pictures_below(folder), tmp_path / "store"
-    with monkeypatch.context() as patch:
-        Counting(model, patch, die_after=8)
-        with pytest.raises(KeyboardInterrupt):
-            descriptors.describe(model, files, "drone", out)
-    (out / "progress.json").write_text('{"done": 8}')  # rows from the first, as they were counted once
-    count = Counting(model, monkeypatch)
-    descriptors.describe(model, files, "drone", out)
-    assert count.described == 12
-
-
 KILLED = """
 import os, signal, sys, time
 from pathlib import Path
 import lpn
-from lpn import features
+from lpn import descriptors as features
 from lpn.models.base import Model
 
 model, root, out = lpn.load(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3])
