@@ -1,4 +1,4 @@
-"""How much room a browser's stage has for windows over it."""
+"""The size of one browser's stage, and of windows over it."""
 
 from __future__ import annotations
 
@@ -7,35 +7,37 @@ from typing import Any, cast
 
 from explorer import session_state
 
+# Pixels between a window and the stage's border.
 EDGE = 6
-_LEAST, _MOST = 320, 10_000
+_MIN_WINDOW = 320
+_MAX_SIDE = 10_000
 
 
 class Viewport:
-    """The stage's width and height in the page's own pixels, as the page tells them.
+    """The stage's width and height in CSS pixels, as the page reports them.
 
-    The camera's would not do: where drawing is slow, viser renders fewer pixels than the page has.
+    The camera's size would be wrong: where drawing is slow, viser renders fewer pixels than the page has.
     """
 
     def __init__(self) -> None:
         self.width, self.height = 780, 820
-        self._watching: list[Callable[[], None]] = []
+        self._watchers: list[Callable[[], None]] = []
 
-    def watch(self, told: Callable[[], None]) -> None:
-        """Have a function called whenever the size is another."""
-        self._watching.append(told)
+    def watch(self, on_resize: Callable[[], None]) -> None:
+        """Call a function whenever the size changes."""
+        self._watchers.append(on_resize)
 
-    def take(self, value: Any) -> None:
-        """Note what the page says, [width, height], if it is that."""
+    def update(self, value: Any) -> None:
+        """Take the size from the page, [width, height]; anything else is ignored."""
         if isinstance(value, list) and len(value) == 2:
-            sides = [session_state.whole(side, 1, _MOST) for side in value]
-            if None not in sides and (self.width, self.height) != tuple(sides):
-                self.width, self.height = cast("tuple[int, int]", tuple(sides))
-                for told in self._watching:
-                    told()
+            size = tuple(session_state.whole(side, 1, _MAX_SIDE) for side in value)
+            if None not in size and (self.width, self.height) != size:
+                self.width, self.height = cast("tuple[int, int]", size)
+                for on_resize in self._watchers:
+                    on_resize()
 
-    def window(self, most: tuple[int, int] = (_MOST, _MOST), share: float = 1.0) -> tuple[int, int]:
-        """Width and height of a window over the stage, or over a share of its height, up to a largest one."""
-        width = min(self.width, most[0]) - 2 * EDGE
-        height = round(share * min(self.height, most[1])) - 2 * EDGE
-        return max(width, _LEAST), max(height, _LEAST)
+    def window(self, limit: tuple[int, int] = (_MAX_SIDE, _MAX_SIDE), share: float = 1.0) -> tuple[int, int]:
+        """Return the size of a window over the stage, or over a share of its height, that is within a limit."""
+        width = min(self.width, limit[0]) - 2 * EDGE
+        height = round(share * min(self.height, limit[1])) - 2 * EDGE
+        return max(width, _MIN_WINDOW), max(height, _MIN_WINDOW)

@@ -54,8 +54,9 @@ _COUNTED = """
 import os, sys
 from dataclasses import replace
 import viser
-from explorer import app
+from explorer.client_session import ClientSession
 from explorer.panels import pages
+from explorer.stage.cards import SHOWN
 counts = dict.fromkeys(("add_image", "add_button", "add_slider", "add_html"), 0)
 def counted(owner, names, key):
     for name in names:
@@ -73,7 +74,7 @@ def show(self, answer):
         self._panels.show(answer, self._sequence, 0.0)
 """
 _RUN = """
-app.Visitor._work = work
+ClientSession._work = work
 from lpn.cli.main import main
 sys.exit(main())
 """
@@ -81,7 +82,7 @@ IDLE = f"""{_COUNTED}
 def work(self):
     self._sequence += 1
     if self._sequence == 1:
-        self._idle = self._analyser.analyse(self._state, app.SHOWN)
+        self._idle = self._analyser.analyse(self._state, SHOWN)
         show(self, self._idle)
         with open(os.environ["LPN_BENCH_COUNTS"], "w") as file:
             file.write(" ".join(str(count) for count in counts.values()))
@@ -93,7 +94,7 @@ def work(self):
     self._sequence += 1
     if self._sequence == 1:
         turned = replace(self._state, angle=90.0)
-        self._ready = [self._analyser.analyse(state, app.SHOWN) for state in (self._state, turned)]
+        self._ready = [self._analyser.analyse(state, SHOWN) for state in (self._state, turned)]
     show(self, replace(self._ready[self._sequence % 2], state=self._state))
 {_RUN}"""
 CLOCK = "document.addEventListener('input', () => { window.changedAt = performance.now(); }, true)"

@@ -22,9 +22,9 @@ import viser
 from viser import GuiApi, SceneApi
 
 import lpn
-from explorer import app as app_module
-from explorer import session_state, uploads
-from explorer.app import App, Visitor
+from explorer import client_session, session_state, uploads
+from explorer.app import App
+from explorer.client_session import ClientSession
 from explorer.compute import request_context
 from explorer.compute.request_context import RequestContext
 from explorer.explain_window.sweep_request import SweepRequest
@@ -52,7 +52,7 @@ from tools.fixtures.websocket_client import CHUNK, Talker
 
 TASK = "drone-to-satellite"
 HELD = (
-    Visitor, StateAnalyser, Stage, Panels, ExplainWindow, Lab, RequestContext, Upload, SweepRequest, MessageFilter, Talker, _Connection,
+    ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, Lab, RequestContext, Upload, SweepRequest, MessageFilter, Talker, _Connection,
     viser.ClientHandle, GuiApi, SceneApi, SendBuffer,
 )  # fmt: skip
 """What a browser has for itself."""
@@ -150,11 +150,11 @@ class Browser(Talker):
         self.wait(lambda: self.status("angle") == str(angle))
 
 
-def visitor_of(app: App, browser: Talker) -> Visitor:
+def session_of(app: App, browser: Talker) -> ClientSession:
     """What the server has for a browser."""
     slider = browser.find("Rotate")
     return next(
-        one for one in app._visitors.values() if one._panels.controls._bindings["angle"].handle._impl.uuid == slider
+        one for one in app._sessions.values() if one._panels.controls._bindings["angle"].handle._impl.uuid == slider
     )
 
 
@@ -261,22 +261,22 @@ def test_the_first_picture_waits_for_room_too(
 def test_a_value_that_comes_while_an_older_one_is_taken_stays(app: App) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
-        visitor = visitor_of(app, browser)
-        slider = visitor._panels.controls._bindings["angle"].handle
+        session = session_of(app, browser)
+        slider = session._panels.controls._bindings["angle"].handle
 
         def taken(state: SessionState) -> SessionState:
-            read = visitor._panels.controls.read(state)
+            read = session._panels.controls.read(state)
             slider._impl.value = 12  # as viser's own thread does meanwhile
             return read
 
         slider._impl.value = 10
-        visitor.change(taken)
-        assert (visitor._state.angle, slider.value) == (10, 12)
-        visitor.change(visitor._panels.controls.read)  # what the value itself brings about
-        assert visitor._state.angle == 12
-        visitor.change(lambda state: session_state.turn(state, 5))
+        session.change(taken)
+        assert (session._state.angle, slider.value) == (10, 12)
+        session.change(session._panels.controls.read)  # what the value itself brings about
+        assert session._state.angle == 12
+        session.change(lambda state: session_state.turn(state, 5))
         assert slider.value == 17
-        visitor.change(lambda state: session_state.turn(state, -5))
+        session.change(lambda state: session_state.turn(state, -5))
         assert slider.value == 12
 
 
@@ -288,10 +288,10 @@ def test_a_picture_that_waits_to_be_read_keeps_nobodys_controls_waiting(
     with Browser(url(app)) as browser, ThreadPoolExecutor(1) as pool:
         browser.greet()
         # In place of the threads that viser has for all browsers' callbacks.
-        monkeypatch.setattr(visitor_of(app, browser)._client.gui, "_thread_executor", pool)
+        monkeypatch.setattr(session_of(app, browser)._client.gui, "_thread_executor", pool)
         with reading:
             browser.upload("mine.png", picture(90))
-            until(visitor_of(app, browser)._panels.query._upload._reading.locked)
+            until(session_of(app, browser)._panels.query._upload._reading.locked)
             browser.turn(7)
         browser.wait(lambda: browser.status("name") == "mine.png")
 
@@ -311,7 +311,7 @@ def test_a_failure_is_told_from_being_busy(app: App, gate: Gate) -> None:
 def test_a_profile_that_fails_is_not_computed_for_ever(app: App, gate: Gate) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
-        visitor_of(app, browser).change(lambda state: replace(state, why=True))
+        session_of(app, browser).change(lambda state: replace(state, why=True))
         browser.wait(lambda: "id='lpn-why'" in browser.html())
         gate.broken = True
         browser.tell("sweep", "zoom")
@@ -335,7 +335,7 @@ def test_a_browser_that_moves_on_while_it_waits_is_computed_for_once(
         until(lambda: workspace.inference.waiting == 1)
         one.set("Rotate", 41)
         other.set("Rotate", 42)
-        until(lambda: [visitor_of(app, one)._state.angle, visitor_of(app, other)._state.angle] == [41, 42])
+        until(lambda: [session_of(app, one)._state.angle, session_of(app, other)._state.angle] == [41, 42])
         gate.open.set()
         for browser, angle in ((one, "41"), (other, "42")):
             browser.wait(lambda browser=browser, angle=angle: browser.status("angle") == angle)
@@ -383,7 +383,7 @@ def held() -> Counter[str]:
 
 def settled() -> Counter[str]:
     """The same, when nobody is there any more."""
-    until(lambda: not held()["Visitor"], held)
+    until(lambda: not held()["ClientSession"], held)
     return held()
 
 
@@ -434,13 +434,13 @@ def profiles(app: App) -> None:
     """Gone while a profile and a report are being made, and the laboratory is open."""
     with Browser(url(app)) as browser:
         browser.greet()
-        visitor = visitor_of(app, browser)
-        visitor.change(lambda state: replace(state, why=True, lab=True))
+        session = session_of(app, browser)
+        session.change(lambda state: replace(state, why=True, lab=True))
         browser.wait(lambda: "id='lpn-why'" in browser.html())
         browser.tell("sweep", "rotation")
-        until(lambda: (sweep := visitor._explain_window._content.sweep) is not None and sweep.total)
+        until(lambda: (sweep := session._explain_window._content.sweep) is not None and sweep.total)
         browser.tell("report", None)
-        until(lambda: visitor._reporter._job is not None)
+        until(lambda: session._reporter._job is not None)
 
 
 def knocks(app: App) -> None:
@@ -468,7 +468,7 @@ def test_browsers_that_vanish_leave_nothing(app: App) -> None:
         for thread in threads:
             thread.join(60)
     until(lambda: not (held() - before), lambda: held() - before)
-    assert not app._visitors
+    assert not app._sessions
     assert not app.server.get_clients()
     assert not app.server.gui._current_file_upload_states
     assert not app.server._websock_server._client_state_from_id
@@ -485,10 +485,10 @@ def test_a_browser_that_left_is_not_computed_for(app: App, workspace: Workspace,
             assert gate.began.wait(20)
             goes.set("Rotate", 62)
             until(lambda: workspace.inference.waiting == 1)
-            visitor = weakref.ref(visitor_of(app, goes))
+            session = weakref.ref(session_of(app, goes))
             passes = gate.passes
         until(lambda: workspace.inference.waiting == 0)
-        until(lambda: (gc.collect(), visitor() is None)[1])
+        until(lambda: (gc.collect(), session() is None)[1])
         gate.open.set()
         stays.wait(lambda: stays.status("angle") == "61")
         assert gate.passes <= passes + 1, "the tile's, at most"
@@ -505,11 +505,11 @@ def test_a_page_that_is_built_for_nobody_is_taken_down(app: App, monkeypatch: py
 
     before = settled()
     with monkeypatch.context() as patched:
-        patched.setattr(app_module, "Stage", Late)
+        patched.setattr(client_session, "Stage", Late)
         with Browser(url(app)) as browser:
             browser.camera()
             assert building.wait(20)
         until(lambda: not app.server.get_clients())
         go.set()
         until(lambda: not (held() - before), lambda: held() - before)
-    assert not app._visitors
+    assert not app._sessions

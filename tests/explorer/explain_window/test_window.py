@@ -367,14 +367,14 @@ def test_weights_that_change_nothing_neither_help_nor_harm() -> None:
 
 def test_a_window_fits_the_room_that_the_page_tells() -> None:
     room = Viewport()
-    room.take([700, 500])
+    room.update([700, 500])
     assert room.window() == (688, 488)
     assert room.window((600, 900), 0.5) == (588, 320)
     for nonsense in (None, [1], [0, 5], ["a", 3], [10**9, 3], {"a": 1}):
-        room.take(nonsense)
+        room.update(nonsense)
     assert (room.width, room.height) == (700, 500)
     told: list[int] = []
     room.watch(lambda: told.append(room.width))
-    room.take([700, 500])
-    room.take([640, 500])
+    room.update([700, 500])
+    room.update([640, 500])
     assert told == [640]

@@ -248,7 +248,7 @@ def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[Talker]:
 
 
 def app_workspace(app: App) -> Workspace:
-    return next(iter(app._visitors.values()))._workspace
+    return next(iter(app._sessions.values()))._workspace
 
 
 @pytest.fixture
@@ -416,7 +416,7 @@ def test_another_browsers_controls_cannot_be_moved(witness: Talker, hostile: Tal
 
 
 def test_the_pages_own_messages_may_hold_anything(app: App, hostile: Talker) -> None:
-    visitor = app._visitors[max(app._visitors)]
+    session = app._sessions[max(app._sessions)]
     odd = [
         None,
         -1,
@@ -433,11 +433,11 @@ def test_the_pages_own_messages_may_hold_anything(app: App, hostile: Talker) -> 
         "<b>",
         ["table", -1],
     ]
-    for kind in [*visitor._bridge._handlers, "no such kind", ""]:
+    for kind in [*session._bridge._handlers, "no such kind", ""]:
         for value in odd:
             hostile.tell(kind, value)
-            visitor._bridge.receive(msgspec.json.encode({"kind": kind, "value": value}).decode())
-    visitor.change(lambda state: replace(state, why=False, lab=False))
+            session._bridge.receive(msgspec.json.encode({"kind": kind, "value": value}).decode())
+    session.change(lambda state: replace(state, why=False, lab=False))
     works(hostile)
 
 
@@ -463,15 +463,15 @@ def test_what_a_browser_sent_goes_with_it(app: App) -> None:
     workers_before = threads_of("explorer-worker")
     with Talker(url(app)) as talker:
         talker.greet()
-        visitor = weakref.ref(app._visitors[max(app._visitors)])
-        handle = weakref.ref(visitor()._client)  # type: ignore[union-attr]
+        session = weakref.ref(app._sessions[max(app._sessions)])
+        handle = weakref.ref(session()._client)  # type: ignore[union-attr]
         talker.upload("mine.png", picture(600))
         talker.wait(lambda: talker.status("name") == "mine.png")
         assert len(alive(Upload)) == 1
-        held = visitor()._panels.query._upload._button  # type: ignore[union-attr]
+        held = session()._panels.query._upload._button  # type: ignore[union-attr]
         assert held.value.content == b"", "viser's own copy of the bytes"
         del held
-    assert until(lambda: not alive(Upload) and visitor() is None and handle() is None), (alive(Upload), visitor())
+    assert until(lambda: not alive(Upload) and session() is None and handle() is None), (alive(Upload), session())
     assert until(lambda: threads_of("explorer-worker") <= workers_before)
 
 

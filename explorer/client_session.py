@@ -1,0 +1,197 @@
+"""One connected browser: its state, its windows, and the worker that analyses its state."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from dataclasses import asdict, replace
+from typing import Any
+
+import viser
+
+from explorer import session_state
+from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
+from explorer.compute.ranking_progress import RankingProgress
+from explorer.compute.request_context import RequestContext
+from explorer.compute.worker import DelayedCall, Worker
+from explorer.explain_window import comparison, evidence, model_comparison, region, sweep_page
+from explorer.explain_window.window import ExplainWindow
+from explorer.failure_lab.service import Laboratory
+from explorer.failure_lab.window import Lab
+from explorer.panels import shortcuts, tour
+from explorer.panels.panels import Panels
+from explorer.panels.query_panel import PAGE_SIZE
+from explorer.panels.viewport import Viewport
+from explorer.reports import Reporter
+from explorer.session_state import SessionState, StateChange
+from explorer.stage.cards import SHOWN
+from explorer.stage.scene import SCENE, Stage
+from explorer.url_state import UrlState
+from explorer.web import style
+from explorer.web.bridge import PageBridge
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from lpn.core.errors import LPNError
+from lpn.core.files import printable
+
+log = logging.getLogger(__name__)
+
+# In the order of the cascade: a later style overrides an earlier one.
+STYLES = style.STYLE + "".join(module.STYLE for module in (evidence, comparison, sweep_page, region, model_comparison))
+# Seconds that a new page has to send its address, before the default state is analysed.
+_ADDRESS_TIMEOUT = 3.0
+# Seconds of an analysis after which the page says that it is being computed.
+_SLOW = 0.5
+
+
+class ClientSession:
+    """Connects one browser's controls, worker, and views.
+
+    Callbacks replace the state (`change`) and wake the worker; the worker analyses the newest state and draws it.
+
+    Args:
+        laboratory: computes the failure laboratory's tables for all browsers.
+        url_state: converts states to addresses and back, for all browsers.
+    """
+
+    def __init__(
+        self, client: viser.ClientHandle, workspace: Workspace, laboratory: Laboratory, url_state: UrlState
+    ) -> None:
+        self._client, self._workspace, self._url_state = client, workspace, url_state
+        self._lock = threading.RLock()
+        self._greeted = self._small = False
+        self._sequence = 0
+        task = next(iter(workspace.tasks))
+        state = SessionState(task, workspace.spec.n_parts, query=workspace.first, page=workspace.first // PAGE_SIZE)
+        self._state = workspace.possible(state)
+        self._requests = RequestContext(workspace.inference)
+        self._analyser = StateAnalyser(workspace, self._requests.queued(workspace.model))
+        with self._lock:  # a control works as soon as it is in the page; its callback waits here for the rest
+            self._set_theme(self._state)
+            self._panels = Panels(client, workspace, self._state, self.change)
+            viewport = Viewport()
+            self._reporter = Reporter(client, self._requests.queued(workspace.model, background=True))
+            self._explain_window = ExplainWindow(
+                client, workspace, self.change, self._on_error, viewport, self._reporter, self._requests
+            )
+            self._lab = Lab(client, workspace, laboratory, self.change, viewport, self._reporter)
+            self._panels.navigation.order = self._lab.order
+            handlers = {
+                "room": viewport.update,
+                "hello": self._on_greeting,
+                "small": self._fit,
+                "dark": lambda _: self.change(session_state.flip_dark),
+            }
+            handlers |= self._explain_window.handlers() | self._lab.handlers()
+            properties = {"steps": [asdict(step) for step in tour.steps(workspace)], "scene": SCENE}
+            self._bridge = PageBridge(client.gui, handlers, properties, STYLES)
+            commands = self._explain_window.commands() + self._lab.orders()
+            shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, commands)
+            self._stage = Stage(client, workspace, self._on_select)
+            self._worker = Worker(self._work, self._on_error)
+            self._ranking_progress = RankingProgress(self._panels.answer.show_results, self._worker.wake)
+            self._greeting_timeout = DelayedCall(_ADDRESS_TIMEOUT, self._worker.wake)
+
+    def change(self, change: StateChange) -> None:
+        """Replace the state by a pure function's result; if it differs, update the controls and wake the worker."""
+        with self._lock:
+            state = change(self._state)
+            if state is None:
+                return
+            state = self._workspace.possible(state)
+            if state == self._state:
+                return
+            if state.dark != self._state.dark:
+                self._set_theme(state)
+            if state.why and not self._state.why:
+                self._bridge.call("reveal", "#lpn-why")
+            self._state = state
+            self._requests.supersede()
+            self._panels.write(state)
+        self._worker.wake()
+
+    def leave(self) -> None:
+        """Stop all threads and computations of this browser; it has disconnected."""
+        self._greeting_timeout.cancel()
+        self._ranking_progress.close()
+        self._reporter.leave()
+        self._explain_window.leave()
+        self._worker.stop()
+        self._lab.leave()
+        self._requests.close()
+
+    def _on_select(self, shown: SessionState, index: int) -> None:
+        self.change(lambda state: session_state.compare(state, shown, index))
+
+    def _on_greeting(self, value: Any) -> None:
+        """Read the page's address and size; the page sends them until it gets an answer."""
+        search = value.get("search") if isinstance(value, dict) else None
+        with self._lock:
+            if self._greeted or not isinstance(search, str):
+                return
+            self._greeted = True
+            self._greeting_timeout.cancel()
+            self._fit(value.get("small"))
+            before = self._state
+            state, problems = self._url_state.read(search, before)
+            self.change(lambda _: replace(state, page=state.query // PAGE_SIZE))
+            if self._state is before:  # otherwise `change` has woken the worker
+                self._worker.wake()
+        if problems:
+            self._panels.notify_error("Not all of the link can be shown", " ".join(problems))
+
+    def _fit(self, small: Any) -> None:
+        if small is True or self._small:
+            self._small = small is True
+            self._panels.fit(self._small)
+
+    def _set_theme(self, state: SessionState) -> None:
+        self._client.gui.configure_theme(
+            dark_mode=state.dark,
+            show_logo=False,
+            show_share_button=False,
+            brand_color=(86, 180, 233) if state.dark else (0, 114, 178),
+        )
+
+    def _work(self) -> float | None:
+        """Analyse and draw the newest state; returns the seconds after which to try again when the server is overloaded."""
+        slow = DelayedCall(_SLOW, self._panels.answer.show_busy)
+        try:
+            analysis = self._requests.compute_newest(lambda: self._analyser.analyse(self._state, SHOWN))
+            self._sequence += 1
+            started = time.perf_counter()
+            with self._client.atomic():  # the page draws one frame
+                self._stage.show(analysis)
+                self._explain_window.show(analysis)
+                self._lab.show(analysis)
+                slow.cancel()
+                self._panels.show(analysis, self._sequence, started)
+        except BusyError:
+            slow.cancel()
+            self._panels.answer.show_overloaded()
+            return RETRY_AFTER
+        finally:
+            slow.cancel()
+        beside, name = self._workspace.beside, analysis.task.name
+        other = None if beside is None else beside.rankings.get(name)
+        self._ranking_progress.follow(self._workspace.rankings[name], other)
+        self._bridge.set_address(self._url_state.write(analysis.state), self._url_state.keys)
+        if log.isEnabledFor(logging.DEBUG):
+            log.debug("%s", self._log_line(analysis, time.perf_counter() - started))
+        return None
+
+    def _log_line(self, analysis: StateAnalysis, drawing: float) -> str:
+        state = analysis.state
+        query = f"own picture {printable(analysis.name)}" if state.upload else f"query {printable(analysis.name)}"
+        change = f"turn {state.angle:g}, shift {state.shift} {state.down}, zoom {state.zoom:g}"
+        times = f"computed in {1000 * analysis.seconds:.0f} ms, shown in {1000 * drawing:.0f} ms"
+        return f"Browser {self._client.client_id}: answer {self._sequence}: {state.task}, {query}, {change}: {times}"
+
+    def _on_error(self, error: Exception) -> None:
+        text = (
+            str(error)
+            if isinstance(error, LPNError)
+            else f"{type(error).__name__}: try another picture, or load the page again; the server's log has the details."
+        )
+        self._panels.answer.show_idle()
+        self._panels.notify_error("No answer", text)
