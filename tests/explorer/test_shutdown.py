@@ -61,7 +61,7 @@ lpn.analysis.notes.write_atomic = slow
 """
 SLOW_END = """
 import time, explorer.app
-explorer.app.finished = lambda seconds: (print("ending", flush=True), time.sleep(30))
+explorer.app.writes_finished = lambda seconds: (print("ending", flush=True), time.sleep(30))
 """
 SLOW_OPENING = """
 import time, lpn.descriptors.writer as d
