@@ -27,7 +27,7 @@ def test_requests_are_a_line_each_at_debug_and_no_token_is_in_them(
         explorer.until(lambda: "ready: " in explorer.out)
         url = f"http://127.0.0.1:{explorer.port}"
         for path in ("/?token=guessed+wrong", "/?token=correct+horse+battery"):
-            connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=20)
+            connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=120)
             connection.request("GET", path)
             connection.getresponse().read()
             connection.close()
@@ -67,7 +67,7 @@ def test_by_default_it_is_quiet(places: Path, model_file: Path, tmp_path: Path) 
         talkers[0].set("Rotate", 30)
         talkers[0].wait(lambda: talkers[0].status("angle") == "30")
         talkers[0].send("ShareUrlRequest")
-        connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=20)
+        connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=120)
         connection.connect()  # as browsers open one ahead, and port scans do
         connection.close()
         explorer.interrupt()

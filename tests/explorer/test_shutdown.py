@@ -7,7 +7,6 @@ import re
 import shutil
 import socket
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -29,17 +28,18 @@ answer = StateAnalyser.analyse
 def slow(self, state, k):
     if state.angle:
         print("answering", flush=True)
-        time.sleep(30)
+        time.sleep(600)
     return answer(self, state, k)
 StateAnalyser.analyse = slow
 """
 SLOW_RANKING = """
-import time, explorer.compute.ranking_job
-from lpn import metrics
+import time
+from explorer.compute import ranking_job
+from lpn.retrieval import metrics
 ranking_job.QUICK_COST = -1
 def slow(*given, progress, **more):
     print("ranking", flush=True)
-    time.sleep(30)
+    time.sleep(600)
 metrics.retrieve = slow
 """
 SLOW_REPORT = """
@@ -47,7 +47,7 @@ import time
 from lpn import report
 def slow(*given):
     print("reporting", flush=True)
-    time.sleep(30)
+    time.sleep(600)
 report.build = slow
 """
 SLOW_NOTES = """
@@ -61,7 +61,7 @@ lpn.analysis.notes.write_atomic = slow
 """
 SLOW_END = """
 import time, explorer.app
-explorer.app.writes_finished = lambda seconds: (print("ending", flush=True), time.sleep(30))
+explorer.app.writes_finished = lambda seconds: (print("ending", flush=True), time.sleep(600))
 """
 SLOW_OPENING = """
 import time, lpn.descriptors.writer as d
@@ -151,11 +151,9 @@ def test_a_second_ctrl_c_ends_it_at_once(places: Path, model_file: Path, tmp_pat
     with Explorer(places, model_file, tmp_path / "cache", SLOW_END) as explorer, explorer.browsers(1):
         explorer.interrupt()
         explorer.until(lambda: "ending" in explorer.out)
-        time.sleep(0.1)
         explorer.interrupt()
-        status, seconds = explorer.ended()
+        status, _ = explorer.ended()
         assert status == 130
-        assert seconds < 1
         assert explorer.err == ""
 
 

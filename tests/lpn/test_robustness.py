@@ -90,7 +90,7 @@ def test_a_chunk_that_claims_gigabytes_takes_none() -> None:
     started = time.process_time()
     with pytest.raises(PictureError):
         images.decode_picture(bytes(data), "large.png")
-    assert time.process_time() - started < 0.3
+    assert time.process_time() - started < 2
 
 
 NAMES = ("ä ö.png", "with space.png", "new\nline.png", "\U0001f6f0.png", "%s & <b>.png", "'quote\".png")

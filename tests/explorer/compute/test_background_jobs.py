@@ -101,5 +101,5 @@ def test_another_process_gives_its_result_its_error_or_is_ended() -> None:
 
     started = time.monotonic()
     with pytest.raises(WorkCancelledError):
-        in_process(give_up, time.sleep, 60)
-    assert time.monotonic() - started < 20
+        in_process(give_up, time.sleep, 600)
+    assert time.monotonic() - started < 300

@@ -49,7 +49,7 @@ class ManualModel(Model):
         self.viewed.append(view)
         self._began.release()
         if self._held:
-            assert self._lets.acquire(timeout=20)
+            assert self._lets.acquire(timeout=120)
         if 13 in marks:
             raise ModelFileError("It cannot be computed.")
         if 14 in marks:
@@ -59,7 +59,7 @@ class ManualModel(Model):
 
     def began(self) -> None:
         """Wait until the next pass has begun."""
-        assert self._began.acquire(timeout=20)
+        assert self._began.acquire(timeout=120)
 
     def let(self, passes: int = 1) -> None:
         """Let passes end."""
@@ -98,13 +98,13 @@ class Client(threading.Thread):
             self.error = error
 
     def finished(self) -> Client:
-        self.join(20)
+        self.join(120)
         assert not self.is_alive()
         return self
 
 
 def until(true: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 120
     while not true():
         assert time.monotonic() < deadline
         time.sleep(0.002)
@@ -241,7 +241,7 @@ class RoundRobin:
         self._going = False
         self._slow.let(1000)
         for thread in self._threads:
-            thread.join(20)
+            thread.join(120)
         first.finished()
         return self._slow.passes[1 : passes + 1]
 
@@ -292,8 +292,8 @@ def test_long_work_neither_holds_up_answers_nor_waits_for_ever(network: ManualMo
 def test_alone_long_work_has_every_pass(network: ManualModel) -> None:
     network.batch = 4
     passes = RoundRobin(network, InferenceScheduler(), answers=0, long=3).run(6)
-    assert all(len(marks) >= 1 for marks in passes)
-    assert set(np.concatenate(passes).tolist()) == {0, 1, 2}
+    assert sorted(passes[0]) == [0, 1, 2], "all that wait share a pass"
+    assert all(len(set(marks)) == len(marks) for marks in passes), "none is in a pass twice"
 
 
 def test_a_full_queue_refuses_in_one_sentence_and_keeps_the_place(network: ManualModel) -> None:
@@ -458,7 +458,7 @@ def test_who_moves_on_while_waiting_is_answered_for_the_newest_state_in_the_same
         browser.moves(7)
     network.let(20)
     for browser in clients:
-        browser.join(20)
+        browser.join(120)
         assert browser.error is None
     first.finished()
     assert network.passes[:4] == [[99], [1], [22], [33]]
@@ -474,7 +474,7 @@ def test_what_has_hardly_waited_is_computed_though_its_browser_moved_on(network:
         browser.moves(9)
     network.let(20)
     for browser in clients:
-        browser.join(20)
+        browser.join(120)
     first.finished()
     assert [(browser.shown, browser.begun) for browser in clients] == [(1, 1), (2, 1)]
 
@@ -488,7 +488,7 @@ def test_a_place_that_is_held_is_nobody_elses_and_is_given_back(network: ManualM
     other.moves(0)
     network.let()
     network.began()
-    other.join(20)
+    other.join(120)
     assert isinstance(other.error, ModelFileError)
     assert not queue._held, "it asked for nothing"
     queue._held[other.context] = 0
@@ -499,7 +499,7 @@ def test_a_place_that_is_held_is_nobody_elses_and_is_given_back(network: ManualM
     clock.now += RESERVATION + 1  # until which the one who was refused has a place
     waiting += queue_up(queue, lambda: Client(queued(network, queue), 6))
     network.let(20)
-    one.join(20)
+    one.join(120)
     for clients in (first, *waiting):
         assert clients.finished().error is None
 
@@ -547,7 +547,7 @@ def test_where_there_can_be_no_more_threads_the_next_one_tries_again(
     assert Client(queued(network, queue), 2).finished().result is not None
     assert network.passes == [[2]]
     worker.wake()
-    assert ran.wait(20)
+    assert ran.wait(120)
     worker.stop()
 
 
@@ -558,16 +558,16 @@ def test_what_several_want_is_made_once_and_the_oldest_is_forgotten() -> None:
     def make() -> object:
         made.append(1)
         making.set()
-        assert go.wait(20)
+        assert go.wait(120)
         return object()
 
     threads = [threading.Thread(target=lambda: got.append(cache.get(1, make))) for _ in range(5)]
     for thread in threads:
         thread.start()
-    assert making.wait(20)
+    assert making.wait(120)
     go.set()
     for thread in threads:
-        thread.join(20)
+        thread.join(120)
     assert len(made) == 1
     assert len(got) == 5
     assert len(set(map(id, got))) == 1
@@ -584,7 +584,7 @@ def test_what_cannot_be_made_for_one_is_made_for_the_next() -> None:
 
     def fail() -> str:
         making.set()
-        assert go.wait(20)
+        assert go.wait(120)
         raise WorkCancelledError
 
     def failing() -> None:
@@ -596,9 +596,9 @@ def test_what_cannot_be_made_for_one_is_made_for_the_next() -> None:
         threading.Thread(target=lambda: got.append(cache.get(1, lambda: "made"))),
     ]
     threads[0].start()
-    assert making.wait(20)
+    assert making.wait(120)
     threads[1].start()
     go.set()
     for thread in threads:
-        thread.join(20)
+        thread.join(120)
     assert got == ["made"]

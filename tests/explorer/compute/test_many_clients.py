@@ -76,7 +76,7 @@ class Gate:
         """A pass, when the gate is open."""
         self.passes += 1
         self.began.set()
-        assert self.open.wait(30)
+        assert self.open.wait(120)
         if self.broken:
             raise ModelFileError("The model is damaged.")
         return self._run(images, view)
@@ -126,7 +126,7 @@ def url(app: App) -> str:
 
 
 def until(true: Callable[[], bool], said: Callable[[], object] = lambda: "") -> None:
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 120
     while not true():
         assert time.monotonic() < deadline, said()
         time.sleep(0.02)
@@ -136,13 +136,15 @@ class Browser(Talker):
     """A page that notes every state that it was ever shown."""
 
     def __init__(self, url: str) -> None:
-        self.shown: set[tuple[int, float]] = set()
+        self.shown: list[tuple[int, float]] = []
         super().__init__(url)
 
     def _take(self, data: bytes | str) -> None:
         super()._take(data)
         if query := self.status("query"):
-            self.shown.add((int(query), float(self.status("angle") or 0)))
+            state = int(query), float(self.status("angle") or 0)
+            if state not in self.shown[-1:]:
+                self.shown.append(state)
 
     def turn(self, angle: int) -> None:
         """Turn the query, and wait until that is shown."""
@@ -202,7 +204,9 @@ def test_twenty_browsers_at_once_end_each_on_its_own_right_answer(
                 direct.check(browser)
                 time.sleep(0.2)
                 assert browser.status("angle") == str(angles[-1])
-                assert browser.shown <= {(q, float(a)) for q in {0, *queries} for a in (0, *angles)}
+                # What it asked for, in that order; states may be skipped.
+                asked = iter([(0, 0.0), *((query, float(angle)) for query in queries for angle in (0, *angles))])
+                assert all(state in asked for state in browser.shown), browser.shown
         except BaseException as error:
             flaws.append((number, error))
 
@@ -224,7 +228,7 @@ def test_a_full_queue_says_busy_and_answers_the_newest_state_by_itself(
             browser.greet()
         gate.close()
         one.set("Rotate", 31)
-        assert gate.began.wait(20)
+        assert gate.began.wait(120)
         two.set("Rotate", 32)
         until(lambda: workspace.inference.waiting == 1)
         three.set("Rotate", 33)
@@ -330,7 +334,7 @@ def test_a_browser_that_moves_on_while_it_waits_is_computed_for_once(
             browser.greet()
         gate.close()
         one.set("Rotate", 31)
-        assert gate.began.wait(20)
+        assert gate.began.wait(120)
         other.set("Rotate", 32)
         until(lambda: workspace.inference.waiting == 1)
         one.set("Rotate", 41)
@@ -482,7 +486,7 @@ def test_a_browser_that_left_is_not_computed_for(app: App, workspace: Workspace,
             goes.greet()
             gate.close()
             stays.set("Rotate", 61)
-            assert gate.began.wait(20)
+            assert gate.began.wait(120)
             goes.set("Rotate", 62)
             until(lambda: workspace.inference.waiting == 1)
             session = weakref.ref(session_of(app, goes))
@@ -500,7 +504,7 @@ def test_a_page_that_is_built_for_nobody_is_taken_down(app: App, monkeypatch: py
     class Late(Stage):
         def __init__(self, *given: object) -> None:
             building.set()
-            assert go.wait(20)
+            assert go.wait(120)
             super().__init__(*given)  # type: ignore[arg-type]
 
     before = settled()
@@ -508,7 +512,7 @@ def test_a_page_that_is_built_for_nobody_is_taken_down(app: App, monkeypatch: py
         patched.setattr(client_session, "Stage", Late)
         with Browser(url(app)) as browser:
             browser.camera()
-            assert building.wait(20)
+            assert building.wait(120)
         until(lambda: not app.server.get_clients())
         go.set()
         until(lambda: not (held() - before), lambda: held() - before)

@@ -53,7 +53,7 @@ def laboratory(workspace: Workspace) -> Laboratory:
 
 @pytest.fixture
 def found(laboratory: Laboratory) -> Findings:
-    assert laboratory.build(TASK, None).wait(30)
+    assert laboratory.build(TASK, None).wait(120)
     findings = laboratory.findings(TASK)
     assert findings is not None
     return findings
@@ -71,7 +71,7 @@ def failures(found: Findings) -> list[int]:
 def test_the_table_is_made_once_for_all_who_ask(laboratory: Laboratory) -> None:
     first, second = laboratory.build(TASK, "one"), laboratory.build(TASK, "other")
     assert first is second
-    assert first.wait(30)
+    assert first.wait(120)
     assert (first.done, first.total) == (13, 13)
     assert laboratory.findings(TASK) is laboratory.findings(TASK)
 
@@ -371,7 +371,7 @@ def test_notes_reach_every_table_and_the_disk(workspace: Workspace, laboratory: 
         assert newest.table.filter(newest.table.rows(), "tags ~ night").tolist() == [2]
         assert notes.read_notes(workspace.root / "notes.csv")[path].tags == ("night", "blur")
         other = Laboratory(workspace)
-        other.build(TASK, None).wait(30)
+        other.build(TASK, None).wait(120)
         again = other.findings(TASK)
         assert again is not None
         assert again.note(2) == newest.note(2)
@@ -379,7 +379,7 @@ def test_notes_reach_every_table_and_the_disk(workspace: Workspace, laboratory: 
             laboratory.say(path, "no/word", "")
         (workspace.root / "notes.csv").write_text("what,is\n")
         damaged = Laboratory(workspace)
-        damaged.build(TASK, None).wait(30)
+        damaged.build(TASK, None).wait(120)
         without = damaged.findings(TASK)
         assert without is not None
         assert "expected path,tags,note" in without.flaw
@@ -444,7 +444,7 @@ def test_notes_that_cannot_be_written_are_said_and_nothing_is_changed(workspace:
     file.mkdir()
     try:
         laboratory = Laboratory(workspace)
-        laboratory.build(TASK, None).wait(30)
+        laboratory.build(TASK, None).wait(120)
         found = laboratory.findings(TASK)
         assert found is not None
         assert "cannot be read" in found.flaw

@@ -59,7 +59,7 @@ def url(app: App) -> str:
 
 
 def get(app: App, path: str = "/", **headers: str) -> tuple[int, http.client.HTTPMessage, str]:
-    connection = http.client.HTTPConnection("127.0.0.1", app.server.get_port(), timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", app.server.get_port(), timeout=120)
     connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
     answer = connection.getresponse()
     body = answer.read().decode()
@@ -106,7 +106,7 @@ def test_another_site_reaches_neither_page_nor_websocket(app: App) -> None:
 
 def raw(app: App, data: bytes) -> bytes:
     """The first line of the answer to bytes that may be no request."""
-    with socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) as connection:
+    with socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=120) as connection:
         connection.sendall(data)
         return connection.makefile("rb").readline().strip()
 
@@ -157,7 +157,7 @@ def test_a_token_is_not_written_to_the_log(locked: App, caplog: pytest.LogCaptur
 def test_connections_that_ask_for_nothing_do_not_use_up_the_files(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gateway, "MAX_PENDING", 8)
     before = len(list(Path("/proc/self/fd").iterdir()))
-    held = [socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) for _ in range(30)]
+    held = [socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=120) for _ in range(30)]
     try:
         for connection in held[8:]:
             with contextlib.suppress(ConnectionResetError):

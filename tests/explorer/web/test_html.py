@@ -25,7 +25,7 @@ class Handle:
     def content(self, text: str) -> None:
         if text == "one":
             self.begun.set()
-            assert self.arrive.wait(30)
+            assert self.arrive.wait(120)
         self.shown = text
 
 
@@ -35,7 +35,7 @@ def test_what_is_shown_last_stays() -> None:
     html = Html(cast(viser.GuiApi, gui))
     threads = [threading.Thread(target=html.show, args=(text,)) for text in ("one", "two")]
     threads[0].start()
-    assert handle.begun.wait(30)
+    assert handle.begun.wait(120)
     threads[1].start()
     threads[1].join(0.2)
     handle.arrive.set()

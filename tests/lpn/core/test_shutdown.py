@@ -31,7 +31,7 @@ d.prepared = lambda *a: (time.sleep(0.15), prepared(*a))[1]
 SLOW_INDEX = """
 import time, lpn.index.folder as f
 write = f.write_segment
-f.write_segment = lambda *a: (write(*a), print("writing", flush=True), time.sleep(30))
+f.write_segment = lambda *a: (write(*a), print("writing", flush=True), time.sleep(600))
 """
 IN_A_LIBRARY = """
 import hashlib, lpn.cli.verify as v
@@ -75,7 +75,7 @@ def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> 
 
 def test_a_training_without_a_whole_epoch_says_so(tmp_path: Path) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
-    slow = "import time, lpn.training.loader as l\ns = l.Loader.stream\nl.Loader.stream = lambda *a: (time.sleep(60), s(*a))[1]"
+    slow = "import time, lpn.training.loader as l\ns = l.Loader.stream\nl.Loader.stream = lambda *a: (time.sleep(600), s(*a))[1]"
     given: list[object] = ["train", "--data", data, "--out", out, "--recipe", "small", "--size", 64, "--batch", 4]
     with Process(given, tmp_path / "cache", slow) as process:
         process.until(lambda: "Computing in" in process.out)
@@ -135,14 +135,14 @@ def test_a_library_that_computes_is_not_waited_for(tmp_path: Path) -> None:
 
 
 def test_a_second_ctrl_c_ends_at_once(tmp_path: Path) -> None:
-    with Process(["verify"], tmp_path / "cache", IN_A_LIBRARY) as process:
+    patient = "import lpn.core.shutdown as s\ns.GRACE = 600\n"
+    with Process(["verify"], tmp_path / "cache", patient + IN_A_LIBRARY) as process:
         process.until(lambda: "computing" in process.out)
-        process.interrupt()
-        time.sleep(0.3)
-        process.interrupt()
-        status, seconds = process.ended()
+        while process.running:  # two signals at once may count as one
+            process.interrupt()
+            time.sleep(0.3)
+        status, _ = process.ended()
         assert status == 130
-        assert seconds < shutdown.GRACE - 0.5
         assert process.err == ""
 
 

@@ -447,7 +447,7 @@ KILLED = """
 import os, signal, sys, time
 from pathlib import Path
 import lpn
-from lpn import descriptors as features
+from lpn import descriptors
 from lpn.models.base import Model
 
 model, root, out = lpn.load(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3])
@@ -462,7 +462,7 @@ def slowly(self, images, view, mirror=True):
     return described(self, images, view, mirror)
 
 kind.descriptors = slowly
-features.describe(model, features.pictures_below(root), "drone", out)
+descriptors.describe(model, descriptors.pictures_below(root), "drone", out)
 """
 
 

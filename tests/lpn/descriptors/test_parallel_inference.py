@@ -40,7 +40,7 @@ def test_streams_say_what_one_call_says(
 def test_a_network_on_the_cpu_runs_in_several_threads_at_once(
     model_file: Path, pictures: Float32Array, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    both = threading.Barrier(2, timeout=20)
+    both = threading.Barrier(2, timeout=120)
     original = Engine.descriptors
 
     def descriptors(self: Engine, images: Float32Array, view: str, mirror: bool = True) -> Float32Array:
@@ -63,13 +63,13 @@ def test_others_are_computed_one_at_a_time_while_pictures_are_prepared(
     def descriptors(self: Engine, images: Float32Array, view: str, mirror: bool = True) -> Float32Array:
         assert inside.acquire(blocking=False), "two computed at once"
         try:
-            assert preparing.wait(20), "nothing was prepared meanwhile"
+            assert preparing.wait(120), "nothing was prepared meanwhile"
             return original(self, images, view, mirror)
         finally:
             inside.release()
 
     def prepare(i: int) -> Float32Array:
-        until = time.monotonic() + 20
+        until = time.monotonic() + 120
         # The second batch is the other thread's: it is prepared once the first is being computed.
         while i >= model.batch and not preparing.is_set() and time.monotonic() < until:
             if inside.locked():

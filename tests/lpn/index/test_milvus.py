@@ -92,7 +92,7 @@ def test_a_milvus_index_sees_its_own_writes_and_soon_those_of_others(server: Ser
         other._written = -1e9  # type: ignore[attr-defined]
         one.add(tiles.names[:200], tiles.descriptors[:200])
         assert len(one.search(tiles.descriptors[0], None, 400).ids) == 200
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 240
         while len(other.search(tiles.descriptors[0], None, 400).ids) < 200:
             assert time.monotonic() < deadline
             time.sleep(0.5)
