@@ -46,7 +46,7 @@ class ReproduceCommand:
     def run(self) -> None:
         import_module("torch")
         from lpn.reproduce.command import KEYS, Reproduction
-        from lpn.reproduce.sources import is_rendered
+        from lpn.reproduce.sources import is_world
         from lpn.reproduce.tables import SCALES
 
         if not self.what or not self.data:
@@ -54,7 +54,7 @@ class ReproduceCommand:
                 f"Say what to reproduce ({', '.join(KEYS)}, or all) and on which data: lpn reproduce table1 --data FOLDER."
             )
         keys = KEYS if self.what == ("all",) else tuple(dict.fromkeys(self.what))
-        rendered = {is_rendered(given) for given in self.data}
+        rendered = {is_world(given) for given in self.data}
         if len(rendered) > 1 and self.scale == "auto":
             raise InputError(
                 "--data names a rendered world and others; say with --scale whether it is paper or reduced."

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
+
+from lpn.core.errors import LPNError
+
+_Record = TypeVar("_Record")
+
 
 # The format of world.json, which data sets read without knowing how a world is made.
 WORLD = "lpn-world/1"
@@ -37,3 +42,28 @@ def is_newer(found: Any, ours: str) -> bool:
 def newer_version(what: object, found: str, ours: str) -> str:
     """Return the message about a file (`what`, the sentence's subject) that a later version wrote."""
     return f"{what} was written by a later version of lpn ({found}, and this one knows {ours}); {UPGRADE}."
+
+
+class _Header(msgspec.Struct):
+    format: str
+
+
+def decode_json(data: bytes, record: type[_Record], what: object, ours: str, error: type[LPNError]) -> _Record:
+    """Decode a JSON file of a versioned format.
+
+    Args:
+        record: the msgspec struct of the file.
+        what: the file, as the subject of a sentence.
+        ours: the format that this version writes.
+        error: the class of the error about a later version.
+
+    Raises:
+        LPNError: an `error` when a later version of lpn wrote the file.
+        ValueError, RecursionError: when the file is damaged or has another format.
+    """
+    found = msgspec.json.decode(data, type=_Header).format
+    if is_newer(found, ours):
+        raise error(newer_version(what, found, ours))
+    if found != ours:
+        raise ValueError("another format")
+    return msgspec.json.decode(data, type=record)

@@ -48,7 +48,7 @@ class ExactIndex(FolderIndex):
         Raises:
             StoreError: when the folder holds something else, or cannot be written.
         """
-        create(Path(folder), IndexManifest(cls.engine, kind, precision))
+        create(Path(folder), IndexManifest(engine=cls.engine, **vars(kind), precision=precision))
         return cls(folder)
 
     def search(

@@ -66,7 +66,7 @@ class FaissIndex(FolderIndex):
         self._faiss = cast(Any, import_module("faiss"))
         self.nprobe, self.depth = check_count(nprobe, "number of lists looked through"), check_count(depth, "depth")
         super().__init__(folder)
-        self.codes: Codes = self._state.manifest.settings["codes"]
+        self.codes = cast(Codes, self._state.manifest.settings["codes"])
         self._opened: dict[tuple[Path, tuple[int, int]], Any] = {}
 
     @classmethod
@@ -90,7 +90,7 @@ class FaissIndex(FolderIndex):
             raise InputError(
                 f"A descriptor has {kind.numbers} numbers, which are no multiple of {_PER_CODE}; choose the codes sq8."
             )
-        create(Path(folder), IndexManifest(cls.engine, kind, settings={"codes": codes}))
+        create(Path(folder), IndexManifest(engine=cls.engine, **vars(kind), settings={"codes": codes}))
         return cls(folder, nprobe, depth)
 
     def search(

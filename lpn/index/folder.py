@@ -4,8 +4,6 @@
                      checksum of all this
     0000012/ ...     segments, see `lpn.index.segments`, each with checksums.json: CRC-32 of every block of its files
 
-Both checksums are missing where an earlier version wrote the index.
-
 What an add writes lies in folders that the manifest does not name yet; the manifest is replaced last. Killed at any moment, an
 index is as it was before that add, and the next one clears away what was left.
 
@@ -23,21 +21,24 @@ import zlib
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from dataclasses import replace as replace_fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
+from msgspec.structs import replace
 
 from lpn.core.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import exclusive_lock, printable, raise_open_file_limit, unreadable_error, write_atomic
-from lpn.core.formats import is_newer, newer_version
+from lpn.core.formats import decode_json
 from lpn.index.base import Index, Kind, SearchResult, best, check_names, check_positions, scores_of
-from lpn.index.scan import PRECISIONS, Precision
-from lpn.index.segment_checksums import NAME, changed, write_sums
+from lpn.index.scan import Precision
+from lpn.index.segment_checksums import NAME, changed_files, write_checksums
 from lpn.index.segments import DEAD, FILES, Segment, TileBatch, identity_of, keys_of, write_segment
 
 FORMAT = "lpn-index/1"
@@ -51,92 +52,99 @@ _ATTEMPTS = 20
 _READ = 1024
 
 
-@dataclass(frozen=True)
-class ManifestEntry:
-    """A segment that counts: its folder's name, its tiles, and the file that says which were replaced, if any were, with its
-    checksum."""
+class ManifestEntry(msgspec.Struct, frozen=True):
+    """A segment of an index.
+
+    Attributes:
+        name: its folder.
+        rows: its tiles, with those that were replaced later.
+        dead: the file that marks replaced tiles, None if there are none.
+        dead_crc: CRC-32 of that file.
+    """
 
     name: str
-    rows: int
+    rows: Annotated[int, msgspec.Meta(ge=0)]
     dead: str | None = None
     dead_crc: int | None = None
 
 
-@dataclass(frozen=True)
-class IndexManifest:
-    """What an index is.
+class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
+    """The contents of index.json.
 
     Attributes:
         engine: "exact" or "faiss".
-        kind: of its descriptors.
+        fingerprint, n_parts, embedding: the descriptors, see `Kind`.
         precision: of the copy that is scanned.
         settings: of the engine.
-        entries: its segments, oldest first.
-        next: number of the next folder or file that is written.
+        next: number of the next folder or file to be written.
+        segments: oldest first.
+        checksum: CRC-32 of everything else.
     """
 
+    format: str = FORMAT
     engine: str
-    kind: Kind
+    fingerprint: str
+    n_parts: int
+    embedding: int
     precision: Precision = "float32"
-    settings: dict[str, Any] = field(default_factory=dict)
-    entries: tuple[ManifestEntry, ...] = ()
+    settings: dict[str, str] = {}
     next: int = 1
+    segments: tuple[ManifestEntry, ...] = ()
+    checksum: int | None = None
+
+    @property
+    def kind(self) -> Kind:
+        """The kind of descriptors."""
+        return Kind(self.fingerprint, self.n_parts, self.embedding)
 
     def to_json(self) -> bytes:
-        """The manifest as a JSON file."""
-        values = {"format": FORMAT, "engine": self.engine, **vars(self.kind), "precision": self.precision}
-        values |= {"settings": self.settings, "next": self.next, "segments": [vars(entry) for entry in self.entries]}
-        return json.dumps({**values, "checksum": crc_of_values(values)}, indent=1).encode()
+        """Encode the manifest with its checksum."""
+        return json.dumps(msgspec.to_builtins(replace(self, checksum=self._crc())), indent=1).encode()
 
     @classmethod
     def read(cls, folder: Path) -> IndexManifest:
-        """The manifest of an index; StoreError when the folder is none."""
+        """Read the manifest of an index; StoreError when the folder is not an index or its manifest is damaged."""
         try:
-            values: Any = json.loads((folder / MANIFEST).read_bytes())
-            if is_newer(values["format"], FORMAT):
-                raise StoreError(newer_version(f"{MANIFEST} in {folder}", values["format"], FORMAT))
-            if values["format"] != FORMAT or values["precision"] not in PRECISIONS:
-                raise ValueError("another format")
-            kind = Kind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"]))
-            if values.pop("checksum", None) not in (None, crc_of_values(values)):
+            data = (folder / MANIFEST).read_bytes()
+            manifest = decode_json(data, cls, f"{MANIFEST} in {folder}", FORMAT, StoreError)
+            if manifest.checksum != manifest._crc():
                 raise ValueError("another checksum")
-            entries = tuple(
-                ManifestEntry(str(e["name"]), int(e["rows"]), e["dead"], e.get("dead_crc")) for e in values["segments"]
-            )
-            settings = dict(values["settings"])
-            return cls(str(values["engine"]), kind, values["precision"], settings, entries, int(values["next"]))
+            return manifest
         except FileNotFoundError as error:
             raise StoreError(f"{folder} has no {MANIFEST}, so it is not an index; make one with lpn index.") from error
         except OSError as error:
             raise unreadable_error(folder / MANIFEST, error) from error
-        except (ValueError, OverflowError, RecursionError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, RecursionError) as error:
             raise StoreError(
                 f"{MANIFEST} in {folder} is damaged or not one of {FORMAT}; make the index again with lpn index."
             ) from error
 
+    def _crc(self) -> int:
+        values = msgspec.to_builtins(self)
+        del values["checksum"]
+        return crc_of_values(values)
 
-def verify(folder: Path) -> bool:
-    """Read an index in full against its checksums; whether all of it has some, which an earlier version's has not.
+
+def verify(folder: Path) -> None:
+    """Read an index in full and compare it with its checksums.
 
     Raises:
-        StoreError: when the folder is no index, or a file of it is damaged.
+        StoreError: when the folder is not an index, or a file of it is damaged.
     """
-    manifest, everywhere = IndexManifest.read(folder), True
-    for entry in manifest.entries:
+    manifest = IndexManifest.read(folder)
+    for entry in manifest.segments:
         segment = folder / entry.name
-        wrong = changed(segment)
-        everywhere = everywhere and wrong is not None
+        changed = changed_files(segment)
         try:
             Segment(segment, manifest.kind, manifest.precision, entry.rows, entry.dead)
-            dead = entry.dead if entry.dead_crc is not None else None
-            found = [] if dead is None or zlib.crc32((segment / dead).read_bytes()) == entry.dead_crc else [dead]
+            if entry.dead is not None and zlib.crc32((segment / entry.dead).read_bytes()) != entry.dead_crc:
+                changed.append(entry.dead)
         except FileNotFoundError as error:
             raise StoreError(f"{error.filename} is missing; {_AGAIN}.") from error
         except OSError as error:
             raise unreadable_error(Path(error.filename or segment), error) from error
-        for name in (*(wrong or ()), *found):
-            raise StoreError(f"{name} in {segment} is not what its checksums were made of; {_AGAIN}.")
-    return everywhere
+        if changed:
+            raise StoreError(f"{changed[0]} in {segment} does not match its checksums; {_AGAIN}.")
 
 
 def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
@@ -236,7 +244,7 @@ class FolderIndex(Index):
 
     def close(self) -> None:
         """See `Index.close`."""
-        self._state = replace(self._state, segments=[])
+        self._state = replace_fields(self._state, segments=[])
 
     @abstractmethod
     def _finish(self, folder: Path, rows: int) -> None:
@@ -287,7 +295,7 @@ class FolderIndex(Index):
             manifest = IndexManifest.read(self.folder)
             try:
                 segments = [
-                    self._opened_segment(manifest, entry, open_now.get(entry.name)) for entry in manifest.entries
+                    self._opened_segment(manifest, entry, open_now.get(entry.name)) for entry in manifest.segments
                 ]
                 return IndexSnapshot(manifest, segments, stamp)
             except FileNotFoundError as error:
@@ -322,7 +330,7 @@ class FolderIndex(Index):
         kept, rows_new = self._gathered(sizes, len(batch.names))
         entries: list[ManifestEntry] = []
         number = self._free(manifest.next)
-        for entry, segment, mask, size in zip(manifest.entries[:kept], segments, masks, sizes, strict=False):
+        for entry, segment, mask, size in zip(manifest.segments[:kept], segments, masks, sizes, strict=False):
             if 2 * size < segment.rows:
                 if size:
                     entries.append(self._segment(number, segment.batches(mask), size))
@@ -342,7 +350,7 @@ class FolderIndex(Index):
             yield batch
 
         entries.append(self._segment(number, gathered(), rows_new))
-        return replace(manifest, entries=tuple(entries), next=number + 1)
+        return replace(manifest, segments=tuple(entries), next=number + 1)
 
     def _gathered(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:
         """How many segments of these sizes stay by themselves when so many tiles are added, and the size of the one that takes
@@ -357,7 +365,7 @@ class FolderIndex(Index):
         name = f"{number:07d}"
         write_segment(self.folder / name, self.kind, self.precision, batches, rows)
         self._finish(self.folder / name, rows)
-        write_sums(self.folder / name)
+        write_checksums(self.folder / name)
         return ManifestEntry(name, rows)
 
     def _free(self, number: int) -> int:
@@ -374,7 +382,7 @@ class FolderIndex(Index):
 
         What an index has not made is left where it is, and so is a folder that holds any.
         """
-        entries = {entry.name: entry for entry in self._state.manifest.entries}
+        entries = {entry.name: entry for entry in self._state.manifest.segments}
         for path in self.folder.iterdir():
             if path.name in entries:
                 for file in path.glob("dead-*.npy"):

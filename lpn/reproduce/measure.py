@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
+
+import msgspec
 
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import InputError
 from lpn.core.files import write_atomic
-from lpn.core.formats import is_newer, newer_version
+from lpn.core.formats import decode_json
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
 from lpn.reproduce.paper_values import Values
@@ -26,63 +27,59 @@ log = logging.getLogger(__name__)
 FORMAT = "lpn-measured/1"
 
 
-@dataclass(frozen=True)
-class MeasuredFigures:
-    """What a network did.
+class MeasuredFigures(msgspec.Struct, frozen=True):
+    """The figures of one network.
 
     Attributes:
         values: in percent, one for each column of the table.
-        protocol: how they were measured, in one sentence.
+        protocol: the evaluation protocol in one sentence.
     """
 
     values: Values
     protocol: str
 
 
+class _File(msgspec.Struct):
+    format: str
+    checksum: int
+    figures: dict[str, MeasuredFigures]
+
+
 class MeasurementStore:
-    """Figures measured so far, by what they were measured on, in one JSON file with a checksum of itself.
+    """A cache of measured figures by what they were measured on, in one JSON file with a checksum.
 
     Raises:
-        InputError: when a later version wrote the file.
+        InputError: when a later version of lpn wrote the file.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._held: dict[str, MeasuredFigures] = {}
+        self._figures: dict[str, MeasuredFigures] = {}
         try:
-            self._held = _figures(json.loads(path.read_bytes()), path)
+            file = decode_json(path.read_bytes(), _File, path, FORMAT, InputError)
+            if file.checksum != crc_of_values(msgspec.to_builtins(file.figures)):
+                raise ValueError("another checksum")
+            self._figures = file.figures
         except FileNotFoundError:
             pass
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-            log.warning("%s cannot be read or is damaged; what it held is measured again.", path)
+        except (OSError, ValueError, RecursionError):
+            log.warning("%s cannot be read or is damaged; its figures are measured again.", path)
 
     def figures(self, row: TableRow, measure: Measure, model: Model, data: Sequence[Source]) -> MeasuredFigures:
-        """The row's figures; measured when they are not there yet."""
+        """Return a row's figures, measuring them if they are not cached."""
         digests = [source.test_digest(measure) for source in data]
         key = json.dumps([model.fingerprint, measure, digests, row.rotate, row.parts, row.branch])
-        if key not in self._held:
-            results = _measured(row, measure, model, data)
+        if key not in self._figures:
+            results = _measure(row, measure, model, data)
             values = [value for result in results for value in _values(result, measure)]
-            self._held[key] = MeasuredFigures(tuple(values), results[0].said)
-            figures = {key: asdict(figures) for key, figures in self._held.items()}
-            whole = {"format": FORMAT, "checksum": crc_of_values(figures), "figures": figures}
-            write_atomic(self.path, (json.dumps(whole, indent=1) + "\n").encode())
-        return self._held[key]
+            self._figures[key] = MeasuredFigures(tuple(values), results[0].said)
+            figures = msgspec.to_builtins(self._figures)
+            file = _File(FORMAT, crc_of_values(figures), self._figures)
+            write_atomic(self.path, msgspec.json.format(msgspec.json.encode(file), indent=1) + b"\n")
+        return self._figures[key]
 
 
-def _figures(held: Any, path: Path) -> dict[str, MeasuredFigures]:
-    """What a notebook's file holds; an earlier version's is the figures alone."""
-    if "format" in held:
-        if is_newer(held["format"], FORMAT):
-            raise InputError(newer_version(path, held["format"], FORMAT))
-        figures = held["figures"]
-        if held["format"] != FORMAT or held["checksum"] != crc_of_values(figures):
-            raise ValueError("another format or checksum")
-        held = figures
-    return {key: MeasuredFigures(tuple(map(float, v["values"])), str(v["protocol"])) for key, v in held.items()}
-
-
-def _measured(row: TableRow, measure: Measure, model: Model, data: Sequence[Source]) -> list[Result]:
+def _measure(row: TableRow, measure: Measure, model: Model, data: Sequence[Source]) -> list[Result]:
     protocol = Protocol(Change(row.rotate), row.parts, row.branch)
     return [evaluate(model, source.dataset, task, protocol) for source in data for task in TASKS[measure]]
 

@@ -15,6 +15,7 @@ from rich.console import Console
 from lpn.core.errors import InputError
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, Picture, open_dataset
+from lpn.datasets.rendered import is_rendered
 from lpn.reproduce import world
 from lpn.reproduce.tables import Measure, Role
 from lpn.retrieval.evaluate import check_test_split, lists_of
@@ -158,11 +159,11 @@ def counted(found: int, full: int | None) -> str:
     return f"{found:,}" if full is None else f"{found:,} of {full:,}"
 
 
-def is_rendered(given: str) -> bool:
+def is_world(given: str) -> bool:
     """Whether what was given with --data is a rendered world, or its panoramas."""
     root = Path(given)
-    inner = root.name == "cvusa" and world.is_world(root.parent)
-    return inner or world.is_world(root) or (given == "world" and not root.is_dir())
+    panoramas = root.name == "cvusa" and is_rendered(root.parent)
+    return panoramas or is_rendered(root) or (given == "world" and not root.is_dir())
 
 
 def open_sources(data: Sequence[str], out: Path) -> Sources:
@@ -176,8 +177,7 @@ def open_sources(data: Sequence[str], out: Path) -> Sources:
         root = Path(given)
         if given == "world" and not root.is_dir():
             root = _rendered(out)
-        if world.is_world(root):
-            world.check_finished(root)
+        if is_rendered(root):
             made = world.prepare(root, out / "data")
             found.add("places", Source(open_dataset(made["places"]), True))
             if "panoramas" in made:
@@ -185,9 +185,7 @@ def open_sources(data: Sequence[str], out: Path) -> Sources:
             if "landmarks" in made:
                 found.landmarks.append(Source(open_dataset(made["landmarks"]), True))
             continue
-        if is_rendered(given):
-            world.check_finished(root)
-        source = Source(open_dataset(root), is_rendered(given))
+        source = Source(open_dataset(root), is_world(given))
         if "street-to-street" in source.dataset.tasks():
             found.landmarks.append(source)
         else:
@@ -199,7 +197,7 @@ def _rendered(out: Path) -> Path:
     """The demo's world with street pictures and panoramas, rendered in `out`/world where Blender's package is there."""
     root = out / "world"
     if importlib.util.find_spec("bpy") is None:
-        if not world.is_world(root):
+        if not is_rendered(root):
             raise InputError(
                 f"There is no rendered world in {root}, and rendering one needs the package bpy: pip install "
                 "'lpn-explorer[world]', or give a world's folder with --data."

@@ -9,13 +9,14 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import msgspec
 from rich.console import Console
 
 from lpn.core.errors import DivergedError, InputError
 from lpn.core.files import fingerprint, write_atomic
-from lpn.core.formats import is_newer, newer_version
+from lpn.core.formats import decode_json
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.training.recipes import Recipe
@@ -24,6 +25,12 @@ from lpn.training.trainer import Trainer
 FORMAT = "lpn-job/1"
 _COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16_bn": 8.5}
 """Time of a training step per pixel, ResNet-18 being one: a guess, which the estimate of the time left rests on."""
+
+
+class _JobFile(msgspec.Struct):
+    ended: Literal["finished", "diverged"] | None
+    identity: dict[str, Any]
+    format: str = FORMAT
 
 
 @dataclass(frozen=True)
@@ -50,13 +57,15 @@ class TrainingJob:
 
     @property
     def done(self) -> bool:
-        """Whether it is trained to the end."""
-        return bool(self._noted("ended") == "finished")
+        """True if the training is finished."""
+        file = self._file()
+        return file is not None and file.ended == "finished"
 
     @property
     def diverged(self) -> bool:
-        """Whether it was given up."""
-        return bool(self._noted("ended") == "diverged")
+        """True if the training was given up."""
+        file = self._file()
+        return file is not None and file.ended == "diverged"
 
     @property
     def model(self) -> Path:
@@ -85,33 +94,34 @@ class TrainingJob:
         }
 
     def check_same(self) -> None:
-        """Raise InputError where the run on disk, finished or not, is another than the one asked for."""
+        """Check that the run on disk, if there is any, is this training; InputError if not."""
         if not any((self.folder / name).is_file() for name in ("job.json", "state.pt")):
             return
-        if is_newer(found := self._noted("format"), FORMAT):
-            raise InputError(newer_version(self.folder / "job.json", found, FORMAT))
-        before = self._noted("identity")
-        if not isinstance(before, dict):
+        file = self._file()
+        if file is None:
             raise InputError(
-                f"{self.folder} does not say what is trained there; delete it, and it is trained again, or give another --out."
+                f"{self.folder} does not say what is trained there; delete it to train again, or give another --out."
             )
         # A setting that came with a later version had its default then.
-        differs = [key for key, value in self.identity().items() if key in before and before[key] != value]
+        differs = [
+            key for key, value in self.identity().items() if key in file.identity and file.identity[key] != value
+        ]
         if differs:
             raise InputError(
-                f"{self.folder} was trained with another {', '.join(differs)}; give the same data and settings, or another --out."
+                f"{self.folder} was trained with another {', '.join(differs)}; give the same data and settings, or another "
+                "--out."
             )
 
-    def note(self, ended: str | None) -> None:
-        """Write what is trained in the folder, and how it ended: "finished", "diverged", or None before it has."""
+    def write(self, ended: Literal["finished", "diverged"] | None) -> None:
+        """Write job.json: what is trained in the folder, and how it ended, if it has."""
         values = {"format": FORMAT, "ended": ended, "identity": self.identity()}
         write_atomic(self.folder / "job.json", (json.dumps(values, indent=1) + "\n").encode())
 
-    def _noted(self, name: str) -> Any:
+    def _file(self) -> _JobFile | None:
+        path = self.folder / "job.json"
         try:
-            held: Any = json.loads((self.folder / "job.json").read_bytes())
-            return held.get(name)
-        except (OSError, ValueError, AttributeError, RecursionError):
+            return decode_json(path.read_bytes(), _JobFile, path, FORMAT, InputError)
+        except (OSError, ValueError, RecursionError):
             return None
 
 
@@ -128,8 +138,8 @@ def train(work: Sequence[TrainingJob], console: Console) -> None:
         if not resume:
             # A run that was killed before its first epoch was on disk.
             shutil.rmtree(job.folder, ignore_errors=True)
-        job.note(None)
-        ended = "finished"
+        job.write(None)
+        ended: Literal["finished", "diverged"] = "finished"
         try:
             Trainer(
                 job.source.dataset, job.folder, job.recipe, job.start, resume=resume, console=console, test=False
@@ -137,7 +147,7 @@ def train(work: Sequence[TrainingJob], console: Console) -> None:
         except DivergedError as error:
             ended = "diverged"
             console.print(f"{job.name} is given up. {error}", markup=False)
-        job.note(ended)
+        job.write(ended)
 
 
 def seconds_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> float | None:

@@ -9,31 +9,12 @@ import os
 import shutil
 from pathlib import Path
 
-from lpn.core.errors import DataError
 from lpn.core.files import write_atomic
 from lpn.core.images import load_picture
-from lpn.datasets import Picture, geo, open_dataset
+from lpn.datasets import Picture, open_dataset
 
 _REGION = 0.8
 """Side of a landmark's region in its query, as a share of the picture's."""
-
-
-def is_world(root: Path) -> bool:
-    """Whether a folder is one that `lpn world` rendered."""
-    return (root / "world.json").is_file()
-
-
-def check_finished(root: Path) -> None:
-    """Raise DataError where a world, or its panoramas, lacks pictures that its `geo.csv` names: rendering has not ended."""
-    for folder in (root, root / "cvusa"):
-        where = geo.positions(folder)
-        names = [] if where is None else where.paths
-        missing = [name for name in names if not (folder / name).is_file()]
-        if missing:
-            raise DataError(
-                f"{folder} is not rendered to its end: {len(missing)} of the {len(names)} pictures in its {geo.NAME} are "
-                f"not there, the first being {missing[0]}; let lpn world end with the same settings first."
-            )
 
 
 def prepare(world: Path, out: Path) -> dict[str, Path]:

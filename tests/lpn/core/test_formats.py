@@ -25,7 +25,7 @@ from lpn.core.formats import is_newer
 from lpn.datasets import metadata
 from lpn.descriptors import open_store
 from lpn.doctor.verify import verify
-from lpn.index import ExactIndex, Kind, open_index, segment_checksums
+from lpn.index import ExactIndex, Kind, open_index
 from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
@@ -167,22 +167,6 @@ def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path
     assert [verdict.whole for verdict in verify(index)] == [False]
 
 
-def test_an_index_of_an_earlier_version_is_read_and_said_to_have_no_checksums(index: Path) -> None:
-    def earlier(values: dict[str, Any]) -> None:
-        del values["checksum"]
-        for entry in values["segments"]:
-            del entry["dead_crc"]
-
-    change(index / "index.json", earlier)
-    for file in index.rglob(segment_checksums.NAME):
-        file.unlink()
-    with open_index(index) as opened:
-        assert opened.count() == 20
-    assert [(verdict.said, verdict.whole) for verdict in verify(index)] == [
-        ("has no checksums: an earlier version wrote it", True)
-    ]
-
-
 def test_later_shards_are_named(tmp_path: Path) -> None:
     (tmp_path / "plan.json").write_bytes(Plan("0123456789abcdef", "drone", 4, 512, "float32", 3).to_json())
     assert Plan.read(Storage(tmp_path)) is not None
@@ -191,20 +175,18 @@ def test_later_shards_are_named(tmp_path: Path) -> None:
         Plan.read(Storage(tmp_path))
 
 
-def test_measurements_are_read_in_both_formats_and_a_later_one_is_left_alone(
+def test_measurements_are_read_and_those_of_a_later_version_are_left_alone(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     file = tmp_path / "measured.json"
     figures = {"key": {"values": [1.0, 2.0], "protocol": "As published."}}
-    file.write_text(json.dumps(figures))
     expected = {"key": MeasuredFigures((1.0, 2.0), "As published.")}
-    assert MeasurementStore(file)._held == expected
     file.write_text(json.dumps({"format": FORMAT, "checksum": crc_of_values(figures), "figures": figures}))
-    assert MeasurementStore(file)._held == expected
+    assert MeasurementStore(file)._figures == expected
     assert not caplog.records
     change(file, lambda values: values["figures"]["key"].update(values=[3.0, 2.0]))
-    assert MeasurementStore(file)._held == {}
-    assert "is damaged; what it held is measured again" in caplog.text
+    assert MeasurementStore(file)._figures == {}
+    assert "is damaged; its figures are measured again" in caplog.text
     of_later(file)
     with pytest.raises(InputError, match=r"measured\.json was written " + LATER):
         MeasurementStore(file)
@@ -243,5 +225,5 @@ def test_a_damaged_plan_of_a_world_is_one_sentence(plan: str, tmp_path: Path) ->
 @pytest.mark.parametrize("held", ['{"key": {"values": [1' + "0" * 400 + '], "protocol": ""}}', "[" * 100_000])
 def test_measurements_that_are_none_are_made_again(held: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "measured.json").write_text(held)
-    assert MeasurementStore(tmp_path / "measured.json")._held == {}
-    assert "what it held is measured again" in caplog.text
+    assert MeasurementStore(tmp_path / "measured.json")._figures == {}
+    assert "its figures are measured again" in caplog.text
