@@ -44,10 +44,6 @@ def newer_version(what: object, found: str, ours: str) -> str:
     return f"{what} was written by a later version of lpn ({found}, and this one knows {ours}); {UPGRADE}."
 
 
-class _Header(msgspec.Struct):
-    format: str
-
-
 def decode_json(data: bytes, record: type[_Record], what: object, ours: str, error: type[LPNError]) -> _Record:
     """Decode a JSON file of a versioned format.
 
@@ -61,7 +57,7 @@ def decode_json(data: bytes, record: type[_Record], what: object, ours: str, err
         LPNError: an `error` when a later version of lpn wrote the file.
         ValueError, RecursionError: when the file is damaged or has another format.
     """
-    found = msgspec.json.decode(data, type=_Header).format
+    found = format_of(data)
     if is_newer(found, ours):
         raise error(newer_version(what, found, ours))
     if found != ours:
