@@ -15,7 +15,6 @@ from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
 from explorer.compute.ranking_progress import RankingProgress
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import DelayedCall, Worker
-from explorer.explain_window import comparison, evidence, model_comparison, region, sweep_page
 from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.service import Laboratory
 from explorer.failure_lab.window import Lab
@@ -36,8 +35,6 @@ from lpn.core.files import printable
 
 log = logging.getLogger(__name__)
 
-# In the order of the cascade: a later style overrides an earlier one.
-STYLES = style.STYLE + "".join(module.STYLE for module in (evidence, comparison, sweep_page, region, model_comparison))
 # Seconds that a new page has to send its address, before the default state is analysed.
 _ADDRESS_TIMEOUT = 3.0
 # Seconds of an analysis after which the page says that it is being computed.
@@ -84,7 +81,7 @@ class ClientSession:
             }
             handlers |= self._explain_window.handlers() | self._lab.handlers()
             properties = {"steps": [asdict(step) for step in tour.steps(workspace)], "scene": SCENE}
-            self._bridge = PageBridge(client.gui, handlers, properties, STYLES)
+            self._bridge = PageBridge(client.gui, handlers, properties, style.STYLE)
             commands = self._explain_window.commands() + self._lab.orders()
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, commands)
             self._stage = Stage(client, workspace, self._on_select)

@@ -1,24 +1,47 @@
-"""A second model on the same query as html: what it answers, on what evidence, and which queries it turns around."""
+"""The tab "Two models": the answers of a second model to the same query, and the queries that they rank differently."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from html import escape
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
-from explorer.explain_window import evidence
+from explorer.explain_window._pictures import with_parts
 from explorer.session_state import SessionState
-from explorer.web.render import SIGNS, send
+from explorer.web.render import render
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
-from lpn.core import images
 from lpn.core.arrays import Int64Array
 from lpn.drawing import overlays
 from lpn.drawing.verdicts import ordinal
+from lpn.retrieval import Match
 
-_SHOWN, _LISTED, _HEIGHT = 5, 8, 240
+# Numbers of matches and of queries listed, and the size of the picture with evidence.
+_MATCHES, _QUERIES, _SIZE = 5, 8, (240, 700)
+
+
+@dataclass(frozen=True)
+class _Column:
+    """One model's answer; `map` is the query with its evidence for and against the compared tile."""
+
+    description: str
+    recall: float | None
+    verdict: bool | None
+    rank: int | None
+    matches: list[tuple[Match, str, str]]
+    map: str | None = None
+    limit: float = 0.0
+    compared: str = ""
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Queries that one model alone answers right, and those that the second ranks most higher or lower: query and ranks."""
+
+    alone: tuple[int, int]
+    better: list[tuple[int, int, int]]
+    worse: list[tuple[int, int, int]]
 
 
 class ModelComparison:
@@ -28,102 +51,63 @@ class ModelComparison:
         self._other, self._analyser = other, StateAnalyser(other, requests.queued(other.model, background=True))
 
     def page(self, analysis: StateAnalysis, workspace: Workspace) -> str:
-        """The whole tab."""
+        """Render the tab."""
         other, task = self._other, analysis.task
-        theirs = other.rankings.get(task.name)
-        if theirs is None:
-            return (
-                f"<div class='lpn' id='lpn-beside'>{escape(other.model_name)} does not know the views of {escape(task.name)}; "
-                "choose another task.</div>"
-            )
-        found = self._analyser.analyse(_state(analysis.state, other), _SHOWN)
-        columns = "".join(_column(one, of) for one, of in ((analysis, workspace), (found, other)))
-        names = (workspace.model_name, other.model_name)
-        return (
-            f"<div class='lpn' id='lpn-beside'><div class='models'>{columns}</div>"
-            f"{_changes(workspace.rankings[task.name], theirs, names, workspace)}</div>"
+        names = workspace.model_name, other.model_name
+        other_ranking = other.rankings.get(task.name)
+        if other_ranking is None:
+            return render("explain/model_comparison", columns=None, names=names, task=task.name)
+        second = self._analyser.analyse(_state(analysis.state, other), _MATCHES)
+        return render(
+            "explain/model_comparison",
+            names=names,
+            columns=[_column(analysis, workspace), _column(second, other)],
+            changes=changes(workspace.rankings[task.name], other_ranking),
+            queries=task.queries,
+            thumbnail=workspace.thumbnail,
+            ordinal=ordinal,
         )
 
 
 def _state(state: SessionState, other: Workspace) -> SessionState:
-    """The same query for a model of other parts; what belongs to parts and cells is left out."""
+    """Return the state for a model with other parts: everything about parts and cells is reset."""
     return replace(
         state, n_parts=other.spec.n_parts, weights=(), enabled=(), heat_part=None, region=(), selected=None, why=True
     )
 
 
-def _column(analysis: StateAnalysis, workspace: Workspace) -> str:
-    first, truth, task = analysis.matches[0], analysis.truth, analysis.task
-    rank = "the true tile is not known" if truth is None else f"the true tile is {ordinal(truth.rank)}"
-    tiles = "".join(
-        f"<figure><img src='{workspace.thumbnail(task.gallery[match.index].path)}' "
-        f"style='border-color:{overlays.css(overlays.verdict_colour(match.true))}' alt=''><figcaption class='num'>"
-        f"{SIGNS[match.true]} {escape(task.gallery[match.index].name)}<br>{match.distance2:.3f}</figcaption></figure>"
-        for match in analysis.matches[:_SHOWN]
+def _column(analysis: StateAnalysis, workspace: Workspace) -> _Column:
+    task, truth, ranking = analysis.task, analysis.truth, workspace.rankings[analysis.task.name]
+    column = _Column(
+        workspace.description,
+        None if ranking.result is None else ranking.results["recall@1"],
+        analysis.matches[0].true,
+        None if truth is None else truth.rank,
+        [
+            (match, task.gallery[match.index].name, workspace.thumbnail(task.gallery[match.index].path))
+            for match in analysis.matches[:_MATCHES]
+        ],
     )
-    ranking = workspace.rankings[task.name]
-    recall = "R@1 not known yet" if ranking.result is None else f"R@1 {ranking.results['recall@1']:.1f} %"
-    return (
-        f"<div><h2>{escape(workspace.model_name)}</h2><div class='dim'>{escape(workspace.description)}, {recall}</div>"
-        f"<div class='said'><b>{SIGNS[first.true]}</b> {rank}</div>"
-        f"<div class='tops'>{tiles}</div>{_evidence(analysis, workspace)}</div>"
-    )
-
-
-def _evidence(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """The query's cells, for and against the tile that it is compared with."""
     if analysis.pair_evidence is None:
-        return ""
-    view = analysis.task.query_view
-    cells, limit = evidence.maps(analysis.pair_evidence.evidence, None)
-    width = round(_HEIGHT * workspace.layout.picture[0] / workspace.layout.picture[1])
-    picture = images.resize(workspace.cut(analysis.query.picture, view), _HEIGHT, min(width, 700))
-    drawn = overlays.with_evidence(picture, cells[0], limit)
-    drawn = overlays.with_rings(drawn, workspace.spec.partition(view), workspace.map_sizes[view], 2)
-    entry = analysis.task.gallery[analysis.chosen.index]
-    return (
-        f"<img class='map' src='{overlays.data_uri(drawn, 85)}' alt=''><div class='dim'>evidence for and against "
-        f"{escape(entry.name)}, each to its own scale (±{limit:.4f})</div>"
-    )
+        return column
+    cells, _ = maps = analysis.pair_evidence.evidence.cell_maps()
+    limit = overlays.evidence_limit(*maps)
+    picture = with_parts(workspace, analysis.query.picture, task.query_view, _SIZE, cells, limit)
+    return replace(column, map=picture, limit=limit, compared=task.gallery[analysis.chosen.index].name)
 
 
-def _changes(ours: RankingJob, theirs: RankingJob, names: tuple[str, str], workspace: Workspace) -> str:
-    """How many queries each finds alone, and those whose rank differs most."""
-    if ours.result is None or theirs.result is None:
-        return "<div class='said dim'>Which queries one of them finds alone is said when both have ranked all of them.</div>"
-    one, other = ours.ranks, theirs.ranks
-    known = (one >= 0) & (other >= 0)
-    only = [int((known & (one == 0) & (other > 0)).sum()), int((known & (other == 0) & (one > 0)).sum())]
-    # From 2nd to 1st is as much as from 200th to 100th.
-    change = np.where(known, np.log((one + 1.0) / (other + 1.0)), 0.0)
+def changes(first: RankingJob, second: RankingJob) -> Changes | None:
+    """Compare the ranks of all queries; None until both models have ranked them."""
+    if first.result is None or second.result is None:
+        return None
+    ranks, others = first.ranks, second.ranks
+    known = (ranks >= 0) & (others >= 0)
+    alone = int((known & (ranks == 0) & (others > 0)).sum()), int((known & (others == 0) & (ranks > 0)).sum())
+    # On a logarithmic scale, from 2nd to 1st is as much as from 200th to 100th.
+    change = np.where(known, np.log((ranks + 1.0) / (others + 1.0)), 0.0)
     order = np.argsort(-change, kind="stable")
-    better, worse = order[:_LISTED], order[::-1][:_LISTED]
-    tables = "".join(
-        f"<div><b>{escape(title)}</b>{_rows(ours, theirs, rows[change[rows] != 0], workspace)}</div>"
-        for title, rows in ((f"{names[1]} ranks higher", better), (f"{names[1]} ranks lower", worse))
-    )
-    return (
-        f"<div class='said'>Of {len(one):,} queries, {escape(names[0])} alone finds {only[0]:,} and {escape(names[1])} alone "
-        f"{only[1]:,}. Where the rank of the true tile differs most:</div><div class='models'>{tables}</div>"
-    )
 
+    def rows(queries: Int64Array) -> list[tuple[int, int, int]]:
+        return [(int(query), int(ranks[query]) + 1, int(others[query]) + 1) for query in queries if change[query]]
 
-def _rows(ours: RankingJob, theirs: RankingJob, rows: Int64Array, workspace: Workspace) -> str:
-    if not len(rows):
-        return "<div class='dim'>none</div>"
-    return "".join(
-        f"<div class='row' data-query='{row}' {send('query', int(row))} title='Open this query'>"
-        f"<img src='{workspace.thumbnail(ours.task.queries[row].path)}' style='border-color:transparent' alt=''>"
-        f"<span class='name'>{escape(ours.task.queries[row].name)}</span><span class='num'>{ordinal(int(ours.ranks[row]) + 1)} → "
-        f"{ordinal(int(theirs.ranks[row]) + 1)}</span></div>"
-        for row in rows
-    )
-
-
-STYLE = """<style>
-.lpn .models{display:grid;grid-template-columns:1fr 1fr;gap:.4em 1.2em;margin:.3em 0 .6em}
-.lpn .tops{display:flex;gap:5px}
-.lpn .tops figure{margin:0;flex:1;min-width:0;font-size:11px;text-align:center;overflow:hidden;white-space:nowrap}
-.lpn .tops img{width:100%;max-width:64px;border:3px solid;border-radius:3px;box-sizing:border-box}
-.lpn .models .map{width:100%;max-width:340px;display:block;margin-top:.4em;border-radius:3px}
-</style>"""
+    return Changes(alone, rows(order[:_QUERIES]), rows(order[::-1][:_QUERIES]))

@@ -14,7 +14,6 @@ from explorer import reports, session_state
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import Worker
 from explorer.explain_window import comparison, evidence, region, sweep_page
-from explorer.explain_window.comparison import Comparison
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
 from explorer.panels.viewport import EDGE, Viewport
@@ -23,6 +22,7 @@ from explorer.session_state import SessionState, StateChange
 from explorer.web.html import Html
 from explorer.web.render import send
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.analysis.comparison import Comparison
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Ranking
@@ -49,7 +49,7 @@ class PairResult:
     @classmethod
     def of(cls, analysis: StateAnalysis) -> PairResult:
         """Compare the pair that an analysis shows."""
-        return cls(analysis.ranking, analysis.chosen.index, Comparison.of(analysis))
+        return cls(analysis.ranking, analysis.chosen.index, Comparison.of(analysis.ranking, analysis.chosen))
 
     def belongs_to(self, analysis: StateAnalysis) -> bool:
         """Return True when the analysis shows this pair."""

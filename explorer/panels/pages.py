@@ -62,9 +62,9 @@ def header(workspace: Workspace, task: Task) -> str:
 
 def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Return the analysis in words."""
-    true, headline, reason = answer_text.verdict(analysis, workspace.part_names)
+    right, headline, reason = answer_text.verdict(analysis, workspace.part_names)
     all_parts_off = not analysis.state.parts_left()
-    return render("panels/verdict", true=true, headline=headline, reason=reason, all_parts_off=all_parts_off)
+    return render("panels/verdict", verdict=right, headline=headline, reason=reason, all_parts_off=all_parts_off)
 
 
 def status(shown: Shown | None, waiting: Literal["", "computing", "full"] = "") -> str:

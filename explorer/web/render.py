@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from explorer.web.style import part_ink, verdict_ink
 from lpn.core.templates import environment
-from lpn.drawing import overlays
+from lpn.drawing import charts, overlays
 
 SIGNS: dict[bool | None, str] = {True: "✓", False: "✗", None: "?"}
 # A keyboard reaches an element with these attributes; `viewport.js` makes Enter and Space click it.
@@ -42,7 +42,8 @@ _ENVIRONMENT.globals.update(
     press=press,
     part_ink=part_ink,
     verdict_ink=verdict_ink,
-    part_colour=lambda part: overlays.css(overlays.part_colour(part)),
+    part_colour=charts.part_colour,
+    share_bar=charts.share_bar,
     verdict_colour=lambda true: overlays.css(overlays.verdict_colour(true)),
     signs=SIGNS,
 )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lpn.drawing import overlays
+from lpn.drawing import charts, overlays
 
 # In the order of the cascade: a later sheet overrides an earlier one.
-_SHEETS = ("panels", "page", "tour", "failure_lab")
+_SHEETS = ("panels", "page", "tour", "explain", "failure_lab")
 _VARIABLES = {f"part-{i}": colour for i, colour in enumerate(overlays.PART_COLOURS)} | {
     "true": overlays.TRUE_COLOUR,
     "false": overlays.FALSE_COLOUR,
@@ -36,5 +36,5 @@ def _read_sheets() -> str:
 
 STYLE = (
     f"<style>:root{{{_variables(overlays.DARK)}}}:root[data-mantine-color-scheme=light]{{{_variables(overlays.LIGHT)}}}"
-    f"{_read_sheets()}</style>"
+    f"{charts.STYLE}{_read_sheets()}</style>"
 )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.views import View
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, Reweighting, Without
@@ -101,6 +101,21 @@ def verdict(
         f"Wrong: the true tile is {ordinal(truth.rank)}",
         f"It is {behind:.3f} (d²) behind the top match; part {part_names[part]} costs it most ({loss:+.3f}).{off}",
     )
+
+
+def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str = "the true tile") -> str:
+    """Say by how much a tile leads or trails another one, and which part decides it.
+
+    Args:
+        margin: each part's share of the margin in squared distance, (n,).
+        name: of the tile.
+    """
+    total = float(margin.sum())
+    name = f"{name[0].upper()}{name[1:]}"
+    part = int(np.argmax(margin) if total >= 0 else np.argmin(margin))
+    if total >= 0:
+        return f"{name} leads by {total:.3f} (d²); part {part_names[part]} does most of it ({margin[part]:+.3f})."
+    return f"{name} is {-total:.3f} (d²) behind; part {part_names[part]} costs it most ({margin[part]:+.3f})."
 
 
 def left_out(found: Without, part_names: Sequence[str], who: str = "the true tile") -> str:

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numpy as np
-
 from lpn import explain, retrieval
+from lpn.analysis.comparison import nearest_wrong
 from lpn.analysis.query_outcomes import described_by
 from lpn.analysis.task import Task
 from lpn.core import images
@@ -157,7 +156,7 @@ class Cases:
         matches = ranking.top(options.matches)
         if truth is not None and truth.rank > len(matches):
             matches.append(truth)
-        rival = nearest_false(ranking)
+        rival = None if ranking.relevant is None else nearest_wrong(ranking)
         other = rival if first.true else truth
         margin = None
         if other is not None:
@@ -281,14 +280,6 @@ class Cases:
             points.append(point)
             tick()
         return Profile("rotation", tuple(points), change.for_picture(entry))
-
-
-def nearest_false(ranking: Ranking) -> Match | None:
-    """The nearest tile that is not a true match; None where truth is not known or all are true."""
-    if ranking.relevant is None:
-        return None
-    false = np.flatnonzero(~ranking.relevant[ranking.order])
-    return ranking.match(int(false[0])) if len(false) else None
 
 
 def shown(entry: Picture) -> UInt8Array:

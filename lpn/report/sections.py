@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
-import numpy as np
 from markupsafe import Markup
 
 from lpn.analysis.task import Task
@@ -174,8 +174,8 @@ def _matches(case: Case, task: Task) -> list[_Match]:
 
 def _evidence(case: Case, tiles: Sequence[_Tile], task: Task) -> _Evidence:
     found = [pair.evidence for pair in case.pairs if pair.evidence is not None]
-    maps = [(one.query.total(one.weights), one.tile.total(one.weights)) for one in found]
-    limit = max(*(float(np.abs(cells).max()) for both in maps for cells in both), 1e-9)
+    maps = [one.cell_maps() for one in found]
+    limit = overlays.evidence_limit(*chain(*maps))
     span = charts.evidence_span(found)
 
     pairs = []

@@ -22,7 +22,7 @@ from tools.fixtures import small_worlds
 READ_ROWS = """rows => rows.map(row => ({
   index: row.dataset.index,
   text: row.innerText,
-  widths: [...row.querySelectorAll(".bar i")].map(bar => parseFloat(bar.style.width)),
+  widths: [...row.querySelectorAll(".shares rect:not(.track)")].map(bar => parseFloat(bar.getAttribute("width"))),
 }))"""
 
 

@@ -111,9 +111,9 @@ def test_a_profile_is_computed_and_a_point_taken(explorer: ExplorerPage, app: Ru
     profile = explorer.page.locator("#lpn-profile")
     expect(profile).to_have_attribute("data-done", str(len(sweeps.changes_over("rotation"))))
     expect(profile).to_contain_text("Best for the true tile")
-    points = profile.locator("svg").first.locator(".point")
-    expect(points).to_have_count(24)
-    points.nth(20).click()  # from -165 in steps of 15
+    points = profile.locator(".point")
+    expect(points).to_have_count(2 * 25)
+    points.nth(21).click()  # of the ranks, from -180 in steps of 15
     explorer.expect_status("angle", "135")
     assert_shows(explorer, app, expected(app, "0007", 135))
     # Another query has no profile yet.

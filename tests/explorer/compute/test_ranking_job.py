@@ -83,11 +83,11 @@ def test_pages_say_how_far_it_is_and_mark_nothing_that_is_not_known(workspace: W
     assert "Results: ranking 0 of 9 queries" in pages.header(workspace, ranking.task)
     before = pages.picker(workspace, ranking.task, [0, 1], 0, 0, 1, buttons)
     assert not any(sign in before for sign in ("✓", "✗"))
-    assert "when both have ranked" in model_comparison._changes(ranking, ranking, ("a", "b"), workspace)
+    assert model_comparison.changes(ranking, ranking) is None
     assert ranking.join("me").wait(120)
     assert "R@1" in pages.header(workspace, ranking.task)
     assert any(sign in pages.picker(workspace, ranking.task, [0, 1], 0, 0, 1, buttons) for sign in ("✓", "✗"))
-    assert "alone finds" in model_comparison._changes(ranking, ranking, ("a", "b"), workspace)
+    assert model_comparison.changes(ranking, ranking) is not None
 
 
 def test_a_ranking_that_nobody_waits_for_stands_still_and_goes_on(workspace: Workspace) -> None:

@@ -18,7 +18,6 @@ import pytest
 from explorer import session_state
 from explorer.compute.request_context import RequestContext
 from explorer.explain_window import comparison, evidence, region, sweep_page
-from explorer.explain_window.comparison import Comparison
 from explorer.explain_window.sweep_request import SweepRequest
 from explorer.explain_window.window import ExplainWindow
 from explorer.opening import open_model
@@ -28,6 +27,7 @@ from explorer.session_state import SessionState, Upload
 from explorer.web.bridge import PageBridge
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
+from lpn.analysis.comparison import Comparison
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.explain import counterfactual, sweeps
@@ -44,6 +44,10 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Any) -> Work
 def analysed(workspace: Workspace, **changes: Any) -> StateAnalysis:
     state = SessionState("drone-to-satellite", 4, why=True)
     return StateAnalyser(workspace).analyse(replace(state, **changes), 10)
+
+
+def compared(analysis: StateAnalysis) -> Comparison | None:
+    return Comparison.of(analysis.ranking, analysis.chosen)
 
 
 def data_of(html: str, name: str) -> list[Any]:
@@ -74,44 +78,43 @@ def test_the_page_holds_every_cell_and_its_mate(workspace: Workspace) -> None:
     assert f"{found.score:+.3f}" in html
 
 
-def test_a_contest_is_between_the_truth_and_what_it_is_compared_with(workspace: Workspace) -> None:
-    task = workspace.tasks["drone-to-satellite"]
-    late = int(np.argmax(workspace.rankings[task.name].ranks))
-    assert workspace.rankings[task.name].ranks[late] > 0
-    contest = Comparison.of(analysed(workspace, query=late))
-    assert contest is not None
-    assert (contest.ahead.true, contest.rival.rank) == (True, 1)
+def test_a_comparison_is_between_the_positive_and_the_chosen_tile(workspace: Workspace) -> None:
+    ranks = workspace.rankings["drone-to-satellite"].ranks
+    late = int(np.argmax(ranks))
+    assert ranks[late] > 0
+    pair = compared(analysed(workspace, query=late))
+    assert pair is not None
+    assert (pair.followed.true, pair.other.rank) == (True, 1)
     # Compared with the truth itself, its rival is the nearest wrong tile.
-    contest = Comparison.of(analysed(workspace, query=late, selected="truth"))
-    assert contest is not None
-    assert (contest.ahead.true, contest.rival.rank) == (True, 1)
+    pair = compared(analysed(workspace, query=late, selected="truth"))
+    assert pair is not None
+    assert (pair.followed.true, pair.other.rank) == (True, 1)
     # A picture of one's own has no truth: the compared tile is followed.
     own = analysed(workspace, upload=Upload("own", small_worlds.place(50)), selected=3)
-    contest = Comparison.of(own)
-    assert contest is not None
-    assert contest.ahead.index == 3
-    assert contest.without is not None
+    pair = compared(own)
+    assert pair is not None
+    assert pair.followed.index == 3
+    assert pair.without is not None
 
 
 def test_the_waterfall_and_the_smallest_change_are_said(workspace: Workspace) -> None:
-    task = workspace.tasks["drone-to-satellite"]
-    for query in np.flatnonzero(workspace.rankings[task.name].ranks > 0):
+    ranks = workspace.rankings["drone-to-satellite"].ranks
+    for query in np.flatnonzero(ranks > 0):
         analysis = analysed(workspace, query=int(query))
-        contest = Comparison.of(analysis)
-        assert contest is not None
-        html = comparison.page(analysis, workspace, contest, None, False)
-        behind = contest.rival.distance2 - contest.ahead.distance2
+        pair = compared(analysis)
+        assert pair is not None
+        html = comparison.page(analysis, workspace, pair, None, False)
+        behind = pair.other.distance2 - pair.followed.distance2
         assert f"{-behind:.3f} (d²) behind" in html
-        widths = [float(value) for value in re.findall(r"max\(1px,([\d.]+)%\)", html)]
-        assert len(widths) == 5
-        if contest.change is None:
+        assert html.count('class="chart step"') == 5
+        if pair.change is None:
             assert "No part weights at all" in html
             continue
         assert "The smallest change" in html
         effect = Effect(50.0, 40.0, np.array([1]), np.array([2, 3]), 13)
-        assert "it harms" in comparison.page(analysis, workspace, contest, effect, False)
-    first = analysed(workspace, query=int(np.flatnonzero(workspace.rankings[task.name].ranks == 0)[0]))
-    assert "first already" in comparison.page(first, workspace, Comparison.of(first), None, False)
+        assert "it harms" in comparison.page(analysis, workspace, pair, effect, False)
+    first = analysed(workspace, query=int(np.flatnonzero(ranks == 0)[0]))
+    assert "first already" in comparison.page(first, workspace, compared(first), None, False)
 
 
 def test_a_profile_is_drawn_from_its_first_point_on(workspace: Workspace) -> None:
@@ -125,12 +128,12 @@ def test_a_profile_is_drawn_from_its_first_point_on(workspace: Workspace) -> Non
     )  # fmt: skip
     points = [next(steps)]
     one = sweep_page.page(analysis, "rotation", sweeps.Profile("rotation", tuple(points)), 8, workspace.part_names)
-    assert "data-done='1' data-of='8'" in one
+    assert 'data-done="1" data-of="8"' in one
     assert "Cancel" in one
     points += list(steps)
     whole = sweep_page.page(analysis, "rotation", sweeps.Profile("rotation", tuple(points)), 8, workspace.part_names)
     assert "Cancel" not in whole
-    assert whole.count("class='point'") == 2 * 8
+    assert whole.count('class="point"') == 2 * (8 + 1)
     assert "clockwise from north" in whole
     assert "Choose what to change" in sweep_page.page(analysis, None, None, 0, workspace.part_names)
 
@@ -269,7 +272,7 @@ class WindowGui:
         return self.html[-1]
 
     def shown(self, identifier: str) -> str:
-        return next((html.content for html in self.html if f"id='{identifier}'" in html.content), "")
+        return next((html.content for html in self.html if f'id="{identifier}"' in html.content), "")
 
 
 @pytest.fixture
@@ -291,9 +294,9 @@ def window(workspace: Workspace) -> Iterator[tuple[ExplainWindow, WindowGui]]:
 
 def two_answers_with_a_change(workspace: Workspace) -> tuple[StateAnalysis, StateAnalysis]:
     """One query under two part weights; in both answers other weights would put its positive first."""
-    for query in np.flatnonzero(workspace.tasks["drone-to-satellite"].ranks > 0):
+    for query in np.flatnonzero(workspace.rankings["drone-to-satellite"].ranks > 0):
         analyses = [analysed(workspace, query=int(query), weights=(1.0, 1.0, 1.0, last)) for last in (1.0, 0.95)]
-        if all((pair := Comparison.of(analysis)) is not None and pair.change is not None for analysis in analyses):
+        if all((pair := compared(analysis)) is not None and pair.change is not None for analysis in analyses):
             return analyses[0], analyses[1]
     raise AssertionError("no query whose positive another choice of weights puts first")
 
@@ -331,9 +334,9 @@ def test_an_effect_of_the_previous_pair_is_never_shown_under_the_next(
     go_on.set()
     change.join(30)
     explain_window.leave()
-    wait_until(lambda: gui.shown("lpn-versus") == render(new, workspace, Comparison.of(new), None, False))
+    wait_until(lambda: gui.shown("lpn-versus") == render(new, workspace, compared(new), None, False))
     time.sleep(0.2)
-    assert gui.shown("lpn-versus") == render(new, workspace, Comparison.of(new), None, False)
+    assert gui.shown("lpn-versus") == render(new, workspace, compared(new), None, False)
 
 
 def test_an_effect_is_computed_from_one_pair_and_stored_for_that_pair_only(

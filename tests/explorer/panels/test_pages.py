@@ -70,6 +70,13 @@ def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
     assert not any("evidence" in step.text or "turn it" in step.keys or "your own" in step.text for step in saved)
 
 
+def test_the_verdict_has_the_sign_of_its_answer(workspace: Workspace) -> None:
+    name, ranking = next(iter(workspace.rankings.items()))
+    for query, rank in enumerate(ranking.ranks):
+        html = pages.verdict(StateAnalyser(workspace).analyse(SessionState(name, 4, query=query), 5), workspace)
+        assert ("✓ Found" if rank == 0 else "✗ Wrong") in html
+
+
 def test_a_status_line_that_waits_still_says_what_is_shown(workspace: Workspace) -> None:
     state = SessionState(next(iter(workspace.tasks)), 4, query=2)
     shown = pages.Shown(StateAnalyser(workspace).analyse(state, 5), 4, 0.001)

@@ -1,0 +1,31 @@
+"""Pictures of the explain window's tabs as data URIs."""
+
+from __future__ import annotations
+
+from explorer.workspace import Workspace
+from lpn.core import images
+from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.views import View
+from lpn.drawing import overlays
+
+
+def with_parts(
+    workspace: Workspace,
+    picture: UInt8Array,
+    view: View,
+    size: tuple[int, int],
+    cells: Float64Array | None = None,
+    limit: float = 1.0,
+) -> str:
+    """Draw a picture's parts, and its evidence where `cells` (h, w) are given.
+
+    Args:
+        size: height, and the largest width of a panorama.
+        limit: absolute value of a cell at which the colour of evidence is opaque.
+    """
+    across, down = workspace.layout.picture
+    height, max_width = size
+    drawn = images.resize(workspace.cut(picture, view), height, min(round(height * across / down), max_width))
+    if cells is not None:
+        drawn = overlays.with_evidence(drawn, cells, limit)
+    return overlays.data_uri(overlays.with_rings(drawn, workspace.spec.partition(view), workspace.map_sizes[view]), 88)

@@ -1,0 +1,53 @@
+"""Two tiles of one ranking: the positive, and a tile that is or could be mistaken for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpn.explain import counterfactual
+from lpn.explain.counterfactual import Reweighting, Without
+from lpn.retrieval import Match, Ranking
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A tile that should be first, against another one.
+
+    Attributes:
+        followed: the positive; the chosen tile where the positive is not known.
+        other: the chosen tile; the nearest wrong one where the chosen tile is `followed` or another true match.
+        without: the ranks of `followed` without each part.
+        change: the nearest part weights that put `followed` first; None where no weights do.
+    """
+
+    followed: Match
+    other: Match
+    without: Without | None
+    change: Reweighting | None
+
+    @classmethod
+    def of(cls, ranking: Ranking, chosen: Match) -> Comparison | None:
+        """Compare a chosen tile of a ranking; None where the ranking has no second tile for it."""
+        positive = ranking.truth()
+        followed = positive or chosen
+        other = chosen
+        if chosen.index == followed.index or chosen.true:
+            nearest = nearest_wrong(ranking, followed.index)
+            if nearest is None:
+                return None
+            other = nearest
+        index = None if positive else followed.index
+        return cls(
+            followed, other, counterfactual.without(ranking, index), counterfactual.smallest_change(ranking, index)
+        )
+
+
+def nearest_wrong(ranking: Ranking, besides: int | None = None) -> Match | None:
+    """Return the nearest tile that is no true match and not the gallery picture `besides`; None where there is none."""
+    wrong = ranking.order != besides
+    if ranking.relevant is not None:
+        wrong &= ~ranking.relevant[ranking.order]
+    ranks = np.flatnonzero(wrong)
+    return ranking.match(int(ranks[0])) if len(ranks) else None
