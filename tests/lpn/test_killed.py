@@ -28,8 +28,8 @@ from tools.fixtures import small_worlds
 from tools.fixtures.killed_commands import Killer
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is POSIX's")
+# Kills of each command; half of them by time, half between two steps on the disk.
 ROUNDS = int(os.environ.get("LPN_KILLS", "4"))
-"""Kills of each command; half of them by time, half between two steps on the disk."""
 
 
 @dataclass(frozen=True)

@@ -45,10 +45,10 @@ from tools.bench.pictures import make_folder, make_train_split
 
 PICTURES = 96
 ROUNDS = 3
+# Of the published test script.
 BATCH = 32
-"""Of the published test script."""
+# Pictures of a shard: few, so that workers end at about the same time.
 SHARD = 4
-"""Pictures of a shard: few, so that workers end at about the same time."""
 SPEC = ModelSpec("resnet50", views=("satellite", "drone"), classes=701)
 
 

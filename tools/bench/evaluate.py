@@ -28,7 +28,7 @@ KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
 
 
 @dataclass(frozen=True)
-class Size:
+class GallerySize:
     """Queries, gallery pictures, and how many of these one place has."""
 
     name: str
@@ -37,10 +37,10 @@ class Size:
     each: int
 
 
-SIZES = (Size("drone to satellite", 37_855, 951, 1), Size("satellite to drone", 701, 51_355, 54))
+SIZES = (GallerySize("drone to satellite", 37_855, 951, 1), GallerySize("satellite to drone", 701, 51_355, 54))
 
 
-def draw(size: Size, share: float) -> tuple[Float32Array, Int64Array, Float32Array, Int64Array]:
+def draw(size: GallerySize, share: float) -> tuple[Float32Array, Int64Array, Float32Array, Int64Array]:
     """Descriptors and labels of both sides."""
     rng = np.random.default_rng(0)
     count, tiles = (max(round(share * number), 20) for number in (size.queries, size.gallery))
@@ -83,7 +83,7 @@ def published(
     return {key: 100 * float(value) / len(query) for key, value in zip(KEYS, (*values, total), strict=True)}
 
 
-def ours(size: Size, share: float) -> None:
+def ours(size: GallerySize, share: float) -> None:
     """Measure in this process, and print figures, seconds of both, and the memory that was the most, as JSON."""
     query, query_labels, gallery, labels = draw(size, share)
     _ = query[:256] @ gallery[:256].T  # the first product starts the threads

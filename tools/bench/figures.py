@@ -13,10 +13,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+# Seconds before each measurement, in which threads of the one before go to sleep; until then they spin, on cores it
+# wants.
 PAUSE = 0.1
-"""Seconds before each measurement, in which threads of the one before go to sleep; until then they spin, on cores it wants."""
+# Seconds below which a task runs once unmeasured after the pause: what it uses lies in no cache then, and its threads
+# sleep.
 QUICK = 0.5
-"""Seconds below which a task runs once unmeasured after the pause: what it uses lies in no cache then, and its threads sleep."""
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,9 @@ from lpn.core.views import View
 from lpn.descriptors import STORES, Manifest, Row
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.models.base import Model
-from tools.bench.evaluate import Size, draw
+from tools.bench.evaluate import GallerySize, draw
 from tools.bench.figures import Figure, below, show
-from tools.bench.page import Process, page_seconds
+from tools.bench.page import ServerProcess, page_seconds
 from tools.fixtures.chromium import launch
 from tools.fixtures.processes import free_port
 
@@ -64,7 +64,7 @@ def make(folder: Path, share: float) -> tuple[Path, Path]:
         small_worlds.write(data / "pictures" / f"{number}.jpg", small_worlds.place(number))
     pictures = sorted((data / "pictures").iterdir())
     opened = lpn.load(model)
-    size = Size("large", round(share * QUERIES), round(share * TILES), max(round(share * TILES) // PLACES, 1))
+    size = GallerySize("large", round(share * QUERIES), round(share * TILES), max(round(share * TILES) // PLACES, 1))
     queries, asked, tiles, labels = draw(size, 1.0)
     # Pictures of one place lie together, and files are listed by place.
     queries = queries[np.argsort(asked, kind="stable")]
@@ -133,7 +133,7 @@ def memory(process: int) -> tuple[float, float]:
     return 1024.0 * int(found["VmRSS"]), 1024.0 * int(found["RssAnon"])
 
 
-def measure(app: Process) -> list[Figure]:
+def measure(app: ServerProcess) -> list[Figure]:
     """The figures of a running app."""
     with sync_playwright() as playwright:
         browser = launch(playwright)
@@ -184,9 +184,9 @@ def figures(share: float = 1.0, kept: Path | None = None) -> list[Figure]:
             str(model),
             "--port",
         ]
-        with Process([*command, str(free_port())], environment) as app:
+        with ServerProcess([*command, str(free_port())], environment) as app:
             found = measure(app)
-        with Process([*command, str(free_port())], environment) as again:
+        with ServerProcess([*command, str(free_port())], environment) as again:
             found.append(below("command to address, all ranked before", again.seconds, 5, "s"))
     what = f"{round(share * QUERIES):,} queries, {round(share * TILES):,} tiles: "
     return [replace(figure, what=what + figure.what) for figure in found]

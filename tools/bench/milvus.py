@@ -34,14 +34,14 @@ from lpn.index import Box
 from lpn.index.milvus import MilvusIndex, Structure
 from tools.bench.figures import machine
 from tools.bench.search import KIND, drawn, medians, nearest, queries, resident
-from tools.fixtures.milvus_server import Server, indexed, milvus_python
+from tools.fixtures.milvus_server import MilvusServer, indexed, milvus_python
 
 K = 10
+# Seconds after which searches wait no longer for what was written just before.
 SETTLED = 12
-"""Seconds after which searches wait no longer for what was written just before."""
 WRITES = 5
+# With one of a hundred tiles that lie on the whole equator.
 BOX: Box = (-1.0, -1.8, 1.0, 1.8)
-"""With one of a hundred tiles that lie on the whole equator."""
 EFFORTS: dict[Structure, tuple[int, ...]] = {
     "flat": (1,),
     "ivf": (8, 32, 128),
@@ -58,6 +58,7 @@ COSTS = (
     "queue, MB",
 )
 SEARCHES = ("effort", "recall@10, %", "ms", "in a box, %", "in a box, ms", "after a write, ms")
+# Of a server's data, and what each is counted as.
 FOLDERS = {
     "insert_log": "data",
     "delta_log": "data",
@@ -66,7 +67,6 @@ FOLDERS = {
     "rocksmq": "queue",
     "rocksmq_meta_kv": "queue",
 }
-"""Of a server's data, and what each is counted as."""
 
 
 def places(count: int) -> Any:
@@ -87,7 +87,7 @@ def measure(structure: Structure, count: int, place: Path, rounds: int) -> tuple
     """One structure's costs, and its searches by effort, on a server of its own."""
     asked, at = queries(next(drawn(count))[1]), places(count)
     truths = {box: nearest(count, asked, K, None if box is None else abs(at[:, 1]) <= BOX[3]) for box in (None, BOX)}
-    with Server(milvus_python(), place) as server:
+    with MilvusServer(milvus_python(), place) as server:
         empty, url = resident(server.pid), f"{server.url}/bench"
         adding = 0.0
         with MilvusIndex.create(url, KIND, structure) as index:

@@ -131,7 +131,7 @@ async (box, events) => {
 """
 
 
-class Process:
+class ServerProcess:
     """A server process, for a `with` block, and how long it took to print its address."""
 
     def __init__(self, arguments: list[str], environment: dict[str, str]) -> None:
@@ -217,7 +217,7 @@ def drag(page: Page) -> tuple[int, bool]:
     return int(after) - before - int(shown), angle == str(EVENTS)
 
 
-def resident(process: Process) -> float:
+def resident(process: ServerProcess) -> float:
     """Resident memory of a process in MB."""
     lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1000
@@ -245,24 +245,24 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         environment = {**os.environ, "LPN_CACHE": str(folder / "cache"), "LPN_BENCH_COUNTS": str(counts)}
         options = ["explore", "--data", str(data), "--model", str(model), "--port"]
         command = [sys.executable, "-m", "lpn", *options]
-        with Process([*command, str(free_port())], environment) as cold:
+        with ServerProcess([*command, str(free_port())], environment) as cold:
             pass
         starts = []
         for _ in range(5):
-            with Process([*command, str(free_port())], environment) as again:
+            with ServerProcess([*command, str(free_port())], environment) as again:
                 starts.append(again.seconds)
-        warm = stack.enter_context(Process([*command, str(free_port())], environment))
-        idle = stack.enter_context(Process([sys.executable, "-c", IDLE, *options, str(free_port())], environment))
+        warm = stack.enter_context(ServerProcess([*command, str(free_port())], environment))
+        idle = stack.enter_context(ServerProcess([sys.executable, "-c", IDLE, *options, str(free_port())], environment))
         browser = launch(stack.enter_context(sync_playwright()))
         _, page = page_seconds(browser, idle.url)  # the browser's own start is nobody's
         idle_turn, idle_pick = slider_seconds(page), pick_seconds(page)
         page.context.close()
-        with Process([sys.executable, "-c", READY, *options, str(free_port())], environment) as ready:
+        with ServerProcess([sys.executable, "-c", READY, *options, str(free_port())], environment) as ready:
             _, page = page_seconds(browser, ready.url)
             ready_turn, ready_pick = slider_seconds(page), pick_seconds(page)
             page.context.close()
         numbers = counts.read_text().split()
-        bare = stack.enter_context(Process([sys.executable, "-c", BARE, str(free_port()), *numbers], environment))
+        bare = stack.enter_context(ServerProcess([sys.executable, "-c", BARE, str(free_port()), *numbers], environment))
         opened = [(page_seconds(browser, bare.url), page_seconds(browser, warm.url)) for _ in range(3)]
         for (_, one), (_, other) in opened:
             one.context.close()

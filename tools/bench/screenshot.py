@@ -17,7 +17,7 @@ from playwright.sync_api import Browser, sync_playwright
 
 from lpn.core.demo import DEMO, DEMO_QUERY
 from lpn.core.files import write_atomic
-from tools.bench.page import Process
+from tools.bench.page import ServerProcess
 from tools.fixtures.chromium import launch
 from tools.fixtures.processes import free_port
 
@@ -69,7 +69,7 @@ def main() -> None:
 def _take(browser: Browser, shot: Shot, model: Path, out: Path, beside: Path | None) -> None:
     command = [sys.executable, "-m", "lpn", "explore", "--data", str(DEMO), "--model", str(model)]
     command += ["--beside", str(beside)] if shot.beside else []
-    with Process([*command, "--query", shot.query, "--port", str(free_port())], dict(os.environ)) as app:
+    with ServerProcess([*command, "--query", shot.query, "--port", str(free_port())], dict(os.environ)) as app:
         _open(browser, app.url, shot, out)
 
 

@@ -45,13 +45,13 @@ from tools.bench.figures import Figure, below, machine, show, within
 
 KIND = Kind("bench", 4, 512)
 TILES = (951, 51_355)
+# Tiles up to which a search is to take a millisecond at most.
 SMALL = 1000
-"""Tiles up to which a search is to take a millisecond at most."""
 OTHER = (0.5, 0.3, 0.2, 0.0)
+# South-west and north-east of the rectangle over which tiles lie.
 CORNERS = (46.0, 6.0), (47.0, 8.0)
-"""South-west and north-east of the rectangle over which tiles lie."""
+# Has a hundredth of its area.
 BOX: Box = (46.4, 6.6, 46.5, 6.8)
-"""Has a hundredth of its area."""
 TOP = 100
 THREADS = min(8, usable_cores())
 BLOCK = 4096

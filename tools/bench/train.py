@@ -38,8 +38,8 @@ from lpn.training.training_set import TrainingSet
 from tools.bench.figures import Figure, show, take_turns
 from tools.bench.pictures import make_train_split
 
+# More than a batch has, which takes each place once.
 PLACES = 40
-"""More than a batch has, which takes each place once."""
 ROUNDS = 5
 STEPS = 4
 TARGET = 1.3

@@ -23,21 +23,21 @@ from typing import Any
 
 from tools.fuzz import targets
 from tools.fuzz.mutation import mutated
-from tools.fuzz.targets import TARGETS, Case, complaint, described
+from tools.fuzz.targets import TARGETS, FuzzCase, complaint, described
 
+# Seconds of processor time that an input may take.
 SLOW = 2.0
-"""Seconds of processor time that an input may take."""
+# Megabytes that an input may take on top of all before it; a picture of 50 megapixels takes 150 and its copy as many.
 LARGE = 400
-"""Megabytes that an input may take on top of all before it; a picture of 50 megapixels takes 150 and its copy as many."""
+# Seconds after which it is taken to come to no end; other processes may take most of them.
 STUCK = 20.0
-"""Seconds after which it is taken to come to no end; other processes may take most of them."""
+# Bytes of address space that a reader gets on top of what it has at its start: so none takes the machine with it.
 MEMORY = 3 << 30
-"""Bytes of address space that a reader gets on top of what it has at its start: so none takes the machine with it."""
 _MOST = 20
 
 
 @dataclass(frozen=True)
-class Finding:
+class FuzzFinding:
     """An input that a reader did not bear."""
 
     reader: str
@@ -45,7 +45,7 @@ class Finding:
     said: str
 
 
-def an_input(name: str, cases: Sequence[Case], number: int, seed: int = 0) -> tuple[Case, bytes]:
+def an_input(name: str, cases: Sequence[FuzzCase], number: int, seed: int = 0) -> tuple[FuzzCase, bytes]:
     """The damaged file of a number, and what reads it."""
     rng = Random(f"{name} {seed} {number}")
     case = cases[number % len(cases)]
@@ -54,7 +54,7 @@ def an_input(name: str, cases: Sequence[Case], number: int, seed: int = 0) -> tu
 
 def run(
     name: str, inputs: int, seed: int = 0, keep: Path | None = None, stuck: float = STUCK
-) -> tuple[int, list[Finding]]:
+) -> tuple[int, list[FuzzFinding]]:
     """Give a reader damaged inputs in processes that are watched.
 
     Args:
@@ -64,14 +64,14 @@ def run(
     Returns:
         How many inputs were read, and what was found; after 20 findings it is given up.
     """
-    found: list[Finding] = []
+    found: list[FuzzFinding] = []
     first = 0
     while first < inputs and len(found) < _MOST:
         first = _watched(name, range(first, inputs), seed, keep, found, stuck)
     return first, found
 
 
-def _watched(name: str, numbers: range, seed: int, keep: Path | None, found: list[Finding], stuck: float) -> int:
+def _watched(name: str, numbers: range, seed: int, keep: Path | None, found: list[FuzzFinding], stuck: float) -> int:
     """One process, until it is done or must be ended; the number of the next input."""
     context = multiprocessing.get_context("spawn")
     current = context.Value("q", -1, lock=False)
@@ -100,7 +100,7 @@ def _watched(name: str, numbers: range, seed: int, keep: Path | None, found: lis
         said = said or (f"the process ended ({-process.exitcode})" if process.exitcode < 0 else "the process failed")
         if number < 0:
             raise SystemExit(f"The reader {name} could not be made ready; see above.")
-        found.append(Finding(name, number, said))
+        found.append(FuzzFinding(name, number, said))
     return number + 1
 
 
@@ -123,7 +123,7 @@ def _work(name: str, numbers: range, seed: int, keep: Path | None, to: Connectio
             more = (peak - before) // 1024
             if error is not None or spent > SLOW or more > LARGE:
                 said = f"took {spent:.1f} s and {more} MB" if error is None else described(error)
-                to.send(Finding(name, number, said))
+                to.send(FuzzFinding(name, number, said))
                 if keep is not None:
                     (keep / f"{name}-{number}.bin").write_bytes(data)
             began.value = time.monotonic()

@@ -23,14 +23,14 @@ Read = Callable[[bytes], object]
 
 
 @dataclass(frozen=True)
-class Case:
+class FuzzCase:
     """One file: seeds that its damaged ones are made from, and how it is read."""
 
     seeds: list[bytes]
     read: Read
 
 
-def pictures(folder: Path) -> list[Case]:
+def pictures(folder: Path) -> list[FuzzCase]:
     """Uploads and picture files, in every format that is accepted, with 8 and 16 bits, transparent, animated, and turned."""
     from PIL import Image
 
@@ -67,10 +67,10 @@ def pictures(folder: Path) -> list[Case]:
         assert 0 < picture[..., 0].size <= images.MAX_PIXELS
 
     png = [seed for seed in seeds if seed.startswith(b"\x89PNG")]
-    return [Case(seeds, read), Case(png, lambda data: read(_with_png_checksums(data)))]
+    return [FuzzCase(seeds, read), FuzzCase(png, lambda data: read(_with_png_checksums(data)))]
 
 
-def stores(folder: Path) -> list[Case]:
+def stores(folder: Path) -> list[FuzzCase]:
     """Manifest, array, and progress of a store of descriptors."""
     from lpn import descriptors
     from lpn.descriptors.partial_store import PartialStore
@@ -113,12 +113,12 @@ def stores(folder: Path) -> list[Case]:
 
         return read
 
-    cases = [Case([whole["manifest.json"], plain.to_json()], opened("manifest.json"))]
-    cases.append(Case([whole["descriptors.npy"]], opened("descriptors.npy")))
-    return cases + [Case([content], gone_on(name)) for name, content in left.items()]
+    cases = [FuzzCase([whole["manifest.json"], plain.to_json()], opened("manifest.json"))]
+    cases.append(FuzzCase([whole["descriptors.npy"]], opened("descriptors.npy")))
+    return cases + [FuzzCase([content], gone_on(name)) for name, content in left.items()]
 
 
-def tables(folder: Path) -> list[Case]:
+def tables(folder: Path) -> list[FuzzCase]:
     """geo.csv, pairs.csv, metadata.csv, CVUSA's lists, and the ground-truth files of landmarks."""
     from lpn.datasets import open_dataset
     from lpn.datasets.geo import read_positions
@@ -156,15 +156,15 @@ def tables(folder: Path) -> list[Case]:
     (pairs / "pairs.csv").write_bytes(listed)
     split = ground / "splits" / "val-19zl.csv"
     cases = [
-        Case([(world / "geo.csv").read_bytes()], read_positions),
-        Case([metadata.encode()], own),
-        Case([listed], dataset(pairs, pairs / "pairs.csv")),
-        Case([split.read_bytes()], dataset(ground, split)),
+        FuzzCase([(world / "geo.csv").read_bytes()], read_positions),
+        FuzzCase([metadata.encode()], own),
+        FuzzCase([listed], dataset(pairs, pairs / "pairs.csv")),
+        FuzzCase([split.read_bytes()], dataset(ground, split)),
     ]
-    return cases + [Case([file.read_bytes()], dataset(oxford, file)) for file in lists]
+    return cases + [FuzzCase([file.read_bytes()], dataset(oxford, file)) for file in lists]
 
 
-def matlab(folder: Path) -> list[Case]:
+def matlab(folder: Path) -> list[FuzzCase]:
     """CVACT's lists and saved results, packed and not."""
     from scipy.io import savemat
 
@@ -198,13 +198,13 @@ def matlab(folder: Path) -> list[Case]:
         lists.write_bytes(data)
         open_dataset(root).lists()
 
-    cases = [Case(saved, result), Case([lists.read_bytes()], dataset)]
+    cases = [FuzzCase(saved, result), FuzzCase([lists.read_bytes()], dataset)]
     # The contents of a packed variable, packed again.
     body = saved[0][128:]
-    return [*cases, Case([body], lambda data: result(saved[0][:128] + _packed(data)))]
+    return [*cases, FuzzCase([body], lambda data: result(saved[0][:128] + _packed(data)))]
 
 
-def onnx(folder: Path) -> list[Case]:
+def onnx(folder: Path) -> list[FuzzCase]:
     """Exported models, sealed and as before there were seals."""
     from lpn.models.onnx_engine import Engine
     from tools.fixtures.small_models import SPEC, onnx_file
@@ -222,10 +222,10 @@ def onnx(folder: Path) -> list[Case]:
             model.heads(view)
             model.map_size(view)
 
-    return [Case([onnx_file(sealed=True)], read), *[Case([onnx_file(sealed=False)], read)] * 3]
+    return [FuzzCase([onnx_file(sealed=True)], read), *[FuzzCase([onnx_file(sealed=False)], read)] * 3]
 
 
-def safetensors(folder: Path) -> list[Case]:
+def safetensors(folder: Path) -> list[FuzzCase]:
     """Our checkpoints."""
     from safetensors.torch import save
 
@@ -245,10 +245,10 @@ def safetensors(folder: Path) -> list[Case]:
         read(len(data).to_bytes(8, "little") + data + plain[8 + size :])
 
     size = int.from_bytes(plain[:8], "little")
-    return [Case([whole, plain], read), Case([plain[8 : 8 + size]], header)]
+    return [FuzzCase([whole, plain], read), FuzzCase([plain[8 : 8 + size]], header)]
 
 
-def pth(folder: Path) -> list[Case]:
+def pth(folder: Path) -> list[FuzzCase]:
     """Published checkpoints, the options beside them, and the state of a training."""
 
     from lpn.models.checkpoints import load_torch
@@ -277,15 +277,15 @@ def pth(folder: Path) -> list[Case]:
         read_state(folder / "state.pt", recipe, "0" * 16)
 
     return [
-        Case([whole], model),
-        Case([_entry(whole, "data.pkl")], lambda data: model(_with_entry(whole, "data.pkl", data))),
-        Case([text], lambda data: model(whole, data)),
-        Case([state], training),
-        Case([_entry(state, "data.pkl")], lambda data: training(_with_entry(state, "data.pkl", data))),
+        FuzzCase([whole], model),
+        FuzzCase([_entry(whole, "data.pkl")], lambda data: model(_with_entry(whole, "data.pkl", data))),
+        FuzzCase([text], lambda data: model(whole, data)),
+        FuzzCase([state], training),
+        FuzzCase([_entry(state, "data.pkl")], lambda data: training(_with_entry(state, "data.pkl", data))),
     ]
 
 
-def notes(folder: Path) -> list[Case]:
+def notes(folder: Path) -> list[FuzzCase]:
     """A person's notes."""
     from lpn.analysis.notes import read_notes, set_note
 
@@ -307,10 +307,10 @@ def notes(folder: Path) -> list[Case]:
             path: note for path, note in before.items() if path != "d/4.png"
         }
 
-    return [Case([seed], read)]
+    return [FuzzCase([seed], read)]
 
 
-def rankings(folder: Path) -> list[Case]:
+def rankings(folder: Path) -> list[FuzzCase]:
     """A ranking kept between runs."""
     from lpn.analysis import ranking_cache
     from lpn.models.base import normalise
@@ -332,13 +332,13 @@ def rankings(folder: Path) -> list[Case]:
         found = ranking_cache.load(task)
         assert found is None or found.figures()["gallery"] == 7
 
-    def inner(name: str) -> Case:
-        return Case([_entry(whole, name)], lambda data: read(_with_entry(whole, name, data)))
+    def inner(name: str) -> FuzzCase:
+        return FuzzCase([_entry(whole, name)], lambda data: read(_with_entry(whole, name, data)))
 
-    return [Case([whole], read), inner("first.npy"), inner("precision.npy"), inner("gallery.npy")]
+    return [FuzzCase([whole], read), inner("first.npy"), inner("precision.npy"), inner("gallery.npy")]
 
 
-def shards(folder: Path) -> list[Case]:
+def shards(folder: Path) -> list[FuzzCase]:
     """Parquet files of descriptors, and their plan."""
     from lpn.cluster.gather import open_shards
     from lpn.cluster.shards import Plan, ShardItem, contents, read_notes, shard_name, write_shard
@@ -371,10 +371,10 @@ def shards(folder: Path) -> list[Case]:
 
         return of
 
-    return [Case([content], read(name)) for name, content in whole.items()]
+    return [FuzzCase([content], read(name)) for name, content in whole.items()]
 
 
-def links(folder: Path) -> list[Case]:
+def links(folder: Path) -> list[FuzzCase]:
     """The address of a page."""
     from explorer.opening import open_model
     from explorer.session_state import SessionState
@@ -401,10 +401,10 @@ def links(folder: Path) -> list[Case]:
         assert again == state
         assert all("\n" not in text for text in said)
 
-    return [Case(seeds, read)]
+    return [FuzzCase(seeds, read)]
 
 
-def indexes(folder: Path) -> list[Case]:
+def indexes(folder: Path) -> list[FuzzCase]:
     """The manifest and the segments of an index in a folder."""
     from lpn import index
     from lpn.models.base import normalise
@@ -427,10 +427,10 @@ def indexes(folder: Path) -> list[Case]:
 
         return of
 
-    return [Case([file.read_bytes()], read(file)) for file in files if file.stat().st_size]
+    return [FuzzCase([file.read_bytes()], read(file)) for file in files if file.stat().st_size]
 
 
-def cities(folder: Path) -> list[Case]:
+def cities(folder: Path) -> list[FuzzCase]:
     """The 3-D model that a browser gets."""
     from lpn.datasets.city_model import city_model
     from tools.fixtures import small_worlds
@@ -448,10 +448,10 @@ def cities(folder: Path) -> list[Case]:
         total = 20 + len(text) + len(rest)
         read(whole[:8] + total.to_bytes(4, "little") + len(text).to_bytes(4, "little") + whole[16:20] + text + rest)
 
-    return [Case([whole], read), Case([whole[20 : 20 + size]], header)]
+    return [FuzzCase([whole], read), FuzzCase([whole[20 : 20 + size]], header)]
 
 
-TARGETS: dict[str, Callable[[Path], list[Case]]] = {
+TARGETS: dict[str, Callable[[Path], list[FuzzCase]]] = {
     made.__name__: made
     for made in (
         pictures,

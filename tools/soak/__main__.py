@@ -65,7 +65,7 @@ class Arguments:
         figures.show(console)
         if self.out is not None:
             write_atomic(self.out, figures.json())
-        return 1 if figures.flaws() else 0
+        return 1 if figures.failures() else 0
 
 
 def main() -> int:

@@ -10,18 +10,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
-from tools.soak.asked import Asked
-from tools.soak.reading import Shown
+from tools.soak.client_state import ClientState
+from tools.soak.page_content import PageContent
 from tools.soak.reference import Reference
 
+# The acts whose times count: one query described at most, and one ranking.
 CHANGES = ("drag", "parts", "pick", "compare")
-"""The acts whose times count: one query described at most, and one ranking."""
+# A kind of fault: something that was to be checked was not.
 OWN_ERROR = "the soak's own error"
-"""A kind of fault: something that was to be checked was not."""
 
 
 @dataclass(frozen=True)
-class Answer:
+class SoakAnswer:
     """An answer that a page showed.
 
     Attributes:
@@ -34,11 +34,11 @@ class Answer:
     """
 
     kind: str
-    who: str
+    client_name: str
     step: int
-    said: str
-    asked: Asked
-    shown: Shown
+    text: str
+    state: ClientState
+    shown: PageContent
     seconds: float | None
 
 
@@ -47,9 +47,9 @@ class Fault:
     """What must not be; fields as in `Answer`."""
 
     kind: str
-    who: str
+    client_name: str
     step: int
-    said: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Time:
     """How long an answer took; `phase` is "alone" or "together"."""
 
     phase: str
-    who: str
+    client_name: str
     kind: str
     seconds: float
 
@@ -76,7 +76,7 @@ class Record:
 
     def __init__(self, reference: Reference) -> None:
         self._reference, self._lock = reference, threading.Lock()
-        self._answers: queue.SimpleQueue[Answer | None] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[SoakAnswer | None] = queue.SimpleQueue()
         self.phase = "alone"
         self.times: list[Time] = []
         self.faults: list[Fault] = []
@@ -96,12 +96,12 @@ class Record:
             with self._lock:
                 self.clients -= 1
 
-    def answer(self, answer: Answer) -> None:
+    def answer(self, answer: SoakAnswer) -> None:
         """Keep the time, and have the answer checked."""
         with self._lock:
             self.waiting += 1
             if answer.seconds is not None:
-                self.times.append(Time(self.phase, answer.who, answer.kind, answer.seconds))
+                self.times.append(Time(self.phase, answer.client_name, answer.kind, answer.seconds))
         self._answers.put(answer)
 
     def fault(self, fault: Fault) -> None:
@@ -119,14 +119,16 @@ class Record:
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
         while (answer := self._answers.get()) is not None:
             try:
-                flaws = self._reference.flaws(answer.asked, answer.shown)
+                failures = self._reference.failures(answer.state, answer.shown)
             except Exception as error:  # those after it are to be checked all the same
-                said = "".join(traceback.format_exception(error))
-                self.fault(Fault(OWN_ERROR, answer.who, answer.step, f"{answer.said}: {said}"))
+                text = "".join(traceback.format_exception(error))
+                self.fault(Fault(OWN_ERROR, answer.client_name, answer.step, f"{answer.text}: {text}"))
                 continue
             with self._lock:
                 self.waiting -= 1
                 self.checked += 1
-                self.wrong += bool(flaws)
-            if flaws:
-                self.fault(Fault("wrong answer", answer.who, answer.step, f"{answer.said}: {'; '.join(flaws)}"))
+                self.wrong += bool(failures)
+            if failures:
+                self.fault(
+                    Fault("wrong answer", answer.client_name, answer.step, f"{answer.text}: {'; '.join(failures)}")
+                )

@@ -21,25 +21,25 @@ from lpn.core.views import View, views_of
 from lpn.datasets import Picture, Truth, open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.retrieval import Match, Ranking, scoring
-from tools.soak.asked import Asked, Own
-from tools.soak.reading import Row, Shown
+from tools.soak.client_state import ClientState, OwnPicture
+from tools.soak.page_content import MatchRow, PageContent
 
+# Ranked tiles that a page shows.
 SHOWN = 10
-"""Ranked tiles that a page shows."""
+# By how much a printed number may differ: half of its last digit of three, and as much for sums in another order, for
+# pictures are described one by one here and may be described together there.
 PRINTED = 0.001
-"""By how much a printed number may differ: half of its last digit of three, and as much for sums in another order, for pictures
-are described one by one here and may be described together there."""
+# Scores that differ by less may stand in either order, for the same reason.
 EQUAL = 1e-4
-"""Scores that differ by less may stand in either order, for the same reason."""
 SIGNS = {True: "✓", False: "✗", None: "?"}
+# Tiles of a gallery that are described anew, and the least cosine of each part with the one that is on the disk.
 SAMPLE, NEAR = 8, 0.999
-"""Tiles of a gallery that are described anew, and the least cosine of each part with the one that is on the disk."""
 _KEPT = 5000
 _SIDE = 320
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class ReferenceTask:
     """One direction of retrieval as it lies on the disk."""
 
     query_view: View
@@ -70,7 +70,7 @@ class Reference:
         opened = lpn.load(model)
         self._model = opened.for_parallel_inference()
         dataset = open_dataset(data)
-        self.sides: dict[str, Side] = {}
+        self.sides: dict[str, ReferenceTask] = {}
         for name in dataset.tasks():
             views = views_of(name)
             if not set(views) <= set(opened.views):
@@ -80,7 +80,9 @@ class Reference:
             known = descriptors.stored_side(opened, gallery, views[1], data, "gallery")
             truth = dataset.truth(name)
             self._look_at(gallery, known.descriptors, views[1])
-            self.sides[name] = Side(views[0], dataset.queries(views[0]), gallery, known.descriptors, labels, truth)
+            self.sides[name] = ReferenceTask(
+                views[0], dataset.queries(views[0]), gallery, known.descriptors, labels, truth
+            )
         if not self.sides:
             raise DataError(f"The model knows none of the views of {data}; give a data set and a model that fit.")
         self.parts = opened.spec.n_parts
@@ -101,23 +103,23 @@ class Reference:
                     f"{least:.3f}. Describe the gallery anew."
                 )
 
-    def first(self) -> Asked:
+    def first(self) -> ClientState:
         """What every page shows that asks for nothing."""
-        return Asked(next(iter(self.sides)), 0, (1.0,) * self.parts, (True,) * self.parts)
+        return ClientState(next(iter(self.sides)), 0, (1.0,) * self.parts, (True,) * self.parts)
 
-    def label(self, asked: Asked) -> str:
+    def label(self, state: ClientState) -> str:
         """The name of what is asked for."""
-        return asked.own.name if asked.own else self.sides[asked.task].queries[asked.query].name
+        return state.own_picture.name if state.own_picture else self.sides[state.task].queries[state.query].name
 
-    def address(self, asked: Asked) -> dict[str, str]:
+    def address(self, state: ClientState) -> dict[str, str]:
         """What the page's address must say: a name stands for the first that has it, ~3 for the fourth picture."""
-        side = self.sides[asked.task]
-        said = {**asked.address(), "query": "own" if asked.own else _called(side.queries, asked.query)}
-        if asked.tile is not None:
-            said["with"] = asked.tile if asked.tile == "truth" else _called(side.gallery, asked.tile)
-        return said
+        side = self.sides[state.task]
+        text = {**state.address(), "query": "own" if state.own_picture else _called(side.queries, state.query)}
+        if state.tile is not None:
+            text["with"] = state.tile if state.tile == "truth" else _called(side.gallery, state.tile)
+        return text
 
-    def own(self, rng: Random, name: str) -> Own:
+    def own_picture(self, rng: Random, name: str) -> OwnPicture:
         """A piece of a query's picture, turned, as a JPEG file."""
         side = self.sides[rng.choice(list(self.sides))]
         picture = images.load_picture(rng.choice(side.queries).path)
@@ -125,26 +127,26 @@ class Reference:
         piece = images.shrink(images.rotate(picture[:height, :width], rng.uniform(-180, 180)), _SIDE)
         done, content = cv2.imencode(".jpg", piece[..., ::-1])
         assert done
-        return Own(f"{name}.jpg", content.tobytes())
+        return OwnPicture(f"{name}.jpg", content.tobytes())
 
-    def ranking(self, asked: Asked) -> Ranking:
+    def ranking(self, state: ClientState) -> Ranking:
         """The whole gallery ranked for what is asked for."""
-        side = self.sides[asked.task]
-        weights = scoring.part_weights(self.parts, asked.values())
-        cosines = scoring.part_cosines(self._descriptor(asked, side), side.descriptors)
-        label = None if asked.own else side.queries[asked.query].label
-        truth = None if asked.own or side.truth is None else side.truth[asked.query]
+        side = self.sides[state.task]
+        weights = scoring.part_weights(self.parts, state.values())
+        cosines = scoring.part_cosines(self._descriptor(state, side), side.descriptors)
+        label = None if state.own_picture else side.queries[state.query].label
+        truth = None if state.own_picture or side.truth is None else side.truth[state.query]
         return retrieval.rank(cosines, weights, side.labels, label, truth)
 
-    def flaws(self, asked: Asked, shown: Shown) -> list[str]:
+    def failures(self, state: ClientState, shown: PageContent) -> list[str]:
         """What is wrong with an answer, in words; nothing where it is right."""
         try:
-            return list(self._flaws(asked, shown, self.ranking(asked)))
+            return list(self._flaws(state, shown, self.ranking(state)))
         except (ValueError, IndexError, StopIteration, KeyError) as error:
             return [f"what the page shows could not be read ({type(error).__name__}: {error})"]
 
-    def _flaws(self, asked: Asked, shown: Shown, ranking: Ranking) -> list[str]:
-        side, found = self.sides[asked.task], []
+    def _flaws(self, state: ClientState, shown: PageContent, ranking: Ranking) -> list[str]:
+        side, found = self.sides[state.task], []
         rows = [row for row in shown.rows if not row.below]
         expected, truth = ranking.top(SHOWN), ranking.truth()
         if len(rows) != len(expected):
@@ -160,22 +162,22 @@ class Reference:
         if shown.status.get("top") != str(rows[0].index):
             found.append(f"the status line says tile {shown.status.get('top')}, the list {rows[0].index}")
         compared = ranking.find(rows[0].index)
-        if asked.tile == "truth":
+        if state.tile == "truth":
             compared = truth or compared
-        elif asked.tile is not None and ranking.holds(asked.tile):
-            compared = ranking.find(asked.tile)
+        elif state.tile is not None and ranking.holds(state.tile):
+            compared = ranking.find(state.tile)
         if shown.status.get("chosen") != str(compared.index):
             found.append(f"tile {shown.status.get('chosen')} is compared; expected {compared.index}")
         return found + self._pair(shown, ranking, compared)
 
-    def _here(self, ranking: Ranking, row: Row, match: Match) -> Match:
+    def _here(self, ranking: Ranking, row: MatchRow, match: Match) -> Match:
         """The match that stands in a row: the expected one, or one of an equal score."""
         if row.index != match.index and ranking.holds(row.index):
             other = ranking.find(row.index)
             return other if abs(other.score - match.score) <= EQUAL else match
         return match
 
-    def _row(self, side: Side, row: Row, match: Match, gap: float | None) -> list[str]:
+    def _row(self, side: ReferenceTask, row: MatchRow, match: Match, gap: float | None) -> list[str]:
         """What is wrong with a row. The gap is of its place: tiles of equal scores have another in the other order."""
         if row.index != match.index:
             return [
@@ -198,15 +200,15 @@ class Reference:
                 found.append(f"tile {row.index} has {what} {here}; expected {there}")
         return found
 
-    def _pair(self, shown: Shown, ranking: Ranking, compared: Match) -> list[str]:
+    def _pair(self, shown: PageContent, ranking: Ranking, compared: Match) -> list[str]:
         """The table of the compared pair, part by part."""
         found, (_, *lines, total) = [], shown.parts
         for i, line in enumerate(lines):
-            said = [float(text.rstrip(" %")) for text in line[-3:]]
+            text = [float(text.rstrip(" %")) for text in line[-3:]]
             expected = [100 * ranking.weights[i], compared.cosines[i], compared.shares[i]]
             if line[0] != self.names[i] or any(
                 abs(here - there) > bound
-                for here, there, bound in zip(said, expected, (0.51, PRINTED, PRINTED), strict=True)
+                for here, there, bound in zip(text, expected, (0.51, PRINTED, PRINTED), strict=True)
             ):
                 found.append(f"part {line} of the compared pair; expected {[round(float(v), 4) for v in expected]}")
         if len(lines) != self.parts or abs(float(total[-1]) - compared.distance2) > PRINTED:
@@ -215,13 +217,13 @@ class Reference:
             )
         return found
 
-    def _descriptor(self, asked: Asked, side: Side) -> Float32Array:
-        change = Change(asked.angle, asked.right, asked.zoom, asked.down).for_picture(side.queries[asked.query])
-        entry = side.queries[asked.query]
-        key = (side.query_view, asked.own.name if asked.own else (entry.path, entry.box), change)
+    def _descriptor(self, state: ClientState, side: ReferenceTask) -> Float32Array:
+        change = Change(state.angle, state.right, state.zoom, state.down).for_picture(side.queries[state.query])
+        entry = side.queries[state.query]
+        key = (side.query_view, state.own_picture.name if state.own_picture else (entry.path, entry.box), change)
         if key not in self._described:
-            if asked.own:
-                picture = images.decode_picture(asked.own.content, asked.own.name)
+            if state.own_picture:
+                picture = images.decode_picture(state.own_picture.content, state.own_picture.name)
             else:
                 picture = images.crop(self._picture(entry.path), entry.box, entry.name)
             self._described[key] = retrieval.describe_picture(self._model, picture, side.query_view, change).descriptor

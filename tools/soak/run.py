@@ -11,25 +11,25 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tools.soak.chromium import Chromium, Tab
-from tools.soak.figures import CALLBACKS, Figures, Memory, bounds
-from tools.soak.hand import FaultError, Socket
+from tools.soak.browser_driver import BrowserDriver, Chromium
+from tools.soak.client import SoakClient
+from tools.soak.figures import CALLBACKS, Memory, SoakFigures, bounds
 from tools.soak.record import OWN_ERROR, Fault, Record
 from tools.soak.reference import Reference
-from tools.soak.script import Client
-from tools.soak.server import Held, Server
+from tools.soak.server import ExplorerServer, ResourceSample
+from tools.soak.websocket_driver import FaultError, WebSocketDriver
 
+# Seconds between two samples of what the server holds.
 EVERY = 2.0
-"""Seconds between two samples of what the server holds."""
+# Seconds that the server has to free what clients held.
 LEAVING = 30.0
-"""Seconds that the server has to free what clients held."""
+# Seconds that clients have to end, each after the answer that it waits for.
 ENDING = 90.0
-"""Seconds that clients have to end, each after the answer that it waits for."""
+# Seconds between the first visits of two clients.
 STAGGER = 0.2
-"""Seconds between the first visits of two clients."""
+# Changes that each of eight connections sends at once, and how often at most, to make viser's threads for callbacks as
+# many as they get.
 FLOOD, FLOODS = 200, 6
-"""Changes that each of eight connections sends at once, and how often at most, to make viser's threads for callbacks as many as
-they get."""
 
 
 @dataclass
@@ -52,10 +52,10 @@ class Soak:
     alone: float
     together: float
     say: Callable[[str], None] = print
-    _samples: list[Held] = field(default_factory=list)
+    _samples: list[ResourceSample] = field(default_factory=list)
     _began: float = field(default_factory=time.monotonic)
 
-    def run(self) -> Figures:
+    def run(self) -> SoakFigures:
         """All phases; Ctrl-C ends the one that is on, and what was measured until then is returned.
 
         Raises:
@@ -63,9 +63,9 @@ class Soak:
         """
         self.say("Starting the explorer, and a model and descriptors to check its answers by")
         reference = Reference(self.data, self.model)
-        with Server(self.options) as server:
+        with ExplorerServer(self.options) as server:
             record = Record(reference)
-            empty, before, together = server.held(0.0, 0), None, 0.0
+            empty, before, together = server.sample(0.0, 0), None, 0.0
             try:
                 self.say(f"One client alone, {self.alone:g} s")
                 self._flood(server, record, reference, empty)
@@ -92,27 +92,29 @@ class Soak:
             with suppress(KeyboardInterrupt):
                 record.close()
         if server.killed:
-            record.fault(Fault("server did not end", "", 0, f"it was killed; it said at last: {server.said()[-2000:]}"))
+            record.fault(Fault("server did not end", "", 0, f"it was killed; it said at last: {server.text()[-2000:]}"))
         memory = Memory.of(empty, before, during if before else [], left)
         unchecked = record.waiting
-        return Figures(
+        return SoakFigures(
             self.seed, self.clients, self.pages, together, record.visits, record.checked, record.wrong, unchecked,
             record.faults, server.tracebacks(), record.times, memory,
         )  # fmt: skip
 
     def _phase(
-        self, server: Server, record: Record, reference: Reference, seconds: float, starts: Mapping[str, _Start]
+        self, server: ExplorerServer, record: Record, reference: Reference, seconds: float, starts: Mapping[str, _Start]
     ) -> None:
         stop = threading.Event()
 
-        def begin(who: str) -> None:
+        def begin(client_name: str) -> None:
             try:
-                starts[who](who, server, record, reference, stop)
+                starts[client_name](client_name, server, record, reference, stop)
             except Exception as error:  # such as no browser; who is not there has no wrong answers
                 if not stop.is_set():
-                    record.fault(Fault(OWN_ERROR, who, 0, "".join(traceback.format_exception(error))))
+                    record.fault(Fault(OWN_ERROR, client_name, 0, "".join(traceback.format_exception(error))))
 
-        threads = [threading.Thread(target=begin, args=(who,), name=who, daemon=True) for who in starts]
+        threads = [
+            threading.Thread(target=begin, args=(client_name,), name=client_name, daemon=True) for client_name in starts
+        ]
         deadline = time.monotonic() + seconds
         try:
             for thread in threads:
@@ -121,7 +123,7 @@ class Soak:
             while time.monotonic() < deadline:
                 time.sleep(min(EVERY, max(deadline - time.monotonic(), 0.01)))
                 if not server.alive:
-                    record.fault(Fault("server ended", "", 0, f"it said at last: {server.said()[-2000:]}"))
+                    record.fault(Fault("server ended", "", 0, f"it said at last: {server.text()[-2000:]}"))
                     break
                 self._sample(server, record)
         finally:
@@ -133,58 +135,72 @@ class Soak:
                 if thread.is_alive():
                     record.fault(Fault(OWN_ERROR, thread.name, 0, f"it has not ended after {ENDING:g} s"))
 
-    def _alone(self, who: str, server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
-        hand = Socket(server.url, reference, stop)
-        Client(who, self.seed, hand, reference, record, stop, stays=True).run()
+    def _alone(
+        self, client_name: str, server: ExplorerServer, record: Record, reference: Reference, stop: threading.Event
+    ) -> None:
+        driver = WebSocketDriver(server.url, reference, stop)
+        SoakClient(client_name, self.seed, driver, reference, record, stop, stays=True).run()
 
-    def _client(self, who: str, server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
-        hand = Socket(server.url, reference, stop)
-        Client(who, self.seed, hand, reference, record, stop, stays=False).run()
+    def _client(
+        self, client_name: str, server: ExplorerServer, record: Record, reference: Reference, stop: threading.Event
+    ) -> None:
+        driver = WebSocketDriver(server.url, reference, stop)
+        SoakClient(client_name, self.seed, driver, reference, record, stop, stays=False).run()
 
-    def _page(self, who: str, server: Server, record: Record, reference: Reference, stop: threading.Event) -> None:
+    def _page(
+        self, client_name: str, server: ExplorerServer, record: Record, reference: Reference, stop: threading.Event
+    ) -> None:
         with Chromium() as browser:
-            hand = Tab(browser, server.url, reference, stop)
-            Client(who, self.seed, hand, reference, record, stop, stays=False).run()
+            driver = BrowserDriver(browser, server.url, reference, stop)
+            SoakClient(client_name, self.seed, driver, reference, record, stop, stays=False).run()
 
-    def _flood(self, server: Server, record: Record, reference: Reference, empty: Held | None) -> None:
+    def _flood(
+        self, server: ExplorerServer, record: Record, reference: Reference, empty: ResourceSample | None
+    ) -> None:
         """So many changes at once that the threads which viser keeps for good are there before any are counted."""
-        hands = [Socket(server.url, reference, threading.Event()) for _ in range(8)]
+        drivers = [WebSocketDriver(server.url, reference, threading.Event()) for _ in range(8)]
 
-        def send(hand: Socket) -> None:
+        def send(driver: WebSocketDriver) -> None:
             for value in range(FLOOD):
-                hand.set("Rotate", value % 180)
+                driver.set("Rotate", value % 180)
 
         try:
-            for hand in hands:
-                hand.enter("")
+            for driver in drivers:
+                driver.enter("")
             for _ in range(FLOODS):
-                held = server.held(0.0, 0)
-                if held is None or empty is None or held.threads >= empty.threads + CALLBACKS + 4 * len(hands):
+                sample = server.sample(0.0, 0)
+                if sample is None or empty is None or sample.threads >= empty.threads + CALLBACKS + 4 * len(drivers):
                     break
-                with ThreadPoolExecutor(len(hands)) as pool:
-                    list(pool.map(send, hands))
+                with ThreadPoolExecutor(len(drivers)) as pool:
+                    list(pool.map(send, drivers))
                 time.sleep(1.5)
         except FaultError as fault:
             record.fault(Fault(fault.kind, "many changes at once", 0, fault.text))
         finally:
-            for hand in hands:
-                hand.leave("close")
+            for driver in drivers:
+                driver.leave("close")
 
-    def _sample(self, server: Server, record: Record) -> Held | None:
-        held = server.held(time.monotonic() - self._began, record.clients)
-        if held is not None:
-            self._samples.append(held)
-        return held
+    def _sample(self, server: ExplorerServer, record: Record) -> ResourceSample | None:
+        sample = server.sample(time.monotonic() - self._began, record.clients)
+        if sample is not None:
+            self._samples.append(sample)
+        return sample
 
-    def _settled(self, server: Server, record: Record, empty: Held | None, before: Held | None) -> Held | None:
+    def _settled(
+        self, server: ExplorerServer, record: Record, empty: ResourceSample | None, before: ResourceSample | None
+    ) -> ResourceSample | None:
         """What the server holds when nobody is there: as soon as it has given back what it must, else after some time."""
         deadline = time.monotonic() + (5.0 if before is None else LEAVING)
         threads, handles = bounds(empty, before)
         while True:
             time.sleep(1)
-            held = server.held(time.monotonic() - self._began, record.clients)
-            if held is None or time.monotonic() > deadline or (held.threads <= threads and held.handles <= handles):
-                return held
+            sample = server.sample(time.monotonic() - self._began, record.clients)
+            if (
+                sample is None
+                or time.monotonic() > deadline
+                or (sample.threads <= threads and sample.handles <= handles)
+            ):
+                return sample
 
 
-_Start = Callable[[str, Server, Record, Reference, threading.Event], None]
+_Start = Callable[[str, ExplorerServer, Record, Reference, threading.Event], None]

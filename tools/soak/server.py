@@ -15,15 +15,15 @@ from typing import Self
 
 from lpn.core.errors import LPNError
 
+# Seconds that it may take to start; a data set that was never described takes long.
 START = 300.0
-"""Seconds that it may take to start; a data set that was never described takes long."""
+# Seconds that it may take to end; it has promised two (lpn.core.shutdown), on a machine that does nothing else.
 END = 10.0
-"""Seconds that it may take to end; it has promised two (lpn.core.shutdown), on a machine that does nothing else."""
 _TRACEBACK = re.compile(r"Traceback \(most recent call last\):\n(?:[ \t].*\n|\n)*.*\n?")
 
 
 @dataclass(frozen=True)
-class Held:
+class ResourceSample:
     """What the server holds at a moment.
 
     Attributes:
@@ -40,7 +40,7 @@ class Held:
     clients: int
 
 
-class Server:
+class ExplorerServer:
     """`lpn explore` on a free port, for a `with` block.
 
     Attributes:
@@ -54,7 +54,7 @@ class Server:
     def __init__(self, options: list[str]) -> None:
         self._options = options
         self.url, self.killed = "", False
-        self._said: str | None = None
+        self._output: str | None = None
 
     def __enter__(self) -> Self:
         with socket.socket() as probe:
@@ -68,9 +68,9 @@ class Server:
         )
         deadline = time.monotonic() + START
         try:
-            while not (found := re.search(r"ready: (http://\S+)", self.said())):
+            while not (found := re.search(r"ready: (http://\S+)", self.text())):
                 if self._process.poll() is not None or time.monotonic() > deadline:
-                    raise LPNError(f"The explorer did not start. It said: {self.said().strip() or 'nothing'}")
+                    raise LPNError(f"The explorer did not start. It said: {self.text().strip() or 'nothing'}")
                 time.sleep(0.1)
         except BaseException:
             self.__exit__()
@@ -87,7 +87,7 @@ class Server:
         finally:  # also when the soak is told to stop meanwhile
             self._process.kill()
             self._process.wait()
-            self._said = self.said()
+            self._output = self.text()
             self._log.close()
 
     @property
@@ -95,15 +95,15 @@ class Server:
         """Whether it still runs."""
         return self._process.poll() is None
 
-    def said(self) -> str:
+    def text(self) -> str:
         """All that it printed, also after it ended."""
-        return Path(self._log.name).read_text("utf-8", errors="replace") if self._said is None else self._said
+        return Path(self._log.name).read_text("utf-8", errors="replace") if self._output is None else self._output
 
     def tracebacks(self) -> list[str]:
         """Those in what it printed, each with the line that names the error."""
-        return [found[0] for found in _TRACEBACK.finditer(self.said())]
+        return [found[0] for found in _TRACEBACK.finditer(self.text())]
 
-    def held(self, at: float, clients: int) -> Held | None:
+    def sample(self, at: float, clients: int) -> ResourceSample | None:
         """What it holds now; None where the system does not say (it has no /proc)."""
         of = Path(f"/proc/{self._process.pid}")
         try:
@@ -113,4 +113,4 @@ class Server:
             return None
         if "VmRSS" not in lines:  # it has ended
             return None
-        return Held(at, int(lines["VmRSS"].split()[0]) / 1024, int(lines["Threads"]), handles, clients)
+        return ResourceSample(at, int(lines["VmRSS"].split()[0]) / 1024, int(lines["Threads"]), handles, clients)

@@ -51,11 +51,11 @@ from tools.fixtures.published_results import save_result
 from tools.fixtures.websocket_client import CHUNK, Talker
 
 TASK = "drone-to-satellite"
+# What a browser has for itself.
 HELD = (
     ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, Lab, RequestContext, Upload, SweepRequest, MessageFilter, Talker, _Connection,
     viser.ClientHandle, GuiApi, SceneApi, SendBuffer,
 )  # fmt: skip
-"""What a browser has for itself."""
 
 
 class Gate:

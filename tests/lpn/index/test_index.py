@@ -34,7 +34,7 @@ from lpn.index import (
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
-from tools.fixtures.milvus_server import COLLECTION, Client, pretend
+from tools.fixtures.milvus_server import COLLECTION, FakeMilvusClient, pretend
 
 KIND = Kind("0123456789abcdef", 4, 16)
 WEIGHTS: list[list[float] | None] = [None, [1, 0, 0, 0], [0.5, 0.1, 0, 0.4]]
@@ -488,7 +488,7 @@ def test_a_full_disk_is_told_in_a_sentence(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.fixture
-def client(monkeypatch: pytest.MonkeyPatch) -> type[Client]:
+def client(monkeypatch: pytest.MonkeyPatch) -> type[FakeMilvusClient]:
     """What a client of this test meets."""
     return pretend(monkeypatch, KIND)
 
@@ -619,7 +619,9 @@ def test_the_number_of_tiles_is_checked_first(
     assert asked == [3, 3, 4]
 
 
-def test_codes_and_structure_can_be_chosen(described: Described, tmp_path: Path, client: type[Client]) -> None:
+def test_codes_and_structure_can_be_chosen(
+    described: Described, tmp_path: Path, client: type[FakeMilvusClient]
+) -> None:
     from lpn.index import FaissIndex, MilvusIndex
 
     pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
@@ -638,7 +640,7 @@ def test_codes_and_structure_can_be_chosen(described: Described, tmp_path: Path,
 def test_effort_and_depth_reach_the_engine(
     described: Described,
     tmp_path: Path,
-    client: type[Client],
+    client: type[FakeMilvusClient],
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -10,11 +10,11 @@ import pytest
 from lpn.core.errors import InputError, StoreError
 from lpn.index import MilvusIndex, create_index, open_index
 from tests.lpn.index.test_index import KIND, Tiles
-from tools.fixtures.milvus_server import COLLECTION, Client, Server, pretend
+from tools.fixtures.milvus_server import COLLECTION, FakeMilvusClient, MilvusServer, pretend
 
 
 @pytest.fixture
-def client(monkeypatch: pytest.MonkeyPatch) -> type[Client]:
+def client(monkeypatch: pytest.MonkeyPatch) -> type[FakeMilvusClient]:
     """What a client of this test meets."""
     return pretend(monkeypatch, KIND)
 
@@ -26,7 +26,7 @@ def test_no_server_is_told_in_a_sentence() -> None:
     assert "secret" not in str(told.value)
 
 
-def test_no_connection_is_left_open(client: type[Client]) -> None:
+def test_no_connection_is_left_open(client: type[FakeMilvusClient]) -> None:
     with create_index(COLLECTION, KIND):
         assert [one.closed for one in client.clients] == [True, False]
     assert all(one.closed for one in client.clients)
@@ -44,7 +44,9 @@ def test_no_connection_is_left_open(client: type[Client]) -> None:
     assert all(one.closed for one in client.clients)
 
 
-def test_a_collection_that_is_gone_is_told_at_once(client: type[Client], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_collection_that_is_gone_is_told_at_once(
+    client: type[FakeMilvusClient], monkeypatch: pytest.MonkeyPatch
+) -> None:
     from pymilvus.exceptions import MilvusException
 
     monkeypatch.setattr(time, "sleep", lambda _: pytest.fail("it waited"))
@@ -55,7 +57,7 @@ def test_a_collection_that_is_gone_is_told_at_once(client: type[Client], monkeyp
 
 
 def test_a_search_waits_for_what_was_just_written_and_for_nothing_later(
-    client: type[Client], monkeypatch: pytest.MonkeyPatch
+    client: type[FakeMilvusClient], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     levels: list[str] = []
     monkeypatch.setattr(
@@ -86,7 +88,7 @@ def test_a_search_waits_for_what_was_just_written_and_for_nothing_later(
         assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
 
 
-def test_a_milvus_index_sees_its_own_writes_and_soon_those_of_others(server: Server) -> None:
+def test_a_milvus_index_sees_its_own_writes_and_soon_those_of_others(server: MilvusServer) -> None:
     tiles = Tiles.draw(400)
     with create_index(f"{server.url}/shared", KIND) as one, create_index(f"{server.url}/shared", KIND) as other:
         other._written = -1e9  # type: ignore[attr-defined]
@@ -100,7 +102,7 @@ def test_a_milvus_index_sees_its_own_writes_and_soon_those_of_others(server: Ser
 
 @pytest.mark.parametrize("code", [1400, 1401, 1800])
 def test_a_right_that_is_missing_is_told_at_once(
-    client: type[Client], monkeypatch: pytest.MonkeyPatch, code: int
+    client: type[FakeMilvusClient], monkeypatch: pytest.MonkeyPatch, code: int
 ) -> None:
     from pymilvus.exceptions import MilvusException
 

@@ -24,20 +24,20 @@ from tests.lpn.index.test_index import (  # noqa: F401 - the contract, with `mak
     test_every_index_refuses_what_it_cannot_keep,
     test_names_of_all_kinds_come_back,
 )
-from tools.fixtures.milvus_server import Server, indexed
+from tools.fixtures.milvus_server import MilvusServer, indexed
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def make(server: Server, tmp_path: Path) -> Callable[[], Index]:
+def make(server: MilvusServer, tmp_path: Path) -> Callable[[], Index]:
     """An empty index, or the same one once more."""
     url = f"{server.url}/contract_{abs(hash(tmp_path)):x}"
     return lambda: create_index(url, KIND)
 
 
 @pytest.mark.parametrize("structure", ["ivf", "hnsw"])
-def test_a_milvus_collection_has_the_structure_asked_for(server: Server, structure: Structure) -> None:
+def test_a_milvus_collection_has_the_structure_asked_for(server: MilvusServer, structure: Structure) -> None:
     tiles, url = Tiles.draw(300), f"{server.url}/of_{structure}"
     with MilvusIndex.create(url, KIND, structure, patience=600) as index:
         tiles.add_to(index)
@@ -54,7 +54,7 @@ def test_a_milvus_collection_has_the_structure_asked_for(server: Server, structu
         assert time.monotonic() - started < 300, "a refusal is not tried again"
 
 
-def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server: Server) -> None:
+def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server: MilvusServer) -> None:
     kind = Kind("m", 4, 128)
     tiles = Tiles.draw(9000, kind=kind)
     with ThreadPoolExecutor(1) as pool:
@@ -87,7 +87,7 @@ def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server:
 
 
 @pytest.fixture(scope="module")
-def built(server: Server) -> dict[Structure, tuple[MilvusIndex, Tiles]]:
+def built(server: MilvusServer) -> dict[Structure, tuple[MilvusIndex, Tiles]]:
     """A collection of each structure whose index is built, which begins at 1,024 tiles and at a flush."""
 
     def make(structure: Structure) -> tuple[MilvusIndex, Tiles]:
@@ -188,7 +188,7 @@ def test_tiles_are_read_page_by_page(
         assert [row["name"] for row in found] == [tiles.names[i] for i in inside[np.argsort(-scores[inside])[:20]]]
 
 
-def test_what_an_answer_or_a_growing_segment_has_no_room_for_is_read_in_lots(server: Server) -> None:
+def test_what_an_answer_or_a_growing_segment_has_no_room_for_is_read_in_lots(server: MilvusServer) -> None:
     """A server's answer has 64 MB at most; and of a growing segment it looks through one list of eight."""
     kind = Kind("g", 4, 512)
     tiles = Tiles.draw(8600, kind=kind)
@@ -206,7 +206,7 @@ def test_what_an_answer_or_a_growing_segment_has_no_room_for_is_read_in_lots(ser
             np.testing.assert_allclose(found.scores, tiles.scores(query, None)[rows], rtol=0, atol=1e-12)
 
 
-def test_a_collection_that_another_let_go_of_is_loaded_again(server: Server) -> None:
+def test_a_collection_that_another_let_go_of_is_loaded_again(server: MilvusServer) -> None:
     tiles = Tiles.draw(50)
     with create_index(f"{server.url}/released", KIND) as index:
         tiles.add_to(index)
@@ -221,7 +221,7 @@ def test_a_collection_that_another_let_go_of_is_loaded_again(server: Server) -> 
             ask()
 
 
-def test_who_may_not_is_told_at_once(server: Server) -> None:
+def test_who_may_not_is_told_at_once(server: MilvusServer) -> None:
     create_index(f"{server.url}/forbidden", KIND).close()
     server.client().create_user("bob", "Password1")
     started = time.monotonic()

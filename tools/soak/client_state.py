@@ -9,7 +9,7 @@ from urllib.parse import parse_qsl
 
 
 @dataclass(frozen=True, eq=False)
-class Own:
+class OwnPicture:
     """A picture of a client's own: the name it goes by, which no other has, and the file."""
 
     name: str
@@ -17,7 +17,7 @@ class Own:
 
 
 @dataclass(frozen=True)
-class Asked:
+class ClientState:
     """All choices of one client that its ranking depends on, and which windows it has open.
 
     Attributes:
@@ -34,7 +34,7 @@ class Asked:
     query: int
     weights: tuple[float, ...]
     on: tuple[bool, ...]
-    own: Own | None = None
+    own_picture: OwnPicture | None = None
     angle: float = 0.0
     right: int = 0
     down: int = 0
@@ -43,27 +43,27 @@ class Asked:
     why: bool = False
     lab: bool = False
 
-    def picked(self, query: int) -> Asked:
+    def picked(self, query: int) -> ClientState:
         """Another query: its own picture, upright and whole."""
-        return replace(self.upright(), query=query, own=None, tile=None)
+        return replace(self.upright(), query=query, own_picture=None, tile=None)
 
-    def sent(self, own: Own) -> Asked:
+    def sent(self, own_picture: OwnPicture) -> ClientState:
         """A picture of one's own, upright and whole."""
-        return replace(self.upright(), own=own, tile=None)
+        return replace(self.upright(), own_picture=own_picture, tile=None)
 
-    def turned_to(self, task: str) -> Asked:
+    def turned_to(self, task: str) -> ClientState:
         """Another direction: its first query."""
-        return self if task == self.task else replace(self, task=task, query=0, own=None, tile=None)
+        return self if task == self.task else replace(self, task=task, query=0, own_picture=None, tile=None)
 
-    def upright(self) -> Asked:
+    def upright(self) -> ClientState:
         """The query as it was taken."""
         return replace(self, angle=0.0, right=0, down=0, zoom=1.0)
 
-    def weighed(self, part: int, weight: float) -> Asked:
+    def weighed(self, part: int, weight: float) -> ClientState:
         """Another weight of a part."""
         return replace(self, weights=(*self.weights[:part], weight, *self.weights[part + 1 :]))
 
-    def switched(self, part: int) -> Asked:
+    def switched(self, part: int) -> ClientState:
         """A part on or off."""
         return replace(self, on=(*self.on[:part], not self.on[part], *self.on[part + 1 :]))
 
@@ -74,50 +74,50 @@ class Asked:
 
     def address(self) -> dict[str, str]:
         """What the page's address must say of it, but for the names of query and tile."""
-        said = {"task": self.task}
+        text = {"task": self.task}
         numbers = (("angle", self.angle, 0), ("shift", self.right, 0), ("down", self.down, 0), ("zoom", self.zoom, 1))
-        said |= {key: f"{value:.10g}" for key, value, usual in numbers if value != usual}
+        text |= {key: f"{value:.10g}" for key, value, usual in numbers if value != usual}
         if set(self.weights) != {1.0}:
-            said["weights"] = ",".join(f"{weight:.10g}" for weight in self.weights)
+            text["weights"] = ",".join(f"{weight:.10g}" for weight in self.weights)
         if not all(self.on):
-            said["off"] = ",".join(str(part + 1) for part, on in enumerate(self.on) if not on)
-        said |= {key: "1" for key, open_ in (("why", self.why), ("lab", self.lab)) if open_}
-        return said
+            text["off"] = ",".join(str(part + 1) for part, on in enumerate(self.on) if not on)
+        text |= {key: "1" for key, open_ in (("why", self.why), ("lab", self.lab)) if open_}
+        return text
 
 
-class Naming(Protocol):
+class PictureNames(Protocol):
     """Knows the pictures' names."""
 
-    def label(self, asked: Asked) -> str:
+    def label(self, state: ClientState) -> str:
         """The name of the query."""
 
-    def address(self, asked: Asked) -> dict[str, str]:
+    def address(self, state: ClientState) -> dict[str, str]:
         """What the page's address must say of it."""
 
 
+# What the page's address says of a state. No client asks for those of the second line, so they may never be there.
 KEYS = (
     "task", "query", "with", "angle", "shift", "down", "zoom", "weights", "off", "why", "lab",
     "region", "map", "city", "apart", "rings", "heat", "shows", "part", "opacity", "theme",
 )  # fmt: skip
-"""What the page's address says of a state. No client asks for those of the second line, so they may never be there."""
 
 
-def fits(naming: Naming, asked: Asked, link: str | None, status: dict[str, str]) -> bool:
+def shows_state(names: PictureNames, state: ClientState, link: str | None, status: dict[str, str]) -> bool:
     """Whether a page's address and the attributes of its status line say that it shows what was asked for."""
     if link is None:
         return False
     shown = (status.get("query"), status.get("name"), status.get("angle"))
-    wanted = (str(asked.query), naming.label(asked), f"{asked.angle:g}")
-    return shown == wanted and _given(link) == naming.address(asked)
+    wanted = (str(state.query), names.label(state), f"{state.angle:g}")
+    return shown == wanted and _given(link) == names.address(state)
 
 
-def strange(naming: Naming, asked: Iterable[Asked], links: Iterable[str]) -> list[str]:
+def unexpected_links(names: PictureNames, state: Iterable[ClientState], links: Iterable[str]) -> list[str]:
     """What a page's addresses say that nothing of what was asked for has, such as "angle=20"; "no angle" where one says none.
 
     Each key by itself: the app reads its controls one after the other, so of two that move one may be a step ahead.
     """
-    said = [naming.address(one) for one in asked]
-    known = {key: {one.get(key) for one in said} for key in KEYS}
+    text = [names.address(one) for one in state]
+    known = {key: {one.get(key) for one in text} for key in KEYS}
     odd = [(key, given.get(key)) for given in map(_given, links) for key in KEYS if given.get(key) not in known[key]]
     return [f"no {key}" if value is None else f"{key}={value}" for key, value in odd]
 

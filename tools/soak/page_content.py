@@ -14,7 +14,7 @@ _ATTRIBUTE = re.compile(r"data-([a-z]+)=(['\"])(.*?)\2")
 
 
 @dataclass
-class Row:
+class MatchRow:
     """A tile in the list of matches.
 
     Attributes:
@@ -53,7 +53,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Shown:
+class PageContent:
     """One answer as a page shows it.
 
     Attributes:
@@ -63,7 +63,7 @@ class Shown:
     """
 
     status: dict[str, str]
-    rows: list[Row]
+    rows: list[MatchRow]
     parts: list[list[str]]
 
 
@@ -73,23 +73,23 @@ def status(html: str) -> dict[str, str]:
     return {name: unescape(value) for name, _, value in _ATTRIBUTE.findall(start.partition(">")[0])}
 
 
-def shown(status_html: str, matches: str, parts: str) -> Shown:
+def shown(status_html: str, matches: str, parts: str) -> PageContent:
     """Read the three pieces of html that say an answer."""
-    reader = _Reader()
+    reader = _MatchParser()
     reader.feed(matches)
     reader.close()
-    table = _Reader()
+    table = _MatchParser()
     table.feed(parts)
     table.close()
-    return Shown(status(status_html), reader.rows, table.table)
+    return PageContent(status(status_html), reader.rows, table.table)
 
 
-class _Reader(HTMLParser):
+class _MatchParser(HTMLParser):
     """Collects the rows of matches, and those of tables."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.rows: list[Row] = []
+        self.rows: list[MatchRow] = []
         self.table: list[list[str]] = []
         self._below = False
 
@@ -98,7 +98,7 @@ class _Reader(HTMLParser):
         classes = (given.get("class") or "").split()
         self._below |= given.get("id") == "lpn-truth"
         if "row" in classes:
-            self.rows.append(Row(int(given.get("data-index") or -1), "chosen" in classes, self._below))
+            self.rows.append(MatchRow(int(given.get("data-index") or -1), "chosen" in classes, self._below))
         elif tag == "i" and self.rows and (found := _SHARE.search(given.get("title") or "")):
             self.rows[-1].shares.append(float(found[1]))
         elif tag == "tr":

@@ -11,14 +11,14 @@ from typing import Any, Protocol
 from websockets.exceptions import WebSocketException
 
 from tools.fixtures.websocket_client import CHUNK, Talker
-from tools.soak import reading
-from tools.soak.asked import Asked, Naming, Own, fits, strange
-from tools.soak.reading import Shown
+from tools.soak import page_content
+from tools.soak.client_state import ClientState, OwnPicture, PictureNames, shows_state, unexpected_links
+from tools.soak.page_content import PageContent
 
+# Seconds within which every answer must be there, on a machine that is busy with all of the others.
 BOUND = 60.0
-"""Seconds within which every answer must be there, on a machine that is busy with all of the others."""
+# Changes a second that viser's page sends of a slider that is dragged.
 RATE = 20.0
-"""Changes a second that viser's page sends of a slider that is dragged."""
 
 
 class StoppedError(Exception):
@@ -39,7 +39,7 @@ class FaultError(Exception):
 
 
 @dataclass(frozen=True)
-class Settled:
+class SettledPage:
     """A page that shows what was asked for.
 
     Attributes:
@@ -47,11 +47,11 @@ class Settled:
         seconds: from the last change to the answer.
     """
 
-    shown: Shown
+    shown: PageContent
     seconds: float
 
 
-class Hand(Protocol):
+class PageDriver(Protocol):
     """Works a page; each call is what a person does with it. Raises FaultError and StoppedError."""
 
     def enter(self, link: str) -> None:
@@ -69,10 +69,10 @@ class Hand(Protocol):
     def choose(self, label: str, option: str) -> None:
         """Take an option."""
 
-    def send(self, own: Own) -> None:
+    def send(self, own_picture: OwnPicture) -> None:
         """Upload a picture."""
 
-    def settle(self, asked: Asked, path: Iterable[Asked] = ()) -> Settled:
+    def settle(self, state: ClientState, path: Iterable[ClientState] = ()) -> SettledPage:
         """Wait for the answer to what is asked for.
 
         Args:
@@ -83,7 +83,7 @@ class Hand(Protocol):
         """Go: "close", or "vanish" without a word."""
 
 
-class Socket:
+class WebSocketDriver:
     """One client over a websocket, which may come and go.
 
     Args:
@@ -92,11 +92,11 @@ class Socket:
         stop: set when the soak ends.
     """
 
-    def __init__(self, url: str, naming: Naming, stop: threading.Event) -> None:
-        self._url, self._naming, self._stop = url, naming, stop
+    def __init__(self, url: str, names: PictureNames, stop: threading.Event) -> None:
+        self._url, self._names, self._stop = url, names, stop
         self._talker: Talker | None = None
         self._changed = time.monotonic()
-        self._before: list[Asked] = []
+        self._before: list[ClientState] = []
 
     @property
     def talker(self) -> Talker:
@@ -149,9 +149,9 @@ class Socket:
         """Send a message of the page's own script."""
         self._sending(lambda: self.talker.tell(kind, value))
 
-    def send(self, own: Own) -> None:
+    def send(self, own_picture: OwnPicture) -> None:
         """Upload a picture."""
-        self._sending(lambda: self.talker.upload(own.name, own.content, transfer=own.name))
+        self._sending(lambda: self.talker.upload(own_picture.name, own_picture.content, transfer=own_picture.name))
 
     def begin_upload(self, name: str) -> None:
         """Send the first of three parts of a file."""
@@ -161,28 +161,30 @@ class Socket:
         """Send a frame."""
         self._sending(lambda: self.talker.raw(data))
 
-    def settle(self, asked: Asked, path: Iterable[Asked] = ()) -> Settled:
+    def settle(self, state: ClientState, path: Iterable[ClientState] = ()) -> SettledPage:
         """Wait for the answer, and see that nothing else was shown before it."""
         talker, caught = self.talker, list[tuple[dict[str, str], float, list[str], list[str]]]()
 
         def there() -> bool:  # nothing is taken in meanwhile
-            found = fits(self._naming, asked, talker.link, reading.status(talker.elements.get("lpn-status", "")))
+            found = shows_state(
+                self._names, state, talker.link, page_content.status(talker.elements.get("lpn-status", ""))
+            )
             if found:
                 caught.append((dict(talker.elements), talker.heard, list(talker.statuses), list(talker.links)))
                 talker.statuses.clear()
                 talker.links.clear()
             return found
 
-        self._await(there, f"{self._naming.address(asked)} with {self._naming.label(asked)},", None)
+        self._await(there, f"{self._names.address(state)} with {self._names.label(state)},", None)
         elements, heard, statuses, links = caught[0]
         refused = [f"{title}: {text}" for title, text in talker.notices if title == "No answer"]
         talker.notices.clear()
         if refused:
             raise FaultError("refused", " ".join(refused))
-        self._foreign([asked, *path, *self._before], statuses, links)
-        self._before = [asked]
-        found = reading.shown(*(elements.get(part, "") for part in ("lpn-status", "lpn-matches", "lpn-parts")))
-        return Settled(found, max(heard - self._changed, 0.0))
+        self._foreign([state, *path, *self._before], statuses, links)
+        self._before = [state]
+        found = page_content.shown(*(elements.get(part, "") for part in ("lpn-status", "lpn-matches", "lpn-parts")))
+        return SettledPage(found, max(heard - self._changed, 0.0))
 
     def leave(self, how: str) -> None:
         """Go, with a farewell or without."""
@@ -194,15 +196,15 @@ class Socket:
         """Whether the server ends the connection."""
         return self.talker.gone(seconds)
 
-    def _foreign(self, path: list[Asked], statuses: list[str], links: list[str]) -> None:
+    def _foreign(self, path: list[ClientState], statuses: list[str], links: list[str]) -> None:
         """Raise FaultError when a state was shown that this client never asked for."""
-        own = {(str(one.query), self._naming.label(one), f"{one.angle:g}") for one in path}
-        lines = [said for said in map(reading.status, statuses) if said.get("seq", "0") != "0"]
-        shown = {(said["query"], said["name"], said["angle"]) for said in lines}
-        if odd := shown - own:
-            raise FaultError("foreign state", f"the page showed {sorted(odd)}; asked for were {sorted(own)}")
-        if said := strange(self._naming, path, links):
-            raise FaultError("foreign state", f"the page's address said {', '.join(said)}, which was not asked for")
+        own_picture = {(str(one.query), self._names.label(one), f"{one.angle:g}") for one in path}
+        lines = [text for text in map(page_content.status, statuses) if text.get("seq", "0") != "0"]
+        shown = {(text["query"], text["name"], text["angle"]) for text in lines}
+        if odd := shown - own_picture:
+            raise FaultError("foreign state", f"the page showed {sorted(odd)}; asked for were {sorted(own_picture)}")
+        if text := unexpected_links(self._names, path, links):
+            raise FaultError("foreign state", f"the page's address said {', '.join(text)}, which was not asked for")
 
     def _await(
         self, holds: Callable[[], bool], what: str, found: str | None, again: Callable[[], None] = lambda: None
@@ -215,7 +217,7 @@ class Socket:
                     raise StoppedError
                 raise FaultError("disconnected", f"the server ended the connection while {what} was awaited")
             if time.monotonic() > deadline:
-                status = reading.status(self.talker.elements.get("lpn-status", ""))
+                status = page_content.status(self.talker.elements.get("lpn-status", ""))
                 shown = found or f"the page shows {self.talker.link} with {status}"
                 raise FaultError("no answer", f"expected {what} within {BOUND:g} s; {shown}")
             again()

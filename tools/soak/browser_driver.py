@@ -11,11 +11,12 @@ from typing import TypeVar
 from playwright.sync_api import Browser, BrowserContext, Error, Locator, Page, sync_playwright
 
 from tools.fixtures.chromium import launch
-from tools.soak import reading
-from tools.soak.asked import Asked, Naming, Own, fits, strange
-from tools.soak.hand import BOUND, RATE, FaultError, Settled, StoppedError
+from tools.soak import page_content
+from tools.soak.client_state import ClientState, OwnPicture, PictureNames, shows_state, unexpected_links
+from tools.soak.websocket_driver import BOUND, RATE, FaultError, SettledPage, StoppedError
 
 T = TypeVar("T")
+# The page writes its address late, so what it is told to write is noted when it is told, and taken with the next look.
 SHOWN = """
 () => {
   const html = (id) => document.getElementById(id)?.outerHTML ?? "";
@@ -29,12 +30,11 @@ SHOWN = """
   return [links, location.search, html("lpn-status"), html("lpn-matches"), html("lpn-parts")];
 }
 """
-"""The page writes its address late, so what it is told to write is noted when it is told, and taken with the next look."""
+# Seconds between two looks at the page.
 EVERY = 0.03
-"""Seconds between two looks at the page."""
+# How often a number is typed until the box shows it: a page that is drawn anew between marking what is there and typing
+# over it can keep a part of that, which whoever types sees.
 TYPINGS = 5
-"""How often a number is typed until the box shows it: a page that is drawn anew between marking what is there and typing over it
-can keep a part of that, which whoever types sees."""
 KEYS = {"Why this tile?": "y", "Failure laboratory": "b", "Next ›": "n", "‹ Previous": "p"}
 
 
@@ -56,7 +56,7 @@ class Chromium:
                 end()
 
 
-class Tab:
+class BrowserDriver:
     """One client in a browser, which may come and go; each visit is a profile of its own.
 
     Args:
@@ -65,13 +65,13 @@ class Tab:
         stop: set when the soak ends.
     """
 
-    def __init__(self, browser: Browser, url: str, naming: Naming, stop: threading.Event) -> None:
-        self._browser, self._url, self._naming, self._stop = browser, url, naming, stop
+    def __init__(self, browser: Browser, url: str, names: PictureNames, stop: threading.Event) -> None:
+        self._browser, self._url, self._names, self._stop = browser, url, names, stop
         self._context: BrowserContext | None = None
         self._changed = time.monotonic()
         self._link: str | None = None
         self._links: list[str] = []
-        self._before: list[Asked] = []
+        self._before: list[ClientState] = []
         self.page: Page
 
     def enter(self, link: str) -> None:
@@ -81,7 +81,7 @@ class Tab:
         self.errors: list[str] = []
         self._doing(self._open)
         self._doing(lambda: self.page.goto(f"{self._url}/?{link}"))
-        self._await(lambda: reading.status(self._look()[1]).get("seq", "0") != "0", "a first answer")
+        self._await(lambda: page_content.status(self._look()[1]).get("seq", "0") != "0", "a first answer")
         notice = self.page.locator(".mantine-Notification-closeButton")  # of software WebGL
         if self._doing(notice.count):
             self._doing(notice.first.click)
@@ -159,37 +159,37 @@ class Tab:
 
         self._changing(chosen)
 
-    def send(self, own: Own) -> None:
+    def send(self, own_picture: OwnPicture) -> None:
         """Upload a picture."""
-        file = {"name": own.name, "mimeType": "image/jpeg", "buffer": own.content}
+        file = {"name": own_picture.name, "mimeType": "image/jpeg", "buffer": own_picture.content}
         self._changing(lambda: self.page.locator("input[type=file]").set_input_files(file))  # type: ignore[arg-type]
 
     def open_tab(self, name: str) -> None:
         """Open a tab of a panel."""
         self._doing(lambda: self.page.get_by_role("tab", name=name).click())
 
-    def settle(self, asked: Asked, path: Iterable[Asked] = ()) -> Settled:
+    def settle(self, state: ClientState, path: Iterable[ClientState] = ()) -> SettledPage:
         """Wait for the answer, and see that the page's address said nothing else before it."""
         found = list[tuple[str | None, str, str, str]]()
 
         def there() -> bool:
             link, status, matches, parts = self._look()
-            if fits(self._naming, asked, link, reading.status(status)):
+            if shows_state(self._names, state, link, page_content.status(status)):
                 found.append((link, status, matches, parts))
             return bool(found)
 
-        self._await(there, f"{self._naming.address(asked)} with {self._naming.label(asked)}")
+        self._await(there, f"{self._names.address(state)} with {self._names.label(state)}")
         seconds = time.monotonic() - self._changed
         if self.errors:
             raise FaultError("page error", "; ".join(self.errors[:3]))
         links, self._links = self._links, []
-        if said := strange(self._naming, [asked, *path, *self._before], links):
-            raise FaultError("foreign state", f"the page's address said {', '.join(said)}, which was not asked for")
+        if text := unexpected_links(self._names, [state, *path, *self._before], links):
+            raise FaultError("foreign state", f"the page's address said {', '.join(text)}, which was not asked for")
         self._before = [
-            asked,
+            state,
             *path,
         ]  # a mouse may pass the last value on its way, and what follows comes after that answer
-        return Settled(reading.shown(*found[0][1:]), seconds)
+        return SettledPage(page_content.shown(*found[0][1:]), seconds)
 
     def leave(self, how: str) -> None:
         """Close the profile, or put another page into its place first."""
@@ -217,7 +217,7 @@ class Tab:
                 link, status, *_ = self._look()
                 raise FaultError(
                     "no answer",
-                    f"expected {what} within {BOUND:g} s; the page shows {link} with {reading.status(status)}",
+                    f"expected {what} within {BOUND:g} s; the page shows {link} with {page_content.status(status)}",
                 )
 
     def _changing(self, act: Callable[[], object]) -> None:
