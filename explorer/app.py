@@ -16,7 +16,7 @@ from typing import Any
 import viser
 
 from explorer.client_session import ClientSession
-from explorer.failure_lab.service import Laboratory
+from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model, open_saved
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, authenticator, is_loopback
@@ -61,8 +61,8 @@ class App:
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False
         self._sessions: dict[int, ClientSession] = {}
-        laboratory, url_state = Laboratory(workspace), UrlState(workspace)
-        self.server.on_client_connect(lambda client: self._connected(client, workspace, laboratory, url_state))
+        failure_lab, url_state = FailureLab(workspace), UrlState(workspace)
+        self.server.on_client_connect(lambda client: self._connected(client, workspace, failure_lab, url_state))
         self.server.on_client_disconnect(self._disconnected)
 
     def close(self) -> None:
@@ -79,10 +79,10 @@ class App:
             log.warning("A file is still being written")
 
     def _connected(
-        self, client: viser.ClientHandle, workspace: Workspace, laboratory: Laboratory, url_state: UrlState
+        self, client: viser.ClientHandle, workspace: Workspace, failure_lab: FailureLab, url_state: UrlState
     ) -> None:
         log.info("Browser %d connected", client.client_id)
-        self._sessions[client.client_id] = ClientSession(client, workspace, laboratory, url_state)
+        self._sessions[client.client_id] = ClientSession(client, workspace, failure_lab, url_state)
         if client.client_id not in self.server.get_clients():  # gone while its page was being built
             self._disconnected(client)
 

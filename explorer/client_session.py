@@ -16,8 +16,8 @@ from explorer.compute.ranking_progress import RankingProgress
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import DelayedCall, Worker
 from explorer.explain_window.window import ExplainWindow
-from explorer.failure_lab.service import Laboratory
-from explorer.failure_lab.window import Lab
+from explorer.failure_lab.service import FailureLab
+from explorer.failure_lab.window import FailureLabWindow
 from explorer.panels import shortcuts, tour
 from explorer.panels.panels import Panels
 from explorer.panels.query_panel import PAGE_SIZE
@@ -47,12 +47,12 @@ class ClientSession:
     Callbacks replace the state (`change`) and wake the worker; the worker analyses the newest state and draws it.
 
     Args:
-        laboratory: computes the failure laboratory's tables for all browsers.
+        failure_lab: computes the failure laboratory's tables for all browsers.
         url_state: converts states to addresses and back, for all browsers.
     """
 
     def __init__(
-        self, client: viser.ClientHandle, workspace: Workspace, laboratory: Laboratory, url_state: UrlState
+        self, client: viser.ClientHandle, workspace: Workspace, failure_lab: FailureLab, url_state: UrlState
     ) -> None:
         self._client, self._workspace, self._url_state = client, workspace, url_state
         self._lock = threading.RLock()
@@ -71,7 +71,7 @@ class ClientSession:
             self._explain_window = ExplainWindow(
                 client, workspace, self.change, self._on_error, viewport, self._reporter, self._requests
             )
-            self._lab = Lab(client, workspace, laboratory, self.change, viewport, self._reporter)
+            self._lab = FailureLabWindow(client, workspace, failure_lab, self.change, viewport, self._reporter)
             self._panels.navigation.order = self._lab.order
             handlers = {
                 "room": viewport.update,
@@ -82,7 +82,7 @@ class ClientSession:
             handlers |= self._explain_window.handlers() | self._lab.handlers()
             properties = {"steps": [asdict(step) for step in tour.steps(workspace)], "scene": SCENE}
             self._bridge = PageBridge(client.gui, handlers, properties, style.STYLE)
-            commands = self._explain_window.commands() + self._lab.orders()
+            commands = self._explain_window.commands() + self._lab.commands()
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, commands)
             self._stage = Stage(client, workspace, self._on_select)
             self._worker = Worker(self._work, self._on_error)

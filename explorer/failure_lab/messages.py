@@ -1,145 +1,270 @@
-"""What the laboratory's html may ask for, as pure functions of one browser's choices. No value is trusted; None is ignored."""
+"""The messages of the laboratory's html, validated by msgspec, and their effect on one browser's state.
+
+A message arrives as a kind and a JSON value: a list of the message's fields, or the field itself if there is only one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from explorer.failure_lab import lab_state
-from explorer.failure_lab.lab_state import MAPS, OUTCOMES, TABS, LabState, Pick
-from explorer.failure_lab.map_drawing import Drawn
-from explorer.failure_lab.service import Findings
-from lpn.core.arrays import Int64Array
+import msgspec
+from msgspec import Meta
 
-Changed = LabState | None
+from explorer.failure_lab import state
+from explorer.failure_lab.service import Findings, MapKind
+from explorer.failure_lab.state import LabState, OutcomeFilter, Tab
 
-
-def integer(value: Any, low: int, high: int) -> int | None:
-    """A whole number within low .. high, or None."""
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        return None
-    return value
+Index = Annotated[int, Meta(ge=0)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+# From the left and the top border of the map.
+MapPoint = tuple[Fraction, Fraction]
+Work = Literal["table", "pca", "umap", "ground"]
 
 
-def point(value: Any) -> tuple[float, float] | None:
-    """Fractions from the left and the top, 0 .. 1, or None."""
-    if not isinstance(value, list) or len(value) != 2:
-        return None
-    if any(isinstance(v, bool) or not isinstance(v, (int, float)) or not 0 <= v <= 1 for v in value):
-        return None
-    return float(value[0]), float(value[1])
+class LabMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
+    """A message of the laboratory's html."""
 
 
-def tab(lab: LabState, _: Findings, value: Any) -> Changed:
+class ShowTab(LabMessage):
     """Show another tab."""
-    return replace(lab, tab=value, page=0) if value in TABS else None
+
+    tab: Tab
 
 
-def outcome(lab: LabState, _: Findings, value: Any) -> Changed:
-    """All queries, or those that failed or did not."""
-    return replace(lab, outcome=value, page=0) if value in OUTCOMES else None
+class ShowOutcome(LabMessage):
+    """Show all queries, those that failed, or those that were found."""
+
+    outcome: OutcomeFilter
 
 
-def sort(lab: LabState, found: Findings, value: Any) -> Changed:
-    """Sort by a column."""
-    return lab_state.sorted_by(lab, value) if _is_column(found, value) else None
+class SortBy(LabMessage):
+    """Sort the table by a column, or reverse its order."""
+
+    column: str
 
 
-def find(lab: LabState, _: Findings, value: Any) -> Changed:
-    """Search names."""
-    return replace(lab, find=value[:200], page=0) if isinstance(value, str) else None
+class SearchNames(LabMessage):
+    """Show the queries whose name contains a text."""
+
+    text: Annotated[str, Meta(max_length=200)]
 
 
-def where(lab: LabState, found: Findings, value: Any) -> Changed:
-    """Filter."""
-    return lab_state.filtered(lab, value[:2000], found.table) if isinstance(value, str) else None
+class SetFilter(LabMessage):
+    """Show the queries that a filter selects."""
+
+    text: Annotated[str, Meta(max_length=2000)]
 
 
-def column(lab: LabState, found: Findings, value: Any) -> Changed:
-    """Show a column, or no longer."""
-    return lab_state.with_column(lab, found.table, value) if _is_column(found, value) else None
+class ToggleColumn(LabMessage):
+    """Show a column, or hide it."""
+
+    column: str
 
 
-def unpick(lab: LabState, _: Findings, value: Any) -> Changed:
-    """Take a choice away."""
-    return lab_state.unpicked(lab, value) if isinstance(value, str) else None
+class ToggleColumnChoice(LabMessage):
+    """Open or close the list of columns."""
 
 
-def part(lab: LabState, found: Findings, value: Any, names: list[str]) -> Changed:
-    """Choose the failures that a part costs most."""
-    chosen = integer(value, 0, len(names) - 1)
-    return None if chosen is None else _toggled(lab, lab_state.pick_part(found, chosen, names[chosen]))
+class RemoveSelection(LabMessage):
+    """Remove the selection of a kind."""
+
+    kind: str
 
 
-def pair(lab: LabState, found: Findings, value: Any) -> Changed:
-    """Choose the queries of one place that were answered with another."""
-    if not isinstance(value, list) or len(value) != 2 or not all(type(v) is int for v in value):
-        return None
-    return _toggled(lab, lab_state.pick_pair(found, lab, *value))
+class ClearSelections(LabMessage):
+    """Select all queries again."""
 
 
-def of_bin(lab: LabState, found: Findings, value: Any) -> Changed:
-    """Choose the queries of one bin of a column: [column, the bin's index, its name]."""
-    if not isinstance(value, list) or len(value) != 3 or not isinstance(value[0], str) or type(value[1]) is not int:
-        return None
-    return _toggled(lab, lab_state.pick_bin(found, lab, *value))
+class SelectPart(LabMessage):
+    """Select the failures that a part costs most."""
+
+    part: Index
 
 
-def map_kind(lab: LabState, found: Findings, value: Any) -> Changed:
-    """Show another map; a UMAP takes long, and so is made only when asked for."""
-    if value not in MAPS or (value == "ground" and found.task.geometry is None):
-        return None
-    return replace(lab, map=value, stopped=lab.stopped - {value})
+class SelectPair(LabMessage):
+    """Select the queries of one place that were answered with another."""
+
+    place: int
+    answered: int
 
 
-def rectangle(lab: LabState, value: Any, drawn: Drawn | None) -> Changed:
-    """Choose the queries in a rectangle of the map that is shown: [map, its corners' fractions]."""
-    if drawn is None or not isinstance(value, list) or len(value) != 3 or value[0] != lab.map:
-        return None
-    one, other = point(value[1]), point(value[2])
-    if one is None or other is None:
-        return None
-    words = "rectangle on the ground" if lab.map == "ground" else f"rectangle in the {lab.map.upper()}"
-    rows: Int64Array = drawn.inside(one, other)
-    return lab_state.picked(lab, Pick(f"in {lab.map}", words, rows))
+class SelectBin(LabMessage):
+    """Select the queries of one bin of a column's chart."""
+
+    column: str
+    index: Index
+    name: str
 
 
-def stop(lab: LabState, _: Findings | None, value: Any) -> Changed:
-    """Wait for a table or map no longer."""
-    return replace(lab, stopped=lab.stopped | {value}) if value in ("table", *MAPS) else None
+class ShowMap(LabMessage):
+    """Show another map."""
+
+    map: MapKind
 
 
-def go(lab: LabState, _: Findings | None, value: Any) -> Changed:
-    """Make a table or map after all."""
-    return replace(lab, stopped=lab.stopped - {value}) if value in ("table", *MAPS) else None
+class ToggleZoom(LabMessage):
+    """Zoom the map to the selected queries, or show all of it."""
 
 
-WITH_TABLE: dict[str, Callable[[LabState, Findings, Any], Changed]] = {
-    "lab-tab": tab,
-    "lab-outcome": outcome,
-    "lab-sort": sort,
-    "lab-find": find,
-    "lab-where": where,
-    "lab-column": column,
-    "lab-unpick": unpick,
-    "lab-pair": pair,
-    "lab-bin": of_bin,
-    "lab-map": map_kind,
-    "lab-clear": lambda lab, _, __: lab_state.cleared(lab),
-    "lab-choose": lambda lab, _, __: replace(lab, choosing=not lab.choosing),
-    "lab-fit": lambda lab, _, __: replace(lab, fit=not lab.fit),
+class SelectRectangle(LabMessage):
+    """Select the queries between two corners of the map that is shown."""
+
+    map: MapKind
+    corner: MapPoint
+    opposite: MapPoint
+
+
+class OpenPoint(LabMessage):
+    """Show the query at a point of the map."""
+
+    map: MapKind
+    point: MapPoint
+
+
+class ShowTip(LabMessage):
+    """Say which queries are at a point of the map."""
+
+    map: MapKind
+    point: MapPoint
+
+
+class TurnPage(LabMessage):
+    """Turn the table's page."""
+
+    by: Literal[-1, 1]
+
+
+class ToggleTall(LabMessage):
+    """Cover the whole stage, or its lower half."""
+
+
+class CancelWork(LabMessage):
+    """Cancel the computation of the table or of a map."""
+
+    work: Work
+
+
+class ResumeWork(LabMessage):
+    """Compute the table or a map after all."""
+
+    work: Work
+
+
+class OpenQuery(LabMessage):
+    """Show a query."""
+
+    row: Index
+
+
+class SaveNote(LabMessage):
+    """Save the tags and the note of a query."""
+
+    task: str
+    row: Index
+    tags: str
+    note: str
+
+
+class SaveCsv(LabMessage):
+    """Send the selected queries as a CSV file."""
+
+
+class SaveReport(LabMessage):
+    """Make a report of the selected queries."""
+
+
+class CloseLab(LabMessage):
+    """Close the window."""
+
+
+MESSAGES: dict[str, type[LabMessage]] = {
+    "lab-tab": ShowTab,
+    "lab-outcome": ShowOutcome,
+    "lab-sort": SortBy,
+    "lab-find": SearchNames,
+    "lab-where": SetFilter,
+    "lab-column": ToggleColumn,
+    "lab-choose": ToggleColumnChoice,
+    "lab-unpick": RemoveSelection,
+    "lab-clear": ClearSelections,
+    "lab-part": SelectPart,
+    "lab-pair": SelectPair,
+    "lab-bin": SelectBin,
+    "lab-map": ShowMap,
+    "lab-fit": ToggleZoom,
+    "lab-rect": SelectRectangle,
+    "lab-point": OpenPoint,
+    "lab-tip": ShowTip,
+    "lab-page": TurnPage,
+    "lab-tall": ToggleTall,
+    "lab-stop": CancelWork,
+    "lab-go": ResumeWork,
+    "lab-open": OpenQuery,
+    "lab-note": SaveNote,
+    "lab-csv": SaveCsv,
+    "lab-report": SaveReport,
+    "lab-close": CloseLab,
 }
-"""Messages that mean something once there is a table."""
 
 
-def _toggled(lab: LabState, pick: Pick | None) -> Changed:
-    """Choose, or no longer where that is what is chosen."""
-    if pick is None:
+def decode(kind: str, value: Any) -> LabMessage | None:
+    """Return the message that a JSON value holds, None if it holds none of this kind."""
+    message_type = MESSAGES[kind]
+    count = len(message_type.__struct_fields__)
+    try:
+        return msgspec.convert(value if count > 1 else [value][:count], message_type)
+    except (msgspec.ValidationError, UnicodeEncodeError):
         return None
-    same = any(one.same(pick) for one in lab.picks)
-    return lab_state.unpicked(lab, pick.kind) if same else lab_state.picked(lab, pick)
 
 
-def _is_column(found: Findings, value: Any) -> bool:
-    return isinstance(value, str) and value in found.table.columns
+def apply(message: LabMessage, lab: LabState, findings: Findings | None) -> LabState:
+    """Return the state after a message; one that means nothing in this state changes nothing.
+
+    Args:
+        findings: None before the table is there; most messages need it.
+    """
+    match message:
+        case ToggleTall():
+            return replace(lab, tall=not lab.tall)
+        case TurnPage(by):
+            return replace(lab, page=max(lab.page + by, 0))
+        case CancelWork(work):
+            return replace(lab, cancelled=lab.cancelled | {work})
+        case ResumeWork(work):
+            return replace(lab, cancelled=lab.cancelled - {work})
+    return lab if findings is None else _apply_to_table(message, lab, findings)
+
+
+def _apply_to_table(message: LabMessage, lab: LabState, findings: Findings) -> LabState:
+    selection = None
+    match message:
+        case ShowTab(tab):
+            return replace(lab, tab=tab, page=0)
+        case ShowOutcome(outcome):
+            return replace(lab, outcome=outcome, page=0)
+        case SortBy(column) if column in findings.table.columns:
+            return state.sort_by(lab, column)
+        case SearchNames(text):
+            return replace(lab, name_search=text, page=0)
+        case SetFilter(text):
+            return state.set_filter(lab, text, findings.table)
+        case ToggleColumn(column) if column in findings.table.columns:
+            return state.toggle_column(lab, findings.table, column)
+        case ToggleColumnChoice():
+            return replace(lab, choosing_columns=not lab.choosing_columns)
+        case RemoveSelection(kind):
+            return state.remove_selection(lab, kind)
+        case ClearSelections():
+            return state.clear(lab)
+        case ShowMap(kind) if kind != "ground" or findings.task.geometry is not None:
+            return replace(lab, map=kind, cancelled=lab.cancelled - {kind})
+        case ToggleZoom():
+            return replace(lab, zoomed=not lab.zoomed)
+        case SelectPart(part) if part < len(findings.part_names):
+            selection = state.select_part(findings, part)
+        case SelectPair(place, answered):
+            selection = state.select_pair(findings, lab, place, answered)
+        case SelectBin(column, index, name):
+            selection = state.select_bin(findings, lab, column, index, name)
+    return lab if selection is None else state.toggle_selection(lab, selection)

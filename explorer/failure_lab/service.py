@@ -1,4 +1,4 @@
-"""What the failure laboratory looks at, made once for all browsers: a table of each task, its maps, and people's notes."""
+"""The tables, maps, and notes of the failure laboratory, computed once for all browsers."""
 
 from __future__ import annotations
 
@@ -26,32 +26,34 @@ MapKind = Literal["pca", "umap", "ground"]
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What became of all queries of a task, under equal part weights.
+    """The outcomes of all queries of a task, under equal part weights.
 
     Attributes:
-        table: see `failures.table`, with the columns of `notes`.
-        flaw: why notes cannot be used, in one sentence; empty where they can.
+        table: see `query_outcomes.table`, with the columns of `notes`.
+        part_names: the names of the parts that `outcomes` numbers.
+        notes_error: why the notes cannot be used, in one sentence; empty if they can.
     """
 
     task: Task
     outcomes: Outcomes
     table: Table
-    flaw: str
+    part_names: list[str]
+    notes_error: str
 
     def note(self, row: int) -> Note:
-        """What a person said of a query."""
+        """Return the tags and the note of a query."""
         tags, text = (str(self.table.columns[name].values[row]) for name in (TAGS, NOTE))
         return Note(tuple(tags.split()), text)
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class MapPoints:
     """Queries and tiles on a plane.
 
     Attributes:
         queries, tiles: (Q, 2) and (G, 2), y upwards.
-        axes: what the axes are, in words; may be empty.
-        ground: a picture of what lies under them and its west, south, east, and north border; None for embeddings.
+        axes: the axes in words; may be empty.
+        ground: a picture of the ground, and its west, south, east, and north border; None for embeddings.
     """
 
     queries: Float64Array
@@ -60,8 +62,8 @@ class Points:
     ground: tuple[UInt8Array, tuple[float, float, float, float]] | None = None
 
 
-class Laboratory:
-    """Tables and maps of an workspace's tasks; thread-safe."""
+class FailureLab:
+    """Tables and maps of a workspace's tasks; thread-safe. A `client` is any object that stands for one browser."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._jobs, self._lock = workspace, BackgroundJobs(), threading.Lock()
@@ -69,76 +71,78 @@ class Laboratory:
         self.notes = workspace.root / notes.NAME
 
     @property
-    def umap(self) -> bool:
+    def has_umap(self) -> bool:
         """Whether the extra for UMAP is installed."""
         return find_spec("umap") is not None
 
     def findings(self, task: str) -> Findings | None:
-        """A task's table with the newest notes, None before it is made."""
+        """Return a task's findings with the newest notes, None before they are computed."""
         return self._findings.get(task)
 
-    def build(self, task: str, who: object) -> BackgroundJob[None]:
-        """Make a task's table."""
-        return self._jobs.join(task, who, lambda progress: self._build(self._workspace.tasks[task], progress))
+    def build(self, task: str, client: object) -> BackgroundJob[None]:
+        """Start or join the computation of a task's findings."""
+        return self._jobs.join(task, client, lambda progress: self._build(self._workspace.tasks[task], progress))
 
-    def points(self, kind: MapKind, task: str, who: object) -> BackgroundJob[Points]:
-        """Make a map of a task; `ground` only where the task has places."""
+    def points(self, kind: MapKind, task: str, client: object) -> BackgroundJob[MapPoints]:
+        """Start or join the computation of a map; `ground` requires that the task has places."""
         return self._jobs.join(
-            (kind, task), who, lambda progress: self._points(kind, self._workspace.tasks[task], progress)
+            (kind, task), client, lambda progress: self._points(kind, self._workspace.tasks[task], progress)
         )
 
-    def again(self, task: str, kind: MapKind | None = None) -> None:
-        """Forget that a table or map could not be made."""
-        self._jobs.forget_failed(task if kind is None else (kind, task))
+    def retry(self, task: str, work: Literal["table"] | MapKind) -> None:
+        """Forget that the table or a map failed, so that the next request computes it again."""
+        self._jobs.forget_failed(task if work == "table" else (work, task))
 
-    def leave(self, who: object, task: str | None = None, kind: MapKind | None = None) -> None:
-        """Wait no longer for a table or map, or for anything; work that nobody waits for ends."""
-        self._jobs.leave(who, None if task is None else task if kind is None else (kind, task))
+    def leave(self, client: object, task: str | None = None, kind: MapKind | None = None) -> None:
+        """Stop waiting for a table (`task`), for a map (`task` and `kind`), or for anything.
 
-    def say(self, path: str, tags: str, text: str) -> None:
-        """Keep what a person says of a query, for all browsers and on disk.
+        Work that no browser waits for is cancelled.
+        """
+        self._jobs.leave(client, None if task is None else task if kind is None else (kind, task))
+
+    def set_note(self, path: str, tags: str, text: str) -> None:
+        """Store the tags and the note of a query on disk, and show them in all browsers.
 
         Raises:
             LPNError: as `notes.set_note`; then nothing has changed.
         """
-        said = notes.set_note(self.notes, path, tags, text)
+        stored = notes.set_note(self.notes, path, tags, text)
         with self._lock:
-            for name, found in self._findings.items():
-                table = found.table.with_columns(notes.columns(said, found.table.paths))
-                self._findings[name] = replace(found, table=table, flaw="")
+            for name, findings in self._findings.items():
+                table = findings.table.with_columns(notes.columns(stored, findings.table.paths))
+                self._findings[name] = replace(findings, table=table, notes_error="")
 
     def _build(self, task: Task, progress: ReportProgress) -> None:
         progress(0, len(task.queries))
         ranking = self._workspace.rankings[task.name].wait(self, progress).ranking
         outcomes = query_outcomes.outcomes_of(ranking, task.query_descriptors, task.gallery_descriptors)
         progress(len(task.queries), len(task.queries))
-        made = query_outcomes.table(
-            self._workspace.root, task.queries, task.gallery, outcomes, self._workspace.part_names
-        )
+        part_names = self._workspace.part_names
+        table = query_outcomes.table(self._workspace.root, task.queries, task.gallery, outcomes, part_names)
         with self._lock:
-            said, flaw = self._said()
-            table = made.with_columns(notes.columns(said, made.paths))
-            self._findings[task.name] = Findings(task, outcomes, table, flaw)
+            stored, error = self._read_notes()
+            table = table.with_columns(notes.columns(stored, table.paths))
+            self._findings[task.name] = Findings(task, outcomes, table, part_names, error)
 
-    def _said(self) -> tuple[dict[str, Note], str]:
+    def _read_notes(self) -> tuple[dict[str, Note], str]:
         try:
             return notes.read_notes(self.notes), ""
-        except LPNError as error:  # no reason to show no table
+        except LPNError as error:  # the table is useful without notes
             return {}, str(error)
 
-    def _points(self, kind: MapKind, task: Task, progress: ReportProgress) -> Points:
+    def _points(self, kind: MapKind, task: Task, progress: ReportProgress) -> MapPoints:
         if kind == "ground":
             assert task.geometry is not None
             queries = geo.on_plane(task.geometry.queries, task.geometry.origin)
             ground = self._workspace.mosaic(task), task.geometry.bounds()
-            return Points(queries, task.geometry.ground, ground=ground)
+            return MapPoints(queries, task.geometry.ground, ground=ground)
         if kind == "umap":
-            found = in_process(
-                progress, embedding_map.umap, np.asarray(task.query_descriptors), np.asarray(task.gallery_descriptors)
-            )
-            return Points(found.queries, found.tiles, "neighbours are alike; distances between groups mean little")
-        found = embedding_map.pca(task.query_descriptors, task.gallery_descriptors)
-        assert found.variance is not None
-        first, second = 100 * found.variance
+            descriptors = np.asarray(task.query_descriptors), np.asarray(task.gallery_descriptors)
+            embedding = in_process(progress, embedding_map.umap, *descriptors)
+            axes = "neighbours are alike; distances between groups mean little"
+            return MapPoints(embedding.queries, embedding.tiles, axes)
+        embedding = embedding_map.pca(task.query_descriptors, task.gallery_descriptors)
+        assert embedding.variance is not None
+        first, second = 100 * embedding.variance
         axes = f"{first:.0f} % of the variance across, {second:.0f} % upwards"
-        return Points(found.queries, found.tiles, axes)
+        return MapPoints(embedding.queries, embedding.tiles, axes)

@@ -1,17 +1,15 @@
-"""The html of the failure laboratory: what is chosen, the table, and notes. Everything from a file is escaped."""
+"""HTML of the failure laboratory's table, controls, and messages, from the templates in `web/templates/failure_lab`."""
 
 from __future__ import annotations
 
-from html import escape
-from typing import Any
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob
-from explorer.failure_lab.lab_state import ALWAYS, OUTCOMES, TABS, LabState, extra_columns
 from explorer.failure_lab.service import Findings
-from explorer.web.render import SIGNS, send
-from explorer.web.style import verdict_ink
+from explorer.failure_lab.state import FIXED_COLUMNS, LabState, OutcomeFilter, Tab, extra_columns
+from explorer.web.render import render
 from explorer.workspace import Workspace
 from lpn.analysis.notes import Note
 from lpn.core.arrays import Int64Array
@@ -25,211 +23,157 @@ _HINTS = {
     "answer": "The tile that came first",
     "distance": "From what the query shows to the centre of the answer",
 }
-_STAY = "onkeydown='event.stopPropagation()'"
-"""What is typed into a box is no command and moves no camera."""
 
 
-def bar(found: Findings, lab: LabState) -> str:
-    """Which tab, which outcome, and what can be done."""
-    tabs = "".join(_choice("lab-tab", tab, tab.capitalize(), tab == lab.tab) for tab in TABS)
-    failed = int(found.outcomes.failed.sum())
-    counts = dict(zip(OUTCOMES, (len(found.table), failed, len(found.table) - failed), strict=True))
-    outcomes = "".join(
-        _choice("lab-outcome", name, f"{_sign(name)}{name} {counts[name]:,}", name == lab.outcome) for name in OUTCOMES
-    )
-    size = ("⤡", "Leave the compared pair in sight") if lab.tall else ("⤢", "Over the whole stage")
-    return (
-        f"<div class='lpn lab-bar num'><span class='seg'>{tabs}</span><span class='seg'>{outcomes}</span>"
-        "<span class='acts'>"
-        f"<a {send('lab-csv')} title='Save the chosen queries with all columns, tags, and notes'>CSV</a>"
-        f"<a {send('lab-report')} title='Save a page about each of the chosen queries (200 at most)'>Report</a>"
-        f"<a id='lpn-lab-tall' {send('lab-tall')} title='{size[1]}'>{size[0]}</a>"
-        f"<a {send('lab-close')} title='Close (B)'>✕</a></span></div>"
-    )
+class _Cell(NamedTuple):
+    """A cell of the table; `bar` is the start and the width of its bar in percent, and the colour."""
+
+    style: str
+    text: str
+    title: str = ""
+    picture: str = ""
+    right: bool | None = None
+    swatch: int | None = None
+    bar: tuple[float, float, str] | None = None
 
 
-def boxes(found: Findings, lab: LabState) -> str:
-    """The boxes to type into; sent again only when something else than typing changed what they hold."""
-    example = "rank > 5"
-    column = found.table.columns.get("altitude")
-    if column is not None:
-        example += f" and altitude > {np.nanmedian(column.values):.0f}"
-    return (
-        f"<div class='lpn lab-boxes' data-texts='{lab.texts}'>"
-        f"<input type='search' id='lpn-lab-find' aria-label='Name contains' placeholder='Name contains' "
-        f"value='{escape(lab.find)}' maxlength='200' oninput='lpn.typed(this,\"lab-find\")' {_STAY}>"
-        f"<input type='search' id='lpn-lab-where' aria-label='Filter' placeholder='Filter, such as {escape(example)}' "
-        f"value='{escape(lab.typed)}' maxlength='1100' spellcheck='false' oninput='lpn.typed(this,\"lab-where\")' {_STAY}></div>"
-    )
+def bar(findings: Findings, lab: LabState) -> str:
+    """Return the bar of tabs, outcomes, and actions."""
+    failed, queries = int(findings.outcomes.failed.sum()), len(findings.table)
+    counts = dict(zip(get_args(OutcomeFilter), (queries, failed, queries - failed), strict=True))
+    return render("failure_lab/bar", lab=lab, tabs=get_args(Tab), counts=counts)
 
 
-def said(found: Findings, lab: LabState, rows: Int64Array, page: tuple[int, int]) -> str:
-    """How many queries are chosen and by what, and what is wrong with the filter.
+def search_boxes(findings: Findings, lab: LabState) -> str:
+    """Return the text boxes. Sending them again discards what the user is typing: do so after other changes only."""
+    altitude = findings.table.columns.get("altitude")
+    example = "" if altitude is None else f" and altitude > {np.nanmedian(altitude.values):.0f}"
+    return render("failure_lab/search_boxes", lab=lab, example=f"rank > 5{example}")
+
+
+def summary(findings: Findings, lab: LabState, rows: Int64Array, page: tuple[int, int]) -> str:
+    """Return the number of selected queries, the selections, and errors of the filter and the notes.
 
     Args:
-        page: position of the first row that is shown, and how many a page has.
+        page: position of the first row on the page, and rows on a page.
     """
-    first, count = page
-    pager = (
-        f"<span class='turn'>{_choice('lab-choose', None, 'Columns', lab.choosing)}"
-        f"<span class='pager'><a {send('lab-page', -1)} title='Earlier rows'>‹</a><span id='lpn-lab-page'>"
-        f"{min(first + 1, len(rows)):,}–{min(first + count, len(rows)):,}</span>"
-        f"<a {send('lab-page', 1)} title='Later rows'>›</a></span></span>"
-        if lab.tab == "table"
-        else ""
-    )
-    picks = "".join(
-        f"<a class='pick' {send('lab-unpick', pick.kind)} title='Take this choice away'>{escape(pick.words)} ✕</a>"
-        for pick in lab.picks
-    )
-    chosen = lab.picks or lab.where or lab.find.strip() or lab.outcome != "all"
-    clear = f"<a class='link' {send('lab-clear')}>show all</a>" if chosen else ""
-    flaw = f"<div class='flaw' role='alert'>⚠ {escape(lab.flaw)}</div>" if lab.flaw else ""
-    unread = f"<div class='flaw'>⚠ Notes are left out: {escape(found.flaw)}</div>" if found.flaw else ""
-    failed = int(found.outcomes.failed[rows].sum())
-    share = f", {failed:,} failed ({100 * failed / len(rows):.1f} %)" if len(rows) else ""
-    return (
-        f"<div class='lpn lab-said num'><div class='line'><span id='lpn-lab-count'>{len(rows):,} of {len(found.table):,} queries"
-        f"{share}</span>{picks}{clear}<span class='dim'>all parts weigh alike here</span><span class='gap'></span>"
-        f"{pager}</div>{flaw}{unread}</div>"
+    return render(
+        "failure_lab/summary",
+        lab=lab,
+        selected=len(rows),
+        queries=len(findings.table),
+        failed=int(findings.outcomes.failed[rows].sum()),
+        first=min(page[0] + 1, len(rows)),
+        last=min(sum(page), len(rows)),
+        narrowed=bool(lab.selections or lab.filter or lab.name_search.strip() or lab.outcome != "all"),
+        notes_error=findings.notes_error,
     )
 
 
-def columns(found: Findings, lab: LabState) -> str:
-    """The columns to choose from."""
-    shown = extra_columns(lab, found.table)
-    chips = "".join(
-        f"<a class='{'chosen' if name in shown else ''}' {send('lab-column', name)}>{escape(name)}</a>"
-        for name in found.table.columns
-        if name not in ALWAYS
-    )
-    return f"<div class='lpn'><div class='lab-chips' id='lpn-lab-columns'>Columns {chips}</div></div>"
+def column_choice(findings: Findings, lab: LabState) -> str:
+    """Return the columns to choose from."""
+    names = [name for name in findings.table.columns if name not in FIXED_COLUMNS]
+    return render("failure_lab/columns", names=names, shown=extra_columns(lab, findings.table))
 
 
-def table(found: Findings, lab: LabState, workspace: Workspace, shown: Int64Array, query: int | None) -> str:
-    """One page of the table."""
-    if not len(shown):
-        return (
-            "<div class='lpn lab-empty' id='lpn-lab-table'>No query is left by these choices; "
-            f"<a class='link' {send('lab-clear')}>show all</a>.</div>"
+def table(findings: Findings, lab: LabState, workspace: Workspace, rows: Int64Array, query: int | None) -> str:
+    """Return one page of the table.
+
+    Args:
+        rows: the queries on the page.
+        query: the query that the explorer shows.
+    """
+    names = [name for name in (*FIXED_COLUMNS, *extra_columns(lab, findings.table)) if name in findings.table.columns]
+    columns = [findings.table.columns[name] for name in names]
+    margins = findings.outcomes.margin
+    limit = float(np.nanmax(np.abs(margins))) if np.isfinite(margins).any() else 1.0
+    lines = [
+        (
+            row,
+            workspace.thumbnail(findings.task.queries[row].path),
+            [_cell(findings, workspace, column, row, limit) for column in columns],
         )
-    names = [name for name in (*ALWAYS, *extra_columns(lab, found.table)) if name in found.table.columns]
-    listed = [found.table.columns[name] for name in names]
-    head = "".join(_heading(column, lab) for column in listed)
-    limit = float(np.nanmax(np.abs(found.outcomes.margin))) if np.isfinite(found.outcomes.margin).any() else 1.0
-    lines = "".join(
-        f"<tr class='{'chosen' if row == query else ''}' data-row='{row}' {send('lab-open', row)}>"
-        f"<td class='pic'><img src='{workspace.thumbnail(found.task.queries[row].path)}' alt=''></td>"
-        f"{''.join(_cell(found, workspace, column, row, limit) for column in listed)}</tr>"
-        for row in shown.tolist()
-    )
-    return (
-        f"<div class='lpn lab-table num' id='lpn-lab-table'><table><thead><tr><th class='pic'></th>{head}</tr></thead>"
-        f"<tbody>{lines}</tbody></table></div>"
-    )
+        for row in rows.tolist()
+    ]
+    return render("failure_lab/table", lab=lab, columns=columns, hints=_HINTS, lines=lines, query=query)
 
 
-def note(found: Findings, row: int, note: Note, opened: int) -> str:
-    """Boxes for the tags and the note of a query; `opened` counts how often they were filled."""
-    task, name = found.task.name, found.task.queries[row].name
-    return (
-        f"<div class='lpn lab-note' data-task='{escape(task)}' data-row='{row}' data-opened='{opened}'><b>{escape(name)}</b>"
-        f"<input id='lpn-lab-tags' aria-label='Tags' placeholder='Tags: night blur' value='{escape(' '.join(note.tags))}' "
-        f"maxlength='1000' onchange='lpn.note(this)' {_STAY}>"
-        f"<textarea id='lpn-lab-note' aria-label='Note' placeholder='Note' rows='1' maxlength='2100' onchange='lpn.note(this)' "
-        f"{_STAY}>\n{escape(note.text)}</textarea><a onclick='lpn.note(this)'>Save</a></div>"
-    )
+def note(findings: Findings, row: int, note: Note, revision: int) -> str:
+    """Return the boxes for the tags and the note of a query; `revision` counts how often they were filled."""
+    name = findings.task.queries[row].name
+    return render("failure_lab/note", task=findings.task.name, row=row, name=name, note=note, revision=revision)
 
 
 def message(text: str, good: bool) -> str:
-    """What became of saving."""
-    if not text:
-        return ""
-    return (
-        f"<div class='lpn {'dim' if good else 'flaw'}' id='lpn-lab-message'>{'' if good else '⚠ '}{escape(text)}</div>"
-    )
+    """Return a line that reports success or an error."""
+    return render("failure_lab/message", text=text, good=good)
 
 
-def waiting(job: BackgroundJob[Any] | None, what: str, cancelled: bool, key: str) -> str:
-    """How far some work is, with cancel; why there is no result, with another try; or that it was cancelled."""
-    if cancelled:
-        body = f"<div>{escape(what)} was cancelled. <a class='link' {send('lab-go', key)}>Go on</a></div>"
-    elif job is not None and job.error is not None:
-        body = (
-            f"<div class='flaw' role='alert'>⚠ {escape(what)} is not there: {escape(job.error)} "
-            f"<a class='link' {send('lab-go', key)}>Try again</a></div>"
-        )
-    else:
-        done, total, seconds = (0, 0, 0.0) if job is None else (job.done, job.total, job.elapsed)
-        share = 100 * done / total if total else 0.0
-        far = f"{share:.0f} % ({done:,} of {total:,} queries)" if total else f"{seconds:.0f} s so far"
-        line = f"<div class='bar'><i style='width:{share:.1f}%'></i></div>" if total else ""
-        body = f"<div>{escape(what)}: {far} <a class='link' {send('lab-stop', key)}>Cancel</a></div>{line}"
-    return f"<div class='lpn lab-empty' id='lpn-lab-waiting'>{body}</div>"
-
-
-def tip(found: Findings, workspace: Workspace, rows: Int64Array, count: int) -> str:
-    """What is shown beside the mouse over queries on a map, the first of them; the page puts it there when its picture has come.
+def waiting(job: BackgroundJob[Any] | None, subject: str, cancelled: bool, work: str) -> str:
+    """Return the progress of some work with a link that cancels it, or a link that starts it again.
 
     Args:
-        rows: one or more queries at one place.
-        count: tells this one from the last.
+        subject: the work in words.
+        work: the work as messages call it.
+    """
+    error = None if job is None else job.error
+    done, total, seconds = (0, 0, 0.0) if job is None else (job.done, job.total, job.elapsed)
+    return render(
+        "failure_lab/waiting",
+        subject=subject,
+        cancelled=cancelled,
+        work=work,
+        error=error,
+        done=done,
+        total=total,
+        seconds=seconds,
+    )
+
+
+def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: int) -> str:
+    """Return the tip on a map's queries; the page places it beside the mouse when its picture has loaded.
+
+    Args:
+        rows: the queries at one place, at least one; the tip shows the first.
+        revision: counts the tips, so that the same tip is sent again.
     """
     row = int(rows[0])
-    entry = found.task.queries[row]
-    rank, answer, margin = (found.table.columns[name].text(row) for name in ("rank", "answer", "margin"))
-    true = bool(found.outcomes.rank[row] == 0)
-    became = "found" if true else f"answer {answer}, truth {f'rank {rank}' if rank else 'not in the gallery'}"
-    failed = int(found.outcomes.failed[rows].sum())
-    others = f"<div class='dim'>{failed} of the {len(rows)} queries here failed</div>" if len(rows) > 1 else ""
-    return (
-        f"<div class='lpn lab-tip num' data-count='{count}' data-row='{row}'><img src='{workspace.thumbnail(entry.path)}' alt='' "
-        f"onload='lpn.tip(this.parentElement)'><div><b>{escape(entry.name)}</b><div>{_signed(true)} {escape(became)}</div>"
-        f"<div class='dim'>margin {margin or 'unknown'}</div>{others}</div></div>"
+    picture = findings.task.queries[row]
+    rank, answer, margin = (findings.table.columns[name].text(row) for name in ("rank", "answer", "margin"))
+    return render(
+        "failure_lab/tip",
+        row=row,
+        revision=revision,
+        thumbnail=workspace.thumbnail(picture.path),
+        name=picture.name,
+        right=bool(findings.outcomes.rank[row] == 0),
+        rank=rank,
+        answer=answer,
+        margin=margin,
+        count=len(rows),
+        failed=int(findings.outcomes.failed[rows].sum()),
     )
 
 
-def _choice(kind: str, value: object, words: str, chosen: bool) -> str:
-    return f"<a class='{'chosen' if chosen else ''}' {send(kind, value)}>{words}</a>"
-
-
-def _sign(outcome: str) -> str:
-    return "" if outcome == "all" else f"{_signed(outcome == 'found')} "
-
-
-def _signed(true: bool) -> str:
-    return f"<b style='color:{verdict_ink(true)}'>{SIGNS[true]}</b>"
-
-
-def _heading(column: Column, lab: LabState) -> str:
-    arrow, order = "", "none"
-    if column.name == lab.sort:
-        arrow, order = (" ▼", "descending") if lab.descending else (" ▲", "ascending")
-    unit = f" <span class='dim'>{escape(column.unit)}</span>" if column.unit else ""
-    return (
-        f"<th class='{column.kind}' aria-sort='{order}' {send('lab-sort', column.name)} "
-        f"title='{escape(_HINTS.get(column.name, column.name))}; click to sort'>{escape(column.name)}{unit}{arrow}</th>"
-    )
-
-
-def _cell(found: Findings, workspace: Workspace, column: Column, row: int, limit: float) -> str:
-    text = column.text(row)
-    if column.name == "answer" and text:
-        tile = found.task.gallery[found.outcomes.first[row]]
-        return f"<td class='text pic'><img src='{workspace.thumbnail(tile.path)}' alt=''>{escape(text)}</td>"
+def _cell(findings: Findings, workspace: Workspace, column: Column, row: int, limit: float) -> _Cell:
+    """Format a cell; `limit` is the margin at the end of the margins' scale."""
+    text, outcomes = column.text(row), findings.outcomes
     if column.name == "rank":
-        return f"<td class='number'>{_signed(bool(found.outcomes.rank[row] == 0))} {text or '–'}</td>"
-    if column.name == "margin" and text:
+        return _Cell("number", text or "–", right=bool(outcomes.rank[row] == 0))
+    if not text:
+        return _Cell(column.kind, "")
+    if column.name == "answer":
+        tile = findings.task.gallery[outcomes.first[row]]
+        return _Cell("text pic", text, picture=workspace.thumbnail(tile.path))
+    if column.name == "part":
+        return _Cell("text", text, swatch=int(outcomes.decides[row]))
+    if column.name == "margin":
         value = float(column.values[row])
+        start, width = 50 - max(-value, 0) / limit * 50, abs(value) / limit * 50
         colour = overlays.css(overlays.verdict_colour(value >= 0))
-        left = 50 - max(-value, 0) / limit * 50
-        piece = f"<i style='left:{left:.1f}%;width:{abs(value) / limit * 50:.1f}%;background:{colour}'></i>"
-        return f"<td class='number margin'>{value:+.3f}<div>{piece}</div></td>"
-    if column.name == "part" and text:
-        colour = overlays.css(overlays.part_colour(int(found.outcomes.decides[row])))
-        return f"<td class='text'><i class='swatch' style='background:{colour}'></i>{escape(text)}</td>"
-    if column.name == "distance" and text:
+        return _Cell("number margin", f"{value:+.3f}", bar=(start, width, colour))
+    if column.name == "distance":
         text = f"{float(column.values[row]):,.0f}"
-    if column.name.startswith("margin_") and text:
+    elif column.name.startswith("margin_"):
         text = f"{float(column.values[row]):+.3f}"
-    return f"<td class='{column.kind}' title='{escape(text)}'>{escape(text)}</td>"
+    return _Cell(column.kind, text, title=text)

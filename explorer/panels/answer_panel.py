@@ -29,7 +29,7 @@ class AnswerPanel:
     def __init__(self, gui: viser.GuiApi, workspace: Workspace, change: Callable[[StateChange], None]) -> None:
         self._workspace, self._change = workspace, change
         self._header, self._verdict = Html(gui), Html(gui)
-        self._shown: pages.Shown | None = None
+        self._shown: pages.ShownAnalysis | None = None
         self._status = Html(gui, pages.status(None))
         with gui.add_folder("Matches"):
             self._matches = Html(gui)
@@ -64,7 +64,7 @@ class AnswerPanel:
         self._verdict.show(pages.verdict(analysis, workspace))
         self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
         self._table.show(pages.parts_table(analysis, workspace))
-        self._shown = pages.Shown(analysis, sequence, time.perf_counter() - started)
+        self._shown = pages.ShownAnalysis(analysis, sequence, time.perf_counter() - started)
         self.show_idle()
 
     def show_results(self, ranking: RankingJob) -> None:

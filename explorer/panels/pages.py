@@ -24,7 +24,7 @@ PARTS_NOTE = (
 )
 
 
-class Shown(NamedTuple):
+class ShownAnalysis(NamedTuple):
     """The analysis that a page shows, its sequence number, and the seconds that drawing it took."""
 
     analysis: StateAnalysis
@@ -67,7 +67,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
     return render("panels/verdict", verdict=right, headline=headline, reason=reason, all_parts_off=all_parts_off)
 
 
-def status(shown: Shown | None, waiting: Literal["", "computing", "full"] = "") -> str:
+def status(shown: ShownAnalysis | None, waiting: Literal["", "computing", "full"] = "") -> str:
     """Return the status line; its attributes say which state the page shows.
 
     Args:

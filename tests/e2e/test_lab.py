@@ -157,7 +157,7 @@ def test_a_filter_narrows_the_table_and_a_wrong_one_is_said_beside_it(
     expect(box).to_be_focused()
     assert lab.sequence() == answers  # no letter was a command
     box.fill("wether = rain")
-    expect(lab.page.locator(".lab-said .flaw")).to_contain_text("There is no column 'wether'")
+    expect(lab.page.locator(".lab-summary .error")).to_contain_text("There is no column 'wether'")
     expect_rows(lab, rows)
     expect(box).to_have_value("wether = rain")
     lab.page.locator("#lpn-lab-find").fill("0005")
@@ -213,8 +213,8 @@ def test_clicks_in_the_breakdown_choose_what_they_count(
     line = lab.page.locator(".card .line", has_text=f"{pair.place:04d} taken for")
     line.click()
     expect(lab.count).to_contain_text(f"{pair.count} of 40 queries, {pair.count} failed")
-    expect(lab.page.locator(".lab-said .pick")).to_contain_text(f"{pair.place:04d} taken for {pair.answered:04d}")
-    lab.page.locator(".lab-said .pick").click()
+    expect(lab.page.locator(".lab-summary .pick")).to_contain_text(f"{pair.place:04d} taken for {pair.answered:04d}")
+    lab.page.locator(".lab-summary .pick").click()
     expect(lab.count).to_contain_text("40 of 40 queries")
     rates = breakdown.rates(outcomes.failed, table.columns["weather"])
     card = lab.page.locator(".card", has_text="Failures by weather")
@@ -256,7 +256,7 @@ def test_a_rectangle_on_a_map_chooses_queries_and_a_click_opens_one(
     everything = picture.get_attribute("src")
     drag(lab, (0.0, 0.0), (1.0, 0.999))
     expect(lab.count).to_contain_text("40 of 40 queries")
-    expect(lab.page.locator(".lab-said .pick")).to_contain_text("rectangle in the PCA")
+    expect(lab.page.locator(".lab-summary .pick")).to_contain_text("rectangle in the PCA")
     drag(lab, (0.02, 0.02), (0.5, 0.98))
     expect(lab.count).not_to_contain_text("40 of 40")
     left = int((lab.count.inner_text()).split()[0])
@@ -318,7 +318,7 @@ def test_the_chosen_queries_are_saved_as_csv(lab: LabPage, truth: tuple[Outcomes
 def test_columns_are_chosen(lab: LabPage) -> None:
     heads = lab.page.locator("#lpn-lab-table thead")
     expect(heads).not_to_contain_text("weather")
-    lab.page.locator(".lab-said a", has_text="Columns").click()
+    lab.page.locator(".lab-summary a", has_text="Columns").click()
     lab.page.locator("#lpn-lab-columns a", has_text="weather").click()
     expect(heads).to_contain_text("weather")
     assert "<b>fog</b>" in lab.page.locator("#lpn-lab-table").inner_text()
@@ -414,7 +414,7 @@ def test_a_phones_sheet_stays_as_wide_as_the_phone(
     table = lab.page.locator("#lpn-lab-table")
     expect(table).to_be_visible()
     wide = "[...document.querySelectorAll('.mantine-ScrollArea-viewport')].filter(e => e.scrollWidth > e.clientWidth).length"
-    lab.page.locator(".lab-said a", has_text="Columns").tap()
+    lab.page.locator(".lab-summary a", has_text="Columns").tap()
     lab.page.locator("#lpn-lab-columns a", has_text="weather").tap()
     expect(table).to_contain_text("<b>fog</b>")
     assert table.evaluate("e => e.scrollWidth > e.clientWidth")  # it scrolls within itself

@@ -29,7 +29,7 @@ from explorer.compute import request_context
 from explorer.compute.request_context import RequestContext
 from explorer.explain_window.sweep_request import SweepRequest
 from explorer.explain_window.window import ExplainWindow
-from explorer.failure_lab.window import Lab
+from explorer.failure_lab.window import FailureLabWindow
 from explorer.opening import open_model, open_saved
 from explorer.panels.panels import Panels
 from explorer.server.gateway import _Connection
@@ -53,7 +53,7 @@ from tools.fixtures.websocket_client import CHUNK, Talker
 TASK = "drone-to-satellite"
 # What a browser has for itself.
 HELD = (
-    ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, Lab, RequestContext, Upload, SweepRequest, MessageFilter, Talker, _Connection,
+    ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, FailureLabWindow, RequestContext, Upload, SweepRequest, MessageFilter, Talker, _Connection,
     viser.ClientHandle, GuiApi, SceneApi, SendBuffer,
 )  # fmt: skip
 

@@ -13,7 +13,7 @@ from explorer.compute import ranking_job
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.ranking_progress import RankingProgress
 from explorer.explain_window import model_comparison
-from explorer.failure_lab.service import Laboratory
+from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model
 from explorer.panels import pages
 from explorer.workspace import Workspace
@@ -104,7 +104,7 @@ def test_a_ranking_that_nobody_waits_for_stands_still_and_goes_on(workspace: Wor
 
 
 def test_the_laboratory_waits_for_the_same_ranking(workspace: Workspace) -> None:
-    laboratory, ranking = Laboratory(workspace), workspace.rankings[TASK]
+    laboratory, ranking = FailureLab(workspace), workspace.rankings[TASK]
     job = laboratory.build(TASK, "me")
     assert job.wait(120)
     assert job.error is None

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from explorer import session_state
-from explorer.failure_lab import charts, lab_state, messages, table
-from explorer.failure_lab.lab_state import LabState, Pick
-from explorer.failure_lab.map_drawing import Drawn, draw
-from explorer.failure_lab.service import Findings, Laboratory, Points
-from explorer.failure_lab.views import MapView, NoteView
+from explorer.failure_lab import breakdown_page, messages, state, table
+from explorer.failure_lab.map_drawing import DrawnMap, draw
+from explorer.failure_lab.map_page import MapPage
+from explorer.failure_lab.messages import OpenPoint, SaveNote, SelectBin, SelectRectangle, ShowMap
+from explorer.failure_lab.note_form import NoteForm
+from explorer.failure_lab.service import FailureLab, Findings, MapPoints
+from explorer.failure_lab.state import LabState, Selection
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.web.html import Html
@@ -47,16 +49,16 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Wor
 
 
 @pytest.fixture
-def laboratory(workspace: Workspace) -> Laboratory:
-    return Laboratory(workspace)
+def service(workspace: Workspace) -> FailureLab:
+    return FailureLab(workspace)
 
 
 @pytest.fixture
-def found(laboratory: Laboratory) -> Findings:
-    assert laboratory.build(TASK, None).wait(120)
-    findings = laboratory.findings(TASK)
-    assert findings is not None
-    return findings
+def findings(service: FailureLab) -> Findings:
+    assert service.build(TASK, None).wait(120)
+    computed = service.findings(TASK)
+    assert computed is not None
+    return computed
 
 
 @pytest.fixture
@@ -64,154 +66,162 @@ def lab() -> LabState:
     return LabState(TASK)
 
 
-def failures(found: Findings) -> list[int]:
-    return np.flatnonzero(found.outcomes.failed).tolist()
+def failures(findings: Findings) -> list[int]:
+    return np.flatnonzero(findings.outcomes.failed).tolist()
 
 
-def test_the_table_is_made_once_for_all_who_ask(laboratory: Laboratory) -> None:
-    first, second = laboratory.build(TASK, "one"), laboratory.build(TASK, "other")
+def test_the_table_is_made_once_for_all_who_ask(service: FailureLab) -> None:
+    first, second = service.build(TASK, "one"), service.build(TASK, "other")
     assert first is second
     assert first.wait(120)
     assert (first.done, first.total) == (13, 13)
-    assert laboratory.findings(TASK) is laboratory.findings(TASK)
+    assert service.findings(TASK) is service.findings(TASK)
 
 
-def test_ranks_are_those_of_the_explorer(workspace: Workspace, found: Findings) -> None:
-    np.testing.assert_array_equal(found.outcomes.rank, workspace.rankings[TASK].ranks)
-    assert found.table.columns["part"].values[0] in workspace.part_names
-    assert {"distance", "altitude", "weather", "tags"} <= set(found.table.columns)
+def test_ranks_are_those_of_the_explorer(workspace: Workspace, findings: Findings) -> None:
+    np.testing.assert_array_equal(findings.outcomes.rank, workspace.rankings[TASK].ranks)
+    assert findings.table.columns["part"].values[0] in workspace.part_names
+    assert {"distance", "altitude", "weather", "tags"} <= set(findings.table.columns)
 
 
-def test_choices_narrow_each_other(found: Findings, lab: LabState) -> None:
-    failed = failures(found)
-    assert lab_state.select(found, replace(lab, outcome="failed")).tolist() == failed
-    both = lab_state.picked(replace(lab, outcome="failed"), Pick("some", "some", np.array([*failed[:2], 12])))
-    assert set(lab_state.select(found, both)) == {*failed[:2]} | ({12} & set(failed))
-    assert lab_state.select(found, both, without="some").tolist() == failed
-    assert 12 in lab_state.select(found, both, whatever=True)
-    named = replace(lab, find="0009")
-    assert [found.task.queries[row].name for row in lab_state.select(found, named)] == ["0009"]
-    assert lab_state.select(found, lab_state.cleared(both)).tolist() == list(range(13))
+def test_choices_narrow_each_other(findings: Findings, lab: LabState) -> None:
+    failed = failures(findings)
+    assert state.selected_rows(findings, replace(lab, outcome="failed")).tolist() == failed
+    both = state.add_selection(replace(lab, outcome="failed"), Selection("some", "some", np.array([*failed[:2], 12])))
+    assert set(state.selected_rows(findings, both)) == {*failed[:2]} | ({12} & set(failed))
+    assert state.selected_rows(findings, both, without="some").tolist() == failed
+    assert 12 in state.selected_rows(findings, both, any_outcome=True)
+    named = replace(lab, name_search="0009")
+    assert [findings.task.queries[row].name for row in state.selected_rows(findings, named)] == ["0009"]
+    assert state.selected_rows(findings, state.clear(both)).tolist() == list(range(13))
 
 
 def test_another_choice_of_one_kind_takes_the_place_of_the_last(lab: LabState) -> None:
-    one, other, third = (Pick(kind, words, np.zeros(0, int)) for kind, words in (("a", "x"), ("b", "y"), ("a", "z")))
-    state = lab
+    one, other, third = (
+        Selection(kind, words, np.zeros(0, int)) for kind, words in (("a", "x"), ("b", "y"), ("a", "z"))
+    )
+    narrowed = lab
     for pick in (one, other, third):
-        state = lab_state.picked(replace(state, page=3), pick)
-        assert state.page == 0
-    assert state.picks == (other, third)
-    assert lab_state.unpicked(state, "b").picks == (third,)
+        narrowed = state.add_selection(replace(narrowed, page=3), pick)
+        assert narrowed.page == 0
+    assert narrowed.selections == (other, third)
+    assert state.remove_selection(narrowed, "b").selections == (third,)
 
 
-def test_sorting_twice_turns_the_order_round(found: Findings, lab: LabState) -> None:
-    rows = found.table.rows()
-    by_rank = lab_state.sorted_by(lab, "rank")
-    assert found.outcomes.rank[lab_state.order(found, by_rank, rows)].tolist() == sorted(found.outcomes.rank.tolist())
-    again = lab_state.sorted_by(by_rank, "rank")
+def test_sorting_twice_turns_the_order_round(findings: Findings, lab: LabState) -> None:
+    by_rank = state.sort_by(lab, "rank")
+    assert findings.outcomes.rank[state.sorted_rows(findings, by_rank)].tolist() == sorted(
+        findings.outcomes.rank.tolist()
+    )
+    again = state.sort_by(by_rank, "rank")
     assert again.descending
-    assert found.outcomes.rank[lab_state.order(found, again, rows)].tolist() == sorted(found.outcomes.rank)[::-1]
-    assert not lab_state.sorted_by(again, "name").descending
+    assert findings.outcomes.rank[state.sorted_rows(findings, again)].tolist() == sorted(findings.outcomes.rank)[::-1]
+    assert not state.sort_by(again, "name").descending
 
 
-def test_a_wrong_filter_is_said_and_leaves_the_table(found: Findings, lab: LabState) -> None:
-    right = lab_state.filtered(lab, "altitude > 100 and weather = sun", found.table)
-    assert len(lab_state.select(found, right)) == 4
-    wrong = lab_state.filtered(right, "weather > 3 <script>", found.table)
-    assert (wrong.where, wrong.typed) == (right.where, "weather > 3 <script>")
-    assert "weather" in wrong.flaw
-    html = table.said(found, wrong, lab_state.select(found, wrong), (0, 9))
+def test_a_wrong_filter_is_said_and_leaves_the_table(findings: Findings, lab: LabState) -> None:
+    right = state.set_filter(lab, "altitude > 100 and weather = sun", findings.table)
+    assert len(state.selected_rows(findings, right)) == 4
+    wrong = state.set_filter(right, "weather > 3 <script>", findings.table)
+    assert (wrong.filter, wrong.filter_typed) == (right.filter, "weather > 3 <script>")
+    assert "weather" in wrong.filter_error
+    html = table.summary(findings, wrong, state.selected_rows(findings, wrong), (0, 9))
     assert "4 of 13 queries" in html
-    assert "role='alert'" in html
-    assert "<script>" not in html + table.boxes(found, wrong)
-    assert lab_state.filtered(wrong, "", found.table).flaw == ""
+    assert 'role="alert"' in html
+    assert "<script>" not in html + table.search_boxes(findings, wrong)
+    assert state.set_filter(wrong, "", findings.table).filter_error == ""
 
 
-def test_a_chart_is_not_narrowed_by_the_choice_made_in_it(found: Findings, lab: LabState) -> None:
-    weather = found.table.columns["weather"]
-    all_rates = lab_state.rates(found, lab, weather)
+def test_a_chart_is_not_narrowed_by_the_choice_made_in_it(findings: Findings, lab: LabState) -> None:
+    weather = findings.table.columns["weather"]
+    all_rates = state.failure_rates(findings, lab, weather)
     assert {rate.name for rate in all_rates} == set(WEATHERS)
     for said in WEATHERS:
         index = [rate.name for rate in all_rates].index(said)
-        pick = lab_state.pick_bin(found, lab, "weather", index, said)
+        pick = state.select_bin(findings, lab, "weather", index, said)
         assert pick is not None
         assert pick.rows.tolist() == np.flatnonzero(weather.values == said).tolist()
-        chosen = lab_state.picked(replace(lab, outcome="failed"), pick)
-        assert lab_state.rates(found, chosen, weather) == all_rates
-        altitude = lab_state.rates(found, chosen, found.table.columns["heading"])
+        chosen = state.add_selection(replace(lab, outcome="failed"), pick)
+        assert state.failure_rates(findings, chosen, weather) == all_rates
+        altitude = state.failure_rates(findings, chosen, findings.table.columns["heading"])
         assert sum(rate.queries for rate in altitude) in (len(pick.rows), 13)
-    assert lab_state.pick_bin(found, lab, "weather", 0, "hail") is None
-    assert lab_state.pick_bin(found, lab, "weather", 3, "sun") is None
-    assert lab_state.pick_bin(found, lab, "weather", -1, all_rates[-1].name) is None
-    assert lab_state.pick_bin(found, lab, "latitude", 0, "46") is None
+    assert state.select_bin(findings, lab, "weather", 0, "hail") is None
+    assert state.select_bin(findings, lab, "weather", 3, "sun") is None
+    assert state.select_bin(findings, lab, "weather", -1, all_rates[-1].name) is None
+    assert state.select_bin(findings, lab, "latitude", 0, "46") is None
 
 
-def test_a_bin_of_numbers_holds_the_queries_it_counts(found: Findings, lab: LabState) -> None:
-    for index, rate in enumerate(lab_state.rates(found, lab, found.table.columns["heading"])):
-        pick = lab_state.pick_bin(found, lab, "heading", index, rate.name)
+def test_a_bin_of_numbers_holds_the_queries_it_counts(findings: Findings, lab: LabState) -> None:
+    for index, rate in enumerate(state.failure_rates(findings, lab, findings.table.columns["heading"])):
+        pick = state.select_bin(findings, lab, "heading", index, rate.name)
         assert pick is not None
         assert len(pick.rows) == rate.queries
-        assert int(found.outcomes.failed[pick.rows].sum()) == rate.failures
+        assert int(findings.outcomes.failed[pick.rows].sum()) == rate.failures
 
 
-def known_of(found: Findings, column: Column) -> Findings:
-    return replace(found, table=found.table.with_columns([column]))
+def known_of(findings: Findings, column: Column) -> Findings:
+    return replace(findings, table=findings.table.with_columns([column]))
 
 
-def test_bins_of_large_numbers_are_told_apart(found: Findings, lab: LabState) -> None:
+def test_bins_of_large_numbers_are_told_apart(findings: Findings, lab: LabState) -> None:
     seconds = 1_700_000_000 + 150.0 * np.arange(13)
-    timed = known_of(found, number_column("time", seconds, "s"))
-    bins = lab_state.rates(timed, lab, timed.table.columns["time"])
+    timed = known_of(findings, number_column("time", seconds, "s"))
+    bins = state.failure_rates(timed, lab, timed.table.columns["time"])
     assert len({rate.name for rate in bins}) == len(bins) == 5
     assert bins[0].name.startswith("1700000000 to 17000003")
     for index, rate in enumerate(bins):
-        chosen = messages.of_bin(lab, timed, ["time", index, rate.name])
-        assert chosen is not None
-        assert seconds[chosen.picks[0].rows].min() == rate.low
-        assert len(chosen.picks[0].rows) == rate.queries
+        chosen = messages.apply(SelectBin("time", index, rate.name), lab, timed)
+        assert seconds[chosen.selections[0].rows].min() == rate.low
+        assert len(chosen.selections[0].rows) == rate.queries
 
 
-def test_a_value_called_not_known_is_not_what_is_not_known(found: Findings, lab: LabState) -> None:
+def test_a_value_called_not_known_is_not_what_is_not_known(findings: Findings, lab: LabState) -> None:
     values = ["not known"] * 4 + [""] * 5 + ["sun"] * 4
-    told = known_of(found, text_column("sky", values))
-    bins = lab_state.rates(told, lab, told.table.columns["sky"])
-    picked = [lab_state.pick_bin(told, lab, "sky", index, rate.name) for index, rate in enumerate(bins)]
+    told = known_of(findings, text_column("sky", values))
+    bins = state.failure_rates(told, lab, told.table.columns["sky"])
+    picked = [state.select_bin(told, lab, "sky", index, rate.name) for index, rate in enumerate(bins)]
     rows = {tuple(pick.rows.tolist()) for pick in picked if pick is not None}
     assert rows == {(0, 1, 2, 3), (4, 5, 6, 7, 8), (9, 10, 11, 12)}
 
 
-def test_a_chart_says_which_queries_it_counts(workspace: Workspace, found: Findings, lab: LabState) -> None:
-    some = Pick("some", "some", np.array([failures(found)[0], np.flatnonzero(~found.outcomes.failed)[0]]))
-    assert "Failures by weather, of all 13 queries" in charts.page(found, lab, workspace)
-    assert "Failures by weather, of 2 queries" in charts.page(found, lab_state.picked(lab, some), workspace)
-    # Among failures alone every rate would be 100 %.
-    assert "Failures by weather, of all 13 queries" in charts.page(found, replace(lab, where="rank > 1"), workspace)
-
-
-def test_a_report_says_all_that_chose_and_ordered_its_queries(found: Findings, lab: LabState) -> None:
-    assert lab_state.words(found, lab) == "all, sorted by margin"
-    pair = Pick("pair", "0449 taken for 0450", np.array([1, 2]))
-    part = Pick("part", "part ring 1 costs most", np.array([1]))
-    busy = lab_state.picked(
-        lab_state.picked(replace(lab, outcome="failed", where="rank > 1 ", find=" 0002 "), pair), part
+def test_a_chart_says_which_queries_it_counts(workspace: Workspace, findings: Findings, lab: LabState) -> None:
+    some = Selection("some", "some", np.array([failures(findings)[0], np.flatnonzero(~findings.outcomes.failed)[0]]))
+    assert "Failures by weather, of all 13 queries" in breakdown_page.page(findings, lab, workspace)
+    assert "Failures by weather, of 2 queries" in breakdown_page.page(
+        findings, state.add_selection(lab, some), workspace
     )
-    assert lab_state.words(found, replace(busy, sort="rank", descending=True)) == (
+    # Among failures alone every rate would be 100 %.
+    assert "Failures by weather, of all 13 queries" in breakdown_page.page(
+        findings, replace(lab, filter="rank > 1"), workspace
+    )
+
+
+def test_a_report_says_all_that_chose_and_ordered_its_queries(findings: Findings, lab: LabState) -> None:
+    assert state.describe(findings, lab) == "all, sorted by margin"
+    pair = Selection("pair", "0449 taken for 0450", np.array([1, 2]))
+    part = Selection("part", "part ring 1 costs most", np.array([1]))
+    busy = state.add_selection(
+        state.add_selection(replace(lab, outcome="failed", filter="rank > 1 ", name_search=" 0002 "), pair), part
+    )
+    assert state.describe(findings, replace(busy, sort_column="rank", descending=True)) == (
         "failed and rank > 1 and name ~ 0002 and 0449 taken for 0450 and part ring 1 costs most, sorted by rank, descending"
     )
-    assert lab_state.words(found, replace(lab, sort="gone")) == "all, sorted by margin"
+    assert state.describe(findings, replace(lab, sort_column="gone")) == "all, sorted by margin"
 
 
-def test_pairs_and_parts_choose_the_failures_they_count(workspace: Workspace, found: Findings, lab: LabState) -> None:
-    task = found.task
-    for one in breakdown.confusions(found.outcomes, task.query_labels, task.gallery_labels):
-        pick = lab_state.pick_pair(found, lab, one.place, one.answered)
+def test_pairs_and_parts_choose_the_failures_they_count(
+    workspace: Workspace, findings: Findings, lab: LabState
+) -> None:
+    task = findings.task
+    for one in breakdown.confusions(findings.outcomes, task.query_labels, task.gallery_labels):
+        pick = state.select_pair(findings, lab, one.place, one.answered)
         assert pick is not None
         assert pick.rows.tolist() == one.queries.tolist()
-        assert pick.words == f"{one.place:04d} taken for {one.answered:04d}"
-    assert lab_state.pick_pair(found, lab, 1, 999) is None
-    blamed = [lab_state.pick_part(found, part, name) for part, name in enumerate(workspace.part_names)]
-    assert [len(pick.rows) for pick in blamed] == breakdown.blame(found.outcomes).tolist()
-    assert sorted(row for pick in blamed for row in pick.rows) == failures(found)
+        assert pick.label == f"{one.place:04d} taken for {one.answered:04d}"
+    assert state.select_pair(findings, lab, 1, 999) is None
+    blamed = [state.select_part(findings, part) for part in range(len(workspace.part_names))]
+    assert [len(pick.rows) for pick in blamed] == breakdown.blame(findings.outcomes).tolist()
+    assert sorted(row for pick in blamed for row in pick.rows) == failures(findings)
 
 
 @pytest.mark.parametrize(
@@ -236,32 +246,31 @@ def test_pairs_and_parts_choose_the_failures_they_count(workspace: Workspace, fo
         ("lab-map", "moon"),
     ],
 )
-def test_what_is_no_message_changes_nothing(found: Findings, lab: LabState, kind: str, value: Any) -> None:
-    assert messages.WITH_TABLE[kind](lab, found, value) is None
+def test_what_is_no_message_changes_nothing(findings: Findings, lab: LabState, kind: str, value: Any) -> None:
+    message = messages.decode(kind, value)
+    assert message is None or messages.apply(message, lab, findings) is lab
 
 
-def test_a_second_click_takes_a_choice_away(found: Findings, lab: LabState) -> None:
-    index = [rate.name for rate in lab_state.rates(found, lab, found.table.columns["weather"])].index("sun")
-    once = messages.of_bin(lab, found, ["weather", index, "sun"])
-    assert once is not None
-    assert [pick.words for pick in once.picks] == ["weather sun"]
-    twice = messages.of_bin(once, found, ["weather", index, "sun"])
-    assert twice is not None
-    assert twice.picks == ()
+def test_a_second_click_takes_a_choice_away(findings: Findings, lab: LabState) -> None:
+    index = [rate.name for rate in state.failure_rates(findings, lab, findings.table.columns["weather"])].index("sun")
+    message = SelectBin("weather", index, "sun")
+    once = messages.apply(message, lab, findings)
+    assert [pick.label for pick in once.selections] == ["weather sun"]
+    assert messages.apply(message, once, findings).selections == ()
 
 
 @pytest.mark.parametrize("value", [[0.5], [0, "1"], [-0.1, 0], [0, math.nan], [True, 0], None, [0, 1, 0]])
 def test_points_of_a_map_are_fractions(value: Any) -> None:
-    assert messages.point(value) is None
-    assert messages.point([0, 0.25]) == (0.0, 0.25)
+    assert messages.decode("lab-point", ["pca", value]) is None
+    assert messages.decode("lab-point", ["pca", [0, 0.25]]) == OpenPoint("pca", (0.0, 0.25))
 
 
-def plane(count: int = 9, fit: bool = False, chosen: list[int] | None = None) -> tuple[Drawn, np.ndarray]:
+def plane(count: int = 9, fit: bool = False, chosen: list[int] | None = None) -> tuple[DrawnMap, np.ndarray]:
     """Queries on a diagonal, every third of them failed."""
     places = np.column_stack([np.arange(count), np.arange(count)]).astype(float)
     failed = np.arange(count) % 3 == 0
     mask = np.isin(np.arange(count), range(count) if chosen is None else chosen)
-    points = Points(places, places + 0.25)
+    points = MapPoints(places, places + 0.25)
     return draw(points, failed, mask, np.zeros(count, np.int64), (400, 300), fit), failed
 
 
@@ -298,7 +307,7 @@ def test_fitting_shows_the_chosen_queries_only_and_clicks_mean_them_first() -> N
     assert drawn.inside((0, 0), (1, 1)).tolist() == [3, 4]
     places = np.zeros((4, 2))
     chosen = np.array([False, True, False, True])
-    same = draw(Points(places, places), chosen, chosen, np.zeros(4, np.int64), (400, 300), False)
+    same = draw(MapPoints(places, places), chosen, chosen, np.zeros(4, np.int64), (400, 300), False)
     assert same.near(0.5, 0.5).tolist() == [1, 3]
 
 
@@ -306,7 +315,7 @@ def test_a_place_of_several_queries_shows_the_share_that_failed() -> None:
     places = np.zeros((4, 2))
     ground = np.full((10, 10, 3), 200, np.uint8), (-100.0, -100.0, 100.0, 100.0)
     failed = np.array([True, False, False, False])
-    points = Points(places, places, ground=ground)
+    points = MapPoints(places, places, ground=ground)
     drawn = draw(points, failed, np.ones(4, bool), np.full(4, -1), (400, 300), False)
     patch = drawn.picture[280:321, 380:421].reshape(-1, 3)
     blue, yellow = (
@@ -316,74 +325,74 @@ def test_a_place_of_several_queries_shows_the_share_that_failed() -> None:
     assert tuple(drawn.picture[500, 400]) == (100, 100, 100)  # the ground, dimmed
 
 
-def test_a_map_is_kept_until_something_on_it_changes(laboratory: Laboratory, found: Findings, lab: LabState) -> None:
-    view, rows = MapView(laboratory, "me"), found.table.rows()
+def test_a_map_is_kept_until_something_on_it_changes(service: FailureLab, findings: Findings, lab: LabState) -> None:
+    view, rows = MapPage(service, "me"), findings.table.rows()
     for kind in ("pca", "ground"):
         shown = replace(lab, map=kind)
         for _ in range(50):
-            html, ready = view.page(found, shown, 0, rows, (760, 400))
+            html, ready = view.page(findings, shown, 0, rows, (760, 400))
             if ready:
                 break
-        assert f"data-map='{kind}'" in html
+        assert f'data-map="{kind}"' in html
         drawn = view.drawn
         assert drawn is not None
-        assert view.page(found, shown, 0, rows, (760, 400))[0] == html
+        assert view.page(findings, shown, 0, rows, (760, 400))[0] == html
         assert view.drawn is drawn
-        view.page(found, shown, 1, rows, (760, 400))
+        view.page(findings, shown, 1, rows, (760, 400))
         assert view.drawn is not drawn
-        x, y = (0.5, 0.5)
-        assert view.at(found, replace(lab, map="umap"), [kind, [x, y]]) is None
-        chosen = messages.rectangle(shown, [kind, [0, 0], [1, 1]], view.drawn)
-        assert chosen is not None
-        assert chosen.picks[0].rows.tolist() == list(range(13))
-        for wrong in ([kind, [0, 0]], ["umap", [0, 0], [1, 1]], [kind, [0, 0], [2, 1]], None):
-            assert messages.rectangle(shown, wrong, view.drawn) is None
-    assert messages.map_kind(lab, replace(found, task=replace(found.task, geometry=None)), "ground") is None
+        assert view.queries_at(findings, replace(lab, map="umap"), OpenPoint(kind, (0.5, 0.5))) is None
+        chosen = view.select_rectangle(shown, SelectRectangle(kind, (0, 0), (1, 1)))
+        assert chosen.selections[0].rows.tolist() == list(range(13))
+        assert view.select_rectangle(shown, SelectRectangle("umap", (0, 0), (1, 1))) is shown
+        for wrong in ([kind, [0, 0]], [kind, [0, 0], [2, 1]], None):
+            assert messages.decode("lab-rect", wrong) is None
+    without_places = replace(findings, task=replace(findings.task, geometry=None))
+    assert messages.apply(ShowMap("ground"), lab, without_places) is lab
 
 
-def test_names_and_metadata_never_become_html(workspace: Workspace, found: Findings, lab: LabState) -> None:
+def test_names_and_metadata_never_become_html(workspace: Workspace, findings: Findings, lab: LabState) -> None:
     chosen = replace(lab, columns=("weather",))
-    html = table.table(found, chosen, workspace, found.table.rows(), 3)
-    html += charts.page(found, chosen, workspace) + table.columns(found, chosen)
+    html = table.table(findings, chosen, workspace, findings.table.rows(), 3)
+    html += breakdown_page.page(findings, chosen, workspace) + table.column_choice(findings, chosen)
     assert "<b>rain" not in html
     assert "&lt;b&gt;rain" in html
-    assert html.count("class='chosen' data-row='3'") == 1
+    assert html.count('class="chosen" data-row="3"') == 1
     # The click on a bin says its name as it is.
     assert re.search(r'\["weather", \d, "say \\"hi\\""\]', unescape(html))
-    said = table.note(found, 0, notes.Note(("a",), "</textarea><script>"), 1)
+    said = table.note(findings, 0, notes.Note(("a",), "</textarea><script>"), 1)
     assert "<script>" not in said
 
 
 def test_a_page_has_as_many_rows_as_are_shown_and_an_empty_one_says_what_to_do(
-    workspace: Workspace, found: Findings, lab: LabState
+    workspace: Workspace, findings: Findings, lab: LabState
 ) -> None:
-    assert table.table(found, lab, workspace, found.table.rows()[:5], None).count("<tr class") == 5
-    assert "lab-clear" in table.table(found, lab, workspace, found.table.rows()[:0], None)
+    assert table.table(findings, lab, workspace, findings.table.rows()[:5], None).count("<tr data-row") == 5
+    assert "lab-clear" in table.table(findings, lab, workspace, findings.table.rows()[:0], None)
 
 
-def test_notes_reach_every_table_and_the_disk(workspace: Workspace, laboratory: Laboratory, found: Findings) -> None:
-    path = found.table.paths[2]
-    laboratory.say(path, "night, blur", "Looks like\nthe twin.")
+def test_notes_reach_every_table_and_the_disk(workspace: Workspace, service: FailureLab, findings: Findings) -> None:
+    path = findings.table.paths[2]
+    service.set_note(path, "night, blur", "Looks like\nthe twin.")
     try:
-        newest = laboratory.findings(TASK)
+        newest = service.findings(TASK)
         assert newest is not None
         assert newest.note(2) == notes.Note(("night", "blur"), "Looks like\nthe twin.")
         assert newest.table.filter(newest.table.rows(), "tags ~ night").tolist() == [2]
         assert notes.read_notes(workspace.root / "notes.csv")[path].tags == ("night", "blur")
-        other = Laboratory(workspace)
+        other = FailureLab(workspace)
         other.build(TASK, None).wait(120)
         again = other.findings(TASK)
         assert again is not None
         assert again.note(2) == newest.note(2)
         with pytest.raises(InputError, match="no/word"):
-            laboratory.say(path, "no/word", "")
+            service.set_note(path, "no/word", "")
         (workspace.root / "notes.csv").write_text("what,is\n")
-        damaged = Laboratory(workspace)
+        damaged = FailureLab(workspace)
         damaged.build(TASK, None).wait(120)
         without = damaged.findings(TASK)
         assert without is not None
-        assert "expected path,tags,note" in without.flaw
-        assert "left out" in table.said(without, LabState(TASK), without.table.rows(), (0, 5))
+        assert "expected path,tags,note" in without.notes_error
+        assert "left out" in table.summary(without, LabState(TASK), without.table.rows(), (0, 5))
     finally:
         (workspace.root / "notes.csv").unlink()
 
@@ -408,33 +417,28 @@ class Gui:
 
 
 def test_a_name_that_is_not_utf8_is_shown_and_a_note_on_it_refused_in_words(
-    workspace: Workspace, laboratory: Laboratory, found: Findings, monkeypatch: pytest.MonkeyPatch
+    workspace: Workspace, service: FailureLab, findings: Findings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    named = list(found.table.paths)
+    named = list(findings.table.paths)
     named[2] = "test/query_drone/0002/caf\udce9.webp"
-    odd = replace(found, table=Table(named, list(found.table.columns.values())))
-    monkeypatch.setitem(laboratory._findings, TASK, odd)
+    odd = replace(findings, table=Table(named, list(findings.table.columns.values())))
+    monkeypatch.setitem(service._findings, TASK, odd)
     gui = Gui()
     Html(gui, "caf\udce9").show("<b>caf\udce9.webp</b>")  # type: ignore[arg-type]
     assert gui.elements[0].content == "<b>caf?.webp</b>"
-    view = NoteView(gui, laboratory)  # type: ignore[arg-type]
+    view = NoteForm(gui, service)  # type: ignore[arg-type]
     view.show(odd, 2)
     boxes, message = gui.elements[1:]
-    assert f"data-task='{TASK}' data-row='2'" in boxes.content
-    assert not view.say([TASK, 2, "night", "text"])
-    assert "Not saved. The query&#x27;s path is" in message.content
+    assert f'data-task="{TASK}" data-row="2"' in boxes.content
+    assert not view.save(SaveNote(TASK, 2, "night", "text"))
+    assert "Not saved. The query&#39;s path is" in message.content
     assert "rename the file" in message.content
-    for wrong in (
-        None,
-        [TASK, 13, "", ""],
-        [TASK, True, "", ""],
-        ["moon", 2, "", ""],
-        [TASK, 2, "", 3],
-        [[], 2, "", ""],
-    ):
-        assert not view.say(wrong)
+    for wrong in (None, [TASK, True, "", ""], [TASK, 2, "", 3], [[], 2, "", ""], [TASK, -1, "", ""], [TASK, 2, ""]):
+        assert messages.decode("lab-note", wrong) is None
+    assert not view.save(SaveNote(TASK, 13, "", ""))
+    assert not view.save(SaveNote("moon", 2, "", ""))
     assert not (workspace.root / "notes.csv").exists()
-    assert view.say([TASK, 3, "night", "text"])
+    assert view.save(SaveNote(TASK, 3, "night", "text"))
     assert notes.read_notes(workspace.root / "notes.csv") == {named[3]: notes.Note(("night",), "text")}
     (workspace.root / "notes.csv").unlink()
 
@@ -443,30 +447,32 @@ def test_notes_that_cannot_be_written_are_said_and_nothing_is_changed(workspace:
     file = workspace.root / "notes.csv"
     file.mkdir()
     try:
-        laboratory = Laboratory(workspace)
-        laboratory.build(TASK, None).wait(120)
-        found = laboratory.findings(TASK)
-        assert found is not None
-        assert "cannot be read" in found.flaw
+        service = FailureLab(workspace)
+        service.build(TASK, None).wait(120)
+        findings = service.findings(TASK)
+        assert findings is not None
+        assert "cannot be read" in findings.notes_error
         with pytest.raises(OutputError, match=r"notes\.csv cannot be written"):
-            laboratory.say(found.table.paths[0], "night", "")
-        assert laboratory.findings(TASK) is found
+            service.set_note(findings.table.paths[0], "night", "")
+        assert service.findings(TASK) is findings
     finally:
         file.rmdir()
 
 
 def test_next_and_previous_go_through_an_order() -> None:
-    state, order = SessionState(TASK, 4, query=7), np.array([3, 7, 5])
-    assert session_state.walk(state, 1, order, 13).query == 5
-    assert session_state.walk(replace(state, query=5), 1, order, 13).query == 3
-    assert session_state.walk(state, -1, order, 13).query == 3
-    assert [session_state.walk(replace(state, query=0), by, order, 13).query for by in (1, -1)] == [3, 5]
-    assert session_state.walk(state, 1, order[:0], 13) is state
+    session, order = SessionState(TASK, 4, query=7), np.array([3, 7, 5])
+    assert session_state.walk(session, 1, order, 13).query == 5
+    assert session_state.walk(replace(session, query=5), 1, order, 13).query == 3
+    assert session_state.walk(session, -1, order, 13).query == 3
+    assert [session_state.walk(replace(session, query=0), by, order, 13).query for by in (1, -1)] == [3, 5]
+    assert session_state.walk(session, 1, order[:0], 13) is session
 
 
 def test_another_task_begins_with_all_its_queries(lab: LabState) -> None:
-    busy = replace(lab, where="rank > 1", picks=(Pick("a", "x", np.zeros(0, int)),), page=4, tab="maps", tall=True)
-    other = lab_state.of_task(busy, "satellite-to-drone")
-    assert (other.where, other.picks, other.page) == ("", (), 0)
+    busy = replace(
+        lab, filter="rank > 1", selections=(Selection("a", "x", np.zeros(0, int)),), page=4, tab="maps", tall=True
+    )
+    other = state.for_task(busy, "satellite-to-drone")
+    assert (other.filter, other.selections, other.page) == ("", (), 0)
     assert (other.tab, other.tall) == ("maps", True)
-    assert lab_state.of_task(busy, TASK) is busy
+    assert state.for_task(busy, TASK) is busy

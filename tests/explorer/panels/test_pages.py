@@ -79,7 +79,7 @@ def test_the_verdict_has_the_sign_of_its_answer(workspace: Workspace) -> None:
 
 def test_a_status_line_that_waits_still_says_what_is_shown(workspace: Workspace) -> None:
     state = SessionState(next(iter(workspace.tasks)), 4, query=2)
-    shown = pages.Shown(StateAnalyser(workspace).analyse(state, 5), 4, 0.001)
+    shown = pages.ShownAnalysis(StateAnalyser(workspace).analyse(state, 5), 4, 0.001)
     assert "answered in" in pages.status(shown)
     waiting = pages.status(shown, "computing")
     assert 'data-seq="4" data-query="2"' in waiting

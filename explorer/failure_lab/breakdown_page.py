@@ -1,0 +1,127 @@
+"""HTML of the laboratory's second tab: failures by part, by pair of places, and against each column."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from explorer.failure_lab import state
+from explorer.failure_lab.service import Findings
+from explorer.failure_lab.state import LabState
+from explorer.web.render import render
+from explorer.workspace import Workspace
+from lpn.analysis import breakdown
+from lpn.analysis.breakdown import Rate
+from lpn.core.tables import Column
+
+_MAX_PAIRS, _MAX_VALUES = 10, 10
+# Rates among fewer queries do not stretch the scale.
+_MIN_QUERIES = 10
+
+
+class _Line(NamedTuple):
+    """A line of a card; a click sends the message `kind` with `value`."""
+
+    kind: str
+    value: object
+    chosen: bool
+    hint: str
+    content: object
+
+
+class _Card(NamedTuple):
+    """A chart; `style` is "part", "pair", or "rate"."""
+
+    style: str
+    title: str
+    lines: Sequence[_Line]
+
+
+class _RateBar(NamedTuple):
+    """A bar of a failure rate; all numbers are percent of the bar's length."""
+
+    share: float
+    overall: float
+    low: float
+    width: float
+
+
+def page(findings: Findings, lab: LabState, workspace: Workspace) -> str:
+    """Return the charts of the selected queries; a selection made in a chart does not narrow this chart."""
+    columns = [(column, state.failure_rates(findings, lab, column)) for column in state.charted_columns(findings)]
+    # A column says nothing if all queries share its value, or if each query has its own.
+    columns = [(c, rates) for c, rates in columns if 1 < len(rates) <= max(len(findings.table) // 2, 2)]
+    full = max(
+        (rate.interval[1] for _, rates in columns for rate in rates if rate.queries >= _MIN_QUERIES), default=1.0
+    )
+    cards = [_part_card(findings, lab), _pair_card(findings, lab, workspace)]
+    cards += [_rate_card(findings, lab, column, rates, full) for column, rates in columns]
+    return render("failure_lab/breakdown", cards=cards, has_columns=bool(columns))
+
+
+def _part_card(findings: Findings, lab: LabState) -> _Card:
+    rows = state.selected_rows(findings, lab, "part", any_outcome=True)
+    counts = breakdown.blame(findings.outcomes, rows).tolist()
+    failed = int(findings.outcomes.failed[rows].sum())
+    if not failed:
+        return _Card("part", "Part that costs most", [])
+    most = max(max(counts), 1)
+    chosen = _label(lab, "part")
+    lines = [
+        _Line(
+            "lab-part",
+            part,
+            f"part {name} costs most" == chosen,
+            f"Part {name} costs the truth most in {count} of {failed} failures",
+            (part, name, 100 * count / most, count),
+        )
+        for part, (name, count) in enumerate(zip(findings.part_names, counts, strict=True))
+    ]
+    return _Card("part", f"Part that costs most, in {failed:,} failures", lines)
+
+
+def _pair_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card:
+    confusions, chosen = state.confusions(findings, lab), _label(lab, "pair")
+    lines = []
+    for confusion in confusions[:_MAX_PAIRS]:
+        names = state.place_names(findings, confusion)
+        tiles = int(findings.outcomes.true[confusion.queries[0]]), confusion.tile
+        pictures = [workspace.thumbnail(findings.task.gallery[tile].path) if tile >= 0 else "" for tile in tiles]
+        lines.append(
+            _Line(
+                "lab-pair",
+                [confusion.place, confusion.answered],
+                " taken for ".join(names) == chosen,
+                f"{confusion.count} queries of {names[0]} were answered with {names[1]}",
+                (names, pictures, confusion.count),
+            )
+        )
+    listed = f"; the first {_MAX_PAIRS} of {len(confusions):,}" if len(confusions) > _MAX_PAIRS else ""
+    return _Card("pair", f"Places taken for others{listed}", lines)
+
+
+def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Rate], full: float) -> _Card:
+    overall, chosen = float(findings.outcomes.failed.mean()), _label(lab, state.selection_kind(column))
+    lines = []
+    for index, rate in enumerate(rates[:_MAX_VALUES]):
+        low, high = (f"{100 * end:.0f}" for end in rate.interval)
+        hint = f"{rate.name}: {rate.failures} of {rate.queries} queries failed; 95 % interval {low} to {high} %"
+        value = [column.name, index, rate.name]
+        content = (rate.name, _rate_bar(rate, full, overall), rate.share)
+        lines.append(_Line("lab-bin", value, f"{column.name} {rate.name}" == chosen, hint, content))
+    listed = f"; {_MAX_VALUES} of {len(rates)} values" if len(rates) > _MAX_VALUES else ""
+    count = sum(rate.queries for rate in rates)
+    queries = f"{'all ' if count == len(findings.table) else ''}{count:,} queries"
+    return _Card("rate", f"Failures by {column.name}, of {queries}{listed}", lines)
+
+
+def _rate_bar(rate: Rate, full: float, overall: float) -> _RateBar:
+    """Scale a rate and its interval so that `full` fills the bar."""
+    values = (rate.share, overall, *rate.interval)
+    share, mean, low, high = (100 * min(value / full, 1.0) for value in values)
+    return _RateBar(share, mean, low, max(high - low, 0.5))
+
+
+def _label(lab: LabState, kind: str) -> str | None:
+    """Return the label of the selection of a kind, None if there is none."""
+    return next((selection.label for selection in lab.selections if selection.kind == kind), None)

@@ -1,0 +1,267 @@
+"""One browser's choices in the failure laboratory, and the queries that they select; no viser here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from explorer.failure_lab.service import Findings, MapKind
+from lpn.analysis import breakdown, query_outcomes
+from lpn.analysis.breakdown import Rate
+from lpn.core.arrays import Int64Array
+from lpn.core.errors import InputError
+from lpn.core.tables import Column, Table
+
+Tab = Literal["table", "breakdown", "maps"]
+OutcomeFilter = Literal["all", "failed", "found"]
+# Columns that the table always shows, if they exist.
+FIXED_COLUMNS = ("name", "rank", "margin", "part", "answer", "distance")
+# Further columns shown until the user chooses others, if they hold any value.
+_DEFAULT_COLUMNS = ("altitude", "district", "tags")
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Queries selected by a click or a rectangle.
+
+    Attributes:
+        kind: a new selection replaces an earlier one of the same kind.
+        label: what the queries have in common.
+        rows: the queries, ascending.
+    """
+
+    kind: str
+    label: str
+    rows: Int64Array
+
+    def same_as(self, other: Selection) -> bool:
+        """Compare by value. The label alone does not suffice: a value may be called "not known"."""
+        return (self.kind, self.label) == (other.kind, other.label) and np.array_equal(self.rows, other.rows)
+
+
+@dataclass(frozen=True)
+class LabState:
+    """One browser's choices.
+
+    Attributes:
+        task: the name of the task.
+        outcome: show all queries, those that failed, or those that were found.
+        filter: the filter in force, see `lpn.core.tables`.
+        filter_typed: the text in the filter's box.
+        filter_error: why that text is not a filter; empty if it is one.
+        name_search: text that the names of the queries contain.
+        selections: a query must be in all of them.
+        sort_column, descending: the order of the table.
+        page: page of the table, from 0.
+        columns: shown beside `FIXED_COLUMNS`; None for the default ones.
+        choosing_columns: the list of columns is open.
+        tall: the window covers the whole stage.
+        map: the map that is shown.
+        zoomed: the map shows the selected queries only, as large as they fit.
+        cancelled: maps that are not computed until the user asks for them, and "table".
+        text_revision: counts changes of the text boxes that are not made by typing.
+    """
+
+    task: str
+    tab: Tab = "table"
+    outcome: OutcomeFilter = "all"
+    filter: str = ""
+    filter_typed: str = ""
+    filter_error: str = ""
+    name_search: str = ""
+    selections: tuple[Selection, ...] = ()
+    sort_column: str = "margin"
+    descending: bool = False
+    page: int = 0
+    columns: tuple[str, ...] | None = None
+    choosing_columns: bool = False
+    tall: bool = False
+    map: MapKind = "pca"
+    zoomed: bool = False
+    cancelled: frozenset[str] = frozenset({"umap"})
+    text_revision: int = 0
+
+
+def for_task(lab: LabState, task: str) -> LabState:
+    """Return the state for another task; only choices that do not depend on the task stay."""
+    if lab.task == task:
+        return lab
+    return LabState(
+        task, lab.tab, lab.outcome, tall=lab.tall, cancelled=lab.cancelled, text_revision=lab.text_revision + 1
+    )
+
+
+def sort_by(lab: LabState, column: str) -> LabState:
+    """Sort by a column, or reverse the order if the table is sorted by it already."""
+    return replace(lab, sort_column=column, descending=lab.sort_column == column and not lab.descending, page=0)
+
+
+def set_filter(lab: LabState, text: str, table: Table) -> LabState:
+    """Apply a filter; one that cannot be parsed leaves the selected queries as they are."""
+    try:
+        table.filter(table.rows(), text)
+    except InputError as error:
+        return replace(lab, filter_typed=text, filter_error=str(error))
+    return replace(lab, filter_typed=text, filter=text, filter_error="", page=0)
+
+
+def toggle_selection(lab: LabState, selection: Selection) -> LabState:
+    """Add a selection in place of the one of its kind, or remove it if it is there already."""
+    if any(selection.same_as(other) for other in lab.selections):
+        return remove_selection(lab, selection.kind)
+    return add_selection(lab, selection)
+
+
+def add_selection(lab: LabState, selection: Selection) -> LabState:
+    """Add a selection in place of the one of its kind."""
+    others = remove_selection(lab, selection.kind).selections
+    return replace(lab, selections=(*others, selection), page=0)
+
+
+def remove_selection(lab: LabState, kind: str) -> LabState:
+    """Remove the selection of a kind."""
+    return replace(lab, selections=tuple(one for one in lab.selections if one.kind != kind), page=0)
+
+
+def clear(lab: LabState) -> LabState:
+    """Select all queries again."""
+    return replace(
+        lab,
+        outcome="all",
+        filter="",
+        filter_typed="",
+        filter_error="",
+        name_search="",
+        selections=(),
+        page=0,
+        zoomed=False,
+        text_revision=lab.text_revision + 1,
+    )
+
+
+def toggle_column(lab: LabState, table: Table, name: str) -> LabState:
+    """Show a column, or hide it."""
+    shown = extra_columns(lab, table)
+    return replace(lab, columns=tuple(c for c in shown if c != name) if name in shown else (*shown, name))
+
+
+def extra_columns(lab: LabState, table: Table) -> list[str]:
+    """Return the names of the columns shown beside `FIXED_COLUMNS`."""
+    if lab.columns is not None:
+        return [name for name in lab.columns if name in table.columns]
+    return [name for name in _DEFAULT_COLUMNS if name in table.columns and table.columns[name].known.any()]
+
+
+def selected_rows(findings: Findings, lab: LabState, without: str = "", any_outcome: bool = False) -> Int64Array:
+    """Return the selected queries, ascending.
+
+    Args:
+        without: a kind of selection to ignore.
+        any_outcome: ignore the choice of failed or found queries.
+    """
+    table, failed = findings.table, findings.outcomes.failed
+    rows = table.filter(table.rows(), lab.filter)
+    if lab.outcome != "all" and not any_outcome:
+        rows = rows[failed[rows] == (lab.outcome == "failed")]
+    for selection in lab.selections:
+        if selection.kind != without:
+            rows = np.intersect1d(rows, selection.rows, assume_unique=True)
+    return table.search(rows, lab.name_search) if lab.name_search.strip() else rows
+
+
+def sorted_rows(findings: Findings, lab: LabState) -> Int64Array:
+    """Return the selected queries in the table's order."""
+    return findings.table.sort(selected_rows(findings, lab), _sort_column(findings, lab), lab.descending)
+
+
+def describe(findings: Findings, lab: LabState) -> str:
+    """Say what selects and orders the queries, such as "failed and rank > 5, sorted by margin"."""
+    name = lab.name_search.strip()
+    conditions = [
+        "" if lab.outcome == "all" else lab.outcome,
+        lab.filter.strip(),
+        f"name ~ {name}" if name else "",
+        *(selection.label for selection in lab.selections),
+    ]
+    descending = ", descending" if lab.descending else ""
+    selected = " and ".join(filter(None, conditions)) or "all"
+    return f"{selected}, sorted by {_sort_column(findings, lab)}{descending}"
+
+
+def _sort_column(findings: Findings, lab: LabState) -> str:
+    return lab.sort_column if lab.sort_column in findings.table.columns else "margin"
+
+
+def charted_columns(findings: Findings) -> list[Column]:
+    """Return the columns against which failure rates are shown."""
+    columns = query_outcomes.described_by(findings.table)
+    return [column for column in columns if column.name not in ("latitude", "longitude")]
+
+
+def failure_rates(findings: Findings, lab: LabState, column: Column) -> list[Rate]:
+    """Return failure rates against a column among the selected queries.
+
+    Neither the outcome filter nor a selection in this column counts. If all queries left failed, or none did, the rates are
+    those of all queries, because every rate would be 0 or 1.
+    """
+    rows = selected_rows(findings, lab, selection_kind(column), any_outcome=True)
+    if not 0 < int(findings.outcomes.failed[rows].sum()) < len(rows):
+        rows = findings.table.rows()
+    return breakdown.rates(findings.outcomes.failed, column, rows=rows)
+
+
+def selection_kind(column: Column) -> str:
+    """Return the kind of the selections made in a column's chart."""
+    return f"column {column.name}"
+
+
+def select_bin(findings: Findings, lab: LabState, name: str, index: int, bin_name: str) -> Selection | None:
+    """Select the queries of one bin of a column's chart.
+
+    Args:
+        name: the column.
+        index: the bin among `failure_rates`.
+        bin_name: the name that was clicked. If the bin has another name by now, the bins changed since, and the result is None.
+    """
+    column = next((column for column in charted_columns(findings) if column.name == name), None)
+    bins = [] if column is None else failure_rates(findings, lab, column)
+    if column is None or not 0 <= index < len(bins) or bins[index].name != bin_name:
+        return None
+    rate = bins[index]
+    if not rate.known:
+        inside = ~column.known
+    elif column.kind == "number":
+        inside = (column.values >= rate.low) & (column.values <= rate.high)
+    else:
+        inside = column.values == rate.name
+    return Selection(selection_kind(column), f"{column.name} {rate.name}", np.flatnonzero(inside))
+
+
+def select_pair(findings: Findings, lab: LabState, place: int, answered: int) -> Selection | None:
+    """Select the queries of one place that were answered with another; None if there are none."""
+    for confusion in confusions(findings, lab):
+        if (confusion.place, confusion.answered) == (place, answered):
+            return Selection("pair", " taken for ".join(place_names(findings, confusion)), confusion.queries)
+    return None
+
+
+def select_part(findings: Findings, part: int) -> Selection:
+    """Select the failures that a part costs most."""
+    blamed = findings.outcomes.failed & (findings.outcomes.decides == part)
+    return Selection("part", f"part {findings.part_names[part]} costs most", np.flatnonzero(blamed))
+
+
+def confusions(findings: Findings, lab: LabState) -> list[breakdown.Confusion]:
+    """Return the pairs of places that were taken for each other among the selected queries, the most frequent first."""
+    rows = selected_rows(findings, lab, "pair", any_outcome=True)
+    task = findings.task
+    return breakdown.confusions(findings.outcomes, task.query_labels, task.gallery_labels, rows)
+
+
+def place_names(findings: Findings, confusion: breakdown.Confusion) -> tuple[str, str]:
+    """Return the names of a confusion's two places, after their tiles."""
+    first = int(confusion.queries[0])
+    positive, answer = (findings.table.columns[name].text(first) for name in ("truth", "answer"))
+    return positive or str(confusion.place), answer
