@@ -6,16 +6,14 @@ import importlib
 import logging
 import os
 import re
-import shutil
 import socket
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from lpn.core.errors import InputError, OutputError, StoreError
-from lpn.core.files import exclusive_lock
+from lpn.core.errors import InputError, StoreError
 from lpn.core.resources import usable_cores
 
 _QUIET = {
@@ -27,8 +25,6 @@ _QUIET = {
 _NO_CLUSTER = "There is no Ray cluster at {}; start one with ray start, or check the address."
 _HELLO, _SETTINGS = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", b"\0\0\0\4\0\0\0\0\0"
 """What an HTTP/2 client, such as Ray's, begins with; and the frame that both sides begin with, its kind being the fourth byte."""
-_PREFIX = "lpn-ray-"
-_OURS = re.compile(rf"{_PREFIX}\w{{8}}")
 _OBJECTS = 512 << 20
 """Bytes of the store that workers on one machine share: the model's files and lists of names."""
 
@@ -57,8 +53,10 @@ def started(address: str | None, workers: int | None, threads: int) -> Iterator[
     with ExitStack() as ending:
         if address is None:
             count = workers or max(1, usable_cores() // threads)
+            # The paths of Ray's sockets may have 107 characters at most.
+            parent = "/tmp" if Path("/tmp").is_dir() else tempfile.gettempdir()
             folder = ending.enter_context(
-                _folder(Path("/tmp") if Path("/tmp").is_dir() else Path(tempfile.gettempdir()))
+                tempfile.TemporaryDirectory(prefix="lpn-ray-", dir=parent, ignore_cleanup_errors=True)
             )
             ending.callback(ray.shutdown)
             try:
@@ -68,14 +66,14 @@ def started(address: str | None, workers: int | None, threads: int) -> Iterator[
                         num_cpus=count * threads,
                         include_dashboard=False,
                         object_store_memory=_OBJECTS,
-                        _temp_dir=str(folder),
+                        _temp_dir=folder,
                         **quiet,
                     )
             except Exception as error:  # Ray raises plain ones, too
                 said = (str(error).strip().splitlines() or [type(error).__name__])[0]
                 raise StoreError(
                     f"Ray does not start on this machine ({said[:200]}); see whether there are memory, processes, and room in "
-                    f"{folder.parent} enough, or describe without --engine ray."
+                    f"{parent} enough, or describe without --engine ray."
                 ) from error
         else:
             ending.callback(ray.shutdown)
@@ -103,32 +101,6 @@ def _in_words(ray: Any) -> Iterator[None]:
             f"The workers failed ({cause[:200]}); what they wrote is kept, so see whether they have memory and disk enough, and "
             "run this again."
         ) from error
-
-
-@contextmanager
-def _folder(short: Path) -> Iterator[Path]:
-    """A folder for Ray's sockets, deleted at the end; those of processes that were killed are deleted too.
-
-    A live one is told by its lock, which the system lets go of with the process: unlike a process's number it is also
-    seen where containers share the folder above.
-
-    Args:
-        short: the folder above; the sockets' paths may have 107 characters.
-    """
-    for left in short.glob(f"{_PREFIX}*"):
-        # Without locks nothing tells a live one, and none is deleted.
-        if os.name == "posix" and _OURS.fullmatch(left.name):
-            with suppress(OSError, OutputError), exclusive_lock(left, wait=False):
-                shutil.rmtree(left, ignore_errors=True)
-    while True:
-        made = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=short))
-        with exclusive_lock(made, wait=True):
-            if made.is_dir():  # else another process found it before it was locked
-                try:
-                    yield made
-                finally:
-                    shutil.rmtree(made, ignore_errors=True)
-                return
 
 
 def _check_address(address: str) -> None:

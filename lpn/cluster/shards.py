@@ -23,21 +23,20 @@ import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal, NamedTuple, TypeVar, cast
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, cast
 
+import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lpn.cluster.storage import Storage
 from lpn.core.arrays import AnyArray, Float32Array
 from lpn.core.errors import StoreError
-from lpn.core.formats import is_newer, newer_version
+from lpn.core.formats import decode_json
 from lpn.descriptors import Row
 
 FORMAT = "lpn-shards/2"
-BEFORE = "lpn-shards/1"
-"""Knew of no growing partitions and no digest of all shards; what it says is true of such shards still."""
 PLAN = "plan.json"
 BROKEN = "broken.csv"
 Precision = Literal["float32", "float16"]
@@ -86,6 +85,9 @@ class BrokenPicture(NamedTuple):
     settled: bool
 
 
+_Positive = Annotated[int, msgspec.Meta(gt=0, lt=2**31)]
+
+
 @dataclass(frozen=True)
 class Plan:
     """What a folder of shards holds.
@@ -104,37 +106,24 @@ class Plan:
 
     fingerprint: str
     view: str
-    n_parts: int
-    embedding: int
+    n_parts: _Positive
+    embedding: _Positive
     precision: Precision
-    partitions: int
+    partitions: _Positive
     format: str = FORMAT
     finished: bool = field(default=False, compare=False)
     contents: str | None = field(default=None, compare=False)
     run: str | None = field(default=None, compare=False)
-    shard: int | None = field(default=None, compare=False)
+    shard: _Positive | None = field(default=None, compare=False)
 
     @classmethod
     def read(cls, storage: Storage) -> Plan | None:
         """The plan of a folder, None where there is none; StoreError when its plan.json is something else."""
         try:
-            values: Any = json.loads(storage.read(PLAN))
-            if is_newer(found := values.get("format"), FORMAT):
-                raise StoreError(newer_version(f"{PLAN} in {storage.where}", found, FORMAT))
-            plan = cls(**values)
-            numbers = (plan.n_parts, plan.embedding, plan.partitions, 1 if plan.shard is None else plan.shard)
-            whole = all(type(n) is int and 0 < n < 2**31 for n in numbers)
-            if not whole or not isinstance(plan.fingerprint, str) or not isinstance(plan.view, str):
-                raise ValueError("values of another kind")
-            texts = isinstance(plan.contents, str | None) and isinstance(plan.run, str | None)
-            if not texts or not isinstance(plan.finished, bool):
-                raise ValueError("values of another kind")
-            if plan.format not in (FORMAT, BEFORE) or plan.precision not in ("float32", "float16"):
-                raise ValueError("another format")
-            return replace(plan, format=FORMAT)
+            return decode_json(storage.read(PLAN), cls, f"{PLAN} in {storage.where}", FORMAT, StoreError)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise StoreError(
                 f"{PLAN} in {storage.where} cannot be read or is not one of {FORMAT}; choose another place for the shards."
             ) from error
@@ -280,8 +269,6 @@ def notes_of(schema: pa.Schema, plan: Plan, partition: int) -> ShardMetadata | N
     """The notes in a file's schema, None where they are of another plan or partition; one of `DAMAGED` where they are none."""
     notes = json.loads((schema.metadata or {}).get(b"lpn", b"{}"))
     wanted = {**_noted(plan), "partition": partition, "partitions": (partitions := notes.get("partitions"))}
-    if notes.get("format") == BEFORE:
-        wanted["format"] = BEFORE
     if {key: notes.get(key) for key in wanted} != wanted or type(partitions) is not int or partitions < 1:
         return None
     broken = [BrokenPicture(_item(item), str(reason), bool(settled)) for item, reason, settled in notes["broken"]]

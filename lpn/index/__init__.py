@@ -1,10 +1,11 @@
-"""Tiles by the million: names, descriptors, and positions, searched under any part weights.
+"""Indexes of millions of tiles: names, descriptors, and positions, searched under any part weights.
 
     exact     a folder, in process, on the base installation; misses nothing (`lpn.index.exact`)
     faiss     a folder, for 10^6 to 10^7 tiles on one machine (`lpn.index.faiss`, the extra `faiss`)
     milvus    a collection on a server or a cluster (`lpn.index.milvus`, the extra `milvus`)
 
-All keep one protocol, `Index`, and `open_index` finds out which it is.
+All implement the protocol `Index`, and `open_index` detects which one it opens. The package imports `retrieval` and the
+packages below it; `lpn.index.tiles` also reads shards of `cluster`. `doctor` and `cli` import it.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ def open_index(
 
     Args:
         where: its folder, or milvus://host:port/collection.
-        fingerprint: of the model that queries are described by, which must be the index's; None to skip that check.
-        effort: of searches that can miss tiles: the lists (faiss; ivf of milvus) or neighbours (hnsw) that are looked
-            through, 1 or more; None for 64 (faiss) or 128 (milvus).
-        depth: how many times k tiles faiss proposes, which are then scored, 1 or more; None for 16.
+        fingerprint: of the model that describes the queries, which must be the index's; None skips the check.
+        effort: for approximate searches, the number of lists (faiss; ivf of milvus) or neighbours (hnsw) to visit, 1 or more;
+            None means 64 (faiss) or 128 (milvus).
+        depth: for faiss, the number of candidates to score as a multiple of k, 1 or more; None means 16.
 
     Raises:
-        StoreError: when there is none, it is damaged, or it holds descriptors of another model.
-        InputError: when the address is none, or effort or depth are not such numbers or are nothing that this index has.
+        StoreError: when there is no index, it is damaged, or it holds descriptors of another model.
+        InputError: when the address is malformed, or effort or depth is out of range or does not apply to this index.
         ModuleNotFoundError: when the package of its engine is not installed.
     """
     index = _opened(where, check_effort(effort, depth))
@@ -52,7 +53,7 @@ def open_index(
 
 
 def check_effort(effort: int | None, depth: int | None) -> dict[str, int]:
-    """Those of the two that are given, by name; InputError unless they are whole numbers of 1 or more."""
+    """Return the given ones of the two by name; InputError unless they are whole numbers of 1 or more."""
     given = {name: value for name, value in (("effort", effort), ("depth", depth)) if value is not None}
     return {name: check_count(value, name) for name, value in given.items()}
 
@@ -65,18 +66,18 @@ def create_index(
     codes: Codes | None = None,
     structure: Structure | None = None,
 ) -> Index:
-    """Make an empty index, or open the one of the same kind that is there.
+    """Make an empty index, or open an existing one of the same kind.
 
     Args:
         where: a folder, or milvus://host:port/collection.
         engine: by default milvus for its addresses, and exact for folders.
         precision: of the copy that `exact` scans.
-        codes: of `faiss`, see there; pq by default, or sq8 for descriptors that it cannot take.
-        structure: of `milvus`, see there; flat by default.
+        codes: of `faiss`; by default pq, or sq8 for descriptors that pq cannot encode.
+        structure: of `milvus`; by default flat.
 
     Raises:
-        StoreError: when something else is there, or nothing can be written.
-        InputError: when place, engine, and what is asked of it do not go together.
+        StoreError: when something else is there, or the place cannot be written.
+        InputError: when place, engine, and options do not fit together.
     """
     is_url = str(where).startswith(_SCHEME)
     engine = engine or ("milvus" if is_url else "exact")
@@ -125,7 +126,7 @@ def _opened(where: str | Path, given: dict[str, int]) -> Index:
 
 
 def _refuse(given: dict[str, int], names: tuple[str, ...], why: str) -> None:
-    """InputError where something is given that an index has not."""
+    """Raise InputError for an option that an index does not have."""
     for name in names:
         if name in given:
             raise InputError(f"There is no {name} to choose here, as {why}; leave {name} {given[name]} out.")

@@ -1,12 +1,12 @@
-"""What every index of tiles can do, and the arithmetic that all of them share.
+"""The protocol of an index of tiles, and the arithmetic that all indexes share.
 
 With parts q_i, g_i of norm 1/sqrt(n) and weights w_i that sum to one, the score of a tile is
 
     score = sum_i w_i cos_i = sum_i (w_i n q_i) . g_i,
 
-one inner product of the tile's descriptor with a rescaled query, so that one index serves all weights. Whatever an engine
-finds, the scores are computed anew from the vectors that it gives back, in float64 and each tile's alike wherever it lies:
-equal tiles have equal scores, and an engine's own rounding changes none.
+one inner product of the tile's descriptor with a rescaled query. One index therefore serves all weights. Scores are
+recomputed from the vectors that an engine returns, in float64 and in a fixed order of summation: equal tiles have equal
+scores, and the engine's own rounding changes none.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from lpn.core.errors import InputError, StoreError
 from lpn.core.files import printable
 from lpn.retrieval import scoring
 
+# South, west, north, east in degrees; a box with west > east crosses the antimeridian.
 Box = tuple[float, float, float, float]
-"""South, west, north, east in degrees; west beyond east is across the antimeridian."""
 
+# Maximum length of a tile's name in characters.
 ID_LENGTH = 512
-"""Characters of a tile's name at most."""
+# Maximum norm of a part times sqrt(n); rounding to float16 makes it exceed 1.
 LONGEST = 1.01
-"""A part's norm is at most this, divided by sqrt(n): float16 stores round it."""
 _ROWS = 256
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What descriptors an index holds.
+    """The kind of descriptors that an index holds.
 
     Attributes:
-        fingerprint: of the model that made them; those of another cannot be compared with them.
+        fingerprint: of the model; descriptors of different models cannot be compared.
         n_parts, embedding: n and D.
     """
 
@@ -50,14 +50,14 @@ class Kind:
 
     @property
     def numbers(self) -> int:
-        """Of one descriptor, n D."""
+        """Length n D of a descriptor."""
         return self.n_parts * self.embedding
 
     def rescaled(self, query: npt.ArrayLike, weights: npt.ArrayLike | None) -> Float64Array:
-        """The vector w_i n q_i whose inner product with a descriptor is its score: (n D,) float64.
+        """Compute w_i n q_i, whose inner product with a descriptor is its score: (n D,) float64.
 
         Raises:
-            InputError: when the query is not (n, D) finite numbers, or the weights are not n of 0 or more.
+            InputError: when the query is not (n, D) finite numbers, or the weights are not n numbers of 0 or more.
         """
         values = np.asarray(query, dtype=np.float64)
         if values.shape != (self.n_parts, self.embedding) or not np.isfinite(values).all():
@@ -68,10 +68,10 @@ class Kind:
         return (share[:, None] * self.n_parts * values).reshape(-1)
 
     def checked(self, descriptors: npt.ArrayLike) -> Float32Array:
-        """Descriptors as they are added, (B, n D) float32.
+        """Check descriptors to be added, and return them as (B, n D) float32.
 
         Raises:
-            InputError: when they are not (B, n, D), finite, with parts of norm 1/sqrt(n), or 0 where a part is of nothing.
+            InputError: when they are not (B, n, D) and finite with parts of norm 1/sqrt(n), or 0 for an empty part.
         """
         values = np.ascontiguousarray(descriptors, dtype=np.float32)
         if values.ndim != 3 or values.shape[1:] != (self.n_parts, self.embedding):
@@ -97,7 +97,7 @@ class SearchResult:
         ids: their names.
         scores: weighted mean cosines, (k,) float64.
         vectors: their descriptors, (k, n, D) float32, from which contributions and evidence are computed.
-        positions: latitude and longitude in degrees, (k, 2) float64, NaN where a tile has none.
+        positions: latitude and longitude in degrees, (k, 2) float64, NaN for a tile without a position.
     """
 
     ids: list[str]
@@ -113,8 +113,8 @@ class Index(ABC):
     """Tiles by name, searched by descriptor under any part weights.
 
     Attributes:
-        kind: what descriptors it holds.
-        most: tiles that a search can ask for; None: any number.
+        kind: the kind of descriptors.
+        most: maximum number of tiles in a search result; None means no limit.
     """
 
     kind: Kind
@@ -127,45 +127,45 @@ class Index(ABC):
         descriptors: npt.ArrayLike,
         positions: Sequence[Sequence[float]] | Float64Array | None = None,
     ) -> None:
-        """Add tiles; one that is there already is replaced, so that an add may be repeated.
+        """Add tiles, replacing those of the same names, so that an interrupted add can be repeated.
 
         Args:
-            ids: a name for each tile, 1 to 512 characters, none twice.
+            ids: a unique name for each tile, 1 to 512 characters.
             descriptors: (B, n, D) float32 with parts of norm 1/sqrt(n).
-            positions: latitude and longitude in degrees, (B, 2), NaN for a tile that has none; None: none has.
+            positions: latitude and longitude in degrees, (B, 2), NaN for a tile without a position; None for no positions.
 
         Raises:
-            InputError: when they are not so.
-            StoreError: when they cannot be kept.
+            InputError: when an argument is not as described.
+            StoreError: when the tiles cannot be written.
         """
 
     @abstractmethod
     def search(
         self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
     ) -> SearchResult:
-        """The k tiles of the highest score, or all where there are fewer.
+        """Return the k tiles with the highest scores, or all if there are fewer.
 
         Args:
             query: (n, D).
-            weights: part weights of 0 or more, (n,), which are brought to sum to one; None for equal ones.
-            box: only tiles in it are searched, borders included; a tile without a position is in none.
+            weights: part weights of 0 or more, (n,), normalised to sum to one; None for equal weights.
+            box: search only tiles in it, borders included; tiles without a position are in no box.
 
         Raises:
-            InputError: when one of them is not as expected.
+            InputError: when an argument is not as described.
             StoreError: when the index cannot be read.
         """
 
     @abstractmethod
     def holds(self, ids: Sequence[str]) -> BoolArray:
-        """Which names are there, (B,)."""
+        """Return which names are in the index, (B,)."""
 
     @abstractmethod
     def count(self) -> int:
-        """How many tiles there are."""
+        """Return the number of tiles."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of files, threads, and connections."""
+        """Release files, threads, and connections."""
 
     def check_model(self, fingerprint: str) -> None:
         """Raise StoreError unless the descriptors are of this model."""
@@ -185,9 +185,9 @@ class Index(ABC):
 
 
 def scores_of(vectors: FloatingArray, wanted: Float64Array) -> Float64Array:
-    """Scores of vectors (B, n D) under a rescaled query (n D,): (B,) float64.
+    """Score vectors (B, n D) under a rescaled query (n D,): (B,) float64.
 
-    Each row is summed by itself and in the same order: a matrix product would sum a row by where it lies in a block.
+    Each row is summed on its own: in a matrix product, the order of summation would depend on the row's place in a block.
     """
     found = np.empty(len(vectors))
     for start in range(0, len(vectors), _ROWS):
@@ -196,12 +196,12 @@ def scores_of(vectors: FloatingArray, wanted: Float64Array) -> Float64Array:
 
 
 def best(scores: Float64Array, order: Int64Array, k: int) -> Int64Array:
-    """Positions of the k highest scores; of equal ones, those of the lower `order` first."""
+    """Return positions of the k highest scores; ties are broken by the lower `order`."""
     return np.lexsort((order, -scores))[:k]
 
 
 def check_names(ids: Sequence[str], rows: int) -> list[str]:
-    """The names of tiles to add, `rows` of them; InputError when one cannot be a name, or is there twice."""
+    """Check the names of `rows` tiles to be added; InputError when a name is invalid or repeated."""
     if isinstance(ids, str) or len(ids) != rows:
         raise InputError(f"There are {len(ids)} names for {rows} descriptors; give each tile one.")
     for name in ids:
@@ -221,7 +221,7 @@ def check_names(ids: Sequence[str], rows: int) -> list[str]:
 
 
 def check_positions(positions: Sequence[Sequence[float]] | Float64Array | None, rows: int) -> Float64Array:
-    """Positions of tiles to add, (rows, 2), NaN where there is none; InputError when one is not on the globe."""
+    """Check positions of tiles to be added: (rows, 2), NaN for none; InputError when one is not on the globe."""
     if positions is None:
         return np.full((rows, 2), np.nan)
     values = np.array(positions, dtype=np.float64)
@@ -240,14 +240,14 @@ def check_positions(positions: Sequence[Sequence[float]] | Float64Array | None, 
 
 
 def check_count(k: int, what: str = "number of tiles asked for") -> int:
-    """A number of tiles asked for, or of something else; InputError unless it is a whole number of 1 or more."""
+    """Check a number of tiles, or of something else; InputError unless it is a whole number of 1 or more."""
     if not isinstance(k, (int, float, np.integer, np.floating)) or not k >= 1 or k % 1:
         raise InputError(f"The {what} is {k}; expected 1 or more.")
     return int(k)
 
 
 def check_box(box: Sequence[float] | None) -> Box | None:
-    """A box as it is searched; InputError unless it is south, west, north, east in degrees with south up to north."""
+    """Check a box; InputError unless it is south, west, north, east in degrees with south <= north."""
     if box is None:
         return None
     values = [float(value) for value in box]
@@ -263,21 +263,21 @@ def check_box(box: Sequence[float] | None) -> Box | None:
 
 
 def overlaps(extent: Box, box: Box) -> bool:
-    """Whether a smallest box of positions, which is not across the antimeridian, meets a box; False where it is of NaN."""
+    """Return whether an extent of positions, which never crosses the antimeridian, meets a box; False if it is NaN."""
     south, west, north, east = box
     both = [extent[3] >= west, extent[1] <= east]
     return extent[2] >= south and extent[0] <= north and (all(both) if west <= east else any(both))
 
 
 def covers(box: Box, extent: Box) -> bool:
-    """Whether a smallest box of positions, as for `overlaps`, lies in a box."""
+    """Return whether a box contains an extent of positions, as for `overlaps`."""
     south, west, north, east = box
     both = [west <= extent[1], extent[3] <= east]
     return south <= extent[0] and extent[2] <= north and (all(both) if west <= east else any(both))
 
 
 def within(positions: Float64Array, box: Box) -> BoolArray:
-    """Which positions (N, 2) are in a box, (N,); a tile without one is in none."""
+    """Return which positions (N, 2) are in a box, (N,); NaN is in none."""
     south, west, north, east = box
     latitude, longitude = positions[:, 0], positions[:, 1]
     both = np.logical_and if west <= east else np.logical_or

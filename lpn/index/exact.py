@@ -1,8 +1,8 @@
-"""Exact search in process, on the base installation: the answer is that of scanning every float32 vector.
+"""Exact search in process, on the base installation: the result equals that of scanning every float32 vector.
 
-A scan gives each tile an upper bound on its score (`lpn.index.scan`), from the vectors or from a copy a half or a quarter their
-size. The k tiles of the highest bounds are scored; what is not below the k-th of these scores is scored too, the highest bound
-first, until no bound reaches the k-th best score. Tiles of equal score keep the order in which they were added.
+A scan gives an upper bound on each tile's score (`lpn.index.scan`), from the vectors or from a copy of a half or a quarter of
+their size. The k tiles with the highest bounds are scored first. Then the tiles whose bound reaches the k-th score are
+scored, highest bound first, until no bound reaches the k-th best score. Ties keep the order of insertion.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from lpn.index.folder import Candidates, FolderIndex, IndexManifest, create
 from lpn.index.scan import Precision, Scan
 from lpn.index.segments import Segment
 
+# A scan picks out rows if at most one tile in so many is searched; otherwise it reads all rows.
 _FEW = 4
-"""Where at most one tile in so many is searched, their rows are picked out rather than all scanned."""
 _PICKED = 4096
 _NEXT = 256
 
@@ -28,8 +28,8 @@ class ExactIndex(FolderIndex):
     """An index that misses nothing.
 
     Args:
-        folder: of the index; any number of processes may have it open.
-        threads: of a scan in float16 or int8; by default as many as the process may use, at most 8.
+        folder: of the index; any number of processes may open it.
+        threads: for scans in float16 or int8; by default one for each usable core, 8 at most.
     """
 
     engine = "exact"
@@ -40,10 +40,10 @@ class ExactIndex(FolderIndex):
 
     @classmethod
     def create(cls, folder: str | Path, kind: Kind, precision: Precision = "float32") -> ExactIndex:
-        """Make an empty index, or open the one of the same kind that is there.
+        """Make an empty index, or open an existing one of the same kind.
 
         Args:
-            precision: of the copy that is scanned: float16 and int8 take 1/2 and 1/4 more disk, and are searched as much faster.
+            precision: of the scanned copy: float16 and int8 take 1/2 and 1/4 more disk, and are 2 and 4 times as fast to scan.
 
         Raises:
             StoreError: when the folder holds something else, or cannot be written.
@@ -54,7 +54,7 @@ class ExactIndex(FolderIndex):
     def search(
         self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
     ) -> SearchResult:
-        """See `Index.search`; equal scores in the order of insertion."""
+        """See `Index.search`; ties keep the order of insertion."""
         wanted = self.kind.rescaled(query, weights)
         k, box = check_count(k), check_box(box)
         segments = self._current().segments
@@ -87,7 +87,7 @@ class ExactIndex(FolderIndex):
     def _bounds(
         self, segments: list[Segment], wanted: Float64Array, box: Box | None
     ) -> tuple[Int64Array, Float64Array]:
-        """Places of the tiles that are searched, and an upper bound on the score of each."""
+        """Return the places of the searched tiles, and an upper bound on the score of each."""
         places: list[Int64Array] = []
         bounds: list[Float64Array] = []
         start = 0

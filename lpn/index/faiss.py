@@ -1,11 +1,11 @@
-"""faiss (the extra `faiss`) for 10^6 to 10^7 tiles on one machine: a faiss index beside the vectors of every larger segment.
+"""faiss (the extra `faiss`), for 10^6 to 10^7 tiles on one machine: a faiss index beside the vectors of each larger segment.
 
-    faiss.index     in a segment's folder, its rows in the segment's order
+    faiss.index     in a segment's folder, with its rows in the segment's order
 
-faiss proposes tiles, from codes far smaller than vectors; these are scored with the float32 vectors on disk. Tiles that faiss
-does not propose are missed: how few they are is for `nprobe` and `depth` to say, which can be changed at any search.
+faiss proposes candidates by compact codes, which are then scored with the float32 vectors on disk. Tiles that faiss does not
+propose are missed. `nprobe` and `depth` trade misses for time, and can be changed at any search.
 
-    flat        every vector once more in full: nothing is missed but what faiss's own rounding hides behind the `depth`-th
+    flat        float32 vectors: the only misses are ties at the `depth`-th candidate within faiss's rounding
     sq8         inverted lists with a byte for each number
     pq          inverted lists with a byte for each 32 numbers: 64 bytes for 2048
 """
@@ -31,24 +31,24 @@ from lpn.index.segments import Segment
 Codes = Literal["flat", "sq8", "pq"]
 
 FILE = "faiss.index"
+# Up to so many tiles of a larger segment within a box are compared exhaustively, which is as fast and misses none.
 _FEW = 4096
-"""Of a larger segment, up to as many tiles within a box are compared one by one: it is as quick, and misses none."""
+# Maximum number of training vectors for each list.
 _SAMPLE = 64
-"""Vectors for each list that the lists are learnt from, at most."""
+# Minimum number of training vectors for the codes, if there are as many.
 _LEAST = 16384
-"""Vectors that codes are learnt from where there are as many."""
 _ROUNDS = 10
 _ROWS = 16384
 _PER_CODE = 32
 
 
 class FaissIndex(FolderIndex):
-    """An index that trades a few misses for speed.
+    """An approximate index: a few misses for speed.
 
     Args:
         folder: of the index.
-        nprobe: inverted lists that are looked through; more miss fewer tiles and take longer.
-        depth: how many times k tiles are proposed and scored.
+        nprobe: inverted lists to visit; more miss fewer tiles and take longer.
+        depth: candidates to score, as a multiple of k.
 
     Raises:
         StoreError: when the folder is not such an index, or is damaged.
@@ -58,9 +58,9 @@ class FaissIndex(FolderIndex):
     engine = "faiss"
     largest = 8 << 30
     beside = FILE
+    # The newest segments, up to so many tiles together, have no faiss index and are compared exhaustively. Training takes as long
+    # for few tiles as for many, so it must not run at each of many small adds.
     plain = 16384
-    """Tiles up to which the last segments together have no faiss index, and are compared one by one: learning takes as long for
-    few as for many, and comes once in so many tiles rather than at each of many small adds."""
 
     def __init__(self, folder: str | Path, nprobe: int = 64, depth: int = 16) -> None:
         self._faiss = cast(Any, import_module("faiss"))
@@ -73,11 +73,11 @@ class FaissIndex(FolderIndex):
     def create(
         cls, folder: str | Path, kind: Kind, codes: Codes | None = None, nprobe: int = 64, depth: int = 16
     ) -> FaissIndex:
-        """Make an empty index, or open the one of the same kind that is there.
+        """Make an empty index, or open an existing one of the same kind.
 
         Args:
-            codes: by default pq, which at 10^6 tiles found as many of the true ten as sq8 and is far quicker; sq8 where the
-                numbers of a descriptor are no multiple of 32.
+            codes: by default pq, which at 10^6 tiles finds as many of the true ten as sq8 and is far quicker; sq8 if the length
+                of a descriptor is not a multiple of 32.
 
         Raises:
             StoreError: when the folder holds something else, or cannot be written.
@@ -96,7 +96,7 @@ class FaissIndex(FolderIndex):
     def search(
         self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
     ) -> SearchResult:
-        """See `Index.search`; of equal scores, those proposed keep the order of insertion."""
+        """See `Index.search`; ties among the candidates keep the order of insertion."""
         wanted = self.kind.rescaled(query, weights)
         k, box = check_count(k), check_box(box)
         while True:
@@ -117,7 +117,7 @@ class FaissIndex(FolderIndex):
         return self.codes != "flat"
 
     def _places(self, state: IndexSnapshot, wanted: Float32Array, k: int, box: Box | None) -> Int64Array:
-        """Places, among the rows of all segments, of the tiles that are to be scored."""
+        """Return the places of the candidates among the rows of all segments."""
         proposed: list[Int64Array] = [np.zeros(0, np.int64)]
         start = 0
         for segment in state.segments:
@@ -133,11 +133,11 @@ class FaissIndex(FolderIndex):
         rows: Int64Array | None,
         k: int,
     ) -> Int64Array:
-        """Rows of a segment that may be among the k best of those that are searched."""
+        """Return the candidate rows of one segment."""
         size = segment.rows if rows is None else len(rows)
         depth = min(size, max(k * self.depth, k))
         if segment.rows <= self.plain or size <= max(_FEW, depth):
-            # Their order by a product in single precision hides none behind the depth-th but among ties of its last digits.
+            # Single precision reorders only ties in its last digits.
             scores = (segment.vectors if rows is None else segment.vectors[rows]) @ wanted
             first = np.argpartition(scores, size - depth)[size - depth :] if depth < size else np.arange(size)
             return first if rows is None else rows[first]
@@ -147,7 +147,7 @@ class FaissIndex(FolderIndex):
         while True:
             found = index.search(wanted[None], depth, params=self._parameters(segment, rows, nprobe))[1][0]
             found = found[found >= 0]
-            # A box can leave the lists that were looked through with fewer tiles than are asked for.
+            # With a box, the visited lists may hold fewer than k tiles.
             if len(found) >= min(k, size) or nprobe == lists:
                 return cast(Int64Array, found)
             nprobe = min(2 * nprobe, lists)
@@ -163,7 +163,7 @@ class FaissIndex(FolderIndex):
         return self._faiss.SearchParameters(sel=selector)
 
     def _index(self, state: IndexSnapshot, segment: Segment) -> Any:
-        """A segment's faiss index; `state` is what the segment was taken from, which other threads may have moved on from."""
+        """Open a segment's faiss index; `state` is the segment's snapshot, which other threads may have replaced."""
         this = segment.folder, segment.identity
         opened = self._opened
         if this in opened:
@@ -174,7 +174,7 @@ class FaissIndex(FolderIndex):
         try:
             index = self._faiss.read_index(str(file), self._faiss.IO_FLAG_MMAP if self._lists else 0)
             if self._lists:
-                index.parallel_mode = 1  # it is asked one query at a time: threads share the lists, not the queries
+                index.parallel_mode = 1  # threads share the lists of one query
         except RuntimeError as error:
             if self._stamp() != state.stamp:
                 raise _ReplacedError from error
@@ -201,7 +201,7 @@ class FaissIndex(FolderIndex):
         return super()._gathered(sizes[:plain], last + rows)
 
     def _finish(self, folder: Path, rows: int) -> None:
-        """Learn lists and codes from a sample of a segment's vectors, and write all of them as faiss keeps them."""
+        """Train lists and codes on a sample of a segment's vectors, and write the faiss index."""
         if rows <= self.plain:
             return
         vectors = np.load(folder / "vectors.npy", mmap_mode="r")
@@ -222,13 +222,13 @@ class FaissIndex(FolderIndex):
 
 
 class _ReplacedError(Exception):
-    """Another process has gathered a segment into a new one since the manifest was read."""
+    """Another process has merged a segment into a new one since the manifest was read."""
 
 
 def _factory(codes: Codes, rows: int, kind: Kind) -> str:
-    """What faiss calls the index of so many tiles: about sqrt(N) inverted lists, or none."""
+    """Return the faiss factory string: about sqrt(N) inverted lists, or none."""
     if codes == "flat":
         return "Flat"
     lists = max(1, round(rows**0.5))
-    # np: without sorting codes for a filter by their bits, which is not used and takes most of the learning.
+    # "np" skips the sorting of codes for polysemous filtering, which is unused and slow.
     return f"IVF{lists},SQ8" if codes == "sq8" else f"IVF{lists},PQ{kind.numbers // _PER_CODE}np"

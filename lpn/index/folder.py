@@ -1,15 +1,15 @@
-"""An index that is a folder: a manifest and segments of tiles, added to whole or not at all.
+"""An index in a folder: a manifest and segments of tiles, with atomic adds.
 
-    index.json       format, engine and its settings, model fingerprint, n, D, the segments that count, oldest first, and a
-                     checksum of all this
+    index.json       format, engine and its settings, model fingerprint, n, D, the segments, oldest first, and a checksum
     0000012/ ...     segments, see `lpn.index.segments`, each with checksums.json: CRC-32 of every block of its files
 
-What an add writes lies in folders that the manifest does not name yet; the manifest is replaced last. Killed at any moment, an
-index is as it was before that add, and the next one clears away what was left.
+An add writes folders that the manifest does not name yet, and replaces the manifest last. If it is killed, the index is as it
+was before, and the next add deletes the leftovers.
 
-So that many small adds make no search slow, an add takes the newest segments along into its own for as long as the next one
-has at most twice as many tiles as are gathered, up to a size: each segment is then more than twice the next, there are as
-many as the logarithm of the number of tiles, and each tile is written anew about as many times.
+Segments are merged as in a log-structured merge tree, so that many small adds do not slow searches down. An add merges the
+newest segments into its own while the next one has at most twice as many tiles as are merged so far, up to a size. Each
+segment is then more than twice the next. The number of segments, and of times a tile is rewritten, grows with the logarithm
+of the number of tiles.
 """
 
 from __future__ import annotations
@@ -148,10 +148,10 @@ def verify(folder: Path) -> None:
 
 
 def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
-    """Make an empty index in a folder, or find that it holds one of the same kind, whose manifest is returned.
+    """Make an empty index in a folder, or check that an existing one is of the same kind and return its manifest.
 
     Raises:
-        StoreError: when it holds something else, or cannot be written.
+        StoreError: when the folder holds something else, or cannot be written.
     """
     try:
         if folder.exists() and not folder.is_dir():
@@ -160,7 +160,7 @@ def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
         with exclusive_lock(folder, wait=True):
             if (folder / MANIFEST).exists():
                 return _same(folder, IndexManifest.read(folder), manifest)
-            # Killed before it had a manifest, an index had nothing else.
+            # An index that was killed before it had a manifest has nothing else.
             others = [file.name for file in folder.iterdir() if not _UNFINISHED.fullmatch(file.name)]
             if others:
                 raise StoreError(
@@ -175,7 +175,11 @@ def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
 
 @dataclass(frozen=True, eq=False)
 class IndexSnapshot:
-    """An index as one of its manifests says it is, and what tells that file from the next."""
+    """An index as one version of its manifest describes it.
+
+    Attributes:
+        stamp: identifies the version of the manifest's file.
+    """
 
     manifest: IndexManifest
     segments: list[Segment]
@@ -183,19 +187,19 @@ class IndexSnapshot:
 
 
 class FolderIndex(Index):
-    """Tiles in a folder; how they are searched is for the engine to say.
+    """An index in a folder; subclasses define how it is searched.
 
-    Any number of processes may search while one adds, and see what it added at their next search; those that add take turns.
+    Any number of processes may search while one adds, and see the new tiles at their next search. Adds take turns.
 
     Raises:
         StoreError: when the folder is not an index of this engine, or is damaged.
     """
 
     engine: str
+    # Segments are merged up to this size of their vectors in bytes.
     largest = 1 << 30
-    """Bytes of vectors up to which segments are gathered into one."""
+    # The file that `_finish` writes into a segment's folder.
     beside: str | None = None
-    """The file that `_finish` writes beside a segment's own."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -214,7 +218,7 @@ class FolderIndex(Index):
         descriptors: npt.ArrayLike,
         positions: Sequence[Sequence[float]] | Float64Array | None = None,
     ) -> None:
-        """See `Index.add`; whole or not at all, whenever the process is killed."""
+        """See `Index.add`; atomic, even if the process is killed."""
         vectors = self.kind.checked(descriptors)
         names = check_names(ids, len(vectors))
         batch = TileBatch(names, vectors, check_positions(positions, len(vectors)))
@@ -248,17 +252,17 @@ class FolderIndex(Index):
 
     @abstractmethod
     def _finish(self, folder: Path, rows: int) -> None:
-        """Write what the engine needs beside a new segment's files."""
+        """Write the engine's own file into a new segment's folder."""
 
     def _current(self) -> IndexSnapshot:
-        """The index as it is now, whichever process wrote it."""
+        """Return the newest version of the index, whichever process wrote it."""
         state = self._state
         if self._stamp() != state.stamp or not state.segments:
             state = self._state = self._read(state.segments)
         return state
 
     def _found(self, segments: list[Segment], candidates: Candidates, k: int) -> SearchResult:
-        """The k best of candidates whose scores are known."""
+        """Return the k best of scored candidates."""
         if not len(candidates.places):
             return SearchResult(
                 [], np.zeros(0), np.zeros((0, self.kind.n_parts, self.kind.embedding), np.float32), np.zeros((0, 2))
@@ -278,7 +282,7 @@ class FolderIndex(Index):
         return SearchResult(names, candidates.scores[chosen], shaped, positions)
 
     def _stamp(self) -> tuple[int, ...]:
-        """What tells a manifest's file from the next; empty where there is none."""
+        """Identify the version of the manifest's file; empty if there is none."""
         try:
             stat = (self.folder / MANIFEST).stat()
         except FileNotFoundError:
@@ -288,7 +292,7 @@ class FolderIndex(Index):
         return stat.st_ino, stat.st_mtime_ns, stat.st_size
 
     def _read(self, held: Sequence[Segment] = ()) -> IndexSnapshot:
-        """The index as its manifest says it is; segments that are held and have not changed are not opened again."""
+        """Read the manifest and open its segments, reusing held ones that have not changed."""
         open_now = {segment.folder.name: segment for segment in held}
         for attempt in range(_ATTEMPTS):
             stamp = self._stamp()
@@ -313,7 +317,7 @@ class FolderIndex(Index):
         return Segment(folder, manifest.kind, manifest.precision, entry.rows, entry.dead)
 
     def _write(self, batch: TileBatch) -> IndexManifest:
-        """Everything an add needs on disk, and the manifest that makes it count."""
+        """Write everything that an add needs, and return the manifest that will name it."""
         manifest, segments = self._state.manifest, self._state.segments
         keys = keys_of(batch.names)
         masks: list[BoolArray | None] = []
@@ -353,8 +357,11 @@ class FolderIndex(Index):
         return replace(manifest, segments=tuple(entries), next=number + 1)
 
     def _gathered(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:
-        """How many segments of these sizes stay by themselves when so many tiles are added, and the size of the one that takes
-        the rest along."""
+        """Choose the segments that an add of so many tiles merges.
+
+        Returns:
+            The number of older segments that stay as they are, and the size of the merged one.
+        """
         kept = len(sizes)
         while kept and sizes[kept - 1] <= 2 * rows and self._bytes(rows + sizes[kept - 1]) <= self.largest:
             kept -= 1
@@ -369,7 +376,7 @@ class FolderIndex(Index):
         return ManifestEntry(name, rows)
 
     def _free(self, number: int) -> int:
-        """The first number from this one on under which nobody has put anything into the folder."""
+        """Return the first unused number from this one on."""
         while os.path.lexists(self.folder / f"{number:07d}"):
             number += 1
         return number
@@ -378,9 +385,9 @@ class FolderIndex(Index):
         return rows * self.kind.numbers * np.dtype(np.float32).itemsize
 
     def _clear(self) -> None:
-        """Delete what the manifest does not name: segments that were taken along, and what a killed add left.
+        """Delete what the manifest does not name: merged segments, and leftovers of a killed add.
 
-        What an index has not made is left where it is, and so is a folder that holds any.
+        A segment's folder with any file that is not an index's is left alone.
         """
         entries = {entry.name: entry for entry in self._state.manifest.segments}
         for path in self.folder.iterdir():
@@ -408,14 +415,14 @@ class FolderIndex(Index):
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Tiles by their place among the rows of all segments, (C,), and their scores, (C,)."""
+    """Candidate tiles: their places among the rows of all segments, (C,), and their scores, (C,)."""
 
     places: Int64Array
     scores: Float64Array
 
     @classmethod
     def of(cls, segments: list[Segment], places: Int64Array, wanted: Float64Array) -> Candidates:
-        """Read vectors and score them."""
+        """Read the vectors of candidates and score them."""
         places = np.sort(places)  # in the order in which they lie on disk
         scores = np.empty(len(places))
         for start in range(0, len(places), _READ):
@@ -424,14 +431,14 @@ class Candidates:
         return cls(places, scores)
 
     def with_(self, other: Candidates, k: int) -> Candidates:
-        """The k best of both."""
+        """Return the k best of both."""
         places, scores = np.concatenate([self.places, other.places]), np.concatenate([self.scores, other.scores])
         chosen = best(scores, places, k)
         return Candidates(places[chosen], scores[chosen])
 
 
 def gather(arrays: Sequence[AnyArray], places: Int64Array) -> AnyArray:
-    """Rows of arrays that lie one after the other, by their place in the whole."""
+    """Read rows of concatenated arrays by their places in the whole."""
     if len(arrays) == 1:
         return np.asarray(arrays[0][places])
     starts = np.cumsum([0, *(len(array) for array in arrays)])

@@ -1,18 +1,18 @@
-"""An upper bound on every tile's score from a small copy of its vector, so that few vectors need be read in full.
+"""Upper bounds on the scores of all tiles, from compact copies of their vectors, so that few vectors are read in full.
 
-A vector g is kept as g' = scale * (integers -127 .. 127), or in float16, and for each of its parts the norm r_i of what that
-leaves out. A rescaled query v is used as v' where the product needs it smaller too. By Cauchy-Schwarz, part by part,
+A vector g is copied as g' = scale * (integers from -127 to 127), or in float16, with the norm r_i of the error of each part. A
+rescaled query v is rounded to v' if the product needs it. By Cauchy-Schwarz for each part,
 
     v . g = v' . g' + (v - v') . g' + v . (g - g')  <=  v' . g' + sum_i |v_i - v'_i| |g'_i| + sum_i |v_i| r_i
 
-and a sum of m products in float32, in any order, is off by at most m u / (1 - m u) |v'| |g'| with u = 2^-24. Float32 vectors have
-no copy, r_i = 0, and the last term alone. A tile whose bound is below the k-th best score is not among the k best.
+A sum of m products in float32, in any order, is off by at most m u / (1 - m u) |v'| |g'| with u = 2^-24. Float32 vectors have
+no copy: r_i = 0, and only rounding remains. A tile whose bound is below the k-th best score is not among the k best.
 
-In int8 the query is a pair of integer vectors, the second being what the first left out, 254 times finer; both meet a row
-while it is in the processor's cache, so that the second costs little and the query's error next to nothing.
+For int8 the query is a pair of integer vectors; the second holds what the first leaves out, 254 times finer. Both are
+multiplied with a row while it is in the processor's cache, so that the second costs little.
 
-The products of float16 and int8 rows are numkong's where it is installed (the extra `search`), which reads them as they are;
-otherwise NumPy's, of rows turned into float32 block by block.
+numkong multiplies float16 and int8 rows directly where it is installed (the extra `search`). Otherwise NumPy multiplies rows
+that are converted to float32 block by block.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ _STEPS = 127
 _FINER = 2 * _STEPS
 _UNIT = 2.0**-24
 _ROUNDING = 1e-12
+# Maximum length of a vector for which sums of 8-bit products, shifted to unsigned as on some processors, fit 32 bits.
 _INTEGERS = 1 << 16
-"""Numbers of a vector up to which sums of 8-bit products, shifted to be unsigned as some processors want it, fit 32 bits."""
+# Numbers in a block of rows for numkong: 4096 rows of 4 parts of 512.
 _BLOCK = 1 << 22
-"""Numbers in a block of rows for numkong: 4096 rows of 4 parts of 512 halve the calls, and 8 MB a thread is soon read."""
 _NUMPY_BLOCK = 1 << 20
 
 
 def small_copy(vectors: Float32Array, kind: Kind, precision: Precision) -> tuple[AnyArray, Float32Array, Float32Array]:
-    """What a scan reads in place of vectors (B, n D).
+    """Make the compact copies of vectors (B, n D).
 
     Returns:
-        The copy (B, n D) in float16 or int8, the scale of each row (B,) float32, and the norm of what it leaves out of each
-        part, (B, n) float32, rounded up.
+        The copies (B, n D) in float16 or int8, the scale of each row (B,) float32, and the norm of the error of each part, (B, n)
+        float32, rounded up.
     """
     if precision == "float16":
         scales = np.ones(len(vectors), np.float32)
@@ -63,10 +63,10 @@ def small_copy(vectors: Float32Array, kind: Kind, precision: Precision) -> tuple
 
 
 class Scan:
-    """Upper bounds on scores, by a few threads.
+    """Upper bounds on scores, computed by a few threads.
 
     Args:
-        threads: that share the rows; by default as many as the process may use, at most 8. NumPy's own products choose theirs.
+        threads: by default one for each usable core, 8 at most; NumPy's own products use its own threads.
     """
 
     def __init__(self, kind: Kind, precision: Precision, threads: int | None = None) -> None:
@@ -75,7 +75,7 @@ class Scan:
         self._pool: ThreadPoolExecutor | None = None
 
     def close(self) -> None:
-        """End the threads."""
+        """Stop the threads."""
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
@@ -83,18 +83,18 @@ class Scan:
     def bounds(
         self, wanted: Float64Array, rows: AnyArray, scales: Float32Array | None, errors: Float32Array | None
     ) -> Float64Array:
-        """At least the score of each row under a rescaled query (n D,): (N,) float64.
+        """Return an upper bound on the score of each row under a rescaled query (n D,): (N,) float64.
 
         Args:
             rows: (N, n D) in the precision of the scan.
-            scales, errors: as `small_copy` gives them; None in float32.
+            scales, errors: from `small_copy`; None in float32.
         """
         longest = LONGEST * self._kind.n_parts**-0.5
         if scales is None or errors is None:
             used = wanted.astype(np.float32)
             upper: Float64Array = (rows @ used).astype(np.float64)
             return upper + self._missed(wanted - used, longest) + self._rounding(wanted, longest) + _ROUNDING
-        # What a row's small copy can be longer than the row: half a step in every number.
+        # A copy can be longer than its row, by half a step in every number.
         longest *= 1 + self._kind.embedding**0.5 / (2 * _STEPS)
         kernel = _numkong()
         if kernel is not None and self._precision == "int8" and self._kind.numbers <= _INTEGERS:
@@ -121,7 +121,7 @@ class Scan:
         return upper
 
     def _missed(self, difference: Float64Array, longest: float) -> float:
-        """The most that a tile's score can differ for what the query was rounded by."""
+        """Bound the change of a score by the rounding of the query."""
         return float(np.linalg.norm(difference.reshape(self._kind.n_parts, -1), axis=1).sum()) * longest
 
     def _rounding(self, wanted: Float64Array, longest: float) -> float:
@@ -130,7 +130,7 @@ class Scan:
         return float(share / (1 - share) * norm)
 
     def _products(self, kernel: ModuleType, queries: AnyArray, rows: AnyArray) -> Float64Array:
-        """Inner products of queries (Q, n D) with rows (N, n D): (Q, N)."""
+        """Multiply queries (Q, n D) with rows (N, n D): (Q, N)."""
         found = np.empty((len(queries), len(rows)))
         size = min(max(1, _BLOCK // self._kind.numbers), max(1, -(-len(rows) // self._threads)))
 
@@ -156,12 +156,12 @@ def _blocks(rows: int, size: int) -> Iterator[slice]:
 
 @cache
 def _numkong() -> ModuleType | None:
-    """The library, where it is installed and adds up on this processor as the bounds above assume; else None."""
+    """Import numkong if it is installed and accumulates on this processor as exactly as the bounds assume; else None."""
     try:
         kernel = import_module("numkong")
     except ImportError:
         return None
-    # All of one sign, so that a sum kept in half precision or in 16 bits would be far off.
+    # Numbers of one sign expose accumulation in half precision or 16 bits.
     large = np.full((3, 4096), _STEPS, np.int8)
     halves = np.linspace(0.5, 1, 3 * 4096).reshape(3, 4096).astype(np.float16)
     for rows in (large, halves):

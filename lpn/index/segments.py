@@ -1,13 +1,13 @@
-"""A folder of tiles that never changes: vectors, names, and positions, as arrays that are mapped rather than read.
+"""A segment: an immutable folder of tiles, whose vectors, names, and positions are memory-mapped.
 
     vectors.npy             (N, n D) float32
-    small.npy               (N, n D) float16 or int8, with scales.npy (N,) and errors.npy (N, n), where the scan is not float32
-    positions.npy           (N, 2) float64, NaN where a tile has none
-    names.bin, ends.npy     the names in UTF-8, one after the other, and where each ends, (N,) int64
-    keys.npy, rows.npy      64 bits of each name's digest, sorted, (N,) uint64, and the rows they stand for, (N,) int64
-    dead-*.npy              (N,) bool: tiles that were replaced; the manifest above says which file holds
+    small.npy               (N, n D) float16 or int8, with scales.npy (N,) and errors.npy (N, n), unless the scan is float32
+    positions.npy           (N, 2) float64, NaN for a tile without a position
+    names.bin, ends.npy     the names in UTF-8, concatenated, and where each ends, (N,) int64
+    keys.npy, rows.npy      64-bit hashes of the names, sorted, (N,) uint64, and the row of each, (N,) int64
+    dead-*.npy              (N,) bool: tiles that were replaced; index.json names the valid file
 
-Rows keep the order in which tiles were added.
+Rows keep the order of insertion.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from lpn.index.base import Box, Kind, covers, overlaps, within
 from lpn.index.scan import Precision, small_copy
 
 DEAD = re.compile(r"dead-\d{7,}\.npy")
+# The files of a segment.
 FILES = re.compile(rf"(vectors|small|scales|errors|positions|ends|keys|rows)\.npy|names\.bin|{DEAD.pattern}")
-"""The names above."""
+# Rows copied at once.
 _BLOCK = 2048
-"""Rows copied at once."""
 
 
 @dataclass(frozen=True, eq=False)
 class TileBatch:
-    """Tiles on their way to disk: names, vectors (B, n D) float32, positions (B, 2)."""
+    """Tiles to be written: names, vectors (B, n D) float32, positions (B, 2)."""
 
     names: list[str]
     vectors: Float32Array
@@ -46,19 +46,20 @@ class TileBatch:
 
 
 class Segment:
-    """Tiles on disk.
+    """The tiles of one segment.
 
     Args:
         folder: with the files above.
-        rows: how many tiles the manifest says it holds.
-        dead: name of the file that says which were replaced; None when none was.
+        rows: number of tiles according to the manifest.
+        dead: name of the file that marks replaced tiles; None if there are none.
 
     Attributes:
-        identity: which files these are, also where others were written in the same place later.
+        identity: tells the files from others that are later written in the same place.
+        size: number of tiles that were not replaced.
 
     Raises:
         StoreError: when a file is damaged, does not fit the others, or cannot be read.
-        FileNotFoundError: when one is missing, as after another process replaced the whole segment.
+        FileNotFoundError: when a file is missing, for example because another process replaced the segment.
     """
 
     def __init__(self, folder: Path, kind: Kind, precision: Precision, rows: int, dead: str | None) -> None:
@@ -90,10 +91,9 @@ class Segment:
         if dead is not None:
             self.alive = ~self._mapped(dead.removesuffix(".npy"), (rows,), np.bool_)
         self.size = rows if self.alive is None else int(self.alive.sum())
-        """Tiles that were not replaced."""
 
     def chosen(self, box: Box | None) -> Int64Array | None:
-        """Rows of the tiles that are searched, ascending; None for all."""
+        """Return the rows to be searched, ascending; None for all."""
         if box is not None and not overlaps(self._extent[0], box):
             return np.zeros(0, np.int64)
         if box is None or (self._extent[1] and covers(box, self._extent[0])):
@@ -102,7 +102,7 @@ class Segment:
         return np.flatnonzero(inside if self.alive is None else inside & self.alive)
 
     def names(self, rows: Int64Array) -> list[str]:
-        """Names of tiles."""
+        """Return the names of rows."""
         starts = np.where(rows > 0, self._ends[rows - 1], 0)
         try:
             return [
@@ -112,10 +112,10 @@ class Segment:
             raise self._damaged("names.bin") from error
 
     def find(self, names: Sequence[str], keys: UInt64Array) -> Int64Array:
-        """The row of each name, -1 where it is not there or was replaced.
+        """Return the row of each name, -1 if it is missing or was replaced.
 
         Args:
-            keys: of the names, see `keys_of`.
+            keys: hashes of the names, see `keys_of`.
         """
         found = np.full(len(names), -1, np.int64)
         first = np.searchsorted(self._keys, keys, "left")
@@ -129,7 +129,7 @@ class Segment:
         return found
 
     def batches(self, alive: BoolArray | None) -> Iterator[TileBatch]:
-        """The tiles that a mask leaves, block by block."""
+        """Yield the tiles that a mask keeps, in blocks."""
         for start in range(0, self.rows, _BLOCK):
             rows = np.arange(start, min(start + _BLOCK, self.rows))
             if alive is not None:
@@ -139,8 +139,7 @@ class Segment:
 
     @cached_property
     def _extent(self) -> tuple[Box, bool]:
-        """The smallest box of all positions, NaN where there are none, and whether every tile has one: with it, most
-        searches in a box read the positions of few segments."""
+        """Bounding box of all positions, NaN if there are none, and whether every tile has one."""
         (south, west), (north, east) = (how.reduce(self.positions, axis=0).tolist() for how in (np.fmin, np.fmax))
         return (south, west, north, east), not np.isnan(self.positions).any()
 
@@ -162,11 +161,11 @@ class Segment:
 
 
 def identity_of(folder: Path) -> tuple[int, int]:
-    """What tells a segment from another that is written in its place.
+    """Identify a segment's files, to tell them from others that are later written in the same place.
 
     Raises:
-        StoreError: when it cannot be read.
-        FileNotFoundError: when there is none.
+        StoreError: when they cannot be read.
+        FileNotFoundError: when there are none.
     """
     try:
         stat = (folder / "vectors.npy").stat()
@@ -178,10 +177,11 @@ def identity_of(folder: Path) -> tuple[int, int]:
 
 
 def write_segment(folder: Path, kind: Kind, precision: Precision, batches: Iterable[TileBatch], rows: int) -> None:
-    """Write tiles into a new folder; nothing refers to it yet.
+    """Write tiles into a new folder, which no manifest names yet.
 
     Args:
-        batches: the tiles in order, `rows` of them in all.
+        batches: the tiles in order.
+        rows: the number of tiles in all batches.
     """
     folder.mkdir()
     shapes: dict[str, tuple[tuple[int, ...], npt.DTypeLike]] = {
@@ -217,13 +217,13 @@ def write_segment(folder: Path, kind: Kind, precision: Precision, batches: Itera
 
 
 def keys_of(names: Sequence[str]) -> UInt64Array:
-    """64 bits of each name's digest."""
+    """Hash names to 64 bits."""
     digests = b"".join(hashlib.blake2b(name.encode(), digest_size=8).digest() for name in names)
     return np.frombuffer(digests, np.dtype("<u8")).astype(np.uint64)
 
 
 class _Array(AbstractContextManager["_Array"]):
-    """A .npy file written block by block: a full disk is an error here, where a mapped file would end the process."""
+    """A .npy file written in blocks. A full disk raises OSError here; with a memory-mapped file it would kill the process."""
 
     def __init__(self, path: Path, shape: tuple[int, ...], dtype: npt.DTypeLike) -> None:
         self._file = path.open("wb")

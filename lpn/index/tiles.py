@@ -1,4 +1,4 @@
-"""The tiles that an index is made of: those of a store of descriptors, or of shards; with positions where they are known."""
+"""The tiles of a store of descriptors, or of shards, as an index takes them, with positions where they are known."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from lpn.core.files import printable
 from lpn.datasets import geo
 from lpn.index.base import Kind, check_names
 
+# Size of the descriptors that are added at once; a killed run repeats at most so much.
 _LOT_BYTES = 64 << 20
-"""Of descriptors added at once: what a killed run does over again."""
+# The name in `lpn.cluster.shards`, which needs an extra and is imported for shards only.
 _PLAN = "plan.json"
-"""As `lpn.cluster.shards` calls it, which is imported only for shards: it needs an extra."""
 
 
 @dataclass(frozen=True)
 class TileChunk:
-    """Tiles that are best read and added together.
+    """Tiles that are read and added together.
 
     Attributes:
-        names: of its tiles, each a name that an index takes.
-        positions: latitude and longitude in degrees, (B, 2) float64, NaN where a tile has none; None where none has.
-        rows: gives the descriptors (C, n, D) float32 of some of them, by their ascending numbers within the lot, (C,).
+        names: of the tiles.
+        positions: latitude and longitude in degrees, (B, 2) float64, NaN for a tile without a position; None for no positions.
+        rows: reads the descriptors (C, n, D) float32 of rows of the chunk, given in ascending order, (C,).
     """
 
     names: list[str]
@@ -38,13 +38,13 @@ class TileChunk:
 
 @dataclass(frozen=True)
 class TileSource:
-    """Tiles to be put into an index. Those of shards are read lot by lot, and only one lot is kept.
+    """Tiles to be added to an index; only one chunk of shards is in memory at a time.
 
     Attributes:
-        kind: of their descriptors.
-        count: how many there are.
-        lots: all of them in order, each tile in one lot; StoreError where a shard is damaged or was written anew meanwhile.
-        broken: how many pictures could not be described, and so are not among them.
+        kind: of the descriptors.
+        count: number of tiles.
+        lots: all tiles in order, in chunks; raises StoreError if a shard is damaged or was rewritten meanwhile.
+        broken: number of pictures that could not be described, which are not among the tiles.
     """
 
     kind: Kind
@@ -54,16 +54,16 @@ class TileSource:
 
 
 def open_tiles(where: str, data: Path | None = None) -> TileSource:
-    """Open what was described.
+    """Open a store or shards of descriptors.
 
     Args:
         where: folder of a store, or folder or address of shards.
-        data: folder whose geo.csv gives the positions, in place of those that shards have; see `lpn.datasets.geo.match` for its paths.
+        data: folder whose geo.csv replaces the positions of shards; see `lpn.datasets.geo.match` for its paths.
 
     Raises:
         StoreError: when there is neither a complete store nor complete shards.
         DataError: when `data` has no geo.csv, or it cannot be read.
-        InputError: when an index cannot hold these tiles, or `data` has none of them, or has them in two places.
+        InputError: when an index cannot hold these tiles, or `data` has positions for none of them, or two for some.
     """
     folder = Path(where)
     is_shards = "://" in where or ((folder / _PLAN).is_file() and not (folder / "manifest.json").is_file())
@@ -96,7 +96,7 @@ def _of_shards(where: str, data: Path | None) -> TileSource:
     kind = Kind(shards.plan.fingerprint, shards.plan.n_parts, shards.plan.embedding)
 
     def checked(partition: int) -> list[str]:
-        # A partition is told by a name alone: none is in two of them.
+        # A name determines its partition, so no tile is in two of them.
         names = shards.tiles(partition).names
         return check_names(names, len(names))
 
@@ -105,7 +105,7 @@ def _of_shards(where: str, data: Path | None) -> TileSource:
     if data is None:
         seen = list(each(lambda partition: _told(checked(partition)), partitions))
     else:
-        # The paths of a file of positions are matched with all names, so these must be known together.
+        # The paths of geo.csv are matched against all names at once.
         parts = list(each(checked, partitions))
         seen = [_told(names) for names in parts]
         positions = _positions(data, [name for names in parts for name in names])
@@ -114,7 +114,7 @@ def _of_shards(where: str, data: Path | None) -> TileSource:
     def lot(group: range) -> TileChunk:
         tiles = list(each(shards.tiles, group))
         for partition, part in zip(group, tiles, strict=True):
-            # Its digest is of pictures that it settles, of which others may be broken by now.
+            # A shard of the same digest may have other broken pictures by now.
             if _told(part.names) != seen[partition]:
                 raise shards.written_anew(partition)
         names = [name for part in tiles for name in part.names]
@@ -142,7 +142,7 @@ def _of_shards(where: str, data: Path | None) -> TileSource:
 
 
 def _told(names: list[str]) -> tuple[int, int]:
-    """What tells the tiles of a shard from others, in little memory."""
+    """Identify the tiles of a shard in little memory."""
     return len(names), hash(tuple(names))
 
 

@@ -16,7 +16,6 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -32,11 +31,10 @@ from lpn.cluster import session
 from lpn.cluster.driver import Summary, describe_shards
 from lpn.cluster.gather import open_shards, to_store
 from lpn.cluster.session import started
-from lpn.cluster.shards import BEFORE, PLAN, Plan, ShardItem, read_shard, write_shard
+from lpn.cluster.shards import ShardItem
 from lpn.cluster.storage import Storage
 from lpn.cluster.worker import DescribeWorker
 from lpn.core.errors import DataError, InputError, LPNError, StoreError
-from lpn.core.files import exclusive_lock
 from lpn.index import open_index
 from lpn.models.onnx_engine import Engine
 from tools.fixtures import small_worlds
@@ -269,24 +267,6 @@ def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
     np.testing.assert_allclose(rows, rows[:1].repeat(PICTURES, 0), atol=1e-6)
 
 
-def test_shards_of_an_earlier_version_are_gone_on_with(model_file: Path, folder: Path, done: Path) -> None:
-    storage, before = Storage(done), held(done)
-    plan = Plan.read(storage)
-    assert plan is not None
-    for partition in range(plan.partitions):
-        shard = read_shard(storage, plan, partition)
-        assert shard is not None
-        write_shard(storage, replace(plan, format=BEFORE), partition, shard.items, shard.descriptors)
-    values = asdict(plan) | {"format": BEFORE}
-    del values["contents"]
-    storage.write(PLAN, json.dumps(values).encode())
-    assert describe(model_file, folder, done).computed == 0
-    after = Plan.read(storage)
-    assert after is not None
-    assert after.contents == plan.contents
-    assert all((held(done)[name] == row).all() for name, row in before.items())
-
-
 class Interrupted(DescribeWorker):
     """Gives up at the partition that there was first, once: by then all others are there, if they are written before it."""
 
@@ -368,19 +348,6 @@ def test_shards_are_indexed_with_their_positions(
                 assert found.ids == [name]
                 np.testing.assert_array_equal(found.vectors[0], row)
                 np.testing.assert_array_equal(found.positions[0], (names.index(name), 2 * names.index(name)))
-
-
-def test_a_live_runs_folder_is_kept_and_a_killed_ones_deleted(tmp_path: Path) -> None:
-    """Whatever their process numbers say: a live one may be in another container."""
-    for name in ("lpn-ray-lives_01", "lpn-ray-killed01", "lpn-ray-of-another"):
-        (tmp_path / name).mkdir()
-    with exclusive_lock(tmp_path / "lpn-ray-lives_01", wait=False), session._folder(tmp_path) as one:
-        with session._folder(tmp_path) as other:
-            held = {path.name for path in tmp_path.iterdir()}
-            assert held == {"lpn-ray-lives_01", "lpn-ray-of-another", one.name, other.name}
-        assert one.is_dir()
-        assert not other.exists()
-    assert not one.exists()
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +14,8 @@ pytest.importorskip("pyarrow", reason="the extra ray is not installed")
 from lpn import descriptors
 from lpn.cli import main
 from lpn.cluster import gather
-from lpn.cluster.gather import open_shards, to_store
+from lpn.cluster.gather import open_shards
 from lpn.cluster.shards import (
-    BEFORE,
     PLAN,
     BrokenPicture,
     Plan,
@@ -174,13 +172,10 @@ def test_an_index_is_made_of_one_state_as_far_as_it_goes(
     check([*RUNS[run], *there])
 
 
-@pytest.mark.parametrize("earlier", [False, True])
 @pytest.mark.parametrize(("ends", "said"), [(False, "the run that wrote them has not ended"), (True, ANEW)])
 def test_a_run_that_begins_or_ends_while_shards_are_opened_is_seen(
-    ends: bool, said: str, earlier: bool, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ends: bool, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if earlier:
-        of_before(folder)
     real = read_notes
 
     def meanwhile(storage: Storage, plan: Plan, partitions: Sequence[int]) -> object:
@@ -194,20 +189,6 @@ def test_a_run_that_begins_or_ends_while_shards_are_opened_is_seen(
     monkeypatch.setattr(gather, "read_notes", meanwhile)
     with pytest.raises(StoreError, match=said):
         open_shards(folder)
-
-
-def of_before(folder: Path) -> None:
-    """Make the folder one of an earlier version."""
-    plan = json.loads((folder / PLAN).read_text())
-    for name in ("contents", "run", "shard"):
-        del plan[name]
-    (folder / PLAN).write_text(json.dumps(plan | {"format": BEFORE}))
-    write(folder, replace(PLANNED, format=BEFORE), WAS)
-
-
-def test_shards_of_before_there_was_a_digest_of_all_are_read(folder: Path, tmp_path: Path) -> None:
-    of_before(folder)
-    assert len(to_store(open_shards(folder), tmp_path / "store").manifest.rows) == len(WAS)
 
 
 @pytest.mark.parametrize("positions", [False, True])
