@@ -45,7 +45,7 @@ def of_analysis(
     """
     state, task = analysis.state, analysis.task
     task = _with_notes(workspace, task, model or workspace.model, analysis.ranking.weights)
-    query = report.Own(analysis.name, analysis.source) if state.upload else state.query
+    query = report.OwnPicture(analysis.name, analysis.source) if state.upload else state.query
     options = report.Options(change=state.change, against=analysis.chosen.index)
     return f"{_plain(analysis.name)}.html", report.build(task, [query], options, progress)
 

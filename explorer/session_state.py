@@ -10,7 +10,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from lpn.core.arrays import Int64Array, UInt8Array
+from lpn.analysis.analyser import OwnPicture
+from lpn.core.arrays import Int64Array
 from lpn.descriptors.transforms import Change
 from lpn.drawing.overlays import DARK, LIGHT, Palette
 
@@ -19,14 +20,6 @@ MAX_WEIGHT = 2.0
 POSITIVE: Final = "truth"
 HeatKind = Literal["activation", "evidence"]
 MAX_ZOOM = 4.0
-
-
-@dataclass(frozen=True, eq=False)
-class Upload:
-    """A picture of the user's own, kept in memory for this browser only."""
-
-    name: str
-    picture: UInt8Array
 
 
 @dataclass(frozen=True)
@@ -63,7 +56,7 @@ class SessionState:
     task: str
     n_parts: int
     query: int = 0
-    upload: Upload | None = None
+    upload: OwnPicture | None = None
     angle: float = 0.0
     weights: tuple[float, ...] = ()
     enabled: tuple[bool, ...] = ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 
 from explorer.server.message_filter import MAX_UPLOAD
-from explorer.session_state import Upload
+from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
@@ -20,7 +20,7 @@ _READING = threading.BoundedSemaphore(2)
 """Of all browsers' pictures, so many are decoded at a time: the largest takes 430 MB meanwhile, and up to 5 s of a processor."""
 
 
-def read(name: str, content: bytes) -> Upload:
+def read(name: str, content: bytes) -> OwnPicture:
     """The picture of an uploaded file, which is not written anywhere.
 
     Args:
@@ -40,4 +40,4 @@ def read(name: str, content: bytes) -> Upload:
     if content.startswith(b"\xff\xd8") and (scans := content.count(b"\xff\xda")) > MOST_SCANS:
         raise PictureError(f"{name} is written in {scans:,} passes; expected at most {MOST_SCANS}, so save it anew.")
     with _READING:
-        return Upload(name, images.shrink(images.decode_picture(content, name), LARGEST_SIDE))
+        return OwnPicture(name, images.shrink(images.decode_picture(content, name), LARGEST_SIDE))

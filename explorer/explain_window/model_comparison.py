@@ -77,7 +77,7 @@ def _state(state: SessionState, other: Workspace) -> SessionState:
 
 
 def _column(analysis: StateAnalysis, workspace: Workspace) -> _Column:
-    task, truth, ranking = analysis.task, analysis.truth, workspace.rankings[analysis.task.name]
+    task, truth, ranking = analysis.task, analysis.positive, workspace.rankings[analysis.task.name]
     column = _Column(
         workspace.description,
         None if ranking.result is None else ranking.results["recall@1"],

@@ -51,7 +51,7 @@ class SweepRequest:
             task.gallery_labels,
             None if known is None else int(task.query_labels[known]),
             None if known is None or task.truth is None else task.truth[known],
-            None if analysis.truth else analysis.chosen.index,
+            None if analysis.positive else analysis.chosen.index,
         ):
             if self.cancelled.is_set():
                 break
@@ -65,7 +65,7 @@ class SweepRequest:
 
     def _key(self, analysis: StateAnalysis) -> object:
         state, field = analysis.state, FIELD[self.over]
-        followed = None if analysis.truth else analysis.chosen.index
+        followed = None if analysis.positive else analysis.chosen.index
         weights = tuple(analysis.ranking.weights.tolist())
         unswept = replace(state.change, **{field: getattr(UNCHANGED, field)})
         return state.task, state.query, state.upload, weights, followed, unswept

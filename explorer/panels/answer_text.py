@@ -19,4 +19,4 @@ def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None
         return None, "Your picture: nearest tile", f"Its true place is not known here; {gap}."
     rival = next((match for match in analysis.matches if not match.true), None)
     metres = None if analysis.errors_m is None else float(analysis.errors_m[first.index])
-    return verdicts.verdict(first, analysis.truth, rival, part_names, metres)
+    return verdicts.verdict(first, analysis.positive, rival, part_names, metres)

@@ -82,7 +82,7 @@ def matches(analysis: StateAnalysis, workspace: Workspace, buttons: Sequence[str
 
     A positive below them gets a row of its own, whose button is the last.
     """
-    positive = analysis.truth
+    positive = analysis.positive
     below = positive if positive is not None and positive.rank > len(analysis.matches) else None
     full = max(match.distance2 for match in (*analysis.matches, *([below] if below else [])))
     return render(

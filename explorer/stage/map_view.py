@@ -121,7 +121,7 @@ class GalleryMap:
     def _over_city(self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None) -> Viewpoint:
         """A view in which the drone, the compared tile, and the true one are."""
         half = 0.6 * places.width
-        tiles = [analysis.chosen.index, *([analysis.truth.index] if analysis.truth is not None else [])]
+        tiles = [analysis.chosen.index, *([analysis.positive.index] if analysis.positive is not None else [])]
         around = [places.ground[tile] + np.array(off) * half for tile in tiles for off in ((-1, -1), (1, 1))]
         points = [self._place(point, 0.0) for point in around]
         if camera is not None and float(np.abs(camera - points[0]).max()) < _FAR * self._scale:
@@ -158,7 +158,7 @@ class GalleryMap:
                 chosen = match.index == analysis.chosen.index
                 framed = overlays.outlined(160, colour, 7 if chosen else 4, 0.12 if chosen else 0.03)
             else:
-                picture = overlays.square(self._workspace.entry_picture(analysis.task.gallery[match.index].path), 96)
+                picture = overlays.square(self._workspace.load_picture(analysis.task.gallery[match.index].path), 96)
                 framed = overlays.framed(picture, colour, 5)
             plane.show(overlays.numbered(framed, match.rank))
             plane.handle.render_width = plane.handle.render_height = side
@@ -192,8 +192,8 @@ class GalleryMap:
         segments: list[tuple[AnyArray, AnyArray, overlays.Colour]] = []
         chosen = self._place(places.ground[analysis.chosen.index], 0.0, lift)
         truth = None
-        if analysis.truth is not None:
-            truth = self._place(places.ground[analysis.truth.index], 0.0, lift)
+        if analysis.positive is not None:
+            truth = self._place(places.ground[analysis.positive.index], 0.0, lift)
             half = max(places.width * self._scale, 0.12) / 2
             signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
             corners = [np.add(truth, (x * half, y * half, 0.0)) for x, y in signs]

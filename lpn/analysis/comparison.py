@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Reweighting, Without
 from lpn.retrieval import Match, Ranking
@@ -30,11 +28,11 @@ class Comparison:
     @classmethod
     def of(cls, ranking: Ranking, chosen: Match) -> Comparison | None:
         """Compare a chosen tile of a ranking; None where the ranking has no second tile for it."""
-        positive = ranking.truth()
+        positive = ranking.positive()
         followed = positive or chosen
         other = chosen
         if chosen.index == followed.index or chosen.true:
-            nearest = nearest_wrong(ranking, followed.index)
+            nearest = ranking.hardest_negative(followed.index)
             if nearest is None:
                 return None
             other = nearest
@@ -42,12 +40,3 @@ class Comparison:
         return cls(
             followed, other, counterfactual.without(ranking, index), counterfactual.smallest_change(ranking, index)
         )
-
-
-def nearest_wrong(ranking: Ranking, besides: int | None = None) -> Match | None:
-    """Return the nearest tile that is no true match and not the gallery picture `besides`; None where there is none."""
-    wrong = ranking.order != besides
-    if ranking.relevant is not None:
-        wrong &= ~ranking.relevant[ranking.order]
-    ranks = np.flatnonzero(wrong)
-    return ranking.match(int(ranks[0])) if len(ranks) else None

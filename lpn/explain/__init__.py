@@ -3,6 +3,22 @@
 It imports `retrieval` and the packages below it.
 """
 
-from lpn.explain.attribution import Correspondences, Evidence, Side, counterparts, evidence, links, side
+from lpn.explain.attribution import (
+    Correspondences,
+    Evidence,
+    SideEvidence,
+    cell_similarities,
+    correspondences,
+    evidence,
+    side_evidence,
+)
 
-__all__ = ["Correspondences", "Evidence", "Side", "counterparts", "evidence", "links", "side"]
+__all__ = [
+    "Correspondences",
+    "Evidence",
+    "SideEvidence",
+    "cell_similarities",
+    "correspondences",
+    "evidence",
+    "side_evidence",
+]

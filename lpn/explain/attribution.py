@@ -31,7 +31,7 @@ from lpn.retrieval.scoring import part_weights
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class SideEvidence:
     """Each part's cosine as a sum over one picture's cells and one constant.
 
     Attributes:
@@ -58,8 +58,8 @@ class Evidence:
 
     cosines: Float64Array
     weights: Float32Array
-    query: Side
-    tile: Side
+    query: SideEvidence
+    tile: SideEvidence
 
     @property
     def contributions(self) -> Float64Array:
@@ -111,12 +111,12 @@ class Evidence:
         return {"exact": True, "score": self.score, "distance2": self.distance2, "parts": parts}
 
 
-def side(trace: Trace, other: FloatingArray) -> Side:
+def side_evidence(trace: Trace, other: FloatingArray) -> SideEvidence:
     """A picture's cells, each with its share in the cosines with another picture's descriptor or embedding (n, D)."""
     units = other / np.maximum(np.linalg.norm(other, axis=1, keepdims=True), 1e-12)
     norms = np.maximum(np.linalg.norm(trace.embedding.astype(np.float64), axis=1), 1e-12)
     cells, constants = trace.along(units)
-    return Side(cells / norms[:, None, None], constants / norms)
+    return SideEvidence(cells / norms[:, None, None], constants / norms)
 
 
 def evidence(query: Trace, tile: Trace, weights: Float32Array | None = None) -> Evidence:
@@ -136,10 +136,15 @@ def evidence(query: Trace, tile: Trace, weights: Float32Array | None = None) -> 
     n = len(query.embedding)
     weights = part_weights(n) if weights is None else weights
     first, second = (normalise(trace.embedding).astype(np.float64) for trace in (query, tile))
-    return Evidence(n * (first * second).sum(axis=1), weights, side(query, tile.embedding), side(tile, query.embedding))
+    return Evidence(
+        n * (first * second).sum(axis=1),
+        weights,
+        side_evidence(query, tile.embedding),
+        side_evidence(tile, query.embedding),
+    )
 
 
-def links(query: Trace, tile: Trace, part: int) -> Float32Array:
+def cell_similarities(query: Trace, tile: Trace, part: int) -> Float32Array:
     """How much of a part's cosine each cell of the query shares with each of the tile: (h w, h' w'), both row by row.
 
     A row's sum, and what the query's cell shares with the tile's constant, is that cell's share in `Evidence.query`.
@@ -161,7 +166,7 @@ class Correspondences:
     shares: Float32Array
 
 
-def counterparts(query: Trace, tile: Trace, weights: Float32Array) -> tuple[Correspondences, Correspondences]:
+def correspondences(query: Trace, tile: Trace, weights: Float32Array) -> tuple[Correspondences, Correspondences]:
     """The correspondences of the query's cells and those of the tile's, among cells of the same part.
 
     Args:
@@ -170,7 +175,7 @@ def counterparts(query: Trace, tile: Trace, weights: Float32Array) -> tuple[Corr
     found = [_no_correspondences(trace) for trace in (query, tile)]
     for part in np.flatnonzero(weights):
         inside = [_within(trace, int(part)) for trace in (query, tile)]
-        shared = links(query, tile, int(part)) * weights[part]
+        shared = cell_similarities(query, tile, int(part)) * weights[part]
         for correspondences, values, own, other in (
             (found[0], shared, *inside),
             (found[1], shared.T, *reversed(inside)),

@@ -96,7 +96,7 @@ def profile(
         if follow is not None and not ranking.holds(follow):
             raise InputError(f"Gallery picture {follow} is not in the ranking; choose one that is.")
         top = ranking.match(0)
-        tile = (ranking.truth() or top) if follow is None else ranking.find(follow)
+        tile = (ranking.positive() or top) if follow is None else ranking.find(follow)
         yield Point(change, tile.index, tile.true, tile.score, tile.rank, tile.cosines, top.index, top.score)
 
 

@@ -4,7 +4,8 @@ task = lpn.analysis.task.open_task(model, "lpn.onnx", dataset)
 write_atomic(Path("report.html"), lpn.report.build(task, [17, 4]))
 """
 
-from lpn.report.cases import Options, Own
+from lpn.analysis.analyser import OwnPicture
+from lpn.report.cases import Options
 from lpn.report.page import build
 
-__all__ = ["Options", "Own", "build"]
+__all__ = ["Options", "OwnPicture", "build"]

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import lpn
+from lpn.analysis.analyser import OwnPicture, load_cropped
 from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.report._rendering import render, style_sheet, thumbnail
-from lpn.report.cases import Case, Cases, Options, Own, shown
+from lpn.report.cases import Case, Cases, Options
 from lpn.report.sections import section, summary
 from lpn.retrieval import protocol
 
@@ -45,7 +46,7 @@ class _Line:
 
 def build(
     task: Task,
-    queries: Sequence[int | Own],
+    queries: Sequence[int | OwnPicture],
     options: Options | None = None,
     progress: Callable[[int, int], None] | None = None,
     made: datetime | None = None,
@@ -127,9 +128,9 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     return [*facts, ("Made", f"{made:%Y-%m-%d %H:%M %Z} by LPN Explorer {lpn.__version__}")]
 
 
-def _line(case: Case, task: Task, query: int | Own) -> _Line:
-    picture = query.picture if isinstance(query, Own) else shown(task.queries[query])
-    first, truth = case.matches[0], case.truth
+def _line(case: Case, task: Task, query: int | OwnPicture) -> _Line:
+    picture = query.picture if isinstance(query, OwnPicture) else load_cropped(task.queries[query])
+    first, truth = case.matches[0], case.positive
     tiles = [first] if truth is None or truth.rank == 1 else [first, truth]
     return _Line(
         case.verdict,

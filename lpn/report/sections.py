@@ -117,14 +117,14 @@ def summary(case: Case, task: Task) -> tuple[str, str]:
         apart = "there is no other tile" if gap is None else f"the next tile is {gap:.3f} further away (d²)"
         return "Nearest tile", f"Its true place is not known here; {apart}."
     metres = None if case.metres is None else case.metres[0]
-    return verdicts.verdict(case.matches[0], case.truth, case.rival, task.part_names, metres)[1:]
+    return verdicts.verdict(case.matches[0], case.positive, case.hardest_negative, task.part_names, metres)[1:]
 
 
 def _sentences(case: Case, task: Task) -> list[str]:
     sentences = []
     if case.without is not None:
         sentences.append(verdicts.left_out(case.without, task.part_names))
-    if case.truth is not None and case.truth.rank > 1:
+    if case.positive is not None and case.positive.rank > 1:
         sentences.append(verdicts.reweighted(case.change, case.effect))
     if case.profile is not None:
         sentences.append(verdicts.turned(case.profile, task.views))
@@ -150,8 +150,14 @@ def _role(case: Case, pair: Pair) -> str:
     if match.true is None:
         return "Tile looked at"
     if match.true:
-        return "The true tile" if case.truth is not None and match.index == case.truth.index else "Another true tile"
-    return "Best wrong tile" if case.rival is not None and match.index == case.rival.index else "A wrong tile"
+        return (
+            "The true tile" if case.positive is not None and match.index == case.positive.index else "Another true tile"
+        )
+    return (
+        "Best wrong tile"
+        if case.hardest_negative is not None and match.index == case.hardest_negative.index
+        else "A wrong tile"
+    )
 
 
 def _matches(case: Case, task: Task) -> list[_Match]:

@@ -108,7 +108,15 @@ class Ranking:
         """The match that is gallery picture `index`."""
         return self.match(int(np.flatnonzero(self.order == index)[0]))
 
-    def truth(self) -> Match | None:
+    def hardest_negative(self, besides: int | None = None) -> Match | None:
+        """The nearest tile that is no known true match and is not gallery picture `besides`; None when there is none."""
+        negative = self.order != besides
+        if self.relevant is not None:
+            negative &= ~self.relevant[self.order]
+        ranks = np.flatnonzero(negative)
+        return self.match(int(ranks[0])) if len(ranks) else None
+
+    def positive(self) -> Match | None:
         """The nearest true match; None when there is none or it is not known."""
         if self.relevant is None or not self.relevant.any():
             return None

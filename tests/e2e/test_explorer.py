@@ -41,7 +41,7 @@ def expected(app: RunningApp, name: str, angle: float = 0.0, weights: tuple[floa
 def assert_shows(explorer: ExplorerPage, app: RunningApp, ranking: Ranking) -> None:
     """Wait until the rows are the expected tiles, in order, with sign, distance, and bars that add up to it."""
     names = [entry.name for entry in datasets.open_dataset(app.data).gallery("satellite")]
-    matches, truth = ranking.top(10), ranking.truth()
+    matches, truth = ranking.top(10), ranking.positive()
     if truth is not None and truth.rank > 10:
         matches.append(truth)
     full = max(match.distance2 for match in matches)

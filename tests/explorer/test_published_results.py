@@ -8,8 +8,9 @@ import pytest
 
 from explorer.opening import open_model, open_saved
 from explorer.panels import answer_text, pages
-from explorer.session_state import SessionState, Upload
+from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
+from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import DataError, InputError
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
@@ -27,9 +28,10 @@ def workspace(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFac
 def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data: Path, model_file: Path) -> None:
     live = open_model(data, model_file)
     assert list(workspace.tasks) == ["drone-to-satellite"]
-    saved, task = workspace.tasks["drone-to-satellite"], live.tasks["drone-to-satellite"]
-    assert saved.results == pytest.approx(workspace.rankings[task.name].results)
-    np.testing.assert_array_equal(saved.ranks, workspace.rankings[task.name].ranks)
+    rankings = [opened.rankings["drone-to-satellite"] for opened in (workspace, live)]
+    assert rankings[0].results == pytest.approx(rankings[1].results)
+    np.testing.assert_array_equal(rankings[0].ranks, rankings[1].ranks)
+    saved, task = (ranking.task for ranking in rankings)
     for query in (0, 5):
         state = SessionState("drone-to-satellite", 4, query=query, enabled=(True, False, True, True))
         one, other = (StateAnalyser(shown).analyse(shown.possible(state), 10) for shown in (workspace, live))
@@ -43,7 +45,7 @@ def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data:
 
 
 def test_what_needs_a_network_cannot_be_asked_for(workspace: Workspace, data: Path, model_file: Path) -> None:
-    upload = Upload("mine", np.zeros((2, 2, 3), np.uint8))
+    upload = OwnPicture("mine", np.zeros((2, 2, 3), np.uint8))
     wanted = SessionState("drone-to-satellite", 4, query=3, angle=20, heat=True, upload=upload)
     got = workspace.possible(wanted)
     assert (got.angle, got.heat, got.upload, got.query) == (0, False, None, 3)

@@ -11,7 +11,8 @@ import pytest
 
 from explorer import session_state
 from explorer.compute.worker import Worker
-from explorer.session_state import SessionState, Upload
+from explorer.session_state import SessionState
+from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import PictureError
 
 
@@ -25,7 +26,7 @@ def test_another_query_starts_upright_with_its_top_match(state: SessionState) ->
     assert (stepped.query, stepped.angle, stepped.selected) == (4, 0, None)
     assert session_state.step(SessionState("t", 4), -1, 10).query == 9
     assert session_state.choose(state, 99, 10) is state
-    own = session_state.choose(SessionState("t", 4, upload=Upload("mine", np.zeros((2, 2, 3), np.uint8))), 0, 10)
+    own = session_state.choose(SessionState("t", 4, upload=OwnPicture("mine", np.zeros((2, 2, 3), np.uint8))), 0, 10)
     assert own.upload is None
 
 

@@ -10,9 +10,10 @@ import pytest
 
 from explorer import session_state, url_state
 from explorer.opening import open_model
-from explorer.session_state import POSITIVE, SessionState, Upload
+from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import Workspace
+from lpn.analysis.analyser import OwnPicture
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +142,7 @@ def test_another_task_starts_with_its_own_first_query(workspace: Workspace, link
 
 
 def test_ones_own_picture_is_not_in_the_link(workspace: Workspace, links: UrlState) -> None:
-    own = replace(start(workspace), upload=Upload("secret.jpg", np.zeros((2, 2, 3), np.uint8)), angle=5)
+    own = replace(start(workspace), upload=OwnPicture("secret.jpg", np.zeros((2, 2, 3), np.uint8)), angle=5)
     written = links.write(own)
     assert "query=own" in written
     assert "secret" not in written

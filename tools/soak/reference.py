@@ -148,7 +148,7 @@ class Reference:
     def _flaws(self, state: ClientState, shown: PageContent, ranking: Ranking) -> list[str]:
         side, found = self.sides[state.task], []
         rows = [row for row in shown.rows if not row.below]
-        expected, truth = ranking.top(SHOWN), ranking.truth()
+        expected, truth = ranking.top(SHOWN), ranking.positive()
         if len(rows) != len(expected):
             found.append(f"{len(rows)} tiles are shown; expected {len(expected)}")
         for row, match in zip(rows, expected, strict=False):

@@ -35,10 +35,11 @@ from explorer.panels.panels import Panels
 from explorer.server.gateway import _Connection
 from explorer.server.message_filter import MessageFilter
 from explorer.server.viser_compat import SendBuffer
-from explorer.session_state import SessionState, Upload
+from explorer.session_state import SessionState
 from explorer.stage.scene import Stage
 from explorer.workspace import StateAnalyser, Workspace
 from lpn import retrieval
+from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import ModelFileError
@@ -53,7 +54,7 @@ from tools.fixtures.websocket_client import CHUNK, Talker
 TASK = "drone-to-satellite"
 # What a browser has for itself.
 HELD = (
-    ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, FailureLabWindow, RequestContext, Upload, SweepRequest, MessageFilter, Talker, _Connection,
+    ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, FailureLabWindow, RequestContext, OwnPicture, SweepRequest, MessageFilter, Talker, _Connection,
     viser.ClientHandle, GuiApi, SceneApi, SendBuffer,
 )  # fmt: skip
 

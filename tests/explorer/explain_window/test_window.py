@@ -23,10 +23,11 @@ from explorer.explain_window.window import ExplainWindow
 from explorer.opening import open_model
 from explorer.panels.viewport import Viewport
 from explorer.server.message_filter import MAX_TEXT
-from explorer.session_state import SessionState, Upload
+from explorer.session_state import SessionState
 from explorer.web.bridge import PageBridge
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
+from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.comparison import Comparison
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
@@ -90,7 +91,7 @@ def test_a_comparison_is_between_the_positive_and_the_chosen_tile(workspace: Wor
     assert pair is not None
     assert (pair.followed.true, pair.other.rank) == (True, 1)
     # A picture of one's own has no truth: the compared tile is followed.
-    own = analysed(workspace, upload=Upload("own", small_worlds.place(50)), selected=3)
+    own = analysed(workspace, upload=OwnPicture("own", small_worlds.place(50)), selected=3)
     pair = compared(own)
     assert pair is not None
     assert pair.followed.index == 3
@@ -148,7 +149,8 @@ def test_a_region_ranks_by_what_its_cells_add(workspace: Workspace) -> None:
     cells = np.zeros((4, 4), bool)
     cells.reshape(-1)[[5, 6, 9]] = True
     added = [
-        explain.side(whole.query.trace, tile).cells.mean(axis=0)[cells].sum() for tile in whole.task.gallery_descriptors
+        explain.side_evidence(whole.query.trace, tile).cells.mean(axis=0)[cells].sum()
+        for tile in whole.task.gallery_descriptors
     ]
     assert [match.index for match in part.matches] == np.argsort(-np.array(added), kind="stable")[:10].tolist()
     for match in part.matches:
@@ -251,7 +253,7 @@ def test_a_sweep_ends_when_cancelled_and_belongs_to_one_query(workspace: Workspa
         assert not request.applies_to(analysed(workspace, **other))
     # A known positive is followed, whatever tile is compared; otherwise the compared tile is followed.
     assert request.applies_to(analysed(workspace, shift=4, selected=3))
-    upload = Upload("own", small_worlds.place(50))
+    upload = OwnPicture("own", small_worlds.place(50))
     request = SweepRequest("zoom", analysed(workspace, upload=upload, selected=3))
     assert not request.applies_to(analysed(workspace, upload=upload, selected=4))
 

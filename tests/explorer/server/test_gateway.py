@@ -29,8 +29,9 @@ from explorer.server.auth import Authenticator
 from explorer.server.gateway import Gateway
 from explorer.server.message_filter import MAX_UPLOADS
 from explorer.server.rate_limiter import GUESSES, RateLimiter
-from explorer.session_state import SessionState, Upload
+from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
+from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import MissingPackageError
 from tools.fixtures import small_worlds
 from tools.fixtures.websocket_client import Talker
@@ -467,11 +468,14 @@ def test_what_a_browser_sent_goes_with_it(app: App) -> None:
         handle = weakref.ref(session()._client)  # type: ignore[union-attr]
         talker.upload("mine.png", picture(600))
         talker.wait(lambda: talker.status("name") == "mine.png")
-        assert len(alive(Upload)) == 1
+        assert len(alive(OwnPicture)) == 1
         held = session()._panels.query._upload._button  # type: ignore[union-attr]
         assert held.value.content == b"", "viser's own copy of the bytes"
         del held
-    assert until(lambda: not alive(Upload) and session() is None and handle() is None), (alive(Upload), session())
+    assert until(lambda: not alive(OwnPicture) and session() is None and handle() is None), (
+        alive(OwnPicture),
+        session(),
+    )
     assert until(lambda: threads_of("explorer-worker") <= workers_before)
 
 

@@ -9,8 +9,9 @@ import pytest
 
 from explorer.opening import open_model
 from explorer.panels import answer_text, pages
-from explorer.session_state import SessionState, Upload
+from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
+from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import DataError, InputError
 from lpn.drawing import overlays
 from lpn.models.partition import Partition
@@ -81,7 +82,7 @@ def test_words_name_the_part_that_decides(workspace: Workspace) -> None:
         seen.add(true)
         if not true:
             assert answer_text.ordinal(int(workspace.rankings[task.name].ranks[query]) + 1) in headline
-    own = analyser.analyse(SessionState(task.name, 4, upload=Upload("own", small_worlds.place(50))), 10)
+    own = analyser.analyse(SessionState(task.name, 4, upload=OwnPicture("own", small_worlds.place(50))), 10)
     assert answer_text.verdict(own, workspace.part_names)[0] is None
     assert [answer_text.ordinal(i) for i in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
         *("1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "111th")
@@ -90,7 +91,7 @@ def test_words_name_the_part_that_decides(workspace: Workspace) -> None:
 
 def test_names_from_files_never_become_html(workspace: Workspace) -> None:
     task = workspace.tasks["drone-to-satellite"]
-    own = Upload("<img src=x onerror=alert(1)>.png", small_worlds.place(51))
+    own = OwnPicture("<img src=x onerror=alert(1)>.png", small_worlds.place(51))
     analysis = StateAnalyser(workspace).analyse(SessionState(task.name, 4, upload=own), 10)
     assert "<i>places" not in pages.header(workspace, task)
     assert "&lt;i&gt;places" in pages.header(workspace, task)

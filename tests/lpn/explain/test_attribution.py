@@ -105,8 +105,8 @@ def test_links_add_up_to_each_cell_and_turn_around_with_the_pair(name: str) -> N
     np.testing.assert_allclose(found.query.cells, turned.tile.cells, atol=1e-6)
     np.testing.assert_allclose(found.tile.constants, turned.query.constants, atol=1e-6)
     for part in range(model.n_parts):
-        shared = explain.links(query.trace, tile.trace, part)
-        np.testing.assert_allclose(shared, explain.links(tile.trace, query.trace, part).T, atol=1e-6)
+        shared = explain.cell_similarities(query.trace, tile.trace, part)
+        np.testing.assert_allclose(shared, explain.cell_similarities(tile.trace, query.trace, part).T, atol=1e-6)
         # What a query's cell shares with the tile's constant is no cell's.
         constant = tile.trace.embedding[part] - tile.trace.vectors(part).sum(axis=0)
         norms = np.linalg.norm(query.trace.embedding[part]) * np.linalg.norm(tile.trace.embedding[part])
@@ -121,15 +121,15 @@ def test_a_counterpart_is_the_other_picture_s_cell_of_the_same_part_that_agrees_
     assert tile.trace is not None
     labels = model.spec.partition("drone").labels(4, 4).reshape(-1)
     weights = scoring.part_weights(2, [1, 3])
-    forth, back = explain.counterparts(query.trace, tile.trace, weights)
+    forth, back = explain.correspondences(query.trace, tile.trace, weights)
     for cell in range(16):
         part = labels[cell]
-        shared = explain.links(query.trace, tile.trace, part) * weights[part]
+        shared = explain.cell_similarities(query.trace, tile.trace, part) * weights[part]
         assert labels[forth.cells[cell]] == labels[back.cells[cell]] == part
         assert forth.shares[cell] == pytest.approx(shared[cell, labels == part].max())
         assert back.shares[cell] == pytest.approx(shared[labels == part, cell].max())
         assert forth.shares[cell] == pytest.approx(shared[cell, forth.cells[cell]])
-    forth, _ = explain.counterparts(query.trace, tile.trace, scoring.part_weights(2, [0, 1]))
+    forth, _ = explain.correspondences(query.trace, tile.trace, scoring.part_weights(2, [0, 1]))
     np.testing.assert_array_equal(forth.cells == -1, labels == 0)
 
 
@@ -148,7 +148,7 @@ def test_a_region_s_search_orders_by_what_its_cells_add_to_each_score(name: str)
     assert lengths @ weights == pytest.approx(1.0, abs=1e-5)
     gallery = rng.normal(size=(6, *region.shape)).astype(np.float32)
     gallery /= np.linalg.norm(gallery, axis=2, keepdims=True) * np.sqrt(n)
-    added = [explain.side(query.trace, tile).total(weights)[painted].sum() for tile in gallery]
+    added = [explain.side_evidence(query.trace, tile).total(weights)[painted].sum() for tile in gallery]
     products = scoring.part_cosines(region, gallery)
     scores = products @ weights
     np.testing.assert_allclose(scores / scores[0], np.array(added) / added[0], rtol=1e-3)

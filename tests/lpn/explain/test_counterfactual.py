@@ -74,13 +74,13 @@ def test_without_and_alone_are_the_ranks_of_those_weights(seed: int) -> None:
             assert not left.any()
             continue
         direct = retrieval.rank(ranking.cosines, scoring.part_weights(n, left), labels, 7)
-        truth = direct.truth()
+        truth = direct.positive()
         assert truth is not None
         assert standing.rank == truth.rank
         wrong = [index for index in direct.order if labels[index] != 7]
         if wrong:
             assert standing.lead == pytest.approx(truth.score - float(direct.scores[wrong[0]]), abs=1e-6)
-    now = ranking.truth()
+    now = ranking.positive()
     assert now is not None
     assert found.now.rank == now.rank
 
@@ -124,7 +124,7 @@ def test_the_smallest_change_is_what_a_general_solver_finds() -> None:
         ranking, labels = random_case(seed)
         found = counterfactual.smallest_change(ranking)
         best = _by_scipy(ranking, labels)
-        now = ranking.truth()
+        now = ranking.positive()
         if now is not None and now.rank == 1:
             assert found is not None
             assert (found.distance, found.tile) == (0, now.index)

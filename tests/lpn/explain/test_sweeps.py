@@ -83,7 +83,7 @@ def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float
         shaped = change.move(model.to_input_size(change.apply(picture), "drone"))
         direct = model.descriptors(images.normalise(shaped)[None], "drone")[0]
         ranking = retrieval.rank(scoring.part_cosines(direct, tiles), weights, labels, 2)
-        truth, top = ranking.truth(), ranking.match(0)
+        truth, top = ranking.positive(), ranking.match(0)
         assert truth is not None
         assert point.change == change
         assert (point.tile, point.rank, point.true, point.top) == (truth.index, truth.rank, True, top.index)

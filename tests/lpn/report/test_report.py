@@ -26,7 +26,7 @@ from lpn.drawing import verdicts
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect, Reweighting, Standing, Without
 from lpn.explain.sweeps import Point, Profile
-from lpn.report import Options, Own
+from lpn.report import Options, OwnPicture
 from lpn.retrieval import Ranking, scoring
 from tools.fixtures import small_worlds
 
@@ -167,7 +167,7 @@ def test_metres_are_said_where_the_map_is_known(data: Path, model_file: Path, tm
 
 def test_a_picture_of_ones_own_has_no_verdict_and_a_chosen_tile_is_compared(task: Task) -> None:
     picture = images.load_picture(task.queries[2].path)
-    text = Page(report.build(task, [Own("mine.jpg", picture)], Options(against=5))).text
+    text = Page(report.build(task, [OwnPicture("mine.jpg", picture)], Options(against=5))).text
     assert "Its true place is not known here" in text
     assert "Tile looked at" in text or "Top match" in text
     assert task.gallery[5].name in text
@@ -187,7 +187,7 @@ def test_saved_descriptors_are_reported_without_evidence(task: Task) -> None:
         with pytest.raises(InputError, match="without their network"):
             report.build(saved, [0], options)
     with pytest.raises(InputError, match="a query of its own"):
-        report.build(saved, [Own("mine.jpg", images.load_picture(task.queries[2].path))])
+        report.build(saved, [OwnPicture("mine.jpg", images.load_picture(task.queries[2].path))])
 
 
 def test_a_profile_is_drawn_and_progress_tells_of_each_step(task: Task) -> None:

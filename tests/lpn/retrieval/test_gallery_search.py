@@ -51,12 +51,12 @@ def test_ranking_finds_truth_gaps_and_positions() -> None:
     for match, following in pairwise(top):
         assert match.gap == pytest.approx(following.distance2 - match.distance2, abs=1e-6)
     assert top[-1].gap is None
-    truth = ranking.truth()
+    truth = ranking.positive()
     assert truth is not None
     assert truth.rank == min(m.rank for m in top if m.true)
     assert labels[truth.index] == 7
     assert ranking.find(truth.index).rank == truth.rank
-    assert retrieval.rank(ranking.cosines, ranking.weights, labels, 99).truth() is None
+    assert retrieval.rank(ranking.cosines, ranking.weights, labels, 99).positive() is None
     assert retrieval.rank(ranking.cosines, ranking.weights).match(0).true is None
 
 
@@ -87,6 +87,6 @@ def test_junk_is_not_ranked() -> None:
         assert ranking.order.tolist() == [index for index in whole.order if index >= 4]
         assert not ranking.holds(2)
         assert ranking.holds(5)
-        found = ranking.truth()
+        found = ranking.positive()
         assert found is not None
         assert found.index in truth.good

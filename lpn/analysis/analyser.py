@@ -1,0 +1,235 @@
+"""Analyse one query: describe it, rank the gallery, and explain the compared pair.
+
+The explorer and the reports use the same analyser.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, Literal, TypeVar
+
+import numpy as np
+
+from lpn import explain, retrieval
+from lpn.analysis.task import Task
+from lpn.core import images
+from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
+from lpn.core.errors import InputError
+from lpn.datasets import Picture as Picture
+from lpn.descriptors.transforms import UNCHANGED, Change
+from lpn.explain import Correspondences, Evidence
+from lpn.models.base import Model
+from lpn.retrieval import DescribedPicture, Match, Ranking, scoring
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class OwnPicture:
+    """A picture that is no query of the data set, so that its place is not known.
+
+    Attributes:
+        picture: (H, W, 3) uint8.
+    """
+
+    name: str
+    picture: UInt8Array
+
+
+@dataclass(frozen=True, eq=False)
+class QueryRequest:
+    """The query to analyse, and how.
+
+    Attributes:
+        query: position among the task's queries, or a picture of one's own.
+        change: applied to the query before it is described.
+        weights: part weights, see `scoring.part_weights`; None for equal ones.
+        region: cells of the query's feature map, row by row, that the search is restricted to; empty for all.
+        compare: the tile to compare with: a gallery position, "positive", or None for the top match. The top match also
+            replaces a tile that is not ranked.
+        evidence, correspondences: computed for the compared pair on request only.
+    """
+
+    query: int | OwnPicture
+    change: Change = UNCHANGED
+    weights: tuple[float, ...] | None = None
+    region: tuple[int, ...] = ()
+    compare: int | Literal["positive"] | None = None
+    evidence: bool = False
+    correspondences: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class PairEvidence:
+    """The evidence for the score of a pair.
+
+    Attributes:
+        correspondences: of the query's cells and of the tile's; None unless requested.
+    """
+
+    evidence: Evidence
+    correspondences: tuple[Correspondences, Correspondences] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """A query against the gallery of its task.
+
+    Attributes:
+        name: the query's.
+        query: as it was described, that is, after the change.
+        matches: the nearest tiles.
+        chosen: the compared tile.
+        tile: the compared tile, described.
+        positive: the nearest true match; None without one, or where the query's place is not known.
+        errors_m: metres from the place that the query shows to each tile, (G,); None where that is not known.
+        source: the query's picture before the change, (H, W, 3) uint8.
+        pair_evidence: None unless requested, and without a network.
+        seconds: time that the analysis took.
+    """
+
+    task: Task
+    name: str
+    query: DescribedPicture
+    ranking: Ranking
+    matches: list[Match]
+    chosen: Match
+    tile: DescribedPicture
+    positive: Match | None
+    errors_m: Float64Array | None
+    source: UInt8Array
+    pair_evidence: PairEvidence | None
+    seconds: float
+
+
+class _LastValue(Generic[T]):
+    """The value of the last key."""
+
+    def __init__(self) -> None:
+        self._held: tuple[Hashable, T] | None = None
+
+    def get(self, key: Hashable, compute: Callable[[], T]) -> T:
+        if self._held is None or self._held[0] != key:
+            self._held = key, compute()
+        return self._held[1]
+
+
+class QueryAnalyser:
+    """Analyses requests one after the other and recomputes only what changed since the last; for one thread at a time.
+
+    Args:
+        model: describes queries; None where only stored descriptors are at hand.
+        describe_tile: returns a tile of a task by its gallery position, see the function of that name; it may cache.
+        load: reads a picture file; it may cache.
+    """
+
+    def __init__(
+        self,
+        model: Model | None,
+        describe_tile: Callable[[Task, int], DescribedPicture],
+        load: Callable[[Path], UInt8Array] = images.load_picture,
+    ) -> None:
+        self._model, self._describe_tile, self._load = model, describe_tile, load
+        self._source: _LastValue[UInt8Array] = _LastValue()
+        self._query: _LastValue[DescribedPicture] = _LastValue()
+        self._cosines: _LastValue[tuple[Float32Array, Float32Array | None]] = _LastValue()
+        self._ranking: _LastValue[Ranking] = _LastValue()
+
+    def analyse(self, task: Task, request: QueryRequest, k: int) -> Analysis:
+        """Analyse one request.
+
+        Args:
+            k: number of matches.
+
+        Raises:
+            InputError: when there is no such query, or no tile to rank.
+            LPNError: when a picture cannot be read or described.
+        """
+        started = time.perf_counter()
+        own = request.query if isinstance(request.query, OwnPicture) else None
+        index = None if isinstance(request.query, OwnPicture) else request.query
+        if index is not None and not 0 <= index < len(task.queries):
+            raise InputError(f"There is no query {index}; they have positions 0 to {len(task.queries) - 1}.")
+        picture = task.queries[index or 0]
+        source_key = own or (picture.path, picture.box)
+        source = self._source.get(source_key, lambda: own.picture if own else load_cropped(picture, self._load))
+        query_key = source_key, task.name, index, request.change
+        query = self._query.get(query_key, lambda: self._describe(task, index, source, request.change))
+        weights = scoring.part_weights(task.spec.n_parts, request.weights)
+        # The weights of a region's parts enter its descriptor.
+        cosines_key = query_key, request.region, request.weights if request.region else None
+        cosines, lengths = self._cosines.get(cosines_key, lambda: _compare(task, query, request.region, weights))
+        ranking = self._ranking.get((cosines_key, request.weights), lambda: task.rank(index, cosines, weights, lengths))
+        matches = ranking.top(k)
+        if not matches:
+            raise InputError("The gallery has no tile that is not junk; a query needs at least one.")
+        chosen = _chosen(ranking, request.compare)
+        tile = self._describe_tile(task, chosen.index)
+        return Analysis(
+            task=task,
+            name=own.name if own else picture.name,
+            query=query,
+            ranking=ranking,
+            matches=matches,
+            chosen=chosen,
+            tile=tile,
+            positive=ranking.positive(),
+            errors_m=None if task.geometry is None or index is None else task.geometry.errors_m(index),
+            source=source,
+            pair_evidence=pair_evidence(query, tile, weights, request.correspondences) if request.evidence else None,
+            seconds=time.perf_counter() - started,
+        )
+
+    def _describe(self, task: Task, index: int | None, source: UInt8Array, change: Change) -> DescribedPicture:
+        if self._model is not None:
+            change = change.for_picture(task.queries[index or 0])
+            return retrieval.describe_picture(self._model, source, task.query_view, change)
+        if index is None:
+            raise InputError(f"{task.model_name} holds descriptors without their network; choose a query of its own.")
+        return DescribedPicture(source, task.query_descriptors[index], None, None)
+
+
+def pair_evidence(
+    query: DescribedPicture, tile: DescribedPicture, weights: Float32Array, correspondences: bool = False
+) -> PairEvidence | None:
+    """The evidence of a pair under part weights (n,) that sum to one; None without a network."""
+    if query.trace is None or tile.trace is None:
+        return None
+    evidence = explain.evidence(query.trace, tile.trace, weights)
+    pairs = explain.correspondences(query.trace, tile.trace, weights) if correspondences else None
+    return PairEvidence(evidence, pairs)
+
+
+def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPicture:
+    """Describe a gallery picture; without a model, take its stored descriptor."""
+    picture = load_cropped(task.gallery[index])
+    if model is None:
+        return DescribedPicture(picture, task.gallery_descriptors[index], None, None)
+    return retrieval.describe_picture(model, picture, task.gallery_view)
+
+
+def load_cropped(picture: Picture, load: Callable[[Path], UInt8Array] = images.load_picture) -> UInt8Array:
+    """Read a picture, cropped to its box: (H, W, 3) uint8."""
+    return images.crop(load(picture.path), picture.box, picture.name)
+
+
+def _compare(
+    task: Task, query: DescribedPicture, region: tuple[int, ...], weights: Float32Array
+) -> tuple[Float32Array, Float32Array | None]:
+    """Part cosines with the gallery, (G, n), and the lengths of the parts, (n,), of a query that is restricted to a region."""
+    if not region or query.trace is None:
+        return scoring.part_cosines(query.descriptor, task.gallery_descriptors), None
+    size = query.trace.size
+    inside = np.isin(np.arange(size[0] * size[1]), region)
+    descriptor = query.trace.region(inside.reshape(size), weights)
+    lengths = len(descriptor) * (descriptor**2).sum(axis=1)
+    return scoring.part_cosines(descriptor, task.gallery_descriptors), lengths
+
+
+def _chosen(ranking: Ranking, compare: int | Literal["positive"] | None) -> Match:
+    if compare == "positive":
+        return ranking.positive() or ranking.match(0)
+    return ranking.find(compare) if compare is not None and ranking.holds(compare) else ranking.match(0)
