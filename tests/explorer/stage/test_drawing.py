@@ -66,7 +66,7 @@ def test_answers_reuse_what_did_not_change_and_are_exact(workspace: Workspace) -
     for match in first.matches:
         assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-6)
     task = workspace.tasks["drone-to-satellite"]
-    found = [analyser.analyse(replace(state, query=q), 10).truth for q in range(len(task.queries))]
+    found = [analyser.analyse(replace(state, query=q), 10).positive for q in range(len(task.queries))]
     assert [truth.rank - 1 for truth in found if truth] == workspace.rankings[task.name].ranks.tolist()
 
 
