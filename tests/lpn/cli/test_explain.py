@@ -11,7 +11,7 @@ import pytest
 
 from lpn.cli import main
 from lpn.drawing import verdicts
-from lpn.explain import Evidence, Side
+from lpn.explain import Evidence, SideEvidence
 from lpn.retrieval.scoring import part_weights
 from tests.lpn.cli.test_main import without_torch
 
@@ -97,7 +97,7 @@ def test_sides_of_a_tile_are_told_by_the_compass(row: int, column: int, picture:
 def test_a_score_of_constants_is_not_said_to_be_of_places() -> None:
     cells = np.zeros((2, 4, 4))
     cells[:, 0, 3] = -0.1
-    found = Evidence(np.array([0.5, 0.6]), part_weights(2), *(Side(cells, np.array([0.6, 0.7])),) * 2)
+    found = Evidence(np.array([0.5, 0.6]), part_weights(2), *(SideEvidence(cells, np.array([0.6, 0.7])),) * 2)
     said = verdicts.why(found, ["1 centre", "2 outer"], "drone", "satellite")
     assert "most of it by a constant that comes from no cell" in said
     assert "Of the whole score +0.650 is constants" in said
@@ -107,7 +107,7 @@ def test_a_score_of_constants_is_not_said_to_be_of_places() -> None:
 def test_the_sentence_names_the_part_that_adds_most_and_one_that_speaks_against() -> None:
     cells = np.zeros((2, 4, 4))
     cells[1, 0, 3] = 0.8
-    side = Side(cells, np.zeros(2))
+    side = SideEvidence(cells, np.zeros(2))
     found = Evidence(np.array([-0.2, 0.8]), part_weights(2), side, side)
     said = verdicts.why(found, ["1 centre", "2 outer"], "drone", "satellite")
     assert said == (
