@@ -1,4 +1,4 @@
-"""What a page shows, read from its html as a person reads it: the status line, the ranked tiles, the compared pair."""
+"""Parse a page's HTML: the status line, the ranked tiles, and the table of the compared pair."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class MatchRow:
     """A tile in the list of matches.
 
     Attributes:
-        index: in the gallery.
-        texts: all its texts: rank, sign, name, distance, and how much further the next tile is.
-        shares: of each part in the squared distance.
-        chosen: whether it is the one that is compared.
-        below: whether it stands below the others, as the true tile.
+        index: position in the gallery.
+        chosen: True for the compared tile.
+        below: True for a positive listed below the top matches.
+        texts: rank, sign, name, distance, and the gap to the next tile.
+        shares: share of each part in the squared distance.
     """
 
     index: int
@@ -33,12 +33,12 @@ class MatchRow:
 
     @property
     def rank(self) -> int:
-        """1 for the nearest."""
+        """Rank from 1."""
         return int(self.texts[0])
 
     @property
     def sign(self) -> str:
-        """A tick where it is a true match, a cross where it is none, a question mark where that is not known."""
+        """A tick for a positive, a cross for a negative, a question mark for unknown."""
         return self.texts[1]
 
     @property
@@ -48,18 +48,18 @@ class MatchRow:
 
     @property
     def gap(self) -> float | None:
-        """How much further the next tile is; None for the last."""
+        """Difference to the next tile's squared distance; None for the last."""
         return next((float(text[1:]) for text in self.texts[3:] if _GAP.fullmatch(text)), None)
 
 
 @dataclass(frozen=True)
 class PageContent:
-    """One answer as a page shows it.
+    """The content of a page.
 
     Attributes:
-        status: the attributes of the status line.
-        rows: the ranked tiles, the true one below them included.
-        parts: texts of the rows of the compared pair's table, its head and its sum included.
+        status: attributes of the status line.
+        rows: the ranked tiles, and a positive below them.
+        parts: cells of the compared pair's table, with its head and sum.
     """
 
     status: dict[str, str]
@@ -68,13 +68,13 @@ class PageContent:
 
 
 def status(html: str) -> dict[str, str]:
-    """The attributes of a status line."""
+    """Parse the attributes of a status line."""
     start = html.partition('id="lpn-status"')[2]
     return {name: unescape(value) for name, _, value in _ATTRIBUTE.findall(start.partition(">")[0])}
 
 
 def shown(status_html: str, matches: str, parts: str) -> PageContent:
-    """Read the three pieces of html that say an answer."""
+    """Parse the three elements that show an answer."""
     reader = _MatchParser()
     reader.feed(matches)
     reader.close()
@@ -85,7 +85,7 @@ def shown(status_html: str, matches: str, parts: str) -> PageContent:
 
 
 class _MatchParser(HTMLParser):
-    """Collects the rows of matches, and those of tables."""
+    """Collect rows of matches and of tables."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -113,5 +113,5 @@ class _MatchParser(HTMLParser):
             self.rows[-1].texts.append(data.strip())
 
     def _begins_truth(self, data: str) -> bool:
-        """The line above the true tile is no text of the tile before it."""
+        """Return True for the line above the positive, which belongs to no row."""
         return self._below and not self.rows[-1].below and data.lstrip().startswith("…")

@@ -1,4 +1,4 @@
-"""What was answered and what went wrong, from many clients at once; each answer is checked on a thread of its own."""
+"""A thread-safe record of answers and faults; a thread of its own checks the answers."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from tools.soak.client_state import ClientState
 from tools.soak.page_content import PageContent
 from tools.soak.reference import Reference
 
-# The acts whose times count: one query described at most, and one ranking.
+# Kinds of acts whose times are reported: each needs at most one description and one ranking.
 CHANGES = ("drag", "parts", "pick", "compare")
-# A kind of fault: something that was to be checked was not.
+# The kind of fault for an error of the soak itself, after which something remained unchecked.
 OWN_ERROR = "the soak's own error"
 
 
@@ -25,12 +25,12 @@ class SoakAnswer:
     """An answer that a page showed.
 
     Attributes:
-        kind: of the act before it.
-        who, step: the client, and how many acts it had begun; with the seed they say what to repeat.
-        said: the act in words.
-        asked: for what.
-        shown: by the page.
-        seconds: from the last change to the answer; None where nothing was changed.
+        kind: kind of the client's last act.
+        client_name, step: the client and the number of its acts; with the seed they allow a repetition.
+        text: the act in words.
+        state: the state that the page must show.
+        shown: what the page shows.
+        seconds: time from the last change to the answer; None when nothing changed.
     """
 
     kind: str
@@ -44,7 +44,7 @@ class SoakAnswer:
 
 @dataclass(frozen=True)
 class Fault:
-    """What must not be; fields as in `Answer`."""
+    """A violation, with fields as in `SoakAnswer`."""
 
     kind: str
     client_name: str
@@ -54,7 +54,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Time:
-    """How long an answer took; `phase` is "alone" or "together"."""
+    """The time of an answer, in phase "alone" or "together"."""
 
     phase: str
     client_name: str
@@ -63,15 +63,15 @@ class Time:
 
 
 class Record:
-    """Filled by all clients.
+    """Answers, times, and faults of all clients.
 
     Attributes:
-        phase: of the answers that come now.
-        times, faults: so far.
-        waiting: answers that are still to be checked.
-        checked, wrong: answers compared with the direct computation, and those that differ.
-        visits: pages opened.
-        clients: pages that are open now.
+        phase: "alone" or "together"; new times get it.
+        times, faults: everything recorded so far.
+        waiting: number of answers not checked yet.
+        checked, wrong: numbers of checked answers, and of those that differ from the direct computation.
+        visits: number of pages opened.
+        clients: number of open pages.
     """
 
     def __init__(self, reference: Reference) -> None:
@@ -86,7 +86,7 @@ class Record:
 
     @contextmanager
     def connected(self) -> Iterator[None]:
-        """For as long as a page is open."""
+        """Count a page as open."""
         with self._lock:
             self.visits += 1
             self.clients += 1
@@ -97,7 +97,7 @@ class Record:
                 self.clients -= 1
 
     def answer(self, answer: SoakAnswer) -> None:
-        """Keep the time, and have the answer checked."""
+        """Record the time, and queue the answer for its check."""
         with self._lock:
             self.waiting += 1
             if answer.seconds is not None:
@@ -105,7 +105,7 @@ class Record:
         self._answers.put(answer)
 
     def fault(self, fault: Fault) -> None:
-        """Keep what went wrong."""
+        """Record a fault."""
         with self._lock:
             self.faults.append(fault)
 
@@ -115,12 +115,12 @@ class Record:
         self._thread.join()
 
     def _check(self) -> None:
-        with suppress(OSError, AttributeError):  # the server goes first
+        with suppress(OSError, AttributeError):  # the server has priority
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
         while (answer := self._answers.get()) is not None:
             try:
                 failures = self._reference.failures(answer.state, answer.shown)
-            except Exception as error:  # those after it are to be checked all the same
+            except Exception as error:  # go on with the next answer
                 text = "".join(traceback.format_exception(error))
                 self.fault(Fault(OWN_ERROR, answer.client_name, answer.step, f"{answer.text}: {text}"))
                 continue

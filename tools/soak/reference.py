@@ -1,4 +1,4 @@
-"""The direct computation: a model and descriptors of its own, `lpn.retrieval`, and none of the app's code."""
+"""The direct computation of every answer with `lpn.retrieval`, without any code of the app."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from lpn.retrieval import Match, Ranking, scoring
 from tools.soak.client_state import ClientState, OwnPicture
 from tools.soak.page_content import MatchRow, PageContent
 
-# Ranked tiles that a page shows.
+# Number of ranked tiles on a page.
 SHOWN = 10
-# By how much a printed number may differ: half of its last digit of three, and as much for sums in another order, for
-# pictures are described one by one here and may be described together there.
+# Tolerance of a printed number: half a unit of its third digit, and as much for another order of summation, since the app may
+# describe pictures in batches.
 PRINTED = 0.001
-# Scores that differ by less may stand in either order, for the same reason.
+# Scores closer than this may be in either order, for the same reason.
 EQUAL = 1e-4
 SIGNS = {True: "✓", False: "✗", None: "?"}
-# Tiles of a gallery that are described anew, and the least cosine of each part with the one that is on the disk.
+# Number of gallery tiles to describe again, and the least cosine per part with the stored descriptor.
 SAMPLE, NEAR = 8, 0.999
 _KEPT = 5000
 _SIDE = 320
@@ -40,7 +40,7 @@ _SIDE = 320
 
 @dataclass(frozen=True, eq=False)
 class ReferenceTask:
-    """One direction of retrieval as it lies on the disk."""
+    """One task with the stored descriptors of its gallery."""
 
     query_view: View
     queries: list[Picture]
@@ -51,19 +51,19 @@ class ReferenceTask:
 
     @cached_property
     def unique(self) -> list[int]:
-        """Queries whose name is theirs alone, and part of no other's, so that it finds them."""
+        """Queries whose name is part of no other query's name, so that a search finds exactly them."""
         names = [entry.name.casefold() for entry in self.queries]
         return [i for i, name in enumerate(names[:400]) if sum(name in other for other in names) == 1]
 
 
 class Reference:
-    """Computes what a page must show. Used from one thread at a time, but for `label`, `address`, and `own`.
+    """Computes what a page must show.
 
-    Queries are described here. The gallery's descriptors are those that lie on the disk, as for everybody; that they are of
-    their pictures is seen in a sample.
+    Only `label`, `address`, and `own_picture` are thread-safe. Queries are described here; the gallery's descriptors are the
+    stored ones, of which a sample is checked.
 
     Raises:
-        LPNError: when data set or model cannot be used.
+        LPNError: when the data set or the model cannot be used.
     """
 
     def __init__(self, data: Path, model: Path) -> None:
@@ -79,7 +79,7 @@ class Reference:
             labels = np.array([entry.label for entry in gallery], np.int64)
             known = descriptors.stored_side(opened, gallery, views[1], data, "gallery")
             truth = dataset.truth(name)
-            self._look_at(gallery, known.descriptors, views[1])
+            self._check_sample(gallery, known.descriptors, views[1])
             self.sides[name] = ReferenceTask(
                 views[0], dataset.queries(views[0]), gallery, known.descriptors, labels, truth
             )
@@ -91,8 +91,8 @@ class Reference:
         self._picture = lru_cache(maxsize=200)(images.load_picture)
         self._described: OrderedDict[object, Float32Array] = OrderedDict()
 
-    def _look_at(self, gallery: list[Picture], descriptors: Float32Array, view: View) -> None:
-        """Raise DataError when descriptors are not of their pictures."""
+    def _check_sample(self, gallery: list[Picture], descriptors: Float32Array, view: View) -> None:
+        """Raise DataError when stored descriptors do not belong to their pictures."""
         for index in sorted({round(at) for at in np.linspace(0, len(gallery) - 1, SAMPLE)}):
             picture = images.load_picture(gallery[index].path)
             found = retrieval.describe_picture(self._model, picture, view).descriptor
@@ -104,15 +104,15 @@ class Reference:
                 )
 
     def first(self) -> ClientState:
-        """What every page shows that asks for nothing."""
+        """The initial state of a page."""
         return ClientState(next(iter(self.sides)), 0, (1.0,) * self.parts, (True,) * self.parts)
 
     def label(self, state: ClientState) -> str:
-        """The name of what is asked for."""
+        """The name of the shown query or uploaded picture."""
         return state.own_picture.name if state.own_picture else self.sides[state.task].queries[state.query].name
 
     def address(self, state: ClientState) -> dict[str, str]:
-        """What the page's address must say: a name stands for the first that has it, ~3 for the fourth picture."""
+        """The parameters of the page's URL; an ambiguous name is replaced by a position, such as ~3."""
         side = self.sides[state.task]
         text = {**state.address(), "query": "own" if state.own_picture else _called(side.queries, state.query)}
         if state.tile is not None:
@@ -120,7 +120,7 @@ class Reference:
         return text
 
     def own_picture(self, rng: Random, name: str) -> OwnPicture:
-        """A piece of a query's picture, turned, as a JPEG file."""
+        """A rotated crop of a query as a JPEG file."""
         side = self.sides[rng.choice(list(self.sides))]
         picture = images.load_picture(rng.choice(side.queries).path)
         height, width = (max(length * rng.randint(50, 100) // 100, 8) for length in picture.shape[:2])
@@ -130,7 +130,7 @@ class Reference:
         return OwnPicture(f"{name}.jpg", content.tobytes())
 
     def ranking(self, state: ClientState) -> Ranking:
-        """The whole gallery ranked for what is asked for."""
+        """The ranking of the whole gallery for a state."""
         side = self.sides[state.task]
         weights = scoring.part_weights(self.parts, state.values())
         cosines = scoring.part_cosines(self._descriptor(state, side), side.descriptors)
@@ -139,26 +139,26 @@ class Reference:
         return retrieval.rank(cosines, weights, side.labels, label, truth)
 
     def failures(self, state: ClientState, shown: PageContent) -> list[str]:
-        """What is wrong with an answer, in words; nothing where it is right."""
+        """Differences between a page and the ranking, one sentence each; empty for a right answer."""
         try:
-            return list(self._flaws(state, shown, self.ranking(state)))
+            return list(self._differences(state, shown, self.ranking(state)))
         except (ValueError, IndexError, StopIteration, KeyError) as error:
             return [f"what the page shows could not be read ({type(error).__name__}: {error})"]
 
-    def _flaws(self, state: ClientState, shown: PageContent, ranking: Ranking) -> list[str]:
+    def _differences(self, state: ClientState, shown: PageContent, ranking: Ranking) -> list[str]:
         side, found = self.sides[state.task], []
         rows = [row for row in shown.rows if not row.below]
         expected, truth = ranking.top(SHOWN), ranking.positive()
         if len(rows) != len(expected):
             found.append(f"{len(rows)} tiles are shown; expected {len(expected)}")
         for row, match in zip(rows, expected, strict=False):
-            found += self._row(side, row, self._here(ranking, row, match), match.gap)
+            found += self._row(side, row, self._match_of(ranking, row, match), match.gap)
         below = [row for row in shown.rows if row.below]
         beyond = truth if truth is not None and truth.rank > len(expected) else None
         if len(below) != (beyond is not None):
             found.append(f"{len(below)} true tiles are shown below; expected {int(beyond is not None)}")
         for row, match in zip(below, [beyond] if beyond else [], strict=False):
-            found += self._row(side, row, self._here(ranking, row, match), match.gap)
+            found += self._row(side, row, self._match_of(ranking, row, match), match.gap)
         if shown.status.get("top") != str(rows[0].index):
             found.append(f"the status line says tile {shown.status.get('top')}, the list {rows[0].index}")
         compared = ranking.find(rows[0].index)
@@ -170,15 +170,15 @@ class Reference:
             found.append(f"tile {shown.status.get('chosen')} is compared; expected {compared.index}")
         return found + self._pair(shown, ranking, compared)
 
-    def _here(self, ranking: Ranking, row: MatchRow, match: Match) -> Match:
-        """The match that stands in a row: the expected one, or one of an equal score."""
+    def _match_of(self, ranking: Ranking, row: MatchRow, match: Match) -> Match:
+        """The match of a row: the expected one, or another of equal score."""
         if row.index != match.index and ranking.holds(row.index):
             other = ranking.find(row.index)
             return other if abs(other.score - match.score) <= EQUAL else match
         return match
 
     def _row(self, side: ReferenceTask, row: MatchRow, match: Match, gap: float | None) -> list[str]:
-        """What is wrong with a row. The gap is of its place: tiles of equal scores have another in the other order."""
+        """Differences in a row. The gap is that of the rank, since tiles of equal scores may be swapped."""
         if row.index != match.index:
             return [
                 f"rank {match.rank} is tile {row.index} at {row.distance}; expected {match.index} at {match.distance2:.3f}"
@@ -201,7 +201,7 @@ class Reference:
         return found
 
     def _pair(self, shown: PageContent, ranking: Ranking, compared: Match) -> list[str]:
-        """The table of the compared pair, part by part."""
+        """Differences in the table of the compared pair."""
         found, (_, *lines, total) = [], shown.parts
         for i, line in enumerate(lines):
             text = [float(text.rstrip(" %")) for text in line[-3:]]

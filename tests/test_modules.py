@@ -1,0 +1,56 @@
+"""Imports lead from the quick tests to every module of the library and the app, so none is untested or dead."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def modules() -> dict[str, Path]:
+    """All modules of the library, the app, the tools, and the tests, by name."""
+    names = {}
+    for file in (file for top in ("lpn", "explorer", "tools", "tests") for file in (ROOT / top).rglob("*.py")):
+        parts = file.relative_to(ROOT).with_suffix("").parts
+        names[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return names
+
+
+def imports(name: str, file: Path, known: dict[str, Path]) -> set[str]:
+    """The modules that a module imports, anywhere in it, and the packages that hold them."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            package = name.split(".") if file.name == "__init__.py" else name.split(".")[:-1]
+            base = (
+                [*package[: len(package) - node.level + 1], *filter(None, [node.module])]
+                if node.level
+                else [node.module or ""]
+            )
+            found |= {".".join(base), *(".".join([*base, alias.name]) for alias in node.names)}
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value in known:
+            found.add(node.value)  # imported by its name, such as a command
+    found |= {".".join(one.split(".")[:end]) for one in found for end in range(1, one.count(".") + 1)}
+    return found & known.keys()
+
+
+def quick(file: Path) -> bool:
+    """Whether a file of tests has any that is not slow."""
+    return not any(
+        isinstance(node, ast.Assign) and ast.unparse(node) == "pytestmark = pytest.mark.slow"
+        for node in ast.parse(file.read_text()).body
+    )
+
+
+def test_every_module_is_reached_by_the_quick_tests() -> None:
+    known = modules()
+    waiting = {name for name, file in known.items() if name.split(".")[0] == "tests" and quick(file)}
+    reached: set[str] = set()
+    while waiting:
+        name = waiting.pop()
+        reached.add(name)
+        waiting |= imports(name, known[name], known) - reached
+    assert not {name for name in known if name.split(".")[0] in ("lpn", "explorer")} - reached
