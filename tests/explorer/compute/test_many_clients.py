@@ -1,4 +1,4 @@
-"""Many browsers at once before one server: each has its own right answer, is told when it must wait, and leaves nothing."""
+"""Many browsers at one server: each gets its own right answer or a busy line, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -52,38 +52,34 @@ from tools.fixtures.published_results import save_result
 from tools.fixtures.websocket_client import CHUNK, Talker
 
 TASK = "drone-to-satellite"
-# What a browser has for itself.
-HELD = (
+TIMEOUT = 120.0  # seconds for something that must happen
+# Classes of which each browser has its own instances.
+PER_BROWSER = (
     ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, FailureLabWindow, RequestContext, OwnPicture, SweepRequest, MessageFilter, Talker, _Connection,
     viser.ClientHandle, GuiApi, SceneApi, SendBuffer,
 )  # fmt: skip
 
 
 class Gate:
-    """Stands before a model's passes: closed, they wait; broken, they fail."""
+    """Controls a model's forward passes: they wait while it is closed, and fail while it is broken."""
 
     def __init__(self, model: Model) -> None:
-        self._run, self.open, self.began, self.passes, self.broken = (
-            model.run,
-            threading.Event(),
-            threading.Event(),
-            0,
-            False,
-        )
+        self._run, self.passes, self.broken = model.run, 0, False
+        self.open, self.began = threading.Event(), threading.Event()
         self.open.set()
         model.run = self.run  # type: ignore[method-assign]
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
-        """A pass, when the gate is open."""
+        """Compute a forward pass once the gate is open."""
         self.passes += 1
         self.began.set()
-        assert self.open.wait(120)
+        assert self.open.wait(TIMEOUT)
         if self.broken:
             raise ModelFileError("The model is damaged.")
         return self._run(images, view)
 
     def close(self) -> None:
-        """From now on passes wait."""
+        """Make further passes wait."""
         self.began.clear()
         self.open.clear()
 
@@ -110,31 +106,31 @@ def app(workspace: Workspace) -> Iterator[App]:
 
 
 @pytest.fixture(scope="module")
-def standing_gate(workspace: Workspace) -> Gate:
+def module_gate(workspace: Workspace) -> Gate:
     assert workspace.model is not None
-    return Gate(workspace.model.own)
+    return Gate(workspace.model.model)
 
 
 @pytest.fixture
-def gate(standing_gate: Gate) -> Iterator[Gate]:
-    yield standing_gate
-    standing_gate.open.set()
-    standing_gate.broken = False
+def gate(module_gate: Gate) -> Iterator[Gate]:
+    yield module_gate
+    module_gate.open.set()
+    module_gate.broken = False
 
 
 def url(app: App) -> str:
     return f"http://127.0.0.1:{app.server.get_port()}"
 
 
-def until(true: Callable[[], bool], said: Callable[[], object] = lambda: "") -> None:
-    deadline = time.monotonic() + 120
-    while not true():
-        assert time.monotonic() < deadline, said()
+def until(condition: Callable[[], bool], message: Callable[[], object] = lambda: "") -> None:
+    deadline = time.monotonic() + TIMEOUT
+    while not condition():
+        assert time.monotonic() < deadline, message()
         time.sleep(0.02)
 
 
 class Browser(Talker):
-    """A page that notes every state that it was ever shown."""
+    """A page that records the states that it was shown, in order."""
 
     def __init__(self, url: str) -> None:
         self.shown: list[tuple[int, float]] = []
@@ -148,13 +144,13 @@ class Browser(Talker):
                 self.shown.append(state)
 
     def turn(self, angle: int) -> None:
-        """Turn the query, and wait until that is shown."""
+        """Turn the query, and wait for the answer."""
         self.set("Rotate", angle)
         self.wait(lambda: self.status("angle") == str(angle))
 
 
 def session_of(app: App, browser: Talker) -> ClientSession:
-    """What the server has for a browser."""
+    """Return the server's side of a browser."""
     slider = browser.find("Rotate")
     return next(
         one for one in app._sessions.values() if one._panels.controls._bindings["angle"].handle._impl.uuid == slider
@@ -162,7 +158,7 @@ def session_of(app: App, browser: Talker) -> ClientSession:
 
 
 class Direct:
-    """The same answers, computed with a model of one's own and no explorer."""
+    """Computes answers without the explorer, with its own model."""
 
     def __init__(self, workspace: Workspace, model_file: Path) -> None:
         self.model, self.task = lpn.load(model_file), workspace.tasks[TASK]
@@ -171,7 +167,7 @@ class Direct:
         self.gallery = np.stack(described)
 
     def check(self, browser: Talker) -> None:
-        """What the page shows is right: the top match, and its score to three places."""
+        """Check the top match that the page shows, and its score to three places."""
         query, angle, top = (float(browser.status(name) or "nan") for name in ("query", "angle", "top"))
         picture = images.load_picture(self.task.queries[int(query)].path)
         descriptor = retrieval.describe_picture(self.model, picture, "drone", angle).descriptor
@@ -182,17 +178,17 @@ class Direct:
         assert float(found[1]) == pytest.approx(ranking.scores[int(top)], abs=6e-4)
 
 
-def test_twenty_browsers_at_once_end_each_on_its_own_right_answer(
+def test_twenty_browsers_at_once_each_get_their_own_right_answer(
     app: App, workspace: Workspace, model_file: Path
 ) -> None:
-    direct, count, flaws = Direct(workspace, model_file), 20, []
+    direct, count, errors = Direct(workspace, model_file), 20, []
 
     def drag(number: int) -> None:
         try:
             rng = Random(number)
             with Browser(url(app)) as browser:
                 browser.greet()
-                # Every angle is one that no other browser asks for.
+                # No two browsers request the same angle.
                 angles = [count * turns + number + 1 for turns in rng.sample(range(-9, 9), 5)]
                 queries = rng.sample(range(1, 9), 2)
                 for query in queries:
@@ -201,43 +197,41 @@ def test_twenty_browsers_at_once_end_each_on_its_own_right_answer(
                     for angle in angles:
                         browser.set("Rotate", angle)
                         time.sleep(rng.random() * 0.02)
-                browser.wait(lambda: browser.status("angle") == str(angles[-1]), 60)
+                browser.wait(lambda: browser.status("angle") == str(angles[-1]), TIMEOUT)
                 direct.check(browser)
-                time.sleep(0.2)
-                assert browser.status("angle") == str(angles[-1])
                 # What it asked for, in that order; states may be skipped.
                 asked = iter([(0, 0.0), *((query, float(angle)) for query in queries for angle in (0, *angles))])
                 assert all(state in asked for state in browser.shown), browser.shown
         except BaseException as error:
-            flaws.append((number, error))
+            errors.append((number, error))
 
     threads = [threading.Thread(target=drag, args=(number,), daemon=True) for number in range(count)]
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(120)
+        thread.join(2 * TIMEOUT)
     assert not any(thread.is_alive() for thread in threads)
-    assert not flaws, flaws
+    assert not errors, errors
 
 
-def test_a_full_queue_says_busy_and_answers_the_newest_state_by_itself(
+def test_a_full_queue_shows_busy_and_later_the_newest_answer(
     app: App, workspace: Workspace, gate: Gate, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(workspace.inference, "_room", 1)
+    monkeypatch.setattr(workspace.inference, "_max_queued", 1)
     with Browser(url(app)) as one, Browser(url(app)) as two, Browser(url(app)) as three:
         for browser in (one, two, three):
             browser.greet()
         gate.close()
         one.set("Rotate", 31)
-        assert gate.began.wait(120)
+        assert gate.began.wait(TIMEOUT)
         two.set("Rotate", 32)
-        until(lambda: workspace.inference.waiting == 1)
+        until(lambda: workspace.inference.queue_length == 1)
         three.set("Rotate", 33)
         three.wait(lambda: "Busy: too many people" in three.html())
         assert three.status("angle") == "0", "what it showed stays"
         assert "lpn-verdict" in three.html()
         three.set("Rotate", 34)
-        time.sleep(0.6)
+        until(lambda: session_of(app, three)._state.angle == 34)
         assert "Busy: too many people" in three.html()
         assert "No answer" not in str(three.controls)
         gate.open.set()
@@ -247,10 +241,10 @@ def test_a_full_queue_says_busy_and_answers_the_newest_state_by_itself(
             Direct(workspace, model_file).check(browser)
 
 
-def test_the_first_picture_waits_for_room_too(
+def test_the_first_answer_of_a_browser_may_be_refused_too(
     app: App, workspace: Workspace, gate: Gate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(workspace.inference, "_room", 0)
+    monkeypatch.setattr(workspace.inference, "_max_queued", 0)
     gate.close()
     with Browser(url(app)) as browser:
         browser.camera()
@@ -259,11 +253,11 @@ def test_the_first_picture_waits_for_room_too(
         browser.wait(lambda: "Busy: too many people" in browser.html())
         assert browser.status("seq") == "0"
         gate.open.set()
-        monkeypatch.setattr(workspace.inference, "_room", 1)
+        monkeypatch.setattr(workspace.inference, "_max_queued", 1)
         browser.wait(lambda: browser.status("seq") == "1")
 
 
-def test_a_value_that_comes_while_an_older_one_is_taken_stays(app: App) -> None:
+def test_a_value_that_arrives_while_controls_are_read_is_not_lost(app: App) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
         session = session_of(app, browser)
@@ -285,9 +279,7 @@ def test_a_value_that_comes_while_an_older_one_is_taken_stays(app: App) -> None:
         assert slider.value == 12
 
 
-def test_a_picture_that_waits_to_be_read_keeps_nobodys_controls_waiting(
-    app: App, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_upload_that_waits_to_be_decoded_does_not_block_controls(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
     reading = threading.BoundedSemaphore(1)
     monkeypatch.setattr(uploads, "_READING", reading)
     with Browser(url(app)) as browser, ThreadPoolExecutor(1) as pool:
@@ -301,7 +293,7 @@ def test_a_picture_that_waits_to_be_read_keeps_nobodys_controls_waiting(
         browser.wait(lambda: browser.status("name") == "mine.png")
 
 
-def test_a_failure_is_told_from_being_busy(app: App, gate: Gate) -> None:
+def test_an_error_is_not_shown_as_busy(app: App, gate: Gate) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
         gate.broken = True
@@ -313,31 +305,31 @@ def test_a_failure_is_told_from_being_busy(app: App, gate: Gate) -> None:
         browser.turn(52)
 
 
-def test_a_profile_that_fails_is_not_computed_for_ever(app: App, gate: Gate) -> None:
+def test_a_failed_sweep_is_not_repeated(app: App, gate: Gate) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
         session_of(app, browser).change(lambda state: replace(state, why=True))
-        browser.wait(lambda: 'id="lpn-why"' in browser.html())
+        browser.wait(lambda: "id='lpn-why'" in browser.html())
         gate.broken = True
         browser.tell("sweep", "zoom")
         browser.wait(lambda: "The model is damaged." in str(browser.controls))
         browser.wait(lambda: "Stopped before the first step" in browser.html())
 
 
-def test_a_browser_that_moves_on_while_it_waits_is_computed_for_once(
+def test_a_superseded_request_is_computed_once(
     app: App, workspace: Workspace, gate: Gate, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert workspace.model is not None
-    monkeypatch.setattr(request_context, "STALE", 0.0)
-    monkeypatch.setattr(workspace.model.own, "batch", 2)
+    monkeypatch.setattr(request_context, "MIN_WAIT", 0.0)
+    monkeypatch.setattr(workspace.model.model, "batch", 2)
     with Browser(url(app)) as one, Browser(url(app)) as other:
         for browser in (one, other):
             browser.greet()
         gate.close()
         one.set("Rotate", 31)
-        assert gate.began.wait(120)
+        assert gate.began.wait(TIMEOUT)
         other.set("Rotate", 32)
-        until(lambda: workspace.inference.waiting == 1)
+        until(lambda: workspace.inference.queue_length == 1)
         one.set("Rotate", 41)
         other.set("Rotate", 42)
         until(lambda: [session_of(app, one)._state.angle, session_of(app, other)._state.angle] == [41, 42])
@@ -348,7 +340,9 @@ def test_a_browser_that_moves_on_while_it_waits_is_computed_for_once(
         assert not workspace.inference._held
 
 
-def test_a_saved_result_without_a_network_serves_many(places: Path, model_file: Path, tmp_path: Path) -> None:
+def test_a_saved_result_without_a_network_serves_several_browsers(
+    places: Path, model_file: Path, tmp_path: Path
+) -> None:
     save_result(tmp_path / "r.mat", places, model_file)
     served = App(open_saved(places, load_saved(tmp_path / "r.mat", 4)), "127.0.0.1", 0)
     try:
@@ -363,23 +357,23 @@ def test_a_saved_result_without_a_network_serves_many(places: Path, model_file: 
         served.close()
 
 
-# What is left when browsers vanish.
+# Clean-up after browsers that leave.
 
 
 def at_work() -> bool:
-    """Whether a thread works for a browser."""
-    return any(re.match("explorer-(worker|job|follower|upload)", thread.name) for thread in threading.enumerate())
+    """Return whether a thread works for a browser."""
+    return any(re.match("explorer-(worker|job|ranking|upload)", thread.name) for thread in threading.enumerate())
 
 
 def held() -> Counter[str]:
-    """How many there are of what a browser has for itself, and of what the process has; when all work for browsers has ended.
+    """Count objects of browsers, threads, and open files, after all work for browsers has ended.
 
-    `gc.get_objects` holds tuples that another thread is making, which fails there then: "bad argument to internal function".
+    `gc.get_objects` may return a tuple that another thread is creating, which raises an error in that thread.
     """
     until(lambda: not at_work())
     gc.collect()
-    counts = Counter(type(one).__name__ for one in gc.get_objects() if type(one) in HELD)
-    # viser's pool grows up to 32 threads, and stays.
+    counts = Counter(type(one).__name__ for one in gc.get_objects() if type(one) in PER_BROWSER)
+    # viser's thread pool grows to 32 threads and stays.
     counts["threads"] = sum(not thread.name.startswith("ThreadPool") for thread in threading.enumerate())
     if sys.platform == "linux":
         counts["files"] = sum(1 for _ in Path("/proc/self/fd").iterdir())
@@ -387,7 +381,7 @@ def held() -> Counter[str]:
 
 
 def settled() -> Counter[str]:
-    """The same, when nobody is there any more."""
+    """Count the same after all browsers have left."""
     until(lambda: not held()["ClientSession"], held)
     return held()
 
@@ -397,20 +391,18 @@ def picture(size: int = 700) -> bytes:
     return cv2.imencode(".png", noise)[1].tobytes()
 
 
-def looks(app: App) -> None:
+def leave_after_an_answer(app: App) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
 
 
-def asks(app: App) -> None:
-    """Gone in the middle of an answer."""
+def leave_during_an_answer(app: App) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
         browser.set("Rotate", 77)
 
 
-def sends(app: App) -> None:
-    """Gone in the middle of an upload, after a picture of its own."""
+def leave_during_a_second_upload(app: App) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
         browser.upload("mine.png", picture(90), transfer="one")
@@ -428,42 +420,46 @@ def sends(app: App) -> None:
         browser.part(0, content[:CHUNK], "two")
 
 
-def decodes(app: App) -> None:
-    """Gone while its picture is being read."""
+def leave_while_a_picture_is_decoded(app: App) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
         browser.upload("mine.png", picture(500))
 
 
-def profiles(app: App) -> None:
-    """Gone while a profile and a report are being made, and the laboratory is open."""
+def leave_during_a_sweep_and_a_report(app: App) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
         session = session_of(app, browser)
         session.change(lambda state: replace(state, why=True, lab=True))
-        browser.wait(lambda: 'id="lpn-why"' in browser.html())
+        browser.wait(lambda: "id='lpn-why'" in browser.html())
         browser.tell("sweep", "rotation")
         until(lambda: (sweep := session._explain_window._content.sweep) is not None and sweep.total)
         browser.tell("report", None)
         until(lambda: session._reporter._job is not None)
 
 
-def knocks(app: App) -> None:
-    """Gone before it says anything."""
+def leave_before_the_first_message(app: App) -> None:
     with Browser(url(app)):
         pass
 
 
-def shows(app: App) -> None:
-    """Gone before its page is built."""
+def leave_before_the_page_is_built(app: App) -> None:
     with Browser(url(app)) as browser:
         browser.camera()
 
 
 @pytest.mark.slow
-def test_browsers_that_vanish_leave_nothing(app: App) -> None:
-    ways = (looks, asks, sends, decodes, profiles, knocks, shows)
-    for way in ways:  # what is made once: threads of pools, files of shared libraries
+def test_browsers_that_leave_at_any_time_leave_nothing_behind(app: App) -> None:
+    ways = (
+        leave_after_an_answer,
+        leave_during_an_answer,
+        leave_during_a_second_upload,
+        leave_while_a_picture_is_decoded,
+        leave_during_a_sweep_and_a_report,
+        leave_before_the_first_message,
+        leave_before_the_page_is_built,
+    )
+    for way in ways:  # creates what stays for the process: threads of pools, files of shared libraries
         way(app)
     before = settled()
     for _ in range(2):
@@ -471,7 +467,7 @@ def test_browsers_that_vanish_leave_nothing(app: App) -> None:
         for thread in threads:
             thread.start()
         for thread in threads:
-            thread.join(60)
+            thread.join(TIMEOUT)
     until(lambda: not (held() - before), lambda: held() - before)
     assert not app._sessions
     assert not app.server.get_clients()
@@ -480,32 +476,32 @@ def test_browsers_that_vanish_leave_nothing(app: App) -> None:
     assert not app.server._websock_server._live_connections
 
 
-def test_a_browser_that_left_is_not_computed_for(app: App, workspace: Workspace, gate: Gate) -> None:
+def test_nothing_is_computed_for_a_browser_that_left(app: App, workspace: Workspace, gate: Gate) -> None:
     with Browser(url(app)) as stays:
         stays.greet()
         with Browser(url(app)) as goes:
             goes.greet()
             gate.close()
             stays.set("Rotate", 61)
-            assert gate.began.wait(120)
+            assert gate.began.wait(TIMEOUT)
             goes.set("Rotate", 62)
-            until(lambda: workspace.inference.waiting == 1)
+            until(lambda: workspace.inference.queue_length == 1)
             session = weakref.ref(session_of(app, goes))
             passes = gate.passes
-        until(lambda: workspace.inference.waiting == 0)
+        until(lambda: workspace.inference.queue_length == 0)
         until(lambda: (gc.collect(), session() is None)[1])
         gate.open.set()
         stays.wait(lambda: stays.status("angle") == "61")
         assert gate.passes <= passes + 1, "the tile's, at most"
 
 
-def test_a_page_that_is_built_for_nobody_is_taken_down(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_built_after_its_browser_left_is_removed(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
     building, go = threading.Event(), threading.Event()
 
     class Late(Stage):
         def __init__(self, *given: object) -> None:
             building.set()
-            assert go.wait(120)
+            assert go.wait(TIMEOUT)
             super().__init__(*given)  # type: ignore[arg-type]
 
     before = settled()
@@ -513,7 +509,7 @@ def test_a_page_that_is_built_for_nobody_is_taken_down(app: App, monkeypatch: py
         patched.setattr(client_session, "Stage", Late)
         with Browser(url(app)) as browser:
             browser.camera()
-            assert building.wait(120)
+            assert building.wait(TIMEOUT)
         until(lambda: not app.server.get_clients())
         go.set()
         until(lambda: not (held() - before), lambda: held() - before)
