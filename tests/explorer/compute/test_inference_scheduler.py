@@ -1,4 +1,4 @@
-"""The queue before the network, with a model that computes only when it is told to: no test looks at a clock."""
+"""The inference scheduler, with a model whose forward passes the tests release one by one."""
 
 from __future__ import annotations
 
@@ -27,29 +27,34 @@ from lpn.core.views import View
 from lpn.models.base import ForwardPass, Heads, Model
 from lpn.models.spec import ModelSpec
 
+TIMEOUT = 120.0  # seconds for something that must happen
 SPEC = ModelSpec(views=("satellite", "drone"), n_parts=2, embedding=3, input_size=(4, 4))
 
 
 class ManualModel(Model):
-    """Answers with the mean of each picture, one pass each time it is let; `passes` has the marks of each pass's pictures."""
+    """Returns the mean of each picture; each forward pass waits for `release`.
+
+    Attributes:
+        passes: the marks (first values) of the pictures of each forward pass.
+    """
 
     def __init__(self, held: bool = True) -> None:
         self.spec, self.fingerprint = SPEC, "network"
         self.passes: list[list[int]] = []
         self.viewed: list[View] = []
         self.read = 0
-        self._lets = threading.Semaphore(0)
+        self._released = threading.Semaphore(0)
         self._began = threading.Semaphore(0)
         self._held = held
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
-        """One pass; a picture of mark 13 is one that cannot be computed, one of mark 14 would end the thread."""
+        """Compute a forward pass. Mark 13 fails; mark 14 would end the thread."""
         marks = [round(float(image.flat[0])) for image in images]
         self.passes.append(marks)
         self.viewed.append(view)
         self._began.release()
         if self._held:
-            assert self._lets.acquire(timeout=120)
+            assert self._released.acquire(timeout=TIMEOUT)
         if 13 in marks:
             raise ModelFileError("It cannot be computed.")
         if 14 in marks:
@@ -58,21 +63,21 @@ class ManualModel(Model):
         return ForwardPass(parts, images[:, :1] * 2, None)
 
     def began(self) -> None:
-        """Wait until the next pass has begun."""
-        assert self._began.acquire(timeout=120)
+        """Wait until the next forward pass has begun."""
+        assert self._began.acquire(timeout=TIMEOUT)
 
-    def let(self, passes: int = 1) -> None:
-        """Let passes end."""
-        self._lets.release(passes)
+    def release(self, passes: int = 1) -> None:
+        """Let forward passes end."""
+        self._released.release(passes)
 
     def heads(self, view: View) -> Heads:
-        """Anything."""
+        """Count the calls."""
         self.check_view(view)
         self.read += 1
         return Heads(*(np.zeros(1, np.float32),) * 3)
 
     def map_size(self, view: View) -> tuple[int, int]:  # noqa: ARG002
-        """Anything."""
+        """Return a fixed size."""
         return (4, 4)
 
 
@@ -81,7 +86,7 @@ def pictures(mark: int, count: int = 1) -> Float32Array:
 
 
 class Client(threading.Thread):
-    """One thread that asks once."""
+    """A thread with one request."""
 
     def __init__(self, model: QueuedModel | None, mark: int, count: int = 1, view: View = "drone") -> None:
         super().__init__(daemon=True)
@@ -98,14 +103,14 @@ class Client(threading.Thread):
             self.error = error
 
     def finished(self) -> Client:
-        self.join(120)
+        self.join(TIMEOUT)
         assert not self.is_alive()
         return self
 
 
-def until(true: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 120
-    while not true():
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + TIMEOUT
+    while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.002)
 
@@ -120,14 +125,14 @@ def queued(network: ManualModel, queue: InferenceScheduler, background: bool = F
 
 
 def occupy(network: ManualModel, queue: InferenceScheduler, mark: int = 99) -> Client:
-    """A pass that has begun and does not end, so that what comes now waits."""
+    """Start a forward pass that does not end, so that further requests wait."""
     first = Client(queued(network, queue), mark)
     network.began()
     return first
 
 
 def queue_up(queue: InferenceScheduler, *clients: Callable[[], Client]) -> list[Client]:
-    """Threads that ask one after the other."""
+    """Start clients one after the other."""
     begun = []
     for one in clients:
         before = queue.queue_length
@@ -136,22 +141,22 @@ def queue_up(queue: InferenceScheduler, *clients: Callable[[], Client]) -> list[
     return begun
 
 
-def test_what_waits_is_one_pass_and_each_gets_its_own_rows(network: ManualModel) -> None:
+def test_waiting_requests_share_a_batch_and_get_their_own_rows(network: ManualModel) -> None:
     queue = InferenceScheduler()
     first = occupy(network, queue)
     waiting = queue_up(queue, *(lambda mark=mark: Client(queued(network, queue), mark, 2) for mark in (1, 2, 3)))
-    network.let(3)
+    network.release(3)
     for mark, one in enumerate(waiting, 1):
         found = one.finished().result
         assert found is not None
         np.testing.assert_array_equal(found.parts, np.full((2, 2, 3), mark))
         np.testing.assert_array_equal(found.features, np.full((2, 1, 4, 4), 2 * mark))
-        assert found.features.base is None, "a view would keep the whole batch"
+        assert found.features.base is None, "a view would keep the whole batch in memory"
     first.finished()
     assert network.passes == [[99], [1, 1, 2, 2], [3, 3]]
 
 
-def test_views_sizes_and_models_are_not_mixed_and_the_oldest_goes_first(network: ManualModel) -> None:
+def test_a_batch_has_one_view_and_model_and_the_oldest_request_goes_first(network: ManualModel) -> None:
     queue, other = InferenceScheduler(), ManualModel(held=False)
     first = occupy(network, queue)
     waiting = queue_up(
@@ -161,7 +166,7 @@ def test_views_sizes_and_models_are_not_mixed_and_the_oldest_goes_first(network:
         lambda: Client(queued(other, queue), 3),
         lambda: Client(queued(network, queue), 4),
     )
-    network.let(10)
+    network.release(10)
     for one in (first, *waiting):
         assert one.finished().error is None
     assert network.passes == [[99], [1, 4], [2]]
@@ -169,7 +174,7 @@ def test_views_sizes_and_models_are_not_mixed_and_the_oldest_goes_first(network:
     assert other.passes == [[3]]
 
 
-def test_more_pictures_than_a_pass_has_are_several(network: ManualModel) -> None:
+def test_a_large_request_is_split_into_batches(network: ManualModel) -> None:
     network._held = False
     images = np.concatenate([pictures(mark) for mark in range(10)])
     found = queued(network, InferenceScheduler()).run(images, "drone")
@@ -178,11 +183,11 @@ def test_more_pictures_than_a_pass_has_are_several(network: ManualModel) -> None
     assert found.attention is None
 
 
-def test_what_is_wrong_with_one_is_not_wrong_with_the_others(network: ManualModel) -> None:
+def test_a_bad_request_does_not_fail_the_others_of_its_batch(network: ManualModel) -> None:
     queue = InferenceScheduler()
     first = occupy(network, queue)
     waiting = queue_up(queue, *(lambda mark=mark: Client(queued(network, queue), mark) for mark in (1, 13, 2)))
-    network.let(10)
+    network.release(10)
     one, bad, other = (clients.finished() for clients in waiting)
     assert isinstance(bad.error, ModelFileError)
     assert bad.result is None
@@ -193,7 +198,7 @@ def test_what_is_wrong_with_one_is_not_wrong_with_the_others(network: ManualMode
     assert Client(queued(network, queue), 5).finished().result is not None, "it goes on"
 
 
-def test_wrong_input_is_said_as_the_model_says_it(network: ManualModel) -> None:
+def test_wrong_input_raises_the_models_error(network: ManualModel) -> None:
     network._held = False
     model = queued(network, InferenceScheduler())
     with pytest.raises(InputError, match="no 'street' view"):
@@ -205,7 +210,7 @@ def test_wrong_input_is_said_as_the_model_says_it(network: ManualModel) -> None:
 
 
 class Clock:
-    """Seconds as a test says."""
+    """A clock that the test sets."""
 
     now = 0.0
 
@@ -214,40 +219,48 @@ class Clock:
 
 
 class RoundRobin:
-    """Browsers that ask again as soon as they are answered, and how many passes each had between."""
+    """Clients that make the next request as soon as they have an answer.
+
+    The first `interactive` ones are interactive, the others do background work.
+    """
 
     def __init__(
-        self, network: ManualModel, queue: InferenceScheduler, answers: int, long: int, room: int = MAX_QUEUED
+        self,
+        network: ManualModel,
+        queue: InferenceScheduler,
+        interactive: int,
+        background: int,
+        max_queued: int = MAX_QUEUED,
     ) -> None:
-        self._slow, self._queue, self._room = network, queue, room
+        self._network, self._queue, self._max_queued = network, queue, max_queued
         self._going = True
         self._threads = [
-            threading.Thread(target=self._ask, args=(queued(network, queue, mark >= answers), mark), daemon=True)
-            for mark in range(answers + long)
+            threading.Thread(target=self._ask, args=(queued(network, queue, mark >= interactive), mark), daemon=True)
+            for mark in range(interactive + background)
         ]
-        self.count = answers + long
+        self.count = interactive + background
 
     def run(self, passes: int) -> list[list[int]]:
-        """The marks of so many passes, before each of which everybody else waits."""
-        first = occupy(self._slow, self._queue)
+        """Return the marks of some forward passes; before each, all other clients wait."""
+        first = occupy(self._network, self._queue)
         for thread in self._threads:
             thread.start()
         for _ in range(passes):
-            going = self._slow.passes[-1]
+            going = self._network.passes[-1]
             others = self.count if going == [99] else self.count - len(going)
             until(lambda others=others: self._all_wait(others))  # type: ignore[misc]
-            self._slow.let()
-            self._slow.began()
+            self._network.release()
+            self._network.began()
         self._going = False
-        self._slow.let(1000)
+        self._network.release(1000)
         for thread in self._threads:
-            thread.join(120)
+            thread.join(TIMEOUT)
         first.finished()
-        return self._slow.passes[1 : passes + 1]
+        return self._network.passes[1 : passes + 1]
 
     def _all_wait(self, others: int) -> bool:
-        """Whether all others wait, or have been refused where there is no room."""
-        waiting = min(others, self._room)
+        """Return whether the others wait, or were refused because the queue is full."""
+        waiting = min(others, self._max_queued)
         return self._queue.queue_length == waiting and len(self._queue._refused) == others - waiting
 
     def _ask(self, model: QueuedModel, mark: int) -> None:
@@ -258,29 +271,29 @@ class RoundRobin:
                 time.sleep(0.001)
 
 
-def test_nobody_is_answered_twice_while_another_waits(network: ManualModel) -> None:
+def test_no_client_is_served_twice_while_another_waits(network: ManualModel) -> None:
     network.batch = 2
-    passes = RoundRobin(network, InferenceScheduler(), answers=7, long=0).run(42)
+    passes = RoundRobin(network, InferenceScheduler(), interactive=7, background=0).run(42)
     turns = [mark for marks in passes for mark in marks]
     for mark in range(7):
         places = [place for place, of in enumerate(turns) if of == mark]
-        # Those of one pass ask again in any order, so by one more or less.
+        # Clients of one batch make their next requests in any order.
         assert np.diff(places).max() <= 7 + 1
         assert len(places) >= len(turns) // 7 - 1
 
 
-def test_more_browsers_than_there_is_room_for_are_answered_in_turn(network: ManualModel) -> None:
+def test_clients_beyond_the_queues_bound_are_served_in_turn(network: ManualModel) -> None:
     network.batch = 1
-    passes = RoundRobin(network, InferenceScheduler(3, Clock()), answers=7, long=0, room=3).run(42)
+    passes = RoundRobin(network, InferenceScheduler(3, Clock()), interactive=7, background=0, max_queued=3).run(42)
     turns = [marks[0] for marks in passes]
     for mark in range(7):
         assert np.diff([place for place, of in enumerate(turns) if of == mark]).max() <= 7 + 1
         assert turns.count(mark) >= 5
 
 
-def test_long_work_neither_holds_up_answers_nor_waits_for_ever(network: ManualModel) -> None:
+def test_background_work_neither_delays_answers_nor_starves(network: ManualModel) -> None:
     network.batch = 1
-    passes = [marks[0] for marks in RoundRobin(network, InferenceScheduler(), answers=3, long=4).run(32)]
+    passes = [marks[0] for marks in RoundRobin(network, InferenceScheduler(), interactive=3, background=4).run(32)]
     long = [mark >= 3 for mark in passes]
     assert np.diff(np.flatnonzero(long)).tolist() == [BACKGROUND_INTERVAL] * (sum(long) - 1)
     assert sum(long) == 8
@@ -289,14 +302,14 @@ def test_long_work_neither_holds_up_answers_nor_waits_for_ever(network: ManualMo
         assert np.diff([place for place, of in enumerate(passes) if of == mark]).max() <= 3 + 1
 
 
-def test_alone_long_work_has_every_pass(network: ManualModel) -> None:
-    network.batch = 4
-    passes = RoundRobin(network, InferenceScheduler(), answers=0, long=3).run(6)
-    assert sorted(passes[0]) == [0, 1, 2], "all that wait share a pass"
-    assert all(len(set(marks)) == len(marks) for marks in passes), "none is in a pass twice"
+def test_background_work_alone_gets_every_batch_in_turn(network: ManualModel) -> None:
+    network.batch = 1
+    passes = RoundRobin(network, InferenceScheduler(), interactive=0, background=3).run(6)
+    assert sorted(passes[:3]) == [[0], [1], [2]]
+    assert passes[3:] == passes[:3]
 
 
-def test_a_full_queue_refuses_in_one_sentence_and_keeps_the_place(network: ManualModel) -> None:
+def test_a_full_queue_refuses_a_request_and_reserves_its_place(network: ManualModel) -> None:
     clock = Clock()
     queue = InferenceScheduler(max_queued=2, clock=clock)
     network.batch = 1
@@ -305,36 +318,36 @@ def test_a_full_queue_refuses_in_one_sentence_and_keeps_the_place(network: Manua
     refused, newcomer = queued(network, queue), queued(network, queue)
     with pytest.raises(BusyError, match=r"^2 requests are queued, which is the limit; try again"):
         refused.run(pictures(3), "drone")
-    network.let()
-    network.began()  # one place is free, and it is kept
+    network.release()
+    network.began()  # one place is free, and reserved
     with pytest.raises(BusyError):
         newcomer.run(pictures(4), "drone")
     waiting += queue_up(queue, lambda: Client(refused, 3))
     clock.now += RESERVATION + 1
     with pytest.raises(BusyError):
         newcomer.run(pictures(4), "drone")
-    network.let()
+    network.release()
     network.began()
-    clock.now += RESERVATION + 1  # who was refused does not come again
+    clock.now += RESERVATION + 1  # the refused client does not try again
     waiting += queue_up(queue, lambda: Client(queued(network, queue), 5))
-    network.let(10)
+    network.release(10)
     for one in (first, *waiting):
         assert one.finished().error is None
     assert network.passes == [[99], [1], [2], [3], [5]]
 
 
-def test_long_work_is_never_refused_and_takes_nobodys_room(network: ManualModel) -> None:
+def test_background_work_is_never_refused_and_does_not_fill_the_queue(network: ManualModel) -> None:
     queue = InferenceScheduler(max_queued=1)
     first = occupy(network, queue)
     waiting = queue_up(queue, *(lambda: Client(queued(network, queue, background=True), 1) for _ in range(5)))
     waiting += queue_up(queue, lambda: Client(queued(network, queue), 2))
-    network.let(10)
+    network.release(10)
     for one in (first, *waiting):
         assert one.finished().error is None
     assert network.passes[:2] == [[99], [2]]
 
 
-def test_what_a_browser_that_left_waits_for_is_not_computed(network: ManualModel) -> None:
+def test_requests_of_a_closed_context_are_dropped(network: ManualModel) -> None:
     queue = InferenceScheduler()
     first = occupy(network, queue)
     gone = RequestContext(queue)
@@ -346,14 +359,14 @@ def test_what_a_browser_that_left_waits_for_is_not_computed(network: ManualModel
         assert isinstance(one.finished().error, WorkCancelledError)
     assert queue.queue_length == 1
     assert isinstance(Client(answers, 4).finished().error, WorkCancelledError)
-    network.let(10)
+    network.release(10)
     for one in (first, *stays):
         assert one.finished().error is None
     assert network.passes == [[99], [3]]
     gone.close()
 
 
-def test_a_browser_that_leaves_during_its_pass_frees_the_place_that_was_kept(network: ManualModel) -> None:
+def test_closing_a_context_frees_its_reserved_place(network: ManualModel) -> None:
     queue = InferenceScheduler(max_queued=1)
     going = RequestContext(queue)
     model = going.queued(queued(network, queue))
@@ -365,16 +378,16 @@ def test_a_browser_that_leaves_during_its_pass_frees_the_place_that_was_kept(net
         other.queued(model).run(pictures(3), "drone")  # type: ignore[union-attr]
     other.close()
     going.close()
-    network.let()
+    network.release()
     network.began()
     waiting += queue_up(queue, lambda: Client(queued(network, queue), 4))
-    network.let(10)
-    assert pending.finished().result is not None, "it was being computed"
+    network.release(10)
+    assert pending.finished().result is not None, "its computation had begun"
     for one in waiting:
         assert one.finished().error is None
 
 
-def test_heads_are_read_once_of_each_model(network: ManualModel) -> None:
+def test_the_heads_of_each_model_are_read_once(network: ManualModel) -> None:
     queue = InferenceScheduler()
     one, other = queued(network, queue), queued(network, queue)
     assert one.heads("drone") is other.heads("drone")
@@ -385,7 +398,7 @@ def test_heads_are_read_once_of_each_model(network: ManualModel) -> None:
     assert RequestContext(queue).queued(None) is None
 
 
-def test_the_thread_ends_when_nobody_asks_and_begins_anew(
+def test_an_idle_thread_ends_and_the_next_request_starts_another(
     network: ManualModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(inference_scheduler, "IDLE_TIMEOUT", 0.01)
@@ -398,7 +411,7 @@ def test_the_thread_ends_when_nobody_asks_and_begins_anew(
 
 
 class DraggingBrowser(threading.Thread):
-    """A browser that wants one answer, of two passes: of its state alone, and one that others may wait for, too."""
+    """A browser with one answer of two requests: a cancellable one of its state, and one that others may share."""
 
     def __init__(self, network: ManualModel, queue: InferenceScheduler, mark: int) -> None:
         super().__init__(daemon=True)
@@ -410,8 +423,8 @@ class DraggingBrowser(threading.Thread):
         self._model = model
         self.start()
 
-    def moves(self, mark: int) -> None:
-        """Its state changes."""
+    def move(self, mark: int) -> None:
+        """Change the state."""
         self.mark = mark
         self.context.supersede()
 
@@ -438,27 +451,27 @@ def drag(network: ManualModel, queue: InferenceScheduler, *marks: int) -> list[D
     return begun
 
 
-def test_who_moves_on_while_waiting_is_answered_for_the_newest_state_in_the_same_place(network: ManualModel) -> None:
+def test_a_superseded_request_is_replaced_by_the_newest_in_the_same_place(network: ManualModel) -> None:
     clock = Clock()
     queue, network.batch = InferenceScheduler(max_queued=3, clock=clock), 1
     first = occupy(network, queue)
     clients = drag(network, queue, 1, 2, 3)
     other, third = clients[1:]
     clock.now += MIN_WAIT
-    other.moves(22)
-    network.let()
-    network.began()  # that of `one`, during which `other` prepares what it wants now
+    other.move(22)
+    network.release()
+    network.began()  # computes `one`, while `other` prepares its next request
     until(lambda: other.begun == 2 and queue.queue_length == 2)
-    third.moves(33)
-    network.let()
+    third.move(33)
+    network.release()
     network.began()
     until(lambda: third.begun == 2 and queue.queue_length == 2)
     clock.now += MIN_WAIT
-    for browser in clients:  # what they wait for next is called off for nobody: no answer would ever be shown
-        browser.moves(7)
-    network.let(20)
+    for browser in clients:  # no second cancellation: they would never see an answer
+        browser.move(7)
+    network.release(20)
     for browser in clients:
-        browser.join(120)
+        browser.join(TIMEOUT)
         assert browser.error is None
     first.finished()
     assert network.passes[:4] == [[99], [1], [22], [33]]
@@ -466,52 +479,52 @@ def test_who_moves_on_while_waiting_is_answered_for_the_newest_state_in_the_same
     assert [browser.shown for browser in clients] == [1, 22, 33]
 
 
-def test_what_has_hardly_waited_is_computed_though_its_browser_moved_on(network: ManualModel) -> None:
+def test_a_request_that_has_hardly_waited_is_not_superseded(network: ManualModel) -> None:
     queue, network.batch = InferenceScheduler(clock=Clock()), 1
     first = occupy(network, queue)
     clients = drag(network, queue, 1, 2)
     for browser in clients:
-        browser.moves(9)
-    network.let(20)
+        browser.move(9)
+    network.release(20)
     for browser in clients:
-        browser.join(120)
+        browser.join(TIMEOUT)
     first.finished()
     assert [(browser.shown, browser.begun) for browser in clients] == [(1, 1), (2, 1)]
 
 
-def test_a_place_that_is_held_is_nobody_elses_and_is_given_back(network: ManualModel) -> None:
+def test_a_held_place_is_nobody_elses_and_is_released(network: ManualModel) -> None:
     clock = Clock()
     queue, network.batch = InferenceScheduler(max_queued=2, clock=clock), 1
     first = occupy(network, queue)
     one, other = drag(network, queue, 1, 2)
     clock.now += MIN_WAIT
-    other.moves(0)
-    network.let()
+    other.move(0)
+    network.release()
     network.began()
-    other.join(120)
+    other.join(TIMEOUT)
     assert isinstance(other.error, ModelFileError)
-    assert not queue._held, "it asked for nothing"
+    assert not queue._held, "it made no further request"
     queue._held[other.context] = 0
     waiting = queue_up(queue, lambda: Client(queued(network, queue), 4))
     with pytest.raises(BusyError):
         queued(network, queue).run(pictures(5), "drone")
     other.context.close()
-    clock.now += RESERVATION + 1  # until which the one who was refused has a place
+    clock.now += RESERVATION + 1  # the reservation of the refused one ends
     waiting += queue_up(queue, lambda: Client(queued(network, queue), 6))
-    network.let(20)
-    one.join(120)
+    network.release(20)
+    one.join(TIMEOUT)
     for clients in (first, *waiting):
         assert clients.finished().error is None
 
 
-def test_a_model_that_ends_its_thread_is_an_error_and_the_queue_goes_on(network: ManualModel) -> None:
+def test_a_model_that_raises_system_exit_does_not_end_the_scheduler(network: ManualModel) -> None:
     network._held = False
     queue = InferenceScheduler()
     assert isinstance(Client(queued(network, queue), 14).finished().error, LPNError)
     assert Client(queued(network, queue), 1).finished().result is not None
 
 
-def test_a_queue_that_fails_answers_who_waits_and_begins_anew(
+def test_a_failing_scheduler_fails_its_requests_and_starts_again(
     network: ManualModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     queue = InferenceScheduler()
@@ -519,15 +532,15 @@ def test_a_queue_that_fails_answers_who_waits_and_begins_anew(
     waiting = queue_up(queue, *(lambda mark=mark: Client(queued(network, queue), mark) for mark in (1, 2)))
     with monkeypatch.context() as patched:
         patched.setattr(queue, "_next_batch", lambda: 1 // 0)
-        network.let()
+        network.release()
         for one in waiting:
             assert isinstance(one.finished().error, ZeroDivisionError)
     assert first.finished().error is None
-    network.let()
+    network.release()
     assert Client(queued(network, queue), 3).finished().result is not None
 
 
-def test_where_there_can_be_no_more_threads_the_next_one_tries_again(
+def test_after_a_failed_thread_start_the_next_call_tries_again(
     network: ManualModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network._held = False
@@ -547,27 +560,27 @@ def test_where_there_can_be_no_more_threads_the_next_one_tries_again(
     assert Client(queued(network, queue), 2).finished().result is not None
     assert network.passes == [[2]]
     worker.wake()
-    assert ran.wait(120)
+    assert ran.wait(TIMEOUT)
     worker.stop()
 
 
-def test_what_several_want_is_made_once_and_the_oldest_is_forgotten() -> None:
+def test_the_cache_computes_a_value_once_and_forgets_the_least_recently_used() -> None:
     cache: SingleFlightCache[int, object] = SingleFlightCache(2)
     making, go, made, got = threading.Event(), threading.Event(), [], []
 
     def make() -> object:
         made.append(1)
         making.set()
-        assert go.wait(120)
+        assert go.wait(TIMEOUT)
         return object()
 
     threads = [threading.Thread(target=lambda: got.append(cache.get(1, make))) for _ in range(5)]
     for thread in threads:
         thread.start()
-    assert making.wait(120)
+    assert making.wait(TIMEOUT)
     go.set()
     for thread in threads:
-        thread.join(120)
+        thread.join(TIMEOUT)
     assert len(made) == 1
     assert len(got) == 5
     assert len(set(map(id, got))) == 1
@@ -578,13 +591,13 @@ def test_what_several_want_is_made_once_and_the_oldest_is_forgotten() -> None:
     assert cache.get(2, lambda: "anew") == "anew"
 
 
-def test_what_cannot_be_made_for_one_is_made_for_the_next() -> None:
+def test_after_a_failed_computation_the_next_caller_of_the_cache_retries() -> None:
     cache: SingleFlightCache[int, str] = SingleFlightCache(2)
     making, go, got = threading.Event(), threading.Event(), []
 
     def fail() -> str:
         making.set()
-        assert go.wait(120)
+        assert go.wait(TIMEOUT)
         raise WorkCancelledError
 
     def failing() -> None:
@@ -596,9 +609,9 @@ def test_what_cannot_be_made_for_one_is_made_for_the_next() -> None:
         threading.Thread(target=lambda: got.append(cache.get(1, lambda: "made"))),
     ]
     threads[0].start()
-    assert making.wait(120)
+    assert making.wait(TIMEOUT)
     threads[1].start()
     go.set()
     for thread in threads:
-        thread.join(120)
+        thread.join(TIMEOUT)
     assert got == ["made"]

@@ -1,3 +1,5 @@
+"""Rankings in the background: start, progress, cancellation, and cache."""
+
 from __future__ import annotations
 
 import threading
@@ -22,11 +24,12 @@ from lpn.core.errors import LPNError
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
+TIMEOUT = 120.0  # seconds for something that must happen
 
 
 @pytest.fixture
 def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A data set that takes too long to be ranked before the first page is served."""
+    """A data set that counts as too large to be ranked before the first page is served."""
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(ranking_job, "QUICK_COST", 0)
     monkeypatch.setattr(ranking_cache, "STEP", 2)
@@ -43,21 +46,21 @@ def at_once(data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> Ra
     return open_model(data, model_file).rankings[TASK]
 
 
-def until(true: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 120
-    while not true():
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + TIMEOUT
+    while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
-def test_long_rankings_are_made_when_somebody_waits_and_are_the_same(
+def test_a_ranking_in_the_background_equals_one_at_the_start(
     data: Path, workspace: Workspace, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ranking = workspace.rankings[TASK]
     assert ranking.result is None
     job = ranking.join("me")
     assert job is ranking.join("you")
-    assert job.wait(120)
+    assert job.wait(TIMEOUT)
     assert job.error is None
     quick = at_once(data, model_file, monkeypatch)
     assert ranking.results == quick.results
@@ -65,10 +68,8 @@ def test_long_rankings_are_made_when_somebody_waits_and_are_the_same(
     np.testing.assert_array_equal(ranking.ranks, quick.ranks)
 
 
-def test_the_next_start_has_them_at_once_unless_a_picture_changed(
-    data: Path, workspace: Workspace, model_file: Path
-) -> None:
-    assert workspace.rankings[TASK].join("me").wait(120)
+def test_a_ranking_is_cached_until_a_picture_changes(data: Path, workspace: Workspace, model_file: Path) -> None:
+    assert workspace.rankings[TASK].join("me").wait(TIMEOUT)
     again = open_model(data, model_file).rankings
     assert again[TASK].results == workspace.rankings[TASK].results
     assert again["satellite-to-drone"].result is None
@@ -77,49 +78,49 @@ def test_the_next_start_has_them_at_once_unless_a_picture_changed(
     assert open_model(data, model_file).rankings[TASK].result is None
 
 
-def test_pages_say_how_far_it_is_and_mark_nothing_that_is_not_known(workspace: Workspace) -> None:
+def test_pages_show_progress_and_mark_nothing_before_the_ranking_is_done(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
     buttons = [f"b{i}" for i in range(4)]
     assert "Results: ranking 0 of 9 queries" in pages.header(workspace, ranking.task)
     before = pages.picker(workspace, ranking.task, [0, 1], 0, 0, 1, buttons)
     assert not any(sign in before for sign in ("✓", "✗"))
     assert model_comparison.changes(ranking, ranking) is None
-    assert ranking.join("me").wait(120)
+    assert ranking.join("me").wait(TIMEOUT)
     assert "R@1" in pages.header(workspace, ranking.task)
     assert any(sign in pages.picker(workspace, ranking.task, [0, 1], 0, 0, 1, buttons) for sign in ("✓", "✗"))
     assert model_comparison.changes(ranking, ranking) is not None
 
 
-def test_a_ranking_that_nobody_waits_for_stands_still_and_goes_on(workspace: Workspace) -> None:
+def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
-    with ranking._turn:  # so that it cannot begin
-        given_up = ranking.join("me")
+    with ranking._turn:  # keeps it from starting
+        cancelled = ranking.join("me")
         ranking.leave("me")
         going = ranking.join("you")
-    assert given_up.wait(120)
-    assert given_up.cancelled
+    assert cancelled.wait(TIMEOUT)
+    assert cancelled.cancelled
     assert ranking.error == ""
-    assert going.wait(120)
+    assert going.wait(TIMEOUT)
     assert ranking.result is not None
 
 
-def test_the_laboratory_waits_for_the_same_ranking(workspace: Workspace) -> None:
+def test_the_failure_laboratory_uses_the_same_ranking(workspace: Workspace) -> None:
     laboratory, ranking = FailureLab(workspace), workspace.rankings[TASK]
     job = laboratory.build(TASK, "me")
-    assert job.wait(120)
+    assert job.wait(TIMEOUT)
     assert job.error is None
     found = laboratory.findings(TASK)
     assert found is not None
     np.testing.assert_array_equal(found.outcomes.rank, ranking.ranks)
 
 
-def test_a_page_is_told_of_progress_and_of_the_end(workspace: Workspace) -> None:
+def test_a_page_shows_the_progress_and_the_end(workspace: Workspace) -> None:
     one, other = workspace.rankings.values()
     told, ends = [], threading.Semaphore(0)
     progress = RankingProgress(lambda ranking: told.append(ranking.task.name), ends.release)
     progress.follow(one, other)
     for _ in range(2):
-        assert ends.acquire(timeout=120)
+        assert ends.acquire(timeout=TIMEOUT)
     assert one.result is not None
     assert other.result is not None
     assert set(told) == {one.task.name}
@@ -127,7 +128,7 @@ def test_a_page_is_told_of_progress_and_of_the_end(workspace: Workspace) -> None
     until(lambda: progress._thread is None)
 
 
-def test_a_page_that_is_gone_waits_no_longer(workspace: Workspace) -> None:
+def test_a_closed_page_no_longer_waits(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
     ended: list[int] = []
     progress = RankingProgress(lambda _: None, lambda: ended.append(1))
@@ -137,16 +138,16 @@ def test_a_page_that_is_gone_waits_no_longer(workspace: Workspace) -> None:
         job = ranking.join("me")
         ranking.leave("me")
         progress.close()
-    assert job.wait(120)
+    assert job.wait(TIMEOUT)
     assert job.cancelled
     assert not ended
     until(lambda: progress._thread is None)
-    progress.follow(ranking)  # an answer that was under way when it left
+    progress.follow(ranking)  # by an answer that was being computed when the page closed
     assert progress._thread is None
     assert ranking._job is job
 
 
-def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(workspace: Workspace) -> None:
+def test_a_failed_ranking_reports_its_error(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
     damaged = np.array(ranking.task.gallery_descriptors)
     damaged[0, 0, 0] = np.nan
@@ -156,9 +157,7 @@ def test_a_ranking_that_fails_is_said_and_not_begun_again_and_again(workspace: W
     assert "not finite" in broken.error
 
 
-def test_a_ranking_that_failed_once_can_be_asked_for_again(
-    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_ranking_can_start_again(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     ranking = workspace.rankings[TASK]
     with monkeypatch.context() as patched:
         patched.setattr(ranking_cache, "save", lambda *_: 1 / 0)
@@ -167,7 +166,9 @@ def test_a_ranking_that_failed_once_can_be_asked_for_again(
     assert ranking.wait("me", lambda *_: None) is ranking.result
 
 
-def test_a_page_whose_telling_fails_can_follow_again(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_whose_progress_report_fails_can_follow_again(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ranking, told = workspace.rankings[TASK], []
 
     def tell(shown: RankingJob) -> None:
@@ -181,4 +182,4 @@ def test_a_page_whose_telling_fails_can_follow_again(workspace: Workspace, monke
     progress.follow(ranking)
     until(lambda: progress._thread is None)
     progress.follow(ranking)
-    assert ranking.result is not None or ended.wait(120)
+    assert ranking.result is not None or ended.wait(TIMEOUT)

@@ -45,7 +45,7 @@ def picture(size: int = 48) -> bytes:
 
 @pytest.fixture(scope="module")
 def app(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Iterator[App]:
-    """The app on drawn places, in this process."""
+    """The app on synthetic places, in this process."""
     folder = tmp_path_factory.mktemp("guard")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(folder / "cache"))
@@ -60,7 +60,7 @@ def url(app: App) -> str:
 
 
 def get(app: App, path: str = "/", **headers: str) -> tuple[int, http.client.HTTPMessage, str]:
-    connection = http.client.HTTPConnection("127.0.0.1", app.server.get_port(), timeout=120)
+    connection = http.client.HTTPConnection("127.0.0.1", app.server.get_port(), timeout=20)
     connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
     answer = connection.getresponse()
     body = answer.read().decode()
@@ -70,20 +70,20 @@ def get(app: App, path: str = "/", **headers: str) -> tuple[int, http.client.HTT
 
 @pytest.fixture
 def locked(app: App) -> Iterator[App]:
-    """The same, asking for a token."""
+    """The app while it requires a token."""
     app.authenticator.token = TOKEN
     yield app
     app.authenticator.token = None
 
 
 def refused(app: App, **options: object) -> int:
-    """The status that a connection is refused with."""
+    """Return the status with which a connection is refused."""
     with pytest.raises(InvalidStatus) as raised:
         Talker(url(app), **options)
     return raised.value.response.status_code
 
 
-def test_the_page_is_served_and_may_load_from_and_connect_to_its_server_alone(app: App) -> None:
+def test_the_page_may_load_from_and_connect_to_its_own_server_only(app: App) -> None:
     status, headers, body = get(app)
     assert status == 200
     assert "viser" in body.lower()
@@ -106,8 +106,8 @@ def test_another_site_reaches_neither_page_nor_websocket(app: App) -> None:
 
 
 def raw(app: App, data: bytes) -> bytes:
-    """The first line of the answer to bytes that may be no request."""
-    with socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=120) as connection:
+    """Return the first line of the response to bytes that may not be a request."""
+    with socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) as connection:
         connection.sendall(data)
         return connection.makefile("rb").readline().strip()
 
@@ -129,7 +129,7 @@ def until(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
     return True
 
 
-def test_what_is_no_request_is_refused_without_a_traceback(
+def test_malformed_requests_are_refused_without_a_traceback(
     app: App, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     head = b"GET / HTTP/1.1\r\nHost: localhost\r\n"
@@ -146,7 +146,7 @@ def test_what_is_no_request_is_refused_without_a_traceback(
     assert not [record for record in caplog.records if record.exc_info]
 
 
-def test_a_token_is_not_written_to_the_log(locked: App, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_log_has_no_token(locked: App, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.DEBUG)
     status, headers, _ = get(locked, "/?token=correct+horse+battery")
     assert status == 200
@@ -155,10 +155,10 @@ def test_a_token_is_not_written_to_the_log(locked: App, caplog: pytest.LogCaptur
     assert locked.authenticator.cookie_value not in caplog.text
 
 
-def test_connections_that_ask_for_nothing_do_not_use_up_the_files(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pending_connections_do_not_exhaust_the_file_descriptors(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gateway, "MAX_PENDING", 8)
     before = len(list(Path("/proc/self/fd").iterdir()))
-    held = [socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=120) for _ in range(30)]
+    held = [socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) for _ in range(30)]
     try:
         for connection in held[8:]:
             with contextlib.suppress(ConnectionResetError):
@@ -171,13 +171,13 @@ def test_connections_that_ask_for_nothing_do_not_use_up_the_files(app: App, monk
             connection.close()
 
 
-def test_a_refusal_shows_what_was_sent_as_text(app: App) -> None:
+def test_a_refusal_escapes_the_host_name(app: App) -> None:
     _, headers, body = get(app, host="<img/src=x>")
     assert "<img" not in body
     assert "script" not in headers["Content-Security-Policy"]
 
 
-def test_without_the_token_nothing_answers_and_with_it_everything_does(locked: App) -> None:
+def test_page_and_websocket_need_the_token_or_its_cookie(locked: App) -> None:
     for path in ("/", "/index.html", "/assets/x.js", "/?query=1"):
         status, _, body = get(locked, path)
         assert status == 401
@@ -208,7 +208,7 @@ def test_an_address_that_sends_many_wrong_tokens_is_blocked_until_it_stops(
     assert get(locked, "/?token=correct+horse+battery")[0] == 200
 
 
-def test_a_viser_that_does_not_take_the_guard_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unsupported_viser_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     class Other:
         stopped = False
 
@@ -224,12 +224,12 @@ def test_a_viser_that_does_not_take_the_guard_is_refused(monkeypatch: pytest.Mon
         Gateway(Authenticator("127.0.0.1"))
 
 
-# A page that means no good, and another browser that must not notice.
+# A hostile page, and another browser that must not be affected.
 
 
 @pytest.fixture
 def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[Talker]:
-    """Another browser: what it shows stays, and its next answer is what a computation of its own says."""
+    """Another browser: its page must not change, and its next answer must equal a direct computation."""
     with Talker(url(app), origin=url(app)) as talker:
         talker.greet("?query=0005")
         time.sleep(0.2)
@@ -254,25 +254,25 @@ def app_workspace(app: App) -> Workspace:
 
 @pytest.fixture
 def hostile(app: App, witness: Talker) -> Iterator[Talker]:  # noqa: ARG001
-    """A page that was taken for one of the app's own."""
+    """A client that completed the page's handshake."""
     with Talker(url(app)) as talker:
         yield talker.greet("?query=0004")
 
 
 def works(talker: Talker, angle: int = 45) -> None:
-    """It is still answered."""
+    """Check that the client still gets answers."""
     talker.set("Rotate", angle)
     talker.wait(lambda: talker.status("angle") == str(angle))
 
 
 @pytest.mark.parametrize(("sent", "shown"), [(99999, "180"), (-1e9, "-180"), (True, "1")])
-def test_values_out_of_range_are_brought_into_it(hostile: Talker, sent: float, shown: str) -> None:
+def test_values_are_clamped_to_their_range(hostile: Talker, sent: float, shown: str) -> None:
     hostile.set("Rotate", sent)
     hostile.wait(lambda: hostile.status("angle") == shown)
     works(hostile)
 
 
-def test_values_that_are_none_are_dropped(hostile: Talker) -> None:
+def test_values_of_wrong_types_are_dropped(hostile: Talker) -> None:
     for value in ("abc", None, [1, 2], {"a": 1}, float("nan"), float("inf"), 1e300, b"x"):
         for label in ("Rotate", "Zoom", "Weight 1 centre", "Rings", "Opacity"):
             hostile.set(label, value)
@@ -288,7 +288,7 @@ def test_unknown_options_are_ignored(hostile: Talker) -> None:
     assert hostile.status("name") == "0004"
 
 
-def test_huge_texts_are_cut_or_end_the_connection(hostile: Talker) -> None:
+def test_long_texts_are_truncated_or_end_the_connection(hostile: Talker) -> None:
     hostile.set("Find name", "x" * 59_000)
     hostile.set("page", "[" * 59_000)
     hostile.set("Find name", "y" * 500_000)
@@ -298,7 +298,7 @@ def test_huge_texts_are_cut_or_end_the_connection(hostile: Talker) -> None:
     assert hostile.gone()
 
 
-def test_uploads_beyond_the_limits_take_no_room(app: App, hostile: Talker) -> None:
+def test_uploads_beyond_the_limits_are_not_stored(app: App, hostile: Talker) -> None:
     client = max(app.server.get_clients().items())[1]
     hostile.upload("big.png", b"x" * 1000, size=10**11, transfer="huge")
     hostile.wait(lambda: "big.png is empty, or too large" in str(hostile.controls))
@@ -320,7 +320,7 @@ def test_uploads_beyond_the_limits_take_no_room(app: App, hostile: Talker) -> No
     assert sum(len(piece) for state in states.values() for piece in state["parts"].values()) <= 1_000_000
 
 
-def test_a_file_for_a_slider_is_not_kept_and_an_upload_is_not_left_behind(app: App, hostile: Talker) -> None:
+def test_files_for_other_controls_are_not_stored_and_incomplete_uploads_are_bounded(app: App, hostile: Talker) -> None:
     client = max(app.server.get_clients().items())[1]
     button = hostile.find("Use my own picture")
     for label in ("Rotate", "Zoom", "Find name"):
@@ -340,7 +340,7 @@ def test_a_file_for_a_slider_is_not_kept_and_an_upload_is_not_left_behind(app: A
         assert not getattr(handle._impl.value, "content", b"")
 
 
-def test_an_uploads_name_is_shown_as_its_last_part_and_as_text(hostile: Talker, tmp_path: Path) -> None:
+def test_an_uploads_name_is_shown_escaped_and_without_folders(hostile: Talker, tmp_path: Path) -> None:
     before = set(tmp_path.rglob("*"))
     hostile.upload('../../<img src=x onerror="alert(1)">.png', picture())
     hostile.wait(lambda: "onerror" in (hostile.status("name") or ""))
@@ -373,7 +373,7 @@ def test_attributes_of_controls_cannot_be_set(app: App, hostile: Talker) -> None
         assert all(found[name] is before[uuid][name] for name in kept)
 
 
-def test_no_page_can_ask_for_a_public_tunnel(app: App, hostile: Talker, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_page_can_open_a_public_tunnel(app: App, hostile: Talker, monkeypatch: pytest.MonkeyPatch) -> None:
     import viser._viser
 
     asked_for: list[object] = []
@@ -381,7 +381,7 @@ def test_no_page_can_ask_for_a_public_tunnel(app: App, hostile: Talker, monkeypa
     hostile.send("ShareUrlRequest")
     hostile.send("ShareUrlDisconnect")
     works(hostile)
-    assert app.server.request_share_url() is None, "what viser itself would call"
+    assert app.server.request_share_url() is None, "viser would call this"
     assert app.server._share_tunnel is None
     assert not asked_for
     assert "ShareUrlUpdated" not in hostile.kinds
@@ -390,12 +390,12 @@ def test_no_page_can_ask_for_a_public_tunnel(app: App, hostile: Talker, monkeypa
 @pytest.mark.parametrize(
     "frame", ["text", b"", b"\xff" * 1000, os.urandom(4000), b"\x91" * 200_000, msgspec.msgpack.encode({"a": 1})]
 )
-def test_a_frame_that_is_garbage_ends_its_own_connection(hostile: Talker, frame: bytes | str) -> None:
+def test_a_garbage_frame_ends_its_own_connection(hostile: Talker, frame: bytes | str) -> None:
     hostile.raw(frame)
     assert hostile.gone()
 
 
-def test_messages_in_the_wrong_shape_are_dropped(hostile: Talker) -> None:
+def test_messages_of_wrong_shapes_are_dropped(hostile: Talker) -> None:
     for kind in dir(viser_messages):
         if kind.endswith("Message") or kind.startswith(("File", "Share", "Gui")):
             hostile.send(kind)
@@ -406,7 +406,7 @@ def test_messages_in_the_wrong_shape_are_dropped(hostile: Talker) -> None:
     works(hostile)
 
 
-def test_another_browsers_controls_cannot_be_moved(witness: Talker, hostile: Talker) -> None:
+def test_another_browsers_controls_cannot_be_changed(witness: Talker, hostile: Talker) -> None:
     for uuid in list(witness.controls):
         hostile.send("GuiUpdateMessage", uuid=uuid, updates={"value": 77})
         hostile.send("GuiUpdateMessage", uuid=uuid, updates={"value": "satellite-to-drone"})
@@ -416,7 +416,7 @@ def test_another_browsers_controls_cannot_be_moved(witness: Talker, hostile: Tal
     works(hostile)
 
 
-def test_the_pages_own_messages_may_hold_anything(app: App, hostile: Talker) -> None:
+def test_messages_of_the_pages_script_may_contain_anything(app: App, hostile: Talker) -> None:
     session = app._sessions[max(app._sessions)]
     odd = [
         None,
@@ -443,7 +443,7 @@ def test_the_pages_own_messages_may_hold_anything(app: App, hostile: Talker) -> 
 
 
 @pytest.mark.slow
-def test_a_flood_of_messages_is_the_floods_own_trouble(hostile: Talker) -> None:
+def test_a_flood_of_messages_delays_only_its_sender(hostile: Talker) -> None:
     uuid = hostile.find("Rotate")
     for number in range(1500):
         hostile.send("GuiUpdateMessage", uuid=uuid, updates={"value": number % 180})
@@ -451,7 +451,7 @@ def test_a_flood_of_messages_is_the_floods_own_trouble(hostile: Talker) -> None:
 
 
 @pytest.mark.parametrize("small", [b"\x89\x80" + bytes(4), b"\x00\x80" + bytes(4)])
-def test_a_flood_of_frames_without_a_message_ends_its_connection(hostile: Talker, small: bytes) -> None:
+def test_a_flood_of_small_frames_ends_its_connection(hostile: Talker, small: bytes) -> None:
     raw_socket = hostile._socket.socket
     with contextlib.suppress(OSError):
         raw_socket.sendall(b"\x02\x80" + bytes(4))  # the first piece of a message
@@ -460,7 +460,7 @@ def test_a_flood_of_frames_without_a_message_ends_its_connection(hostile: Talker
     assert hostile.gone()
 
 
-def test_what_a_browser_sent_goes_with_it(app: App) -> None:
+def test_an_upload_is_freed_when_its_browser_leaves(app: App) -> None:
     workers_before = threads_of("explorer-worker")
     with Talker(url(app)) as talker:
         talker.greet()
