@@ -309,7 +309,7 @@ def test_a_failed_sweep_is_not_repeated(app: App, gate: Gate) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
         session_of(app, browser).change(lambda state: replace(state, why=True))
-        browser.wait(lambda: "id='lpn-why'" in browser.html())
+        browser.wait(lambda: 'id="lpn-why"' in browser.html())
         gate.broken = True
         browser.tell("sweep", "zoom")
         browser.wait(lambda: "The model is damaged." in str(browser.controls))
@@ -431,7 +431,7 @@ def leave_during_a_sweep_and_a_report(app: App) -> None:
         browser.greet()
         session = session_of(app, browser)
         session.change(lambda state: replace(state, why=True, lab=True))
-        browser.wait(lambda: "id='lpn-why'" in browser.html())
+        browser.wait(lambda: 'id="lpn-why"' in browser.html())
         browser.tell("sweep", "rotation")
         until(lambda: (sweep := session._explain_window._content.sweep) is not None and sweep.total)
         browser.tell("report", None)
