@@ -12,8 +12,8 @@ from explorer.compute.cache import SingleFlightCache
 from explorer.compute.inference_scheduler import InferenceScheduler
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import QueuedModel, RequestContext
+from explorer.layout import layout_for
 from explorer.session_state import POSITIVE, SessionState
-from explorer.stage.layout import layout_for
 from lpn.analysis.analyser import Analysis, QueryAnalyser, QueryRequest, describe_tile
 from lpn.analysis.task import Task
 from lpn.core import images

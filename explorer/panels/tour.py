@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from explorer.stage.layout import Layout, Point
+from explorer.layout import Layout, Point
 from explorer.workspace import Workspace
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import viser
 
+from explorer.layout import Layout
 from explorer.session_state import SessionState
 from explorer.stage.image_planes import UPRIGHT, Plane
-from explorer.stage.layout import Layout
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import UInt8Array
 from lpn.drawing import overlays

@@ -10,11 +10,11 @@ import numpy as np
 import viser
 from PIL.ImageDraw import ImageDraw
 
+from explorer.layout import CAPTION, Layout, Point
 from explorer.session_state import SessionState
 from explorer.stage.camera import Viewpoint
 from explorer.stage.cards import SHOWN, Cards
 from explorer.stage.image_planes import UPRIGHT, Plane, Rotation, title
-from explorer.stage.layout import CAPTION, Layout, Point
 from explorer.stage.map_view import GalleryMap
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images

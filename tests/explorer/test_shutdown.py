@@ -65,8 +65,8 @@ explorer.app.writes_finished = lambda seconds: (print("ending", flush=True), tim
 """
 SLOW_OPENING = """
 import time, lpn.descriptors.writer as d
-prepared = d.prepared
-d.prepared = lambda *given: (print("describing", flush=True), time.sleep(0.5), prepared(*given))[2]
+prepare_row = d.prepare_row
+d.prepare_row = lambda *given: (print("describing", flush=True), time.sleep(0.5), prepare_row(*given))[2]
 """
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from explorer.stage.layout import CAPTION, layout_for
+from explorer.layout import CAPTION, layout_for
 
 Box = tuple[float, float, float, float]
 
