@@ -1,3 +1,4 @@
-"""Descriptors computed on many machines by Ray, and the shards that they write.
+"""Descriptors computed by many workers or machines with Ray, and the shards that they write.
 
-It imports `descriptors` and the packages below it, and needs the extra `ray`."""
+It imports `descriptors` and the packages below it, and needs the extra `ray`; `index`, `doctor`, and `cli` import it.
+"""

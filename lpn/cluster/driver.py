@@ -1,16 +1,16 @@
-"""Describing pictures past one machine: a map over partitions of them by Ray Data, into shards (`lpn.cluster.shards`).
+"""The driver of distributed inference: Ray Data maps partitions of the pictures to shards (`lpn.cluster.shards`).
 
-A worker takes a partition, reads its pictures from where they lie, describes them as one machine does, and writes the shard;
-only lists of names and counts travel. What is killed is done again: a worker's partition by another worker, a driver's
-missing partitions by the next run. A partition of which pictures were added, changed, or taken away is written anew, and the
-rows of the others are taken over. Where there are more pictures than partitions are meant for, these are doubled, as often as
-needed: the new ones take their rows from the shard that had them, which is written anew without them when all new ones are there.
+A worker reads the pictures of a partition, describes them as `lpn describe` does on one machine, and writes the shard; only
+lists of names and counts travel. A killed worker's partition goes to another worker, and a killed driver's missing partitions
+to the next run. A partition whose pictures were added, changed, or removed is rewritten, and unchanged rows are copied. When
+a folder outgrows its partitions, their number is doubled: new partitions copy their rows from the shard that had them, and
+that shard is rewritten without them last.
 
-A run that writes puts its id into the plan first. Of two in one place the later one goes on: the workers of the other stop, and
-whatever they wrote late is seen before a run calls itself finished.
+A run writes its id into the plan first. If two runs write to one place, the later one wins: the workers of the earlier one
+stop, and a run checks all shards before it reports success.
 
-Broken pictures stop nothing here, unlike on one machine: among millions there are always some, and the first would cost all
-that was computed. They are named in `broken.csv`, kept in the notes of the shards, and counted at the end.
+Broken pictures do not stop a run, unlike on one machine: among millions there are always some. They are listed in
+`broken.csv`, recorded in the shards, and counted at the end.
 """
 
 from __future__ import annotations
@@ -51,24 +51,24 @@ from lpn.descriptors import Box
 from lpn.descriptors.store import float_box
 from lpn.models.onnx_engine import Engine, graph_files
 
-_SAY_EVERY = 5.0
-"""Seconds between two lines of progress."""
+# Seconds between two lines of progress.
+_PROGRESS_SECONDS = 5.0
+# Workers that may die at a partition before it is given up, since it may be what kills them.
 _RETRIES = 5
-"""Workers that a partition may cost before it is given up: it could be what kills them."""
+# Default number of pictures of a shard.
 _SHARD = 256
-"""Pictures of one shard, where nobody says another number."""
-_MOST_BLOCKS = 4096
-"""Partitions are handed out in at most so many lots."""
+# Maximum number of Ray Data blocks.
+_MAX_BLOCKS = 4096
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a run came to.
+    """The result of a run.
 
     Attributes:
-        pictures: how many there are.
-        computed: how many were described now; the others were there.
-        broken: those that could not be described, in order of their names.
+        pictures: number of pictures.
+        computed: number of pictures that were described by this run.
+        broken: pictures that could not be described, in order of their names.
     """
 
     pictures: int
@@ -91,34 +91,33 @@ def describe_shards(
     say: Callable[[str], None] = print,
     worker: type[DescribeWorker] = DescribeWorker,
 ) -> Summary:
-    """Describe all pictures below a folder or prefix into shards; what is there already is not computed again.
+    """Describe all pictures below a folder or prefix into shards, skipping those that are there already.
 
     Args:
         model: an exported model, `.onnx`; only this machine needs the file.
-        pictures: a folder, or a URI such as s3://bucket/prefix. On a cluster all machines must see it.
-        view: what they show.
-        out: folder or URI of the shards, likewise.
+        pictures: a folder, or a URI such as s3://bucket/prefix; all machines of a cluster must see it.
+        view: the view of the pictures.
+        out: folder or URI of the shards; all machines must see it too.
         precision: of the numbers in the shards.
-        address: of a Ray cluster, "auto" for the one this machine is part of; None starts workers on this machine.
-        workers: how many; by default as many as there are cores for.
-        threads: cores of one worker. Each worker holds the model once.
-        shard: pictures of one shard, on average at most, and so about what a killed worker costs; by default what the last run
-            into `out` was told, else 256. A folder that has fewer shards than that takes gets twice as many, or four times,
-            and so on; none of its pictures is computed for that.
-        positions: a file in the format of geo.csv, by default the `geo.csv` among the pictures, if there is one. Its paths may
-            begin further up than the pictures' names, see `lpn.datasets.geo.match`.
-        boxes: what pictures are cropped to, by their names below `pictures`.
-        say: told of the progress, a line each time.
-        worker: what does the work.
+        address: of a Ray cluster, "auto" for the one of this machine; None starts workers on this machine.
+        workers: number of workers; by default as many as fit the cores.
+        threads: cores of a worker; each worker has its own copy of the model.
+        shard: average number of pictures of a shard, at most; a killed worker loses about as many. The default is that of the
+            last run into `out`, else 256. A larger folder has twice as many shards, or four times, and so on.
+        positions: a file in the format of geo.csv, by default the `geo.csv` among the pictures; see `lpn.datasets.geo.match`
+            for its paths.
+        boxes: crop boxes of pictures, by their names below `pictures`.
+        say: called with each line of progress.
+        worker: the worker's class.
 
     Raises:
-        InputError: when an option is of no use, there is no such cluster, or `positions` fit the pictures in two ways.
+        InputError: when an option is invalid, there is no such cluster, or `positions` match the pictures ambiguously.
         DataError: when there are no pictures, or some have no position.
-        StoreError: when `out` holds shards of another model, view, or precision, cannot be written, or another run wrote there
+        StoreError: when `out` cannot be written, holds shards of another model, view, or precision, or another run wrote there
             meanwhile.
     """
     if model.suffix != ".onnx":
-        raise InputError(f"{model.name} is no exported model, which workers run; make one with lpn export.")
+        raise InputError(f"{model.name} is not an exported model, which workers need; make one with lpn export.")
     for name, number in (("workers", workers), ("threads", threads), ("pictures of a shard", shard)):
         if number is not None and number < 1:
             raise InputError(f"The number of {name} is {number}; expected 1 or more.")
@@ -199,12 +198,12 @@ def _run(
     notes = [one for one in held if one is not None]
     ended = not todo and plan.finished and plan.contents == contents(notes)
     if not ended:
-        # From here to the end the shards may be of pictures old and new, and the place is this run's.
+        # Until the end, the shards may be of different states of the pictures.
         plan = replace(plan, finished=False, contents=None, run=uuid.uuid4().hex)
         target.write(PLAN, plan.to_json())
         if todo:
             sources = [_source(p, held) for p in range(plan.partitions)]
-            # What a shard gives away must be in another before it is written anew: else a kill in between would lose it.
+            # Write the new shards before the shards they take rows from, so that a kill in between loses nothing.
             lots = [[p for p in todo if sources[p] != p], [p for p in todo if sources[p] == p]]
             rows = [
                 [{"partition": p, "source": sources[p], "items": packed(partitions[p])} for p in lot] for lot in lots
@@ -232,11 +231,11 @@ def _hand_out(
     count: int,
     progress: _Progress,
 ) -> None:
-    """Have workers do lots of partitions, one lot after the other; StoreError when one of them cannot."""
+    """Have workers do the partitions of each list, one list after the other; StoreError when a worker cannot."""
     for rows in filter(None, lots):
-        handed_out = data.from_items(rows, override_num_blocks=min(len(rows), _MOST_BLOCKS))
+        handed_out = data.from_items(rows, override_num_blocks=min(len(rows), _MAX_BLOCKS))
         with warnings.catch_warnings():
-            # Ray 2.60 announces another way to limit retries, and has none yet.
+            # Ray 2.60 warns of a new way to limit retries, which does not exist yet.
             warnings.simplefilter("ignore")
             results = handed_out.map_batches(
                 worker,
@@ -253,7 +252,7 @@ def _hand_out(
 
 
 def _source(partition: int, held: list[ShardMetadata | None]) -> int:
-    """The partition whose shard has what was described of a partition's pictures: itself, or the one it is split off from."""
+    """Return the partition whose shard has a partition's descriptors: itself, or the one it is split off from."""
     size = len(held)
     while held[partition] is None and size % 2 == 0:
         size //= 2
@@ -265,7 +264,7 @@ def _source(partition: int, held: list[ShardMetadata | None]) -> int:
 
 
 def _plan(target: Storage, wanted: Plan, pictures: int) -> Plan:
-    """The plan of a place for so many pictures: what it says, or what it has to become, which no run has finished."""
+    """Return the plan for so many pictures, with more partitions than the present one if needed."""
     held = Plan.read(target)
     if held is not None and not held.comparable(wanted):
         raise StoreError(
@@ -284,17 +283,17 @@ def _plan(target: Storage, wanted: Plan, pictures: int) -> Plan:
 
 
 def _unsettled(notes: ShardMetadata) -> set[ShardItem]:
-    """The pictures that are worth another try."""
+    """Return the pictures that are worth another try."""
     return {broken.item for broken in notes.broken if not broken.settled}
 
 
 def _settled(target: Storage, plan: Plan, partitions: list[list[ShardItem]], digests: list[str]) -> list[ShardMetadata]:
-    """What all shards say, also those that an earlier run wrote; StoreError where they are not what this run leaves there."""
+    """Read the notes of all shards; StoreError if they are not what this run leaves there."""
     notes = [one for one in read_notes(target, plan, range(plan.partitions)) if one is not None]
     plan.check_own(target)
     if unseen := plan.partitions - len(notes):
         raise StoreError(
-            f"{unseen} of {plan.partitions} shards are not to be seen in {target.where} from this machine; on a cluster give a "
+            f"{unseen} of {plan.partitions} shards in {target.where} are not visible from this machine; on a cluster give a "
             "folder that all machines share, or object storage."
         )
     for one, items, whole in zip(notes, partitions, digests, strict=True):
@@ -314,7 +313,7 @@ def _write_broken(target: Storage, broken: list[BrokenPicture]) -> None:
 
 
 class _Progress:
-    """Lines of progress, now and then."""
+    """Prints lines of progress at intervals."""
 
     def __init__(self, pictures: int, todo: int, say: Callable[[str], None]) -> None:
         self._pictures, self._done, self._broken, self._say = pictures, pictures - todo, 0, say
@@ -324,14 +323,14 @@ class _Progress:
             say(f"{self._done:,} of {pictures:,} pictures are there already.")
 
     def start(self) -> None:
-        """Set the clock to zero: the workers are there."""
+        """Start the clock when the workers have started."""
         self._started = self._said = time.monotonic()
 
     def add(self, result: Mapping[str, Any]) -> None:
         self.computed += int(result["computed"])
         self._broken += int(result["broken"])
         self._done += int(result["described"]) + int(result["broken"])
-        if time.monotonic() - self._said >= _SAY_EVERY:
+        if time.monotonic() - self._said >= _PROGRESS_SECONDS:
             self._line()
 
     def end(self) -> None:

@@ -1,4 +1,4 @@
-"""Complete folders of shards, as `lpn.cluster.shards` writes them: read tile by tile, or gathered into a store. Needs the extra `ray`."""
+"""Reading complete folders of shards: tile by tile, or gathered into a store. Needs the extra `ray`."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ from lpn.descriptors.writer import write_store
 
 
 class ShardTiles(NamedTuple):
-    """The pictures of one partition.
+    """The tiles of one partition.
 
     Attributes:
         names: below the described folder, with forward slashes.
-        positions: latitude and longitude in degrees, (B, 2) float64, NaN where a picture has none.
+        positions: latitude and longitude in degrees, (B, 2) float64, NaN for a tile without a position.
     """
 
     names: list[str]
@@ -51,15 +51,15 @@ class ShardTiles(NamedTuple):
 
 @dataclass(frozen=True)
 class Shards:
-    """A complete folder of shards; each picture is in one partition, and there once.
+    """A complete folder of shards; each picture is in exactly one partition.
 
-    What is read is of the pictures that were described when it was opened: a shard that a later run wrote anew is refused.
+    Readers refuse a shard that a later run has rewritten, so that everything read is of one state of the pictures.
 
     Attributes:
-        storage: where they are.
-        plan: what they hold.
-        broken: the pictures that could not be described, which `broken.csv` names.
-        digests: of the pictures that each partition settles.
+        storage: the folder or prefix.
+        plan: the contents of plan.json.
+        broken: the pictures that could not be described, also listed in `broken.csv`.
+        digests: digest of the pictures of each partition.
     """
 
     storage: Storage
@@ -68,10 +68,10 @@ class Shards:
     digests: list[str]
 
     def tiles(self, partition: int) -> ShardTiles:
-        """A partition's names and positions, without reading its descriptors.
+        """Read a partition's names and positions without its descriptors.
 
         Raises:
-            StoreError: when the shard is damaged, was written anew, or holds pictures of another partition.
+            StoreError: when the shard is damaged, was rewritten, or holds pictures of another partition.
         """
         table = self._table(partition, ["file", "latitude", "longitude"])
         try:
@@ -88,17 +88,17 @@ class Shards:
         return ShardTiles(names, np.stack(degrees, axis=1))
 
     def items(self, partition: int) -> list[ShardItem]:
-        """A partition's described pictures, in order of its descriptors, without reading those; StoreError as for `read`."""
+        """Read a partition's pictures in the order of its descriptors, without these; StoreError as for `read`."""
         try:
             return items_of(self._table(partition, list(ITEM)))
         except DAMAGED as error:
             raise self._damaged(partition) from error
 
     def descriptors(self, partition: int, names: Sequence[str]) -> Float32Array:
-        """A partition's descriptors, (B, n, D) float32.
+        """Read a partition's descriptors, (B, n, D) float32.
 
         Args:
-            names: of its pictures, as `tiles` gave them.
+            names: of its pictures, from `tiles`.
 
         Raises:
             StoreError: as for `read`.
@@ -109,14 +109,14 @@ class Shards:
         return contents.descriptors.astype(np.float32)
 
     def read(self, partition: int) -> ShardContents:
-        """A whole shard; StoreError when it is damaged, or was written anew since this was opened."""
+        """Read a whole shard; StoreError when it is damaged, or was rewritten since the folder was opened."""
         contents = read_shard(self.storage, self.plan, partition)
         self._check(partition, None if contents is None else contents.notes)
         assert contents is not None
         return contents
 
     def written_anew(self, partition: int) -> StoreError:
-        """What is to be said of a shard that is not the one that was opened."""
+        """Make the error about a shard that was rewritten."""
         return StoreError(_anew(self.storage, shard_name(partition)))
 
     def _table(self, partition: int, columns: list[str]) -> pa.Table:
@@ -142,11 +142,11 @@ class Shards:
 
 
 def open_shards(where: str | Path) -> Shards:
-    """A complete folder of shards.
+    """Open a complete folder of shards.
 
     Raises:
-        StoreError: when there is none, a shard is missing or not of the run that ended last, or a run of lpn describe has not
-            ended or began meanwhile.
+        StoreError: when there is none, a shard is missing or not of the last finished run, or a run is unfinished or began
+            meanwhile.
     """
     storage = Storage(where)
     plan = _plan(storage)
@@ -157,11 +157,11 @@ def open_shards(where: str | Path) -> Shards:
             f"{plan.partitions - len(there)} of {plan.partitions} shards in {where} are missing or damaged; run lpn describe "
             "--engine ray again, which computes only those."
         )
-    # A run may have begun since the plan was read, and even have ended.
+    # A run may have begun since the plan was read, and even finished.
     again = _plan(storage)
     if not plan.finished or not again.finished:
         raise StoreError(
-            f"The shards in {where} may be of pictures old and new, as the run that wrote them has not ended; wait for it, or "
+            f"The shards in {where} may be of different states of the pictures, as the run that wrote them has not ended; wait for it, or "
             "run lpn describe --engine ray again, which computes only what is missing."
         )
     if again.to_json() != plan.to_json():
@@ -175,12 +175,12 @@ def open_shards(where: str | Path) -> Shards:
 
 
 def to_store(shards: Shards, out: str | Path) -> Store:
-    """Shards as a store of descriptors on this machine, in order of the pictures' names; a store has no positions.
+    """Gather shards into a store of descriptors on this machine, in order of the pictures' names and without positions.
 
-    The store is what `lpn.descriptors.describe` makes of the same pictures, so it can be gone on with there.
+    The store equals that of `lpn.descriptors.describe` for the same pictures, so that can continue it.
 
     Raises:
-        StoreError: when a shard is damaged or was written anew, or `out` cannot be written or holds something else.
+        StoreError: when a shard is damaged or was rewritten, or `out` cannot be written or holds something else.
     """
     plan = shards.plan
     partitions = range(plan.partitions)

@@ -1,4 +1,4 @@
-"""Ray, started quietly on this machine or joined where a cluster runs, and shut down whatever happens. Needs the extra `ray`."""
+"""A Ray session: started quietly on this machine, or joined on a cluster, and always shut down. Needs the extra `ray`."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ _QUIET = {
     "RAY_DATA_DISABLE_PROGRESS_BARS": "1",
 }
 _NO_CLUSTER = "There is no Ray cluster at {}; start one with ray start, or check the address."
+# The preface of an HTTP/2 client such as Ray's, and the SETTINGS frame that both sides begin with; byte 3 is the frame's type.
 _HELLO, _SETTINGS = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", b"\0\0\0\4\0\0\0\0\0"
-"""What an HTTP/2 client, such as Ray's, begins with; and the frame that both sides begin with, its kind being the fourth byte."""
+# Size of the object store of a local session: the model's files and lists of names.
 _OBJECTS = 512 << 20
-"""Bytes of the store that workers on one machine share: the model's files and lists of names."""
 
 
 @contextmanager
 def started(address: str | None, workers: int | None, threads: int) -> Iterator[tuple[Any, int, Callable[[Any], Any]]]:
-    """Ray Data, how many workers there are to be, and Ray's `put`; what runs already in this process is used as it is.
+    """Yield Ray Data, the number of workers, and Ray's `put`; a session of this process is used as it is.
 
     Args:
         address: of a cluster, or "auto"; None starts workers on this machine.
-        workers: how many; by default as many as there are cores for.
-        threads: cores of one worker.
+        workers: number of workers; by default as many as fit the cores.
+        threads: cores of a worker.
 
     Raises:
-        InputError: when there is no cluster at the address, or none of its machines has so many cores.
+        InputError: when there is no cluster at the address, or no machine of it has so many cores.
         StoreError: when Ray does not start on this machine, or gives up in the body.
     """
     for name, value in _QUIET.items():
@@ -72,8 +72,8 @@ def started(address: str | None, workers: int | None, threads: int) -> Iterator[
             except Exception as error:  # Ray raises plain ones, too
                 said = (str(error).strip().splitlines() or [type(error).__name__])[0]
                 raise StoreError(
-                    f"Ray does not start on this machine ({said[:200]}); see whether there are memory, processes, and room in "
-                    f"{parent} enough, or describe without --engine ray."
+                    f"Ray does not start on this machine ({said[:200]}); check memory, processes, and space in "
+                    f"{parent}, or describe without --engine ray."
                 ) from error
         else:
             ending.callback(ray.shutdown)
@@ -90,21 +90,20 @@ def started(address: str | None, workers: int | None, threads: int) -> Iterator[
 
 @contextmanager
 def _in_words(ray: Any) -> Iterator[None]:
-    """What makes Ray give up, as one sentence; its own are pages."""
+    """Turn Ray's errors, which are pages long, into one sentence."""
     try:
         yield
     except ray.exceptions.RayError as error:
-        # The first exception in the traceback that it carries is the worker's own.
+        # The first exception in its traceback is the worker's own.
         found = re.search(r"^\w+(?:Error|Exception): .+$", str(error), re.MULTILINE)
         cause = found.group() if found else type(error).__name__
         raise StoreError(
-            f"The workers failed ({cause[:200]}); what they wrote is kept, so see whether they have memory and disk enough, and "
-            "run this again."
+            f"The workers failed ({cause[:200]}); what they wrote is kept, so check their memory and disk, and run this again."
         ) from error
 
 
 def _check_address(address: str) -> None:
-    """Ray itself waits for minutes for a machine that is not there, and for a server that is not Ray's."""
+    """Check that a Ray server listens at an address; Ray itself would wait for minutes."""
     host, colon, port = address.rpartition(":")
     if colon and port.isdecimal() and "/" not in host:
         try:
@@ -121,7 +120,7 @@ def _check_address(address: str) -> None:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """What Ray's native code says on stderr while it starts, such as how much it is going to say, is not said."""
+    """Discard what Ray's native code prints to stderr while it starts."""
     kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nothing, 2)
@@ -142,7 +141,7 @@ def _data() -> Any:
 
 
 def _room(ray: Any, threads: int) -> int:
-    """How many workers the cluster's machines have cores for."""
+    """Return the number of workers that the cluster's machines have cores for."""
     sizes = [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]
     count = sum(size // threads for size in sizes)
     if count < 1:

@@ -1,19 +1,17 @@
-"""Descriptors past one machine: a folder or a prefix of Parquet files, written by many workers. Needs the extra `ray`.
+"""Shards of descriptors: a folder or a prefix of Parquet files that many workers write. Needs the extra `ray`.
 
-    plan.json         format, model fingerprint, view, n and D, precision, the number of partitions, pictures of one shard, a
-                      random id of the last run, whether that ended (from before its first shard to its end a run leaves that at
-                      false), and then the digest of all shards
-    000000.parquet    one file for each partition, which is all pictures whose name's hash falls to it:
+    plan.json         format, model fingerprint, view, n and D, precision, the number of partitions, pictures of a shard, a
+                      random id of the last run, whether it finished, and a digest of all shards
+    000000.parquet    one file for each partition, which has the pictures whose names hash to it:
                       file, size, time_ns, box (or null), latitude, longitude (or null), descriptor (n D numbers in a row)
-    broken.csv        pictures that could not be described, with what is wrong
+    broken.csv        pictures that could not be described, and why
 
-A shard is written whole or not at all, and a partition has one name whoever writes it and however often: no picture is there
-twice. Its metadata, under the key `lpn`, hold what plan.json holds, which pictures could not be described, and a digest of the
-pictures that it settles, by which a later run tells a finished partition without reading its rows. `lpn.cluster.gather` reads what is
-complete.
+A shard is written atomically, and its name depends on the partition alone, so no picture is there twice. Its metadata, under
+the key `lpn`, repeat plan.json and hold the broken pictures and a digest of all its pictures; a later run recognises a
+finished partition by the digest, without reading its rows. `lpn.cluster.gather` reads complete folders.
 
-As pictures become more, partitions are doubled: of those of a partition, about half fall to a new one then, whose number is
-higher by as many as there were. A run ends when each shard has the plan's number of partitions and the digest of its pictures.
+The number of partitions can be doubled: about half the pictures of partition p then move to partition p + the former number.
+A run is finished when each shard has the plan's number of partitions and the digest of its pictures.
 """
 
 from __future__ import annotations
@@ -40,11 +38,12 @@ FORMAT = "lpn-shards/2"
 PLAN = "plan.json"
 BROKEN = "broken.csv"
 Precision = Literal["float32", "float16"]
+# Latitude and longitude in degrees.
 Position = tuple[float, float] | None
-"""Latitude and longitude in degrees."""
 
+# Columns of a shard other than the descriptor.
 ITEM = ("file", "size", "time_ns", "box", "latitude", "longitude")
-"""Columns of a shard: all but the descriptor."""
+# Exceptions that reading a damaged shard can raise, in our code or in libraries.
 DAMAGED = (
     OSError,
     ValueError,
@@ -55,17 +54,16 @@ DAMAGED = (
     RecursionError,
     pa.ArrowException,
 )
-"""What is raised on a file that is no shard, by whoever notices."""
+# Files that are read concurrently, because storage is slow to answer.
 _AT_ONCE = 32
-"""Files that are looked into at once: it is the latency of the storage that takes the time."""
+# Files that are queued at once, to limit memory.
 _QUEUED = 1024
-"""Files that are waited for at most, so that those of any number take no memory."""
 
 _T = TypeVar("_T")
 
 
 class ShardItem(NamedTuple):
-    """A picture to be described, and where it is."""
+    """A picture to be described, and its position."""
 
     row: Row
     position: Position = None
@@ -77,7 +75,7 @@ class BrokenPicture(NamedTuple):
     Attributes:
         item: the picture.
         reason: the end of a sentence, such as "is cut short or damaged".
-        settled: the file itself is damaged, so that trying again is of no use until it changes; otherwise it could not be read.
+        settled: the file itself is damaged, so a retry is useless until it changes; otherwise it could not be read.
     """
 
     item: ShardItem
@@ -90,18 +88,18 @@ _Positive = Annotated[int, msgspec.Meta(gt=0, lt=2**31)]
 
 @dataclass(frozen=True)
 class Plan:
-    """What a folder of shards holds.
+    """The contents of plan.json.
 
     Attributes:
-        fingerprint: of the model; descriptors of another model cannot be compared with these.
-        view: the branch used.
+        fingerprint: of the model; descriptors of different models cannot be compared.
+        view: the view of the pictures.
         n_parts, embedding: n and D.
-        precision: of the numbers in the files.
-        partitions: how many shards there are when it is complete.
-        finished: whether the last run ended, so that all shards are of one state of the pictures.
-        contents: see the function `contents`; None before a run ended, and of an earlier version.
-        run: a random id of the last run, by which it knows whether the place is still its own; None of an earlier version.
-        shard: pictures of one shard, on average at most; None of an earlier version.
+        precision: of the numbers in the shards.
+        partitions: number of shards of the complete folder.
+        finished: the last run finished, so all shards are of one state of the pictures.
+        contents: see the function `contents`; None until a run finishes.
+        run: a random id of the last run, by which a run notices another one.
+        shard: average number of pictures of a shard, at most.
     """
 
     fingerprint: str
@@ -118,7 +116,7 @@ class Plan:
 
     @classmethod
     def read(cls, storage: Storage) -> Plan | None:
-        """The plan of a folder, None where there is none; StoreError when its plan.json is something else."""
+        """Read the plan of a folder, None if there is none; StoreError when its plan.json is something else."""
         try:
             return decode_json(storage.read(PLAN), cls, f"{PLAN} in {storage.where}", FORMAT, StoreError)
         except FileNotFoundError:
@@ -129,36 +127,36 @@ class Plan:
             ) from error
 
     def to_json(self) -> bytes:
-        """The plan as a JSON file."""
+        """Encode the plan."""
         return (json.dumps(asdict(self), indent=1) + "\n").encode()
 
     def partition(self, name: str) -> int:
-        """The partition that a picture falls to, by its name alone."""
+        """Return the partition of a picture, by its name alone."""
         return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8]) % self.partitions
 
     def comparable(self, other: Plan) -> bool:
-        """Whether shards of the other may lie beside these."""
+        """Return whether shards of the other plan can be compared with these."""
         return _kind(self) == _kind(other)
 
     def check_own(self, storage: Storage) -> None:
-        """Nothing, as long as the place is this run's; StoreError when another run began there since."""
+        """Raise StoreError if another run began there."""
         held = Plan.read(storage)
         if held is not None and held.run != self.run:
             raise StoreError(overtaken(storage))
 
 
 def overtaken(storage: Storage) -> str:
-    """One sentence about a place that two runs wrote to."""
+    """Return the message about a place that two runs wrote to."""
     return f"Another run of lpn describe wrote to {storage.where} meanwhile; run this again when it has ended."
 
 
 def digest(items: Sequence[ShardItem]) -> str:
-    """What tells whether a shard settles just these pictures, in any order."""
+    """Hash the pictures of a shard, in any order."""
     return hashlib.sha256(json.dumps(sorted(map(_plain, items), key=lambda values: values[0])).encode()).hexdigest()
 
 
 def shard_name(partition: int) -> str:
-    """The file of a partition."""
+    """Return the file name of a partition."""
     return f"{partition:06d}.parquet"
 
 
@@ -170,10 +168,10 @@ def write_shard(
     descriptors: Float32Array,
     broken: Sequence[BrokenPicture] = (),
 ) -> None:
-    """Write a partition: the items that were described, with descriptors (B, n, D) float32, and those that could not be.
+    """Write a partition: described items with descriptors (B, n, D) float32, and broken pictures.
 
     Raises:
-        OutputError: when it cannot be written; what was there before is there still.
+        OutputError: when it cannot be written; the former shard is then unchanged.
     """
     settled = [*items, *(one.item for one in broken if one.settled)]
     notes = {
@@ -194,13 +192,13 @@ def write_shard(
     }
     table = pa.table(columns).replace_schema_metadata({"lpn": json.dumps(notes)})
     buffer = io.BytesIO()
-    # Descriptors are as good as random: compressing them takes time and saves nothing.
+    # Descriptors are incompressible.
     pq.write_table(table, buffer, compression="NONE", use_dictionary=False, write_page_checksum=True)
     storage.write(shard_name(partition), buffer.getvalue())
 
 
 class ShardContents(NamedTuple):
-    """A shard as it was written; descriptors (B, n, D) in its precision."""
+    """A whole shard; descriptors (B, n, D) are in its precision."""
 
     items: list[ShardItem]
     descriptors: AnyArray
@@ -208,7 +206,7 @@ class ShardContents(NamedTuple):
 
 
 def read_shard(storage: Storage, plan: Plan, partition: int) -> ShardContents | None:
-    """A partition's shard, None where there is none or it is damaged or of another plan."""
+    """Read a partition's shard; None if it is missing, damaged, or of another plan."""
     try:
         table = pq.read_table(pa.BufferReader(storage.read(shard_name(partition))), page_checksum_verification=True)
         notes = notes_of(table.schema, plan, partition)
@@ -222,17 +220,17 @@ def read_shard(storage: Storage, plan: Plan, partition: int) -> ShardContents | 
 
 
 def items_of(table: pa.Table) -> list[ShardItem]:
-    """The items of a shard's rows, from a table that has the columns of `ITEM`; one of `DAMAGED` where it is none."""
+    """Read the items from a table with the columns `ITEM`; one of `DAMAGED` if it has none."""
     return [_item(one) for one in zip(*(table.column(name).to_pylist() for name in ITEM), strict=True)]
 
 
 class ShardMetadata(NamedTuple):
-    """What a shard says of itself.
+    """The metadata of a shard.
 
     Attributes:
-        digest: of the pictures that it settles, see the function `digest`.
+        digest: of its pictures, see the function `digest`.
         broken: the pictures that could not be described.
-        partitions: how many there were when it was written.
+        partitions: number of partitions when it was written.
     """
 
     digest: str
@@ -241,19 +239,19 @@ class ShardMetadata(NamedTuple):
 
 
 def contents(notes: Iterable[ShardMetadata]) -> str:
-    """What tells whether shards are those of one run's end: a digest of their digests, in order of the partitions."""
+    """Hash the digests of all shards in order, to recognise the shards of one finished run."""
     return hashlib.sha256("\n".join(one.digest for one in notes).encode()).hexdigest()
 
 
 def each(task: Callable[[int], _T], partitions: Sequence[int]) -> Iterator[_T]:
-    """What a task that waits for the storage gives for each partition, in order; several are waited for at once."""
+    """Map a function that waits for the storage over partitions, several at once; yield the results in order."""
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         for start in range(0, len(partitions), _QUEUED):
             yield from pool.map(task, partitions[start : start + _QUEUED])
 
 
 def read_notes(storage: Storage, plan: Plan, partitions: Sequence[int]) -> list[ShardMetadata | None]:
-    """The notes of partitions' shards, without reading their rows; None for a shard that is missing or damaged."""
+    """Read the metadata of shards without their rows; None for a missing or damaged shard."""
 
     def read(partition: int) -> ShardMetadata | None:
         try:
@@ -266,7 +264,7 @@ def read_notes(storage: Storage, plan: Plan, partitions: Sequence[int]) -> list[
 
 
 def notes_of(schema: pa.Schema, plan: Plan, partition: int) -> ShardMetadata | None:
-    """The notes in a file's schema, None where they are of another plan or partition; one of `DAMAGED` where they are none."""
+    """Read the metadata of a schema; None if it is of another plan or partition, one of `DAMAGED` if there is none."""
     notes = json.loads((schema.metadata or {}).get(b"lpn", b"{}"))
     wanted = {**_noted(plan), "partition": partition, "partitions": (partitions := notes.get("partitions"))}
     if {key: notes.get(key) for key in wanted} != wanted or type(partitions) is not int or partitions < 1:
@@ -276,7 +274,7 @@ def notes_of(schema: pa.Schema, plan: Plan, partition: int) -> ShardMetadata | N
 
 
 def _noted(plan: Plan) -> dict[str, Any]:
-    """What every shard repeats of its plan."""
+    """The entries of a plan that every shard repeats."""
     return {name: value for name, value in asdict(plan).items() if name not in ("finished", "contents", "run", "shard")}
 
 
@@ -296,10 +294,10 @@ def _item(values: Sequence[Any]) -> ShardItem:
 
 
 def packed(items: Sequence[ShardItem]) -> str:
-    """Items as text, to send them to a worker."""
+    """Encode items as text for a worker."""
     return json.dumps([_plain(item) for item in items])
 
 
 def unpacked(text: str) -> list[ShardItem]:
-    """What `packed` wrote."""
+    """Decode the text of `packed`."""
     return [_item(values) for values in json.loads(text)]

@@ -1,7 +1,7 @@
-"""A folder on this machine or a prefix in object storage, read and written alike. Needs the extra `ray`.
+"""Files in a folder or under a prefix in object storage, behind one interface. Needs the extra `ray`.
 
-What pyarrow knows is opened by it (s3://, gs://, abfss://, hdfs://, file://), anything else by fsspec, where that is installed
-with what the scheme needs.
+pyarrow opens the schemes that it knows (s3://, gs://, abfss://, hdfs://, file://); fsspec opens all others, where it is
+installed with the package of the scheme.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from lpn.core.files import printable, write_atomic
 from lpn.descriptors import Row
 
 _TRIES = 3
+# Seconds before the first retry of a read.
 _PAUSE = 0.5
-"""Seconds before a file that could not be read is tried again."""
 
 
 class Storage:
@@ -30,11 +30,11 @@ class Storage:
         where: a path, or a URI such as s3://bucket/prefix.
 
     Attributes:
-        where: as it is told to people.
-        folder: the path where it is on this machine, else None.
+        where: the same as text.
+        folder: the path if it is on this machine, else None.
 
     Raises:
-        InputError: when no package knows the scheme, or it refuses the address.
+        InputError: when no package knows the scheme, or it rejects the address.
     """
 
     def __init__(self, where: str | Path) -> None:
@@ -49,7 +49,7 @@ class Storage:
         self.folder = Path(root) if isinstance(self._files, fs.LocalFileSystem) else None
 
     def files(self, suffixes: tuple[str, ...]) -> list[Row]:
-        """All files below with one of these endings, in order of their path; what is hidden is passed over.
+        """List all files below with one of these suffixes, in order of their path; hidden ones are skipped.
 
         Raises:
             DataError: when there is no such place, or it cannot be listed.
@@ -62,7 +62,7 @@ class Storage:
             raise DataError(f"{self.where} cannot be listed ({_first_line(error)}); check the address.") from error
 
     def read(self, name: str) -> bytes:
-        """A whole file; OSError after three tries, FileNotFoundError at once."""
+        """Read a whole file; FileNotFoundError at once, other OSErrors after three tries."""
         for attempt in range(1, _TRIES + 1):
             try:
                 with self._files.open_input_stream(self._path(name)) as stream:
@@ -76,11 +76,11 @@ class Storage:
         raise AssertionError
 
     def open(self, name: str) -> Any:
-        """A file to read here and there in, as pyarrow takes it; FileNotFoundError where there is none."""
+        """Open a file for random access by pyarrow; FileNotFoundError if there is none."""
         return self._files.open_input_file(self._path(name))
 
     def write(self, name: str, data: bytes) -> None:
-        """Write a file whole or not at all: a reader sees the old one or the new one.
+        """Write a file atomically.
 
         Raises:
             OutputError: when it cannot be written.

@@ -1,4 +1,4 @@
-"""One of many workers that describe a partition of the pictures at a time, see `lpn.cluster.driver`. Needs the extra `ray`."""
+"""A worker of distributed inference, which describes one partition at a time (`lpn.cluster.driver`). Needs the extra `ray`."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from lpn.models.onnx_engine import Engine
 
 @dataclass(frozen=True)
 class PartitionTask:
-    """What all workers are told.
+    """The settings of all workers.
 
     Attributes:
-        images, out: where the pictures are and where the shards go, as `lpn.cluster.storage.Storage` takes it.
-        plan: what the shards hold.
+        images, out: addresses of the pictures and of the shards, see `lpn.cluster.storage.Storage`.
+        plan: of the shards.
         model: name of the model's first file.
         threads: of one worker.
     """
@@ -43,11 +43,11 @@ class PartitionTask:
 
 
 class DescribeWorker:
-    """Describes partitions, one at a time; opens the model once.
+    """Describes partitions one at a time with one loaded model.
 
     Args:
-        task: what all workers are told.
-        files: Ray's reference to the model's files, name to bytes, so that no machine but the driver's needs them.
+        task: the settings of all workers.
+        files: Ray's reference to the contents of the model's files by name, so that other machines need no copy.
     """
 
     def __init__(self, task: PartitionTask, files: Any) -> None:
@@ -62,7 +62,7 @@ class DescribeWorker:
             self.model = Engine(Path(folder, task.model), threads=1)
 
     def __call__(self, batch: Mapping[str, Any]) -> dict[str, list[Any]]:
-        """Ray Data's batch of one partition to one row of what came of it; an error is a row too, in words."""
+        """Process Ray Data's batch of one partition; the result is one row, in which an error is a sentence."""
         partition = int(batch["partition"][0])
         try:
             items = unpacked(str(batch["items"][0]))
@@ -77,10 +77,10 @@ class DescribeWorker:
 
         Args:
             items: the pictures of the partition.
-            source: the partition whose shard holds what was described of them.
+            source: the partition whose shard has their descriptors so far.
 
         Returns:
-            How many of its pictures were computed, are described, and are broken.
+            The numbers of pictures that were computed, are described, and are broken.
 
         Raises:
             StoreError: when another run has begun there; nothing is written then.
@@ -125,4 +125,4 @@ class DescribeWorker:
 
 
 class _UnreadError(PictureError):
-    """The picture's file could not be read, which may be another time."""
+    """The picture's file could not be read; a retry may succeed."""
