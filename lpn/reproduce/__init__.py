@@ -1,1 +1,4 @@
-"""The paper's tables and figures, made again: what they need is trained, measured, and put beside the paper's values."""
+"""Reproduction of the paper's tables and figures: training, measurement, and tables beside the paper's values.
+
+It imports `training`, `index`, `world`, and the packages below them; `cli` imports it.
+"""

@@ -1,4 +1,4 @@
-"""What would stop a reproduction at its end, or make its figures others than they are called, found out at its start."""
+"""Checks before the first training, of anything that would stop a reproduction later or mislabel its figures."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from lpn.training.recipes import Recipe
 
 @dataclass(frozen=True)
 class NetworkUse:
-    """A network that is asked for, by a row of a table or by a drawn figure.
+    """A use of a network, by a row of a table or by a figure.
 
     Attributes:
         training: the network.
-        said: what asks for it.
-        views: the views it must describe.
+        said: the row or figure.
+        views: the views that the network must describe.
     """
 
     training: Training
@@ -31,24 +31,24 @@ class NetworkUse:
 
     @staticmethod
     def of_row(table: PaperTable, row: TableRow, training: Training) -> NetworkUse:
-        """That of a row."""
+        """Make the use of a table's row."""
         views = {row.branch} if row.branch else {view for task in TASKS[table.measure] for view in views_of(task)}
         return NetworkUse(training, f"{table.title}, {row.label}", frozenset(views))
 
     @staticmethod
     def of_figure(key: str, training: Training) -> NetworkUse:
-        """That of a drawn figure."""
+        """Make the use of a figure."""
         return NetworkUse(training, key, frozenset(("drone", "satellite")))
 
     def check_views(self, there: Collection[View], said: str) -> None:
-        """Raise InputError where a view is not there, in `said`."""
+        """Raise InputError if a needed view is missing from those of `said`."""
         lacking = sorted(self.views - set(there))
         if lacking:
             raise InputError(f"{self.said} needs the view {lacking[0]}; {said} has {', '.join(there)}.")
 
 
 def check_fits(model: Model, file: Path, use: NetworkUse, recipe: Recipe) -> None:
-    """Raise InputError where a given network is not what it is to stand for; backbone and weights are its own."""
+    """Raise InputError if a given network is not of the kind that it stands for; backbone and weights are free."""
     use.check_views(model.views, file.name)
     spec, name = model.spec, use.training.name
     compared = {
@@ -64,39 +64,39 @@ def check_fits(model: Model, file: Path, use: NetworkUse, recipe: Recipe) -> Non
             read = what == "input size" and file.suffix == ".pth" and not file.with_name("opts.yaml").is_file()
             hint = " (no opts.yaml is beside it, and without one a .pth is read as 256 x 256)" if read else ""
             raise InputError(
-                f"{file.name} has {what} {found}{hint}, and {name} stands for {what} {expected} in {use.said}; give it by the "
-                "name of a network of its own kind, or leave it out."
+                f"{file.name} has {what} {found}{hint}, and {name} needs {what} {expected} in {use.said}; give it "
+                "under the name of a network of its own kind, or leave it out."
             )
 
 
 def check_used(models: Mapping[str, Path], uses: Sequence[NetworkUse]) -> None:
-    """Raise InputError where a given network is one that nothing asks for."""
-    asked = sorted({use.training.name for use in uses})
+    """Raise InputError if a given network is not used."""
+    used = sorted({use.training.name for use in uses})
     for name, file in models.items():
-        if name not in asked:
+        if name not in used:
             raise InputError(
-                f"--model gives {file.name} as {name}, which no row of what is asked for uses; these use "
-                f"{', '.join(asked) or 'no network'}, so name one of them, or leave it out."
+                f"--model gives {file.name} as {name}, which no requested row uses; the rows use "
+                f"{', '.join(used) or 'no network'}, so name one of them, or leave it out."
             )
 
 
 def check_starts(starts: Mapping[str, Path], backbones: Collection[str]) -> None:
-    """Raise InputError where nothing that is asked for starts from some of the weights given."""
+    """Raise InputError if no training starts from some of the given weights."""
     for backbone, file in starts.items():
         if backbone not in backbones:
             rather = f"the backbones are {', '.join(sorted(backbones))}" if backbones else "nothing is left to train"
             raise InputError(
-                f"--init gives {file.name}, which holds a {backbone}, and no row of what is asked for starts from one: {rather}; "
-                "leave it out, or give the weights of another."
+                f"--init gives {file.name}, which holds a {backbone}, and no requested row starts from it: {rather}; leave it "
+                "out, or give other weights."
             )
 
 
 def check_trainings(jobs: Sequence[TrainingJob], uses: Sequence[NetworkUse]) -> None:
-    """Find out what would stop trainings, or the measuring of their networks.
+    """Check that trainings can run, and that their networks can be measured.
 
     Raises:
         DataError: when there is nothing to train on.
-        InputError: when there are fewer places than a step takes, or a view that is measured is not trained.
+        InputError: when there are fewer places than a batch has, or a measured view is not trained.
     """
     for job in jobs:
         places, batch = job.source.places(job.recipe.google), job.recipe.batch

@@ -1,4 +1,4 @@
-"""`lpn reproduce`: trains what a table needs, measures it, and writes the table."""
+"""The work of `lpn reproduce`: train the networks of tables, measure them, and write the tables."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from lpn.reproduce.sources import Sources, open_sources
 from lpn.reproduce.tables import SCALES, PaperTable, Scale, TableRow, Training, find, tables
 from lpn.training.recipes import Recipe
 
+# The trainings of Table I that each picture shows.
 _SHOWN = {"figure7": ("instance", "lpn"), "figure8": ("lpn",)}
-"""The trainings of Table I that each drawn figure shows."""
+# All tables and figures that can be reproduced.
 KEYS = (*tables(SCALES["paper"]), *_SHOWN)
-"""Everything that can be reproduced."""
 
 
 @dataclass
@@ -36,12 +36,12 @@ class Reproduction:
     Args:
         data: data set folders, or "world".
         out: folder for runs, measurements, and tables.
-        models: networks given, by the name of the training they stand for.
-        init: files of weights the backbones start from, one for each backbone.
-        seeds: a training of each is made, and their mean is reported.
-        scale: of `SCALES`.
-        changes: of the recipe, for every row alike.
-        train: train what is missing; otherwise such rows are not run.
+        models: given networks, by the name of the training they replace.
+        init: files of pretrained weights, one for each backbone.
+        seeds: seeds of each training; tables report the mean.
+        scale: one of `SCALES`.
+        changes: changes of all recipes.
+        train: train missing networks; otherwise their rows are not run.
         queries: queries shown in figures 7 and 8.
     """
 
@@ -57,11 +57,11 @@ class Reproduction:
     console: Console = field(default_factory=Console)
 
     def run(self, keys: Sequence[str]) -> list[Path]:
-        """Make the tables and figures named and return the files written.
+        """Make the named tables and figures, and return the written files.
 
         Raises:
-            LPNError: when data, models, or settings do not fit, which is found out before anything is trained, or when
-                another process works in `out`.
+            LPNError: when data, models, or settings do not fit, before anything is trained, or when another process works in
+                `out`.
         """
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError(
@@ -92,13 +92,13 @@ class Reproduction:
             trainings.train(self._jobs, self.console)
         written = [self._table(table) for table in wanted]
         figures = [file for key in drawn if (file := self._figure(key)) is not None]
-        # Last, so that nothing a terminal does can keep a file from being written.
+        # Print last: an error of the terminal must not keep a file from being written.
         for files in written:
             self.console.print(files[0].read_text(encoding="utf-8"), markup=False)
         return [file for files in written for file in files] + figures
 
     def _uses(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[NetworkUse]:
-        """The networks that the tables and figures ask for."""
+        """List the networks that tables and figures need."""
         of_name = {training.name: training for training in find("table1", self.scale).trainings}
         uses = [NetworkUse.of_figure(key, of_name[name]) for key in drawn for name in _SHOWN[key]]
         return uses + [
@@ -109,7 +109,7 @@ class Reproduction:
         ]
 
     def _load(self, uses: Sequence[NetworkUse]) -> dict[str, Model]:
-        """The networks given, by training; each is opened, is used, and is what it stands for."""
+        """Load the given networks by training, and check that each is used and is what it stands for."""
         known = {training.name for table in tables(self.scale).values() for training in table.trainings}
         for name in self.models:
             if name not in known:
@@ -123,7 +123,7 @@ class Reproduction:
         return found
 
     def _check(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> None:
-        """Find out what would stop the work later."""
+        """Check the data before any work."""
         for measure in dict.fromkeys(table.measure for table in wanted):
             for source in self._sources.of(measure):
                 source.check(measure)
@@ -133,7 +133,7 @@ class Reproduction:
             paper_figures.named(places.dataset, self.queries)
 
     def _planned(self, uses: Sequence[NetworkUse]) -> list[trainings.TrainingJob]:
-        """The trainings that no given network stands for."""
+        """Plan the trainings of networks that are not given."""
         jobs = []
         for seed in self.seeds:
             for training in {use.training.name: use.training for use in uses}.values():
@@ -145,7 +145,7 @@ class Reproduction:
         return jobs
 
     def _say_ahead(self, to_come: Sequence[trainings.TrainingJob], drawn: Sequence[str]) -> None:
-        """What is to be trained starts from, and what cannot be drawn."""
+        """Print the pretrained weights of each training, and which figures cannot be drawn."""
         for backbone, start in {job.recipe.backbone: job.start for job in to_come}.items():
             self.console.print(
                 f"{backbone} starts from {start.name if start else 'random weights'}.", markup=False, soft_wrap=True
@@ -165,16 +165,16 @@ class Reproduction:
 
     @property
     def _alone(self) -> Recipe:
-        """The recipe whose backbone is measured without any training."""
+        """The recipe whose backbone is measured without training."""
         return replace(self.scale.places, **self.changes)
 
     def _is_copy(self, table: PaperTable, training: Training) -> bool:
-        """Whether a row of Table I would be the one above it again: there is no google to train with."""
+        """Check whether a row of Table I would repeat the one above, for lack of google pictures."""
         ours = training.name == "lpn" and training.name not in self.models
         return table.key == "table1" and ours and not self._sources.role("places").has_google
 
     def _models(self, table: PaperTable, row: TableRow) -> dict[str, Model]:
-        """The networks of a row by seed, or the one given."""
+        """Return the networks of a row by seed, or the given one."""
         training = row.training
         if training is None:
             start = self._starts.get(self._alone.backbone)
@@ -182,7 +182,7 @@ class Reproduction:
         return {} if self._is_copy(table, training) else self._networks(training.name)
 
     def _networks(self, name: str) -> dict[str, Model]:
-        """The networks of a training by seed, or the one given."""
+        """Return the networks of a training by seed, or the given one."""
         if name in self._given:
             return {"given": self._given[name]}
         own = [job for job in self._jobs if job.training.name == name and job.done]
@@ -216,7 +216,7 @@ class Reproduction:
         return [MeasuredColumn(f"{source.name} mAP", of_kind.get(source.dataset.kind)) for source in data]
 
     def _of_networks(self, table: PaperTable) -> list[str]:
-        """How the table's networks came about."""
+        """Describe where the table's networks come from."""
         names = {row.training.name for row in table.rows if row.training}
         given = [f"{n} = {self.models[n]} ({self._given[n].describe()})" for n in sorted(names & set(self._given))]
         said = [f"Networks given: {', '.join(given)}."] if given else []
@@ -228,7 +228,7 @@ class Reproduction:
         return said
 
     def _figure(self, key: str) -> Path | None:
-        """The file of a drawn figure, with the networks that there are; None without any."""
+        """Draw a figure with the available networks, and return its file; None without any."""
         of = {name: networks for name in _SHOWN[key] if (networks := self._networks(name))}
         if self.train:
             self._say_lacking(key, [name for name in _SHOWN[key] if name not in of])

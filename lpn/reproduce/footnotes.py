@@ -1,4 +1,4 @@
-"""What stands under a table: how, on what, and with which networks its figures came about."""
+"""The notes below a table: protocol, data, and networks."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from lpn.reproduce.sources import Source, counted
 from lpn.reproduce.tables import PaperTable, Scale
 from lpn.reproduce.trainings import TrainingJob
 
+# Notes on single tables.
 _APART = {
     "table1": (
         "Losses on distances compare satellites with drone and with street pictures, both ways; pairs and triplets are mined in "
@@ -22,11 +23,10 @@ _APART = {
         "trained alike, both without google.",
     ),
 }
-"""What a reader of one table must know."""
 
 
 def protocol(rows: Mapping[str, str]) -> str:
-    """The protocols of a table's rows, by label, as one: the clauses they share, and for each other one its rows."""
+    """Merge the protocols of rows, by label: shared clauses first, then each other clause with its rows."""
     clauses = {label: text.removeprefix("Protocol: ").removesuffix(".").split("; ") for label, text in rows.items()}
     held: dict[str, list[str]] = {}
     for label, of_row in clauses.items():
@@ -41,13 +41,13 @@ def protocol(rows: Mapping[str, str]) -> str:
 
 
 def _rows(labels: Sequence[str], every: Sequence[str]) -> str:
-    """Some rows of a table, or the others where these are fewer."""
+    """Name some rows of a table, or "all but" the others if these are fewer."""
     others = [label for label in every if label not in labels]
     return " / ".join(labels) if len(labels) <= len(others) else f"all but {' / '.join(others)}"
 
 
 def about(table: PaperTable, data: Sequence[Source]) -> list[str]:
-    """What must be known of a table, and of the pictures it was measured on."""
+    """Describe a table and the pictures it was measured on."""
     said = [*_APART.get(table.key, ())]
     if any(source.rendered for source in data):
         said.append(
@@ -60,7 +60,7 @@ def about(table: PaperTable, data: Sequence[Source]) -> list[str]:
 
 
 def networks(own: Sequence[TrainingJob], scale: Scale, changes: Mapping[str, Any], seeds: Sequence[int]) -> list[str]:
-    """How the networks were trained that were not given."""
+    """Describe the trainings of the networks that were not given."""
     said: list[str] = []
     done = [job for job in own if job.done]
     if done:
@@ -78,7 +78,7 @@ def networks(own: Sequence[TrainingJob], scale: Scale, changes: Mapping[str, Any
 
 
 def _places(jobs: Sequence[TrainingJob]) -> str:
-    """How many places networks were trained on; which, where that differs."""
+    """Count the training places, by network where they differ."""
     of: dict[str, dict[str, None]] = {}
     for job in jobs:
         full = job.source.dataset.full.get("train/satellite")

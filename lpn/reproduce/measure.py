@@ -1,4 +1,4 @@
-"""What is measured for a row, kept in a file so that nothing is measured twice."""
+"""Measured figures, cached in a file so that nothing is measured twice."""
 
 from __future__ import annotations
 
@@ -91,14 +91,14 @@ def _values(result: Result, measure: Measure) -> Values:
 
 
 def spread(values: Sequence[float]) -> tuple[float, float]:
-    """Mean of some seeds' values, and half of the distance between the lowest and the highest."""
+    """Return the mean of the seeds' values, and half the distance between the lowest and the highest."""
     return sum(values) / len(values), (max(values) - min(values)) / 2
 
 
 def by_column(seeds: Sequence[Values]) -> list[tuple[float, float]]:
-    """Mean and spread of each column."""
+    """Return mean and spread of each column."""
     return [spread(cast("tuple[float, ...]", column)) for column in zip(*seeds, strict=True)]
 
 
+# The values of each network, by its seed or "given", for each row's label.
 Measured = Mapping[str, Mapping[str, Values]]
-"""For each row's label, the values of each network: by its seed, or "given"."""

@@ -1,4 +1,4 @@
-"""Figures 7 and 8 of the paper: what networks respond to, and what they retrieve, as one picture each."""
+"""Figures 7 and 8 of the paper, heatmaps and retrieved pictures, as one PNG each."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from lpn.drawing.plots import png, pyplot
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 
+# Frames of true and false matches, yellow and blue as in the paper; a tick or a cross stands beside them.
 TRUE, FALSE = "#f2c200", "#2f6fdb"
-"""Frames of true and false matches, yellow and blue as in the paper; a tick or cross stands beside them."""
 
 
 def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, names: Sequence[str]) -> bytes:
-    """Figure 7 as a PNG: drone picture and satellite tile of some places, and each network's channel sum over them.
+    """Draw Figure 7 as a PNG: drone picture and satellite tile of some places under each network's channel sum.
 
     Args:
         models: name and network.
@@ -55,7 +55,7 @@ def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, names: Seque
 
 
 def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 5) -> bytes:
-    """Figure 8 as a PNG: for each task, queries and their nearest pictures, framed yellow when true and blue when false.
+    """Draw Figure 8 as a PNG: queries of both tasks and their nearest pictures, framed yellow if true and blue if false.
 
     Args:
         names: queries of the drone-to-satellite task; satellite-to-drone shows the same places.
@@ -90,7 +90,7 @@ def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 
 
 
 def named(dataset: Dataset, names: Sequence[str]) -> list[Picture]:
-    """The drone queries of some names, or without names four from all over the list, that have a satellite tile.
+    """Return drone queries with a satellite tile by their names; without names, four spread over the list.
 
     Raises:
         InputError: when there is no such query, or it has no tile.

@@ -1,4 +1,4 @@
-"""What the paper reports, in percent (Wang et al., "Each Part Matters", tables I to VI), and what it claims."""
+"""The paper's values in percent, and its claims (Wang et al., "Each Part Matters", tables I to VI)."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ TABLE6: dict[str, Values] = {
 
 @dataclass(frozen=True)
 class Claim:
-    """That one row is better than others in a column, or as good.
+    """A claim that one row is better than others in a column, or as good.
 
     Attributes:
         text: the claim in words.
-        better: the row that should be ahead.
-        worse: the rows it should be ahead of.
-        column: index of the column compared.
-        keeps: the rows should differ by no more than this many points, rather than one be ahead; 0 for the latter.
+        better: the row that should be better.
+        worse: the rows that should be worse.
+        column: index of the compared column.
+        keeps: if above 0, the rows should rather differ by at most this many points.
     """
 
     text: str

@@ -1,4 +1,4 @@
-"""What networks start from: files of ImageNet weights, one for each backbone, and their features without any training."""
+"""Pretrained weights by backbone, and the features of a backbone without training."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from lpn.training.recipes import Recipe
 
 
 def by_backbone(files: Sequence[Path]) -> dict[str, Path]:
-    """The files given with --init by the backbone they hold.
+    """Sort the files of --init by the backbone they hold.
 
     Raises:
-        ModelFileError: when one cannot be read or holds no backbone that is known.
-        InputError: when two hold the same.
+        ModelFileError: when a file cannot be read or holds no known backbone.
+        InputError: when two files hold the same backbone.
     """
     found: dict[str, Path] = {}
     for file in files:
@@ -35,10 +35,10 @@ def by_backbone(files: Sequence[Path]) -> dict[str, Path]:
 
 
 def features_alone(recipe: Recipe, init: Path) -> checkpoints.TorchModel:
-    """A network whose descriptor is the mean over the last feature map, and whose backbone is as in `init`.
+    """Make a network whose descriptor is the mean over the last feature map of a pretrained backbone.
 
     Raises:
-        ModelFileError: when `init` lacks some of that backbone.
+        ModelFileError: when `init` lacks weights of that backbone.
     """
     channels = CHANNELS[recipe.backbone, recipe.last_layer]
     spec = ModelSpec(

@@ -1,4 +1,4 @@
-"""A table as Markdown, CSV, and a figure: the measured values beside the paper's, and what became of the paper's claims."""
+"""A table as Markdown, CSV, and a chart: measured values beside the paper's, and verdicts on the paper's claims."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class MeasuredColumn:
 
     Attributes:
         title: its name.
-        paper: which of the paper's columns stands beside it, None where it has none for these data.
+        paper: index of the paper's column beside it, None if there is none.
     """
 
     title: str
@@ -37,9 +37,9 @@ def write(
     """Write `<key>.md`, `<key>.csv`, and `<key>.png` into a folder and return their paths.
 
     Args:
-        measured: for each row's label, the values of each network; rows that are not in it are said to be not run.
-        columns: what was measured.
-        foot: sentences printed under the table: protocol, scale, data.
+        measured: the values of each network, for each row's label; other rows are shown as not run.
+        columns: the measured columns.
+        foot: the notes below the table.
     """
     files = [out / f"{table.key}.{suffix}" for suffix in ("md", "csv", "png")]
     write_atomic(files[0], markdown(table, measured, columns, foot).encode())
@@ -49,9 +49,9 @@ def write(
 
 
 def markdown(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn], foot: Sequence[str]) -> str:
-    """The table, its foot, and the claims."""
+    """Format the table, its notes, and the verdicts on the paper's claims."""
     titles: list[str] = []
-    # Each cell is a measured column or one of the paper's; those of the paper's without a neighbour come last.
+    # (True, i) is measured column i, (False, i) the paper's; the paper's without a neighbour come last.
     cells: list[tuple[bool, int]] = []
     any_paper = any(row.paper for row in table.rows)
     for index, column in enumerate(columns):
@@ -84,7 +84,7 @@ def markdown(table: PaperTable, measured: Measured, columns: Sequence[MeasuredCo
 
 
 def verdicts(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn]) -> list[str]:
-    """Each of the paper's claims with whether it held here, and the figures that say so."""
+    """State for each of the paper's claims whether it held, with the figures."""
     return [_verdict(claim, measured, columns) for claim in CLAIMS.get(table.key, ())]
 
 
@@ -137,7 +137,7 @@ def _csv(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn
 
 
 def figure(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn]) -> bytes:
-    """The table as a PNG: bars, or lines where the rows are steps of one quantity."""
+    """Draw the table as a PNG: bars, or lines where the rows are steps of one quantity."""
     labels = [row.label for row in table.rows]
     steps = table.key in ("table3", "table4", "figure5")
     shown, axes = pyplot().subplots(
@@ -175,7 +175,7 @@ def _draw(
     run: Sequence[tuple[int, tuple[float, float]]],
     paper: Sequence[tuple[int, float]],
 ) -> None:
-    """One column: what was measured solid, with its spread, the paper's values hollow or dotted."""
+    """Draw one column: measured values filled, with their spread, and the paper's hollow or dotted."""
     places = [place for place, _ in run]
     means, spreads = [value[0] for _, value in run], [value[1] for _, value in run]
     if steps:

@@ -1,4 +1,4 @@
-"""The data sets of a reproduction, sorted by what they are good for, and what identifies their pictures."""
+"""The data sets of a reproduction by role, and digests of their pictures."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from lpn.reproduce.tables import Measure, Role
 from lpn.retrieval.evaluate import check_test_split, lists_of
 from lpn.training.training_set import TrainingSet
 
+# The tasks of each measure.
 TASKS: dict[Measure, tuple[str, ...]] = {
     "both ways": ("drone-to-satellite", "satellite-to-drone"),
     "ground": ("street-to-satellite",),
     "landmarks": ("street-to-street",),
 }
-"""The tasks behind each kind of columns."""
 
 
 @dataclass(eq=False)
 class Source:
-    """A data set, and whether it is of a rendered world."""
+    """A data set, and whether it is a rendered world."""
 
     dataset: Dataset
     rendered: bool
@@ -40,31 +40,31 @@ class Source:
 
     @property
     def name(self) -> str:
-        """How a table calls it."""
+        """Name of the data set in tables."""
         return "World" if self.rendered else self.dataset.root.resolve().name
 
     @property
     def kind(self) -> str:
-        """What a table's title says it is of."""
+        """Kind of the data set in a table's title."""
         return "a rendered world" if self.rendered else self.dataset.kind
 
     @cached_property
     def has_google(self) -> bool:
-        """Whether there are pictures of the ground from elsewhere to train with."""
+        """True if there are train/google pictures."""
         return bool(self.dataset.train("google"))
 
     def places(self, google: bool) -> TrainingSet:
-        """The places there are to train on, looked through once.
+        """Return the training set, read once.
 
         Raises:
-            DataError: when there are none.
+            DataError: when there are no training places.
         """
         if google not in self._places:
             self._places[google] = TrainingSet(self.dataset, Console(quiet=True), google)
         return self._places[google]
 
     def sizes(self, measure: Measure) -> str:
-        """How many queries and gallery pictures each task has, and of how many where the complete data set's are known."""
+        """Count queries and gallery pictures of each task, with the counts of the complete data set where they are known."""
         said = []
         for task in TASKS[measure]:
             query, gallery = views_of(task)
@@ -77,7 +77,7 @@ class Source:
         return ", ".join(said)
 
     def training_digest(self, google: bool) -> str:
-        """What identifies the pictures to train on: a network that is there is used for the same only."""
+        """Hash the list of training pictures; a trained network is reused for the same list only."""
         names = ("satellite", "drone", "street", *(("google",) if google else ()))
         if (key := " ".join(names)) not in self._digests:
             lists = {name: self.dataset.train(name) for name in names}
@@ -85,35 +85,35 @@ class Source:
         return self._digests[key]
 
     def test_digest(self, measure: Measure) -> str:
-        """What identifies the pictures and true matches that figures are measured on."""
+        """Hash the test pictures and their true matches."""
         if measure not in self._digests:
             truth = {task: self.dataset.truth(task) for task in TASKS[measure]}
             listed = {
                 task: [[t.good.tolist(), t.junk.tolist()] for t in found] for task, found in truth.items() if found
             }
-            # The same for any order in which the lists come.
+            # Sorted, so that the order of the lists does not matter.
             lists = dict(sorted(lists_of(self.dataset, TASKS[measure]).items()))
             self._digests[measure] = _digest(self.dataset.root, lists, dict(sorted(listed.items())))
         return self._digests[measure]
 
     def check(self, measure: Measure) -> None:
-        """Find out at the start what would stop a measurement at the end.
+        """Check before any work that the measurement can run.
 
         Raises:
-            LPNError: when a task is not offered, a picture is broken, or `geo.csv` does not cover the pictures.
+            LPNError: when a task is missing, a picture is broken, or `geo.csv` does not cover the pictures.
         """
         check_test_split(self.dataset, TASKS[measure])
 
 
 @dataclass
 class Sources:
-    """What was given, by role."""
+    """The given data sets by role."""
 
     roles: dict[Role, Source] = field(default_factory=dict)
     landmarks: list[Source] = field(default_factory=list)
 
     def of(self, measure: Measure) -> list[Source]:
-        """The data sets behind a kind of columns, the paper's order first.
+        """Return the data sets of a measure, in the paper's order.
 
         Raises:
             InputError: when none was given.
@@ -128,22 +128,22 @@ class Sources:
         return [self.role("places" if measure == "both ways" else "panoramas")]
 
     def role(self, role: Role) -> Source:
-        """The data set of a role.
+        """Return the data set of a role.
 
         Raises:
             InputError: when none was given.
         """
         if role not in self.roles:
             if role == "places":
-                raise InputError("Places as in University-1652 are needed for what is asked; give them with --data.")
+                raise InputError("Places as in University-1652 are needed; give them with --data.")
             raise InputError(
-                "Panoramas and tiles as in CVUSA are needed for what is asked; give them with --data, or a world rendered with "
+                "Panoramas and tiles as in CVUSA are needed; give them with --data, or a world rendered with "
                 "--panoramas 1."
             )
         return self.roles[role]
 
     def add(self, role: Role, source: Source) -> None:
-        """Note the data set of a role.
+        """Set the data set of a role.
 
         Raises:
             InputError: when there is one already.
@@ -155,22 +155,22 @@ class Sources:
 
 
 def counted(found: int, full: int | None) -> str:
-    """A number of pictures or places, and of how many where that is known."""
+    """Format a count, with the total if it is known."""
     return f"{found:,}" if full is None else f"{found:,} of {full:,}"
 
 
 def is_world(given: str) -> bool:
-    """Whether what was given with --data is a rendered world, or its panoramas."""
+    """Return whether an argument of --data is a rendered world, or its panoramas."""
     root = Path(given)
     panoramas = root.name == "cvusa" and is_rendered(root.parent)
     return panoramas or is_rendered(root) or (given == "world" and not root.is_dir())
 
 
 def open_sources(data: Sequence[str], out: Path) -> Sources:
-    """Open what was given with --data; a world is laid out in `out`/data, and "world" is rendered in `out`/world.
+    """Open the data sets of --data; a world is laid out in `out`/data, and "world" is rendered into `out`/world.
 
     Raises:
-        LPNError: when something is no data set, two are of one role, or a world is not rendered to its end.
+        LPNError: when an argument is not a data set, two have one role, or a world is not completely rendered.
     """
     found = Sources()
     for given in data:
@@ -194,7 +194,7 @@ def open_sources(data: Sequence[str], out: Path) -> Sources:
 
 
 def _rendered(out: Path) -> Path:
-    """The demo's world with street pictures and panoramas, rendered in `out`/world where Blender's package is there."""
+    """Render the demo's world with street pictures and panoramas into `out`/world, if Blender's package is installed."""
     root = out / "world"
     if importlib.util.find_spec("bpy") is None:
         if not is_rendered(root):

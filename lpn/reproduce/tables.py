@@ -1,4 +1,4 @@
-"""The tables as plain data: for each row the network it needs and what is measured on it."""
+"""The paper's tables as data: the network of each row, and how it is measured."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Training:
     Attributes:
         name: of its run, such as "lpn" or "instance".
         method: one of `lpn.training.recipes.METHODS`.
-        role: what it is trained on: places seen by satellite, drone, and from the street, or pairs of panorama and tile.
-        changes: what the row changes in the recipe further.
+        role: the training data: places seen by satellite, drone, and from the street, or pairs of panorama and tile.
+        changes: further changes of the recipe.
     """
 
     name: str
@@ -34,13 +34,13 @@ class Training:
 
 @dataclass(frozen=True)
 class TableRow:
-    """One row: a network, and how it is measured.
+    """A network, and how it is measured.
 
     Attributes:
         label: as in the table.
-        training: the network; None for the features that the backbone starts from, without any training.
-        paper: the paper's values, empty where it has no such row.
-        rotate: degrees counter-clockwise queries are turned.
+        training: the network; None for the pretrained backbone's features without training.
+        paper: the paper's values, empty if it has no such row.
+        rotate: rotation of the queries in degrees counter-clockwise.
         parts: 1-based parts used, None for all.
         branch: the branch that describes landmarks.
     """
@@ -59,8 +59,8 @@ class PaperTable:
 
     Attributes:
         key: such as "table1".
-        title: what it compares, without the data set it is measured on.
-        measure: what its columns are.
+        title: the comparison, without the data set.
+        measure: the measure of its columns.
         columns: their names.
     """
 
@@ -78,14 +78,14 @@ class PaperTable:
 
 @dataclass(frozen=True)
 class Scale:
-    """How large everything is.
+    """The scale of a reproduction.
 
     Attributes:
         name: "paper" or "reduced".
         places, panoramas: the recipe of each role, before a method's changes.
-        safa: the recipe of SAFA where it has one of its own.
+        safa: SAFA's own recipe, if it has one.
         sizes: input size used for each of Table III's.
-        said: one sentence for the table's foot.
+        said: one sentence for the table's notes.
     """
 
     name: str
@@ -96,7 +96,7 @@ class Scale:
     said: str
 
     def recipe(self, training: Training, seed: int, changes: Mapping[str, Any]) -> Recipe:
-        """Every number of a training; `changes` are the user's and come last."""
+        """Return the recipe of a training; `changes` are the user's and are applied last."""
         base = self.places if training.role == "places" else self.panoramas
         if training.method.startswith("safa") and self.safa is not None:
             base = self.safa
@@ -139,7 +139,7 @@ def _of_parts(n: int) -> Training:
 
 
 def tables(scale: Scale) -> dict[str, PaperTable]:
-    """Every table and figure, by key."""
+    """Return all tables and figures by key."""
     by_loss = {"contrastive": "Contrastive loss", "triplet-0.3": "Triplet loss, margin 0.3"}
     by_loss |= {"triplet-0.5": "Triplet loss, margin 0.5", "soft-margin": "Weighted soft-margin triplet loss"}
     of_table1 = [("Instance loss (baseline)", _BASELINE)]
@@ -234,7 +234,7 @@ def _carried() -> tuple[TableRow, ...]:
 
 
 def find(key: str, scale: Scale) -> PaperTable:
-    """The table or figure named.
+    """Return the table or figure of a key.
 
     Raises:
         InputError: when there is none.

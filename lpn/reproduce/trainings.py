@@ -1,4 +1,4 @@
-"""Trainings of a reproduction: each in a folder of its own, resumed where it stopped, with an estimate of the time left."""
+"""The trainings of a reproduction: each in its own folder, resumable, with an estimate of the time left."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from lpn.training.recipes import Recipe
 from lpn.training.trainer import Trainer
 
 FORMAT = "lpn-job/1"
+# Estimated time of a training step per pixel relative to ResNet-18, for the time left.
 _COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16_bn": 8.5}
-"""Time of a training step per pixel, ResNet-18 being one: a guess, which the estimate of the time left rests on."""
 
 
 class _JobFile(msgspec.Struct):
@@ -38,9 +38,9 @@ class TrainingJob:
     """One training with one seed.
 
     Attributes:
-        folder: where it is.
-        source: what it is trained on.
-        start: weights its backbone starts from, None for random ones.
+        folder: of the run.
+        source: the training data.
+        start: pretrained weights of its backbone, None for random ones.
     """
 
     training: Training
@@ -52,7 +52,7 @@ class TrainingJob:
 
     @property
     def name(self) -> str:
-        """Such as "lpn, seed 0"."""
+        """Name such as "lpn, seed 0"."""
         return f"{self.training.name}, seed {self.seed}"
 
     @property
@@ -69,24 +69,24 @@ class TrainingJob:
 
     @property
     def model(self) -> Path:
-        """The trained network."""
+        """Path of the trained network."""
         return self.folder / "last.safetensors"
 
     @property
     def work(self) -> float:
-        """What an epoch costs, relative to others on the same pictures."""
+        """Relative cost of an epoch on the same pictures."""
         height, width = self.recipe.input_size
         return height * width * _COSTS[self.recipe.backbone] / 1e6
 
     def seconds(self) -> list[float]:
-        """Of its epochs on disk."""
+        """Seconds of each epoch on disk."""
         if not (self.folder / "log.csv").is_file():
             return []
         with (self.folder / "log.csv").open(encoding="utf-8", newline="") as file:
             return [float(row["seconds"]) for row in csv.DictReader(file)]
 
     def identity(self) -> dict[str, Any]:
-        """All that decides what is trained."""
+        """Everything that decides the result of the training."""
         return {
             **json.loads(self.recipe.to_json()),
             "pictures": self.source.training_digest(self.recipe.google),
@@ -102,7 +102,7 @@ class TrainingJob:
             raise InputError(
                 f"{self.folder} does not say what is trained there; delete it to train again, or give another --out."
             )
-        # A setting that came with a later version had its default then.
+        # A setting of a later version is not in the file, and had its default then.
         differs = [
             key for key, value in self.identity().items() if key in file.identity and file.identity[key] != value
         ]
@@ -126,17 +126,17 @@ class TrainingJob:
 
 
 def train(work: Sequence[TrainingJob], console: Console) -> None:
-    """Train what is not trained yet, one after the other; a training that diverges is given up, and the next one begins.
+    """Train what is not trained yet, one after the other; a training that diverges is given up.
 
     Raises:
-        LPNError: as `lpn.training.trainer.Trainer`, but for a divergence.
+        LPNError: as `lpn.training.trainer.Trainer`, except for a divergence.
     """
     left = [job for job in work if not job.done and not job.diverged]
     for position, job in enumerate(left):
         console.rule(f"{job.name} ({position + 1} of {len(left)} trainings; {_said_left(left[position:], work)})")
         resume = (job.folder / "state.pt").is_file()
         if not resume:
-            # A run that was killed before its first epoch was on disk.
+            # The run was killed before its first epoch was on disk.
             shutil.rmtree(job.folder, ignore_errors=True)
         job.write(None)
         ended: Literal["finished", "diverged"] = "finished"
@@ -151,7 +151,7 @@ def train(work: Sequence[TrainingJob], console: Console) -> None:
 
 
 def seconds_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> float | None:
-    """Seconds that trainings will take, from the median speed of the epochs on disk; None before there are any."""
+    """Estimate the remaining seconds from the median speed of the epochs on disk; None if there are none."""
     speeds = [job.work / seconds for job in known for seconds in job.seconds()]
     if not speeds:
         return None

@@ -1,4 +1,4 @@
-"""The demo world as the paper's data sets: places with a "google" set, panoramas, and landmarks with their ground truth."""
+"""A rendered world laid out as the paper's data sets: places with a "google" set, panoramas, and landmarks."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from lpn.core.files import write_atomic
 from lpn.core.images import load_picture
 from lpn.datasets import Picture, open_dataset
 
+# Side of a landmark's region in its query, as a fraction of the picture's.
 _REGION = 0.8
-"""Side of a landmark's region in its query, as a share of the picture's."""
 
 
 def prepare(world: Path, out: Path) -> dict[str, Path]:
-    """Lay a world out as the data sets the tables need, in a folder of its own in `out`, and once only.
+    """Lay a world out as the data sets that the tables need, in a folder of its own in `out`, if that is not done yet.
 
-    places: University-1652's layout. Of each training place's street pictures the first half are train/street and the
-    others train/google, as pictures of the ground from elsewhere. landmarks: the street pictures of the test places in
-    Paris6k's layout: the first two of a place are queries by their middle, all of the place are good answers.
+    places: University-1652's layout. The first half of a training place's street pictures become train/street, and the others
+    train/google, as pictures of the ground from another source. landmarks: the street pictures of the test places in
+    Paris6k's layout. The first two of a place are queries by their middle, and all of its pictures are good.
 
     Returns:
-        The folders by what they are: "places"; "panoramas" (the world's own, in CVUSA's layout) and "landmarks" where the
-        world was rendered with panoramas and street pictures. Without enough of the latter, places are the world itself.
+        The folder of "places", and of "panoramas" (in CVUSA's layout) and "landmarks" if the world was rendered with panoramas
+        and street pictures. With too few street pictures, "places" is the world itself.
     """
     dataset, folder = open_dataset(world), out / f"world-{_digest(world)}"
     made = {"places": world}
@@ -45,7 +45,7 @@ def prepare(world: Path, out: Path) -> dict[str, Path]:
 
 
 def _digest(world: Path) -> str:
-    """What identifies a world and the pictures it has by now."""
+    """Hash a world and its present pictures."""
     digest = hashlib.sha256((world / "world.json").read_bytes())
     for file in _files(world):
         digest.update(f"{file.relative_to(world)} {file.stat().st_size}\n".encode())
@@ -101,7 +101,7 @@ def _landmarks(pictures: list[Picture], out: Path) -> None:
 
 
 def _link(source: Path, target: Path) -> None:
-    """The same file under another name, or a copy where the file system has no links between the two."""
+    """Link a file under another name, or copy it if the file system cannot."""
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         os.link(source, target)
