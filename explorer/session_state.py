@@ -13,7 +13,7 @@ import numpy as np
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.arrays import Int64Array
 from lpn.descriptors.transforms import Change
-from lpn.drawing.overlays import DARK, LIGHT, Palette
+from lpn.drawing.theme import DARK, LIGHT, Palette
 
 MAX_WEIGHT = 2.0
 # The value of `selected` that follows the nearest positive; links contain it.

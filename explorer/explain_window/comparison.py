@@ -38,9 +38,9 @@ def page(
         region=analysis.state.region,
         part_names=names,
         steps=charts.waterfall(margin),
-        ablation_sentence=verdicts.left_out(without, names, name) if without else "",
+        ablation_sentence=verdicts.describe_ablation(without, names, name) if without else "",
         weights=list(zip(ranking.weights, change.weights, strict=True)) if change else [],
-        effect_sentence=_sentence(verdicts.helps(effect)) if effect else "",
+        effect_sentence=_sentence(verdicts.describe_effect(effect)) if effect else "",
         computing=computing,
     )
 

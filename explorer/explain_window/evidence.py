@@ -45,7 +45,7 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
     return render(
         "explain/evidence",
         evidence=evidence,
-        sentence=verdicts.why(evidence, workspace.part_names, *views),
+        sentence=verdicts.describe_evidence(evidence, workspace.part_names, *views),
         region=analysis.state.region,
         stacked=workspace.layout.stacked,
         hint=HINT,

@@ -70,7 +70,7 @@ def _sentences(profile: Profile, analysis: StateAnalysis) -> list[str]:
     if best.true is not None and over != "rotation":
         place = _place(over, blind)
         sentences.append(f"Without knowing it, the highest score of any tile is at {place} ({blind.top_score:.3f}).")
-    if guess := verdicts.heading(profile, (analysis.task.query_view, analysis.task.gallery_view)):
+    if guess := verdicts.describe_heading(profile, (analysis.task.query_view, analysis.task.gallery_view)):
         sentences.append(f"{guess}{_known_heading(analysis)}")
     if over in ("shift", "shift-down"):
         sentences.append(

@@ -10,7 +10,7 @@ import numpy as np
 from explorer.failure_lab.service import MapPoints
 from lpn.analysis import embedding_map
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
-from lpn.drawing import overlays
+from lpn.drawing import theme
 
 Bounds = tuple[float, float, float, float]
 # Pixels of the page within which the mouse points at a query.
@@ -101,13 +101,13 @@ def draw(
     misses = np.flatnonzero(selected & failed & (answers >= 0))
     if points.ground is not None and len(misses) <= _MAX_LINES:
         for row in misses:
-            _line(canvas, places[row], tiles[answers[row]], overlays.FALSE_COLOUR, 2)
+            _line(canvas, places[row], tiles[answers[row]], theme.FALSE_COLOUR, 2)
     single = selected if points.ground is None else _draw_pies(canvas, places, failed, selected)
     hits, misses = places[single & ~failed], places[single & failed]
     _stamp(canvas, hits, _disc(radius), _OUTLINE)
-    _stamp(canvas, hits, _disc(radius - 2), overlays.TRUE_COLOUR)
+    _stamp(canvas, hits, _disc(radius - 2), theme.TRUE_COLOUR)
     _stamp(canvas, misses, _cross(radius + 2, 3.4), _OUTLINE)
-    _stamp(canvas, misses, _cross(radius + 1, 1.6), overlays.FALSE_COLOUR)
+    _stamp(canvas, misses, _cross(radius + 1, 1.6), theme.FALSE_COLOUR)
     if query is not None:
         _mark_query(canvas, points, places[query], tiles, int(answers[query]), positive)
     return DrawnMap(canvas, bounds, size, points.queries, selected)
@@ -117,9 +117,9 @@ def _mark_query(
     canvas: UInt8Array, points: MapPoints, place: Int64Array, tiles: Int64Array, answer: int, positive: int
 ) -> None:
     """Ring the current query and join it with its tiles; on the ground, the positive lies at the query itself."""
-    marks = [(answer, overlays.FALSE_COLOUR)] if answer != positive else []
+    marks = [(answer, theme.FALSE_COLOUR)] if answer != positive else []
     if points.ground is None:
-        marks.append((positive, overlays.TRUE_COLOUR))
+        marks.append((positive, theme.TRUE_COLOUR))
     for tile, colour in marks:
         if tile >= 0:
             _line(canvas, place, tiles[tile], colour, 3)
@@ -141,9 +141,9 @@ def _draw_pies(canvas: UInt8Array, places: Int64Array, failed: BoolArray, select
         if count > 1:
             centre, size = (int(spot[0]), int(spot[1])), (int(radius), int(radius))
             cv2.circle(canvas, centre, int(radius) + 3, _OUTLINE, -1, cv2.LINE_AA)
-            cv2.circle(canvas, centre, int(radius), overlays.TRUE_COLOUR, -1, cv2.LINE_AA)
+            cv2.circle(canvas, centre, int(radius), theme.TRUE_COLOUR, -1, cv2.LINE_AA)
             if bad:
-                cv2.ellipse(canvas, centre, size, -90, 0, 360 * bad / count, overlays.FALSE_COLOUR, -1, cv2.LINE_AA)
+                cv2.ellipse(canvas, centre, size, -90, 0, 360 * bad / count, theme.FALSE_COLOUR, -1, cv2.LINE_AA)
     single = np.zeros(len(selected), bool)
     single[rows[counts[which] == 1]] = True
     return single
@@ -192,7 +192,7 @@ def _background(points: MapPoints, bounds: Bounds, size: tuple[int, int]) -> UIn
     return canvas
 
 
-def _stamp(canvas: UInt8Array, places: Int64Array, shape: Int64Array, colour: overlays.Colour) -> None:
+def _stamp(canvas: UInt8Array, places: Int64Array, shape: Int64Array, colour: theme.Colour) -> None:
     """Paint a shape, given as offsets (K, 2) from its centre, at each of the pixels (N, 2)."""
     height, width = canvas.shape[:2]
     for right, down in shape:
@@ -201,7 +201,7 @@ def _stamp(canvas: UInt8Array, places: Int64Array, shape: Int64Array, colour: ov
         canvas[y[visible], x[visible]] = colour
 
 
-def _line(canvas: UInt8Array, start: Int64Array, end: Int64Array, colour: overlays.Colour, thickness: int) -> None:
+def _line(canvas: UInt8Array, start: Int64Array, end: Int64Array, colour: theme.Colour, thickness: int) -> None:
     cv2.line(canvas, (int(start[0]), int(start[1])), (int(end[0]), int(end[1])), colour, thickness, cv2.LINE_AA)
 
 

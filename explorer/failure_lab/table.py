@@ -14,7 +14,7 @@ from explorer.workspace import Workspace
 from lpn.analysis.notes import Note
 from lpn.core.arrays import Int64Array
 from lpn.core.tables import Column
-from lpn.drawing import overlays
+from lpn.drawing import theme
 
 _HINTS = {
     "rank": "Rank of the first true tile",
@@ -170,7 +170,7 @@ def _cell(findings: Findings, workspace: Workspace, column: Column, row: int, li
     if column.name == "margin":
         value = float(column.values[row])
         start, width = 50 - max(-value, 0) / limit * 50, abs(value) / limit * 50
-        colour = overlays.css(overlays.verdict_colour(value >= 0))
+        colour = theme.css(theme.verdict_colour(value >= 0))
         return _Cell("number margin", f"{value:+.3f}", bar=(start, width, colour))
     if column.name == "distance":
         text = f"{float(column.values[row]):,.0f}"

@@ -14,8 +14,8 @@ from explorer.session_state import SessionState
 from explorer.stage.image_planes import UPRIGHT, Plane
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import UInt8Array
-from lpn.drawing import overlays
-from lpn.drawing.overlays import Colour, Palette
+from lpn.drawing import captions, overlays, theme
+from lpn.drawing.theme import Colour, Palette
 from lpn.retrieval import Match
 
 SHOWN = 10
@@ -100,7 +100,7 @@ class Cards:
         if analysis.state.rings:
             partition, cells = workspace.spec.partition(task.gallery_view), workspace.map_sizes[task.gallery_view]
             picture = overlays.with_rings(picture, partition, cells, 1)
-        return overlays.framed(picture, overlays.verdict_colour(match.true), 7)
+        return overlays.framed(picture, theme.verdict_colour(match.true), 7)
 
     def _label(self, analysis: StateAnalysis, match: Match, full: float) -> UInt8Array:
         return _card_label(self._layout, match, analysis.task.gallery[match.index].name, full, analysis.state.palette)
@@ -136,15 +136,15 @@ def _frame(layout: Layout, colour: Colour) -> np.ndarray[Any, np.dtype[np.uint8]
 
 def _card_label(layout: Layout, match: Match, name: str, full: float, palette: Palette) -> UInt8Array:
     width = round(_LABEL * layout.card[0] / layout.card[2])
-    image, draw = overlays.caption(width, _LABEL, palette)
-    draw.text((2, 20), str(match.rank), palette.text, overlays.font(26), anchor="lm")
-    x = 8 + draw.textlength(str(match.rank), font=overlays.font(26))
+    image, draw = captions.caption(width, _LABEL, palette)
+    draw.text((2, 20), str(match.rank), palette.text, captions.font(26), anchor="lm")
+    x = 8 + draw.textlength(str(match.rank), font=captions.font(26))
     if match.true is not None:
-        overlays.draw_sign(draw, x + 2, 11, 17, match.true, palette)
+        captions.draw_sign(draw, x + 2, 11, 17, match.true, palette)
         x += 28
     value = f"{match.distance2:.3f}"
-    draw.text((width - 2, 20), value, palette.text, overlays.font(22), anchor="rm")
-    room = width - 2 - draw.textlength(value, font=overlays.font(22)) - x - 8
-    draw.text((x, 21), overlays.fitted(draw, name, 20, room), palette.dim, overlays.font(20), anchor="lm")
-    overlays.draw_shares(draw, (0, 40, width - 1, 52), match.shares, full, palette)
+    draw.text((width - 2, 20), value, palette.text, captions.font(22), anchor="rm")
+    room = width - 2 - draw.textlength(value, font=captions.font(22)) - x - 8
+    draw.text((x, 21), captions.fitted(draw, name, 20, room), palette.dim, captions.font(20), anchor="lm")
+    captions.draw_shares(draw, (0, 40, width - 1, 52), match.shares, full, palette)
     return np.asarray(image)

@@ -8,8 +8,8 @@ import numpy as np
 import viser
 
 from lpn.core.arrays import UInt8Array
-from lpn.drawing import overlays
-from lpn.drawing.overlays import Palette
+from lpn.drawing import captions, theme
+from lpn.drawing.theme import Palette
 
 Rotation = tuple[float, float, float, float]
 UPRIGHT: Rotation = (0.0, 1.0, 0.0, 0.0)
@@ -28,7 +28,7 @@ class Plane:
         position: tuple[float, float, float],
         encoding: Literal["jpeg", "png"] = "jpeg",
     ) -> None:
-        blank = np.full((2, 2, 3), overlays.BACKGROUND, np.uint8)
+        blank = np.full((2, 2, 3), theme.BACKGROUND, np.uint8)
         self._shown: UInt8Array = blank
         self.handle = scene.add_image(
             name,
@@ -52,14 +52,14 @@ class Plane:
 
 def title(headline: str, text: str, true: bool | None, palette: Palette, distance2: float | None = None) -> UInt8Array:
     """A caption: headline, sign, a text shortened to fit, and on the right a distance."""
-    image, draw = overlays.caption(528, 58, palette)
-    draw.text((2, 29), headline, palette.text, overlays.font(26), anchor="lm")
-    x = 2 + draw.textlength(headline, font=overlays.font(26)) + 14
+    image, draw = captions.caption(528, 58, palette)
+    draw.text((2, 29), headline, palette.text, captions.font(26), anchor="lm")
+    x = 2 + draw.textlength(headline, font=captions.font(26)) + 14
     if true is not None:
-        overlays.draw_sign(draw, x, 18, 22, true, palette)
+        captions.draw_sign(draw, x, 18, 22, true, palette)
         x += 36
     right = 526.0
     if distance2 is not None:
-        right = overlays.draw_squared(draw, right, 29, f"{distance2:.3f}", 24, palette.text) - 14
-    draw.text((x, 30), overlays.fitted(draw, text, 22, right - x), palette.dim, overlays.font(22), anchor="lm")
+        right = captions.draw_squared(draw, right, 29, f"{distance2:.3f}", 24, palette.text) - 14
+    draw.text((x, 30), captions.fitted(draw, text, 22, right - x), palette.dim, captions.font(22), anchor="lm")
     return np.asarray(image)

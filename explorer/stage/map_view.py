@@ -16,7 +16,7 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
 from lpn.datasets import geo
-from lpn.drawing import overlays
+from lpn.drawing import captions, overlays, theme
 
 _LINES = 0.2
 _WORDS = SIDE - 2 * PICTURE
@@ -62,7 +62,7 @@ class GalleryMap:
             fov=0.7,
             aspect=1.0,
             scale=0.5,
-            color=overlays.UNKNOWN_COLOUR,
+            color=theme.UNKNOWN_COLOUR,
             visible=False,
             cast_shadow=False,
         )
@@ -85,7 +85,7 @@ class GalleryMap:
         palette = analysis.state.palette
         self._camera.color = palette.text
         self._query.show(overlays.framed(overlays.square(analysis.query.picture, 256), palette.text, 4))
-        colour = overlays.verdict_colour(analysis.chosen.true)
+        colour = theme.verdict_colour(analysis.chosen.true)
         self._tile.show(overlays.framed(overlays.square(analysis.tile.picture, 256), colour, 6))
         return viewpoint
 
@@ -153,14 +153,14 @@ class GalleryMap:
             if not plane.handle.visible:
                 continue
             match = analysis.matches[slot]
-            colour = overlays.verdict_colour(match.true)
+            colour = theme.verdict_colour(match.true)
             if city:
                 chosen = match.index == analysis.chosen.index
                 framed = overlays.outlined(160, colour, 7 if chosen else 4, 0.12 if chosen else 0.03)
             else:
                 picture = overlays.square(self._workspace.load_picture(analysis.task.gallery[match.index].path), 96)
                 framed = overlays.framed(picture, colour, 5)
-            plane.show(overlays.numbered(framed, match.rank))
+            plane.show(captions.numbered(framed, match.rank))
             plane.handle.render_width = plane.handle.render_height = side
             # The nearest lies on top where tiles overlap.
             height = (0.001 if city else 0.012) * (len(self._tiles) - slot)
@@ -189,7 +189,7 @@ class GalleryMap:
         self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None, lift: float
     ) -> None:
         """From the camera, or from the true place, to the compared tile; a frame around the true tile."""
-        segments: list[tuple[AnyArray, AnyArray, overlays.Colour]] = []
+        segments: list[tuple[AnyArray, AnyArray, theme.Colour]] = []
         chosen = self._place(places.ground[analysis.chosen.index], 0.0, lift)
         truth = None
         if analysis.positive is not None:
@@ -197,12 +197,12 @@ class GalleryMap:
             half = max(places.width * self._scale, 0.12) / 2
             signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
             corners = [np.add(truth, (x * half, y * half, 0.0)) for x, y in signs]
-            segments += [(corners[i], corners[(i + 1) % 4], overlays.TRUE_COLOUR) for i in range(4)]
+            segments += [(corners[i], corners[(i + 1) % 4], theme.TRUE_COLOUR) for i in range(4)]
         start = camera if camera is not None else truth
         if start is not None:
-            segments.append((start, chosen, overlays.verdict_colour(analysis.chosen.true)))
+            segments.append((start, chosen, theme.verdict_colour(analysis.chosen.true)))
         if camera is not None and truth is not None and not analysis.chosen.true:
-            segments.append((camera, truth, overlays.TRUE_COLOUR))
+            segments.append((camera, truth, theme.TRUE_COLOUR))
         self._lines.visible = bool(segments)
         if segments:
             self._lines.points = np.array([(a, b) for a, b, _ in segments], np.float32)
@@ -213,27 +213,27 @@ class GalleryMap:
         chosen = analysis.chosen
         name = analysis.task.gallery[chosen.index].name
         palette = analysis.state.palette
-        image, draw = overlays.caption(456, 252, palette)
+        image, draw = captions.caption(456, 252, palette)
         source = "your picture" if analysis.state.upload else analysis.task.query_view
-        draw.text((18, 30), "‹", palette.dim, overlays.font(34), anchor="lm")
-        draw.text((44, 30), "QUERY", palette.text, overlays.font(30), anchor="lm")
+        draw.text((18, 30), "‹", palette.dim, captions.font(34), anchor="lm")
+        draw.text((44, 30), "QUERY", palette.text, captions.font(30), anchor="lm")
         draw.text(
             (44, 66),
-            overlays.fitted(draw, f"{source} {analysis.name}", 24, 394),
+            captions.fitted(draw, f"{source} {analysis.name}", 24, 394),
             palette.dim,
-            overlays.font(24),
+            captions.font(24),
             anchor="lm",
         )
-        draw.text((438, 186), "›", palette.dim, overlays.font(34), anchor="rm")
-        draw.text((412, 186), f"RANK {chosen.rank}", palette.text, overlays.font(30), anchor="rm")
-        left = 412 - draw.textlength(f"RANK {chosen.rank}", font=overlays.font(30))
-        overlays.draw_sign(draw, left - 40, 174, 24, chosen.true, palette)
-        tile = overlays.fitted(draw, f"{analysis.task.gallery_view} {name}", 24, 394)
-        draw.text((412, 222), tile, palette.dim, overlays.font(24), anchor="rm")
+        draw.text((438, 186), "›", palette.dim, captions.font(34), anchor="rm")
+        draw.text((412, 186), f"RANK {chosen.rank}", palette.text, captions.font(30), anchor="rm")
+        left = 412 - draw.textlength(f"RANK {chosen.rank}", font=captions.font(30))
+        captions.draw_sign(draw, left - 40, 174, 24, chosen.true, palette)
+        tile = captions.fitted(draw, f"{analysis.task.gallery_view} {name}", 24, 394)
+        draw.text((412, 222), tile, palette.dim, captions.font(24), anchor="rm")
         if analysis.errors_m is not None:
-            colour = palette.ink(overlays.verdict_colour(chosen.true))
+            colour = palette.ink(theme.verdict_colour(chosen.true))
             draw.text(
-                (228, 126), f"{analysis.errors_m[chosen.index]:,.0f} m off", colour, overlays.font(40), anchor="mm"
+                (228, 126), f"{analysis.errors_m[chosen.index]:,.0f} m off", colour, captions.font(40), anchor="mm"
             )
         return np.asarray(image)
 

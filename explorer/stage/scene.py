@@ -20,8 +20,8 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.core.views import View
-from lpn.drawing import overlays
-from lpn.drawing.overlays import Palette
+from lpn.drawing import captions, overlays, theme
+from lpn.drawing.theme import Palette
 from lpn.explain import Evidence
 from lpn.retrieval import DescribedPicture, Match
 
@@ -131,7 +131,7 @@ class Stage:
         self._links: viser.LineSegmentsHandle = scene.add_line_segments(
             "/links",
             np.zeros((2 * self._n, 2, 3), np.float32),
-            _link_colours(np.ones(self._n), overlays.DARK),
+            _link_colours(np.ones(self._n), theme.DARK),
             thickness=2.5,
             thickness_units="screen",
         )
@@ -185,7 +185,7 @@ class Stage:
             return
         left = self._decorated(analysis, 0, analysis.query, task.query_view)
         right = self._decorated(analysis, 1, analysis.tile, task.gallery_view)
-        right = overlays.framed(right, overlays.verdict_colour(analysis.chosen.true), 6)
+        right = overlays.framed(right, theme.verdict_colour(analysis.chosen.true), 6)
         with self._client.atomic():
             self._query.show(left, self._query_caption(analysis), task.query_view, state.exploded, 1.0)
             self._tile.show(right, self._tile_caption(analysis), task.gallery_view, state.exploded, -1.0)
@@ -240,7 +240,7 @@ class Stage:
 
     def _gutter_picture(self, chosen: Match, palette: Palette) -> UInt8Array:
         """For each part: its name, cosine, and share of the distance as a bar."""
-        image, draw = overlays.caption(260, 660, palette)
+        image, draw = captions.caption(260, 660, palette)
         rows = _row_heights(self._layout, self._n)
         size = 30 if self._n <= 6 else 22
         for part in range(self._n):
@@ -251,7 +251,7 @@ class Stage:
     def _gutter_row(self, chosen: Match, palette: Palette) -> UInt8Array:
         """The same one beside the other, each below the query's strip and above the tile's."""
         width, height = self._layout.gutter[1]
-        image, draw = overlays.caption(1280, round(1280 * height / width), palette)
+        image, draw = captions.caption(1280, round(1280 * height / width), palette)
         room = 1280 / self._n
         size = 24 if self._n <= 6 else 19
         for part in range(self._n):
@@ -272,9 +272,9 @@ class Stage:
         """A part's share of the distance as a bar from the height `y` down, its name above, cosine and share below."""
         left, right = sides
         (size, small), middle = sizes, (left + right) / 2
-        colour = overlays.part_colour(part)
-        name = overlays.fitted(draw, self._workspace.part_names[part], size, right - left)
-        draw.text((middle, y - 6), name, palette.ink(colour), overlays.font(size), anchor="mb")
+        colour = theme.part_colour(part)
+        name = captions.fitted(draw, self._workspace.part_names[part], size, right - left)
+        draw.text((middle, y - 6), name, palette.ink(colour), captions.font(size), anchor="mb")
         draw.rectangle((left, y, right, y + 9), fill=palette.track)
         full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)
         length = (right - left) * float(chosen.shares[part]) / full
@@ -282,11 +282,11 @@ class Stage:
             draw.rectangle((left, y, left + length, y + 9), fill=colour)
         below = y + 16 + small / 2
         if chosen.shares[part] == 0 and chosen.cosines[part] < 1:
-            draw.text((middle, below), "off", palette.dim, overlays.font(small), anchor="mm")
+            draw.text((middle, below), "off", palette.dim, captions.font(small), anchor="mm")
         else:
             cosine = f"cos {chosen.cosines[part]:.2f}"
-            draw.text((left, below), cosine, palette.dim, overlays.font(small), anchor="lm")
-            overlays.draw_squared(draw, right, below, f"{chosen.shares[part]:.3f}", small, palette.dim)
+            draw.text((left, below), cosine, palette.dim, captions.font(small), anchor="lm")
+            captions.draw_squared(draw, right, below, f"{chosen.shares[part]:.3f}", small, palette.dim)
 
     def _link_points(self, analysis: StateAnalysis) -> Float32Array:
         """Two segments per part: query ring to its place in the gutter, and from there to the tile's ring."""
@@ -312,7 +312,7 @@ def _row_heights(layout: Layout, n: int) -> list[float]:
 
 def _link_colours(weights: AnyArray, palette: Palette) -> UInt8Array:
     """Each part's links in its colour, nearly that of the ground where the part counts nothing."""
-    colours = [overlays.part_colour(part) if weight > 0 else palette.off for part, weight in enumerate(weights)]
+    colours = [theme.part_colour(part) if weight > 0 else palette.off for part, weight in enumerate(weights)]
     return np.repeat(np.array(colours, np.uint8), 2, axis=0)[:, None].repeat(2, axis=1)
 
 

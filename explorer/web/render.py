@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from explorer.web.style import part_ink, verdict_ink
 from lpn.core.templates import environment
-from lpn.drawing import charts, overlays
+from lpn.drawing import charts, theme
 
 SIGNS: dict[bool | None, str] = {True: "✓", False: "✗", None: "?"}
 # A keyboard reaches an element with these attributes; `viewport.js` makes Enter and Space click it.
@@ -44,6 +44,6 @@ _ENVIRONMENT.globals.update(
     verdict_ink=verdict_ink,
     part_colour=charts.part_colour,
     share_bar=charts.share_bar,
-    verdict_colour=lambda true: overlays.css(overlays.verdict_colour(true)),
+    verdict_colour=lambda true: theme.css(theme.verdict_colour(true)),
     signs=SIGNS,
 )

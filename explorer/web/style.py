@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lpn.drawing import charts, overlays
+from lpn.drawing import charts, theme
 
 # In the order of the cascade: a later sheet overrides an earlier one.
 _SHEETS = ("panels", "page", "tour", "explain", "failure_lab")
-_VARIABLES = {f"part-{i}": colour for i, colour in enumerate(overlays.PART_COLOURS)} | {
-    "true": overlays.TRUE_COLOUR,
-    "false": overlays.FALSE_COLOUR,
-    "unknown": overlays.UNKNOWN_COLOUR,
+_VARIABLES = {f"part-{i}": colour for i, colour in enumerate(theme.PART_COLOURS)} | {
+    "true": theme.TRUE_COLOUR,
+    "false": theme.FALSE_COLOUR,
+    "unknown": theme.UNKNOWN_COLOUR,
 }
 
 
 def part_ink(part: int) -> str:
     """Return the text colour of a part; it follows the page's theme."""
-    return f"var(--lpn-part-{part % len(overlays.PART_COLOURS)})"
+    return f"var(--lpn-part-{part % len(theme.PART_COLOURS)})"
 
 
 def verdict_ink(true: bool | None) -> str:
@@ -25,8 +25,8 @@ def verdict_ink(true: bool | None) -> str:
     return f"var(--lpn-{'unknown' if true is None else 'true' if true else 'false'})"
 
 
-def _variables(palette: overlays.Palette) -> str:
-    return ";".join(f"--lpn-{name}:{overlays.css(palette.ink(colour))}" for name, colour in _VARIABLES.items())
+def _variables(palette: theme.Palette) -> str:
+    return ";".join(f"--lpn-{name}:{theme.css(palette.ink(colour))}" for name, colour in _VARIABLES.items())
 
 
 def _read_sheets() -> str:
@@ -35,6 +35,6 @@ def _read_sheets() -> str:
 
 
 STYLE = (
-    f"<style>:root{{{_variables(overlays.DARK)}}}:root[data-mantine-color-scheme=light]{{{_variables(overlays.LIGHT)}}}"
+    f"<style>:root{{{_variables(theme.DARK)}}}:root[data-mantine-color-scheme=light]{{{_variables(theme.LIGHT)}}}"
     f"{charts.STYLE}{_read_sheets()}</style>"
 )

@@ -77,7 +77,7 @@ class ExplainCommand:
         of |= {"view_query": self.view_query, "view_match": self.view_match, "rotate": self.rotate}
         values = of | (found.to_dict(names) if losses is None else occlusion.to_dict(found, losses, names))
         _show(console, found, names)
-        console.print(verdicts.why(found, names, *views), markup=False)
+        console.print(verdicts.describe_evidence(found, names, *views), markup=False)
         if self.json is not None:
             write_atomic(self.json, (json.dumps(values, indent=1) + "\n").encode())
         if self.png is not None:

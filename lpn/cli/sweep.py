@@ -149,7 +149,7 @@ def _said(profile: Profile, views: tuple[View, View]) -> list[str]:
     lines.append(
         _sentence("The top score, which is seen without knowing the truth, is highest", profile, profile.best_blind)
     )
-    if guess := verdicts.heading(profile, views):
+    if guess := verdicts.describe_heading(profile, views):
         lines.append(guess)
     return lines
 

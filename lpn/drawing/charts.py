@@ -19,14 +19,14 @@ from markupsafe import Markup
 
 from lpn.core.arrays import FloatingArray
 from lpn.core.templates import environment
-from lpn.drawing import overlays
+from lpn.drawing import theme
 from lpn.explain import Evidence
 from lpn.explain.sweeps import UNITS, Point, Profile, signed_value
 
 STYLE = (Path(__file__).parent / "css" / "charts.css").read_text("utf-8")
 EVIDENCE_COLOURS = {
-    "cells for": overlays.css(overlays.FOR),
-    "cells against": overlays.css(overlays.AGAINST),
+    "cells for": theme.css(theme.FOR),
+    "cells against": theme.css(theme.AGAINST),
     "constant": "var(--chart-constant, #828282)",
 }
 
@@ -75,7 +75,7 @@ class _Panel:
 
 def part_colour(part: int) -> str:
     """Return the CSS colour of a part."""
-    return overlays.css(overlays.part_colour(part))
+    return theme.css(theme.part_colour(part))
 
 
 def share_bar(shares: FloatingArray, full: float, names: Sequence[str]) -> Markup:

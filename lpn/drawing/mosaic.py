@@ -10,13 +10,13 @@ import numpy as np
 from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
-from lpn.drawing import overlays
+from lpn.drawing import overlays, theme
 
 # Pixels of the mosaic's longer side.
 LARGEST = 1536
 # A larger gallery is drawn from an even sample of this many tiles.
 MOST_TILES = 2000
-_EARTH: overlays.Colour = (38, 40, 42)
+_EARTH: theme.Colour = (38, 40, 42)
 
 
 def draw(geometry: GalleryGeometry, files: Sequence[Path]) -> UInt8Array:

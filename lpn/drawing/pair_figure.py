@@ -9,8 +9,9 @@ from PIL import Image, ImageDraw
 from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.views import View
-from lpn.drawing import overlays, verdicts
-from lpn.drawing.overlays import AGAINST, BACKGROUND, DIM, FOR, TEXT, font
+from lpn.drawing import captions, overlays, theme, verdicts
+from lpn.drawing.captions import font
+from lpn.drawing.theme import AGAINST, BACKGROUND, DIM, FOR, TEXT
 from lpn.explain import Evidence
 from lpn.models.spec import ModelSpec
 
@@ -41,15 +42,15 @@ def draw(
     bars_top = 96 + height + 40
     image = Image.new("RGB", (_WIDTH, bars_top + _ROW * len(names) + 96), BACKGROUND)
     pen = ImageDraw.Draw(image)
-    said = verdicts.why(found, names, *views)
-    pen.text((_MARGIN, 32), overlays.fitted(pen, said, 22, _WIDTH - 2 * _MARGIN), TEXT, font(22), anchor="lm")
+    said = verdicts.describe_evidence(found, names, *views)
+    pen.text((_MARGIN, 32), captions.fitted(pen, said, 22, _WIDTH - 2 * _MARGIN), TEXT, font(22), anchor="lm")
     maps = [found.query.total(found.weights), found.tile.total(found.weights)]
     if losses is not None:
         maps = [np.tensordot(found.weights, losses, 1), np.zeros((1, 1))]
     limit = max(*(float(np.abs(cells).max()) for cells in maps), 1e-9)
     for column, cells in enumerate(maps):
         left = _MARGIN + column * (room + _MARGIN)
-        title = overlays.fitted(pen, titles[column], 20, room)
+        title = captions.fitted(pen, titles[column], 20, room)
         pen.text((left, 76), title, DIM, font(20), anchor="lm")
         partition = spec.partition(views[column])
         shown = overlays.with_evidence(images.resize(pictures[column], height, room), cells, limit)
@@ -72,7 +73,7 @@ def _bars(pen: ImageDraw.ImageDraw, found: Evidence, names: list[str], top: int)
     for part, name in enumerate(names):
         y = top + _ROW * part + 8
         added = float(found.contributions[part])
-        pen.text((_MARGIN, y + 9), f"part {name}", overlays.part_colour(part), font(20), anchor="lm")
+        pen.text((_MARGIN, y + 9), f"part {name}", theme.part_colour(part), font(20), anchor="lm")
         said = f"cos {found.cosines[part]:+.3f}, weight {100 * found.weights[part]:.0f} %"
         pen.text((_MARGIN + 170, y + 9), said, DIM, font(18), anchor="lm")
         ends = [zero, zero]

@@ -1,4 +1,4 @@
-"""The sentences that say what figures mean."""
+"""Sentences that say what the numbers of an explanation mean."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.views import View
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, Reweighting, Without
-from lpn.explain.sweeps import Profile
+from lpn.explain.sweeps import Profile, signed_value
 from lpn.retrieval import Match
 
 _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")
 _COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
+# Cells lie on one side if their mean is farther from the centre than this share of their mean distance from it.
 _ONE_SIDED = 0.25
-"""How far the middle of some cells must be off the picture's, as a share of their mean distance from it."""
 
 
 def ordinal(rank: int) -> str:
-    """1st, 2nd, 3rd, 4th, ..."""
+    """Return 1st, 2nd, 3rd, 4th, ..."""
     suffix = "th" if 10 <= rank % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(rank % 10, "th")
     return f"{rank}{suffix}"
 
 
-def where(cells: Float64Array, view: View) -> str:
-    """Where in a picture the cells (h, w) above zero lie: "upper right" or, on a satellite tile, "north-east".
+def describe_position(cells: Float64Array, view: View) -> str:
+    """Say where in a picture the positive cells, of (h, w), lie: "upper right" or, on a satellite tile, "north-east".
 
-    "all around" where they lie on no side more than on others. A tile that is unrolled, so wide, has no north at its top.
+    "all around" means that they lie on no side. An unrolled tile, which is wide, does not have north at its top.
     """
     weights = np.maximum(cells, 0.0)
     height, width = cells.shape
@@ -42,64 +42,73 @@ def where(cells: Float64Array, view: View) -> str:
     return (_COMPASS if view == "satellite" and width < 2 * height else _SIDES)[sector]
 
 
-def why(found: Evidence, names: Sequence[str], query_view: View, tile_view: View) -> str:
-    """One sentence on what a pair's score comes from."""
-    added = found.contributions
-    most = int(np.argmax(added))
-    here, there = where(found.query.cells[most], query_view), where(found.tile.cells[most], tile_view)
-    constant = float(found.query.constants[most])
-    around = here == there == "all around"
-    places = "all over it" if around else f"where {_of('query', here)} agrees with {_of('tile', there)}"
-    if constant > found.cosines[most] / 2:
+def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View, tile_view: View) -> str:
+    """Say which part, and which places of the two pictures, a pair's score comes from."""
+    contributions = evidence.contributions
+    best, worst = int(np.argmax(contributions)), int(np.argmin(contributions))
+    query_place = describe_position(evidence.query.cells[best], query_view)
+    tile_place = describe_position(evidence.tile.cells[best], tile_view)
+    if float(evidence.query.constants[best]) > evidence.cosines[best] / 2:
         places = "most of it by a constant that comes from no cell"
-    said = f"Part {names[most]} adds most to the score ({added[most]:+.3f} of {found.score:.3f}), {places}."
-    constants = float(found.query.constants @ found.weights)
-    if constants > found.score / 2 > 0:
-        said += (
-            f" Of the whole score {constants:+.3f} is constants: what the network takes both pictures for, rather than what they "
-            "show."
+    elif query_place == tile_place == "all around":
+        places = "all over it"
+    else:
+        places = f"where {_place('query', query_place)} agrees with {_place('tile', tile_place)}"
+    text = f"Part {names[best]} adds most to the score ({contributions[best]:+.3f} of {evidence.score:.3f}), {places}."
+    constants = float(evidence.query.constants @ evidence.weights)
+    if constants > evidence.score / 2 > 0:
+        text += (
+            f" Of the whole score, {constants:+.3f} is constants: what the network takes both pictures for, rather than "
+            "what they show."
         )
-    least = int(np.argmin(added))
-    if added[least] < 0:
-        said += f" Part {names[least]} speaks against the pair ({added[least]:+.3f})."
-    return said
+    if contributions[worst] < 0:
+        text += f" Part {names[worst]} speaks against the pair ({contributions[worst]:+.3f})."
+    return text
 
 
 def verdict(
-    first: Match, truth: Match | None, rival: Match | None, part_names: Sequence[str], metres: float | None = None
+    first: Match,
+    positive: Match | None,
+    negative: Match | None,
+    part_names: Sequence[str],
+    error_m: float | None = None,
 ) -> tuple[bool | None, str, str]:
-    """Whether the top match is true, a headline, and one sentence that says why, for a query whose place is known.
+    """Judge the answer to a query whose place is known.
 
-    The part that decides is the one with the largest exact difference of shares of the squared distance.
+    The decisive part is the one with the largest difference of shares of the squared distance.
 
     Args:
         first: the top match.
-        truth: the nearest true match, None where the gallery has none.
-        rival: the nearest tile that is not true, None where there is none to speak of.
-        metres: how far the top match is from what the query shows, where that is known.
+        positive: the nearest true match; None where the gallery has none.
+        negative: the hardest negative; None where there is no wrong tile to compare with.
+        error_m: metres from what the query shows to the top match; None where that is unknown.
+
+    Returns:
+        True where the top match is true, False where it is wrong, None where no answer can be right; a headline; and
+        a sentence that gives the reason.
     """
-    gap = f"the next tile is {first.gap:.3f} further away (d²)" if first.gap is not None else "there is no other tile"
-    if truth is None:
+    if positive is None:
         return None, "No true tile", "The gallery has no tile of this place, so no answer can be right."
-    if truth.rank == 1:
-        if rival is None:
+    if positive.rank == 1:
+        if negative is None:
+            gap = (
+                "there is no other tile" if first.gap is None else f"the next tile is {first.gap:.3f} further away (d²)"
+            )
             return True, "Found: the top match is true", f"No wrong tile is near; {gap}."
-        part = int(np.argmax(rival.shares - truth.shares))
-        gain = float(rival.shares[part] - truth.shares[part])
-        ahead = rival.distance2 - truth.distance2
+        part, gain = _largest(negative.shares - positive.shares)
+        margin = negative.distance2 - positive.distance2
         return (
             True,
             "Found: the top match is true",
-            f"It leads the best wrong tile by {ahead:.3f} (d²); part {part_names[part]} does most of it (+{gain:.3f}).",
+            f"It leads the best wrong tile by {margin:.3f} (d²); part {part_names[part]} does most of it (+{gain:.3f}).",
         )
-    part = int(np.argmax(truth.shares - first.shares))
-    loss = float(truth.shares[part] - first.shares[part])
-    behind = truth.distance2 - first.distance2
-    off = "" if metres is None else f" The answer is {metres:,.0f} m off."
+    part, loss = _largest(positive.shares - first.shares)
+    deficit = positive.distance2 - first.distance2
+    off = "" if error_m is None else f" The answer is {error_m:,.0f} m off."
     return (
         False,
-        f"Wrong: the true tile is {ordinal(truth.rank)}",
-        f"It is {behind:.3f} (d²) behind the top match; part {part_names[part]} costs it most ({loss:+.3f}).{off}",
+        f"Wrong: the true tile is {ordinal(positive.rank)}",
+        f"It is {deficit:.3f} (d²) behind the top match; part {part_names[part]} costs it most ({loss:+.3f}).{off}",
     )
 
 
@@ -110,52 +119,48 @@ def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str 
         margin: each part's share of the margin in squared distance, (n,).
         name: of the tile.
     """
-    total = float(margin.sum())
-    name = f"{name[0].upper()}{name[1:]}"
-    part = int(np.argmax(margin) if total >= 0 else np.argmin(margin))
+    total, name = float(margin.sum()), f"{name[0].upper()}{name[1:]}"
     if total >= 0:
-        return f"{name} leads by {total:.3f} (d²); part {part_names[part]} does most of it ({margin[part]:+.3f})."
-    return f"{name} is {-total:.3f} (d²) behind; part {part_names[part]} costs it most ({margin[part]:+.3f})."
+        part, gain = _largest(margin)
+        return f"{name} leads by {total:.3f} (d²); part {part_names[part]} does most of it ({gain:+.3f})."
+    part, loss = _largest(-margin)
+    return f"{name} is {-total:.3f} (d²) behind; part {part_names[part]} costs it most ({-loss:+.3f})."
 
 
-def left_out(found: Without, part_names: Sequence[str], who: str = "the true tile") -> str:
-    """One sentence on which part, were it left out, would change the place of the truth, or of who is followed, most."""
-    if found.now.rank == 1:
-        lost = [i for i, one in enumerate(found.without) if one is not None and one.rank > 1]
-        if not lost:
-            return f"No single part is needed: without any one of them {who} stays first."
-        worst = max(lost, key=lambda i: found.without[i].rank)  # type: ignore[union-attr]
-        standing = found.without[worst]
-        assert standing is not None
-        more = f" ({len(lost)} of {len(found.without)} parts are needed)" if len(lost) > 1 else ""
-        return f"Without part {part_names[worst]} {who} would fall to {ordinal(standing.rank)}{more}."
-    if found.cure is not None:
-        return f"Without part {part_names[found.cure]} {who} would be first."
-    ranks = {i: one.rank for i, one in enumerate(found.without) if one is not None}
-    said = "No single part is to blame alone"
+def describe_ablation(without: Without, part_names: Sequence[str], name: str = "the true tile") -> str:
+    """Say which part, left out, would change the rank of a tile most."""
+    ranks = {part: standing.rank for part, standing in enumerate(without.without) if standing is not None}
+    if without.now.rank == 1:
+        needed = [part for part, rank in ranks.items() if rank > 1]
+        if not needed:
+            return f"No single part is needed: without any one of them {name} stays first."
+        worst = max(needed, key=ranks.__getitem__)
+        more = f" ({len(needed)} of {len(without.without)} parts are needed)" if len(needed) > 1 else ""
+        return f"Without part {part_names[worst]} {name} would fall to {ordinal(ranks[worst])}{more}."
+    if without.cure is not None:
+        return f"Without part {part_names[without.cure]} {name} would be first."
+    text = "No single part is to blame alone"
     best = min(ranks, key=ranks.__getitem__, default=0)
-    if ranks and ranks[best] < found.now.rank:
-        said += f": at best, without part {part_names[best]}, {who} would be {ordinal(ranks[best])}"
+    if ranks and ranks[best] < without.now.rank:
+        text += f": at best, without part {part_names[best]}, {name} would be {ordinal(ranks[best])}"
     elif ranks:
-        said += f": {who} ranks no better without any one of them"
-    if found.best_alone is not None:
-        said += f"; part {part_names[found.best_alone]} alone puts it first"
-    return f"{said}."
+        text += f": {name} ranks no better without any one of them"
+    if without.best_alone is not None:
+        text += f"; part {part_names[without.best_alone]} alone puts it first"
+    return f"{text}."
 
 
-def reweighted(change: Reweighting | None, effect: Effect | None) -> str:
-    """One sentence on the smallest change of part weights that puts the truth first, and what it does to all queries."""
+def describe_reweighting(change: Reweighting | None, effect: Effect | None) -> str:
+    """State the smallest change of part weights that puts the positive first, and its effect on all queries."""
     if change is None:
         return "No choice of part weights would put the true tile first."
     shares = " : ".join(f"{100 * weight:.0f}" for weight in change.weights)
-    said = f"The smallest change of part weights that puts the true tile first is {shares} %"
-    if effect is None:
-        return f"{said}."
-    return f"{said}; {helps(effect)}."
+    text = f"The smallest change of part weights that puts the true tile first is {shares} %"
+    return f"{text}." if effect is None else f"{text}; {describe_effect(effect)}."
 
 
-def helps(effect: Effect) -> str:
-    """What other part weights do to all queries, as the end of a sentence."""
+def describe_effect(effect: Effect) -> str:
+    """Say what other part weights do to all queries, as a clause."""
     verb = "helps" if effect.helps else "harms" if len(effect.lost) > len(effect.gained) else "neither helps nor harms"
     return (
         f"over all {effect.queries:,} queries it {verb}: {len(effect.gained)} gained, {len(effect.lost)} lost, R@1 "
@@ -163,42 +168,43 @@ def helps(effect: Effect) -> str:
     )
 
 
-def turned(profile: Profile, views: tuple[View, View]) -> str:
-    """What turning the query would change: where what is followed ranks best, and what the top score says.
+def describe_rotation(profile: Profile, views: tuple[View, View]) -> str:
+    """Say at which rotation of the query the followed tile ranks best, and what heading the top score suggests.
 
     Args:
         views: of the query and of the tiles.
     """
-    best = profile.best_rank
-    who = "The true tile" if best.true else "The tile"
-    now = profile.unchanged
+    best, now = profile.best_rank, profile.unchanged
+    name = "The true tile" if best.true else "The tile"
     if not best.change.rotate or (now is not None and now.rank == best.rank):
-        said = f"{who} ranks best with the query as it is ({ordinal(best.rank if now is None else now.rank)})."
+        text = f"{name} ranks best with the query as it is ({ordinal(best.rank if now is None else now.rank)})."
     else:
         before = "" if now is None else f" instead of {ordinal(now.rank)}"
-        said = f"{who} ranks best when the query is turned {_signed(best.change.rotate)}: {ordinal(best.rank)}{before}."
-    return f"{said} {heading(profile, views)}".strip()
+        angle = signed_value("rotation", best.change)
+        text = f"{name} ranks best when the query is turned {angle:g}°: {ordinal(best.rank)}{before}."
+    return f"{text} {describe_heading(profile, views)}".strip()
 
 
-def heading(profile: Profile, views: tuple[View, View]) -> str:
-    """Where the top of the query points, guessed from the top score alone; empty where that would mean nothing.
+def describe_heading(profile: Profile, views: tuple[View, View]) -> str:
+    """Guess from the top score alone where the top of the query points.
 
-    It means something for a drone's picture, which has one heading, against satellite tiles, which are north-up.
+    The text is empty unless a drone's picture, which has one heading, is compared with north-up satellite tiles.
     """
-    blind = profile.best_blind
-    found = profile.heading()
-    if found is None or views != ("drone", "satellite"):
+    heading = profile.heading()
+    if heading is None or views != ("drone", "satellite"):
         return ""
+    angle = signed_value("rotation", profile.best_blind.change)
     return (
-        f"The top score, seen without knowing the truth, is highest at {_signed(blind.change.rotate)}: by that, the picture's "
-        f"top points {found:.0f}° clockwise from north, a rough guess."
+        f"The top score, seen without knowing the truth, is highest at {angle:g}°: by that, the picture's "
+        f"top points {heading:.0f}° clockwise from north, a rough guess."
     )
 
 
-def _signed(degrees: float) -> str:
-    """A turn by the shorter way: 240 degrees are -120."""
-    return f"{degrees - 360 if degrees > 180 else degrees:g}°"
+def _largest(differences: FloatingArray) -> tuple[int, float]:
+    """Return the part with the largest difference, and that difference."""
+    part = int(np.argmax(differences))
+    return part, float(differences[part])
 
 
-def _of(picture: str, place: str) -> str:
-    return f"all of the {picture}" if place == "all around" else f"the {picture}'s {place}"
+def _place(picture: str, position: str) -> str:
+    return f"all of the {picture}" if position == "all around" else f"the {picture}'s {position}"

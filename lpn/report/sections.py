@@ -123,11 +123,11 @@ def summary(case: Case, task: Task) -> tuple[str, str]:
 def _sentences(case: Case, task: Task) -> list[str]:
     sentences = []
     if case.without is not None:
-        sentences.append(verdicts.left_out(case.without, task.part_names))
+        sentences.append(verdicts.describe_ablation(case.without, task.part_names))
     if case.positive is not None and case.positive.rank > 1:
-        sentences.append(verdicts.reweighted(case.change, case.effect))
+        sentences.append(verdicts.describe_reweighting(case.change, case.effect))
     if case.profile is not None:
-        sentences.append(verdicts.turned(case.profile, task.views))
+        sentences.append(verdicts.describe_rotation(case.profile, task.views))
     return sentences
 
 
@@ -191,7 +191,7 @@ def _evidence(case: Case, tiles: Sequence[_Tile], task: Task) -> _Evidence:
             (_with_evidence(pair.picture, cells[1], limit, task, 1), f"tile {tile.name}"),
         ]
         bars = list(zip(charts.evidence_bars(one, span), one.contributions.tolist(), strict=True))
-        sentence = verdicts.why(one, task.part_names, *task.views)
+        sentence = verdicts.describe_evidence(one, task.part_names, *task.views)
         pairs.append((tile, _PairEvidence(one.score, sentence, drawn, bars)))
     return _Evidence(pairs, limit, overlays.data_uri(overlays.evidence_scale(240, 20), 90))
 

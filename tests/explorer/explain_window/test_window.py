@@ -367,7 +367,7 @@ def test_an_effect_is_computed_from_one_pair_and_stored_for_that_pair_only(
 
 def test_weights_that_change_nothing_neither_help_nor_harm() -> None:
     same = Effect(70.0, 70.0, np.array([1]), np.array([2]), 13)
-    assert "it neither helps nor harms: 1 gained, 1 lost" in verdicts.helps(same)
+    assert "it neither helps nor harms: 1 gained, 1 lost" in verdicts.describe_effect(same)
 
 
 def test_a_window_fits_the_room_that_the_page_tells() -> None:

@@ -25,7 +25,7 @@ from explorer.workspace import Workspace
 from lpn.analysis import breakdown, notes
 from lpn.core.errors import InputError, OutputError
 from lpn.core.tables import Column, Table, number_column, text_column
-from lpn.drawing import overlays
+from lpn.drawing import theme
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
@@ -292,13 +292,13 @@ def test_found_and_failed_are_drawn_where_they_are_in_other_shapes() -> None:
         assert drawn.near(x, y).tolist() == [row]
         column, line = round(x * 800), round(y * 600)
         patch = drawn.picture[line - 12 : line + 13, column - 12 : column + 13].reshape(-1, 3)
-        shown, other = (overlays.FALSE_COLOUR, overlays.TRUE_COLOUR)[:: 1 if bad else -1]
+        shown, other = (theme.FALSE_COLOUR, theme.TRUE_COLOUR)[:: 1 if bad else -1]
         count = int((patch == shown).all(axis=1).sum())
         assert count > 20
         assert not (patch == other).all(axis=1).any()
         beside = drawn.picture[line, column + 5]
-        assert tuple(beside) != overlays.FALSE_COLOUR  # a cross has nothing there, a dot has
-        assert (tuple(beside) == overlays.TRUE_COLOUR) == (not bad)
+        assert tuple(beside) != theme.FALSE_COLOUR  # a cross has nothing there, a dot has
+        assert (tuple(beside) == theme.TRUE_COLOUR) == (not bad)
     assert drawn.near(0.02, 0.02).tolist() == []
 
 
@@ -318,9 +318,7 @@ def test_a_place_of_several_queries_shows_the_share_that_failed() -> None:
     points = MapPoints(places, places, ground=ground)
     drawn = draw(points, failed, np.ones(4, bool), np.full(4, -1), (400, 300), False)
     patch = drawn.picture[280:321, 380:421].reshape(-1, 3)
-    blue, yellow = (
-        int((patch == colour).all(axis=1).sum()) for colour in (overlays.FALSE_COLOUR, overlays.TRUE_COLOUR)
-    )
+    blue, yellow = (int((patch == colour).all(axis=1).sum()) for colour in (theme.FALSE_COLOUR, theme.TRUE_COLOUR))
     assert blue / (blue + yellow) == pytest.approx(0.25, abs=0.06)
     assert tuple(drawn.picture[500, 400]) == (100, 100, 100)  # the ground, dimmed
 

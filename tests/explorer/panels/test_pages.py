@@ -14,7 +14,7 @@ from explorer.session_state import SessionState
 from explorer.web import style
 from explorer.web.bridge import PageBridge
 from explorer.workspace import StateAnalyser, Workspace
-from lpn.drawing import overlays
+from lpn.drawing import captions, theme
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
@@ -25,26 +25,26 @@ def workspace(data: Path, model_file: Path) -> Workspace:
     return open_model(data, model_file)
 
 
-@pytest.mark.parametrize("palette", [overlays.DARK, overlays.LIGHT], ids=["dark", "light"])
-def test_words_can_be_read_in_both_themes(palette: overlays.Palette) -> None:
-    colours = (*overlays.PART_COLOURS, overlays.TRUE_COLOUR, overlays.FALSE_COLOUR, overlays.UNKNOWN_COLOUR)
+@pytest.mark.parametrize("palette", [theme.DARK, theme.LIGHT], ids=["dark", "light"])
+def test_words_can_be_read_in_both_themes(palette: theme.Palette) -> None:
+    colours = (*theme.PART_COLOURS, theme.TRUE_COLOUR, theme.FALSE_COLOUR, theme.UNKNOWN_COLOUR)
     inks = [palette.ink(colour) for colour in colours]
     for ink in (*inks, palette.text, palette.dim):
-        assert overlays.contrast(ink, palette.background) >= overlays.READABLE
+        assert theme.contrast(ink, palette.background) >= theme.MIN_CONTRAST
     assert len(set(inks)) == len(inks)
 
 
 def test_a_colour_that_can_be_read_is_not_changed() -> None:
-    assert overlays.contrast((0, 0, 0), (255, 255, 255)) == pytest.approx(21)
-    assert overlays.DARK.ink(overlays.TRUE_COLOUR) == overlays.TRUE_COLOUR
-    assert overlays.LIGHT.ink(overlays.TRUE_COLOUR) != overlays.TRUE_COLOUR
+    assert theme.contrast((0, 0, 0), (255, 255, 255)) == pytest.approx(21)
+    assert theme.DARK.ink(theme.TRUE_COLOUR) == theme.TRUE_COLOUR
+    assert theme.LIGHT.ink(theme.TRUE_COLOUR) != theme.TRUE_COLOUR
 
 
 def test_the_theme_follows_the_state() -> None:
-    assert SessionState("t", 2).palette is overlays.DARK
-    assert SessionState("t", 2, dark=False).palette is overlays.LIGHT
-    image, _ = overlays.caption(4, 4, overlays.LIGHT)
-    assert image.getpixel((0, 0)) == overlays.LIGHT.background
+    assert SessionState("t", 2).palette is theme.DARK
+    assert SessionState("t", 2, dark=False).palette is theme.LIGHT
+    image, _ = captions.caption(4, 4, theme.LIGHT)
+    assert image.getpixel((0, 0)) == theme.LIGHT.background
 
 
 def test_every_ink_of_the_html_is_in_the_styles() -> None:

@@ -13,7 +13,7 @@ from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import DataError, InputError
-from lpn.drawing import overlays
+from lpn.drawing import captions, overlays, theme
 from lpn.models.partition import Partition
 from tools.fixtures import small_worlds
 
@@ -141,9 +141,9 @@ def test_a_city_that_cannot_be_used_is_said_and_left_out(
 
 
 def test_a_frame_over_the_city_shows_what_is_below_it() -> None:
-    drawn = overlays.outlined(40, overlays.TRUE_COLOUR, 3, 0.1)
+    drawn = overlays.outlined(40, theme.TRUE_COLOUR, 3, 0.1)
     assert drawn.shape == (40, 40, 4)
     assert (drawn[..., 3] == 255).sum() == 40**2 - 34**2
     assert drawn[20, 20, 3] == 26
-    assert tuple(drawn[0, 0, :3]) == overlays.TRUE_COLOUR
-    assert (overlays.numbered(drawn, 7)[8, 8] == (*overlays.BACKGROUND, 255)).all()
+    assert tuple(drawn[0, 0, :3]) == theme.TRUE_COLOUR
+    assert (captions.numbered(drawn, 7)[8, 8] == (*theme.BACKGROUND, 255)).all()

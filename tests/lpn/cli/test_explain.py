@@ -86,21 +86,24 @@ def test_sides_of_a_tile_are_told_by_the_compass(row: int, column: int, picture:
     cells[row, column] = 1
     if picture == "right":
         cells[2, column] = 1
-    assert (verdicts.where(cells, "drone"), verdicts.where(cells, "satellite")) == (picture, tile)
-    assert verdicts.where(np.ones((4, 4)), "drone") == "all around"
+    assert (verdicts.describe_position(cells, "drone"), verdicts.describe_position(cells, "satellite")) == (
+        picture,
+        tile,
+    )
+    assert verdicts.describe_position(np.ones((4, 4)), "drone") == "all around"
     unrolled = np.zeros((4, 16))
     unrolled[:, 14] = 1
-    assert verdicts.where(unrolled, "satellite") == "right"
-    assert verdicts.where(-np.ones((4, 4)), "drone") == "all around"
+    assert verdicts.describe_position(unrolled, "satellite") == "right"
+    assert verdicts.describe_position(-np.ones((4, 4)), "drone") == "all around"
 
 
 def test_a_score_of_constants_is_not_said_to_be_of_places() -> None:
     cells = np.zeros((2, 4, 4))
     cells[:, 0, 3] = -0.1
     found = Evidence(np.array([0.5, 0.6]), part_weights(2), *(SideEvidence(cells, np.array([0.6, 0.7])),) * 2)
-    said = verdicts.why(found, ["1 centre", "2 outer"], "drone", "satellite")
+    said = verdicts.describe_evidence(found, ["1 centre", "2 outer"], "drone", "satellite")
     assert "most of it by a constant that comes from no cell" in said
-    assert "Of the whole score +0.650 is constants" in said
+    assert "Of the whole score, +0.650 is constants" in said
     assert "north-east" not in said
 
 
@@ -109,7 +112,7 @@ def test_the_sentence_names_the_part_that_adds_most_and_one_that_speaks_against(
     cells[1, 0, 3] = 0.8
     side = SideEvidence(cells, np.zeros(2))
     found = Evidence(np.array([-0.2, 0.8]), part_weights(2), side, side)
-    said = verdicts.why(found, ["1 centre", "2 outer"], "drone", "satellite")
+    said = verdicts.describe_evidence(found, ["1 centre", "2 outer"], "drone", "satellite")
     assert said == (
         "Part 2 outer adds most to the score (+0.400 of 0.300), where the query's upper right agrees with the tile's "
         "north-east. Part 1 centre speaks against the pair (-0.100)."

@@ -128,7 +128,7 @@ def test_the_numbers_are_those_of_the_outcomes_and_add_up(task: Task) -> None:
     assert f"{task.figures['recall@1']:.1f} %" in text
     without = counterfactual.without(ranking)
     assert without is not None
-    assert verdicts.left_out(without, task.part_names) in text
+    assert verdicts.describe_ablation(without, task.part_names) in text
 
 
 def test_evidence_bars_add_up_to_each_parts_share(task: Task) -> None:
@@ -242,29 +242,31 @@ def standings(now: int, without: list[int | None], alone: list[int]) -> Without:
     ],
 )
 def test_words_on_parts_left_out(found: Without, expected: str) -> None:
-    assert expected in verdicts.left_out(found, ["a", "b"])
+    assert expected in verdicts.describe_ablation(found, ["a", "b"])
 
 
 def test_words_on_other_weights() -> None:
     change = Reweighting(np.array([0.7, 0.3], np.float32), np.array([0.2, -0.2], np.float32), 0.28, 3)
     none = np.zeros(0, np.int64)
-    assert verdicts.reweighted(None, None) == "No choice of part weights would put the true tile first."
-    helped = verdicts.reweighted(change, Effect(50.0, 52.0, np.arange(3), np.arange(1), 100))
+    assert verdicts.describe_reweighting(None, None) == "No choice of part weights would put the true tile first."
+    helped = verdicts.describe_reweighting(change, Effect(50.0, 52.0, np.arange(3), np.arange(1), 100))
     assert "70 : 30 %; over all 100 queries it helps: 3 gained, 1 lost, R@1 50.0 to 52.0 %." in helped
-    assert "it harms" in verdicts.reweighted(change, Effect(50.0, 49.0, none, np.arange(1), 100))
-    assert "neither helps nor harms" in verdicts.reweighted(change, Effect(50.0, 50.0, none, none, 100))
+    assert "it harms" in verdicts.describe_reweighting(change, Effect(50.0, 49.0, none, np.arange(1), 100))
+    assert "neither helps nor harms" in verdicts.describe_reweighting(change, Effect(50.0, 50.0, none, none, 100))
 
 
 def test_words_on_turning() -> None:
     def point(angle: float, rank: int, score: float, top_score: float) -> Point:
         return Point(Change(rotate=angle), 0, True, score, rank, np.zeros(4, np.float32), 1, top_score)
 
-    turned = verdicts.turned(
+    turned = verdicts.describe_rotation(
         Profile("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite")
     )
     assert "turned 90°: 2nd instead of 5th" in turned
     assert "highest at 0°: by that, the picture's top points 0° clockwise" in turned
-    same = verdicts.turned(Profile("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone"))
+    same = verdicts.describe_rotation(
+        Profile("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone")
+    )
     assert "ranks best with the query as it is (1st)" in same
     assert "north" not in same
 

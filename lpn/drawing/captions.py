@@ -1,0 +1,83 @@
+"""Text, signs, and bars drawn into pictures with Pillow."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from lpn.core.arrays import Float32Array, UInt8Array
+from lpn.drawing.theme import BACKGROUND, DARK, TEXT, Colour, Palette, part_colour, verdict_colour
+
+
+@lru_cache(maxsize=16)
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Return Pillow's own typeface at a pixel size."""
+    return ImageFont.load_default(size)
+
+
+def caption(width: int, height: int, palette: Palette = DARK) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+    """Return an empty caption with its drawing context."""
+    image = Image.new("RGB", (width, height), palette.background)
+    return image, ImageDraw.Draw(image)
+
+
+def fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float) -> str:
+    """Shorten a text with an ellipsis to fit a width in pixels."""
+    if draw.textlength(text, font=font(size)) <= width:
+        return text
+    while text and draw.textlength(text + "...", font=font(size)) > width:
+        text = text[:-1]
+    return text + "..."
+
+
+def numbered(picture: UInt8Array, number: int) -> UInt8Array:
+    """Write a number on a dark patch in the top left corner of an RGB or RGBA picture."""
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    width = draw.textlength(str(number), font=font(30))
+    draw.rectangle((5, 5, 13 + width, 38), fill=BACKGROUND)
+    draw.text((9, 21), str(number), TEXT, font(30), anchor="lm")
+    return np.asarray(image)
+
+
+def draw_sign(
+    draw: ImageDraw.ImageDraw, x: float, y: float, size: float, true: bool | None, palette: Palette = DARK
+) -> None:
+    """Draw a tick (true) or a cross (false) with its top left corner at (x, y): a second sign beside the colour."""
+    colour, width = palette.ink(verdict_colour(true)), max(2, round(size / 6))
+    if true:
+        draw.line(
+            [(x, y + 0.55 * size), (x + 0.4 * size, y + 0.9 * size), (x + size, y + 0.1 * size)], colour, width, "curve"
+        )
+    elif true is not None:
+        draw.line([(x, y), (x + size, y + size)], colour, width)
+        draw.line([(x + size, y), (x, y + size)], colour, width)
+
+
+def draw_squared(draw: ImageDraw.ImageDraw, right: float, middle: float, text: str, size: int, fill: Colour) -> float:
+    """Write "d² text" so that it ends at `right`, and return where it begins; Pillow's typeface has no superscript two."""
+    draw.text((right, middle), text, fill, font(size), anchor="rm")
+    left = right - draw.textlength(text, font=font(size)) - 0.35 * size
+    draw.text((left, middle - 0.3 * size), "2", fill, font(round(0.62 * size)), anchor="rm")
+    left -= draw.textlength("2", font=font(round(0.62 * size))) + 1
+    draw.text((left, middle), "d", fill, font(size), anchor="rm")
+    return left - draw.textlength("d", font=font(size))
+
+
+def draw_shares(
+    draw: ImageDraw.ImageDraw,
+    box: tuple[float, float, float, float],
+    shares: Float32Array,
+    full: float,
+    palette: Palette = DARK,
+) -> None:
+    """Draw the parts' shares of a squared distance side by side; `full` is the distance that fills the box."""
+    left, top, right, bottom = box
+    draw.rectangle(box, fill=palette.track)
+    for part, share in enumerate(shares):
+        end = left + max(float(share), 0.0) / max(full, 1e-9) * (right - box[0])
+        if end - left >= 0.5:
+            draw.rectangle((left, top, min(end, right), bottom), fill=part_colour(part))
+        left = end
