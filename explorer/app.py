@@ -26,7 +26,7 @@ from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.log import conceal
-from lpn.core.resources import pool_memory, port_taken, return_memory
+from lpn.core.resources import limit_malloc_arenas, port_error, return_memory
 from lpn.core.shutdown import writes_finished
 from lpn.retrieval.published_results import load_saved
 
@@ -134,7 +134,7 @@ def run_saved(
 def _serve(opened: Callable[[], Workspace], host: str, port: int, access: Authenticator | None) -> None:
     host = host or "0.0.0.0"
     _check_free(host, port)
-    pool_memory()
+    limit_malloc_arenas()
     images.use_all_cores()
     app = App(opened(), host, port, access)
     gc.collect()
@@ -156,7 +156,7 @@ def _serve(opened: Callable[[], Workspace], host: str, port: int, access: Authen
 
 def _check_free(host: str, port: int) -> None:
     """viser would silently take the next free port, and nobody would find the page."""
-    if taken := port_taken(host, port):
+    if taken := port_error(host, port):
         raise InputError(f"{taken}; give another with --port or --host.")
 
 

@@ -26,5 +26,5 @@ class VerifyCommand:
             for verdict in verify(path):
                 damaged += not verdict.whole
                 name = printable(str(verdict.path))
-                print(f"{name} {verdict.said}." if verdict.whole else f"DAMAGED: {name}: {verdict.said}")
+                print(f"{name} {verdict.message}." if verdict.whole else f"DAMAGED: {name}: {verdict.message}")
         return 1 if damaged else 0

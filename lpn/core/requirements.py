@@ -1,4 +1,4 @@
-"""The packages that this one asks for, by extra, and which of them are installed in the versions it asks for."""
+"""The packages that this distribution requires, by extra, and their installed versions."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from pathlib import Path
 from lpn.core.files import printable
 
 NAME = "lpn-explorer"
-_CHECKOUT = Path(__file__).parents[2] / "pyproject.toml"
+_PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 
 @dataclass(frozen=True)
 class Package:
-    """A package that is asked for.
+    """A required package.
 
     Attributes:
-        name: as pip knows it.
-        wanted: the range of versions, such as ">=1.26"; "" for any.
-        found: the version that is installed, None where none is.
-        fits: whether that is within the range.
+        name: its name in the package index.
+        wanted: the required versions, such as ">=1.26"; "" for any.
+        found: the installed version; None if it is not installed.
+        fits: whether `found` satisfies `wanted`.
     """
 
     name: str
@@ -32,17 +32,17 @@ class Package:
 
     @property
     def requirement(self) -> str:
-        """What pip takes: "numpy>=1.26"."""
+        """The argument of pip install: "numpy>=1.26"."""
         return self.name + self.wanted
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What an installation asks for.
+class Requirements:
+    """The requirements of this distribution.
 
     Attributes:
-        python: the range of Python's versions.
-        base: what it cannot do without.
+        python: the required Python versions.
+        base: the packages that are always required.
         extras: the packages of each extra.
     """
 
@@ -51,18 +51,19 @@ class Asked:
     extras: dict[str, tuple[Package, ...]]
 
 
-def asked() -> Asked | None:
-    """What is asked for and what of it is there, by a checkout's pyproject.toml, else as it was installed; None where neither
-    can be found."""
-    told = _of_checkout() or _installed()
-    if told is None:
+def read_requirements() -> Requirements | None:
+    """Read the requirements from a checkout's pyproject.toml, else from the installed metadata; None without either."""
+    declared = _from_checkout() or _from_metadata()
+    if declared is None:
         return None
-    python, base, extras = told
-    return Asked(python, tuple(_look(base)), {extra: tuple(_look(lines)) for extra, lines in extras.items()})
+    python, base, extras = declared
+    return Requirements(
+        python, tuple(_packages(base)), {extra: tuple(_packages(lines)) for extra, lines in extras.items()}
+    )
 
 
-def within(version: str, wanted: str) -> bool:
-    """Whether a version is in a range such as ">=1.1.1,<1.2"."""
+def satisfies(version: str, wanted: str) -> bool:
+    """Return whether a version is in a range such as ">=1.1.1,<1.2"."""
     from packaging.specifiers import SpecifierSet
 
     return SpecifierSet(wanted).contains(version, prereleases=True)
@@ -74,7 +75,7 @@ def broken_package(error: Exception) -> str:
     return f"A package is missing or broken ({reason}); lpn doctor says more."
 
 
-def _look(lines: list[str]) -> Iterator[Package]:
+def _packages(lines: list[str]) -> Iterator[Package]:
     from packaging.requirements import Requirement
     from packaging.version import InvalidVersion
 
@@ -86,13 +87,13 @@ def _look(lines: list[str]) -> Iterator[Package]:
             yield Package(requirement.name, wanted, found, requirement.specifier.contains(found, prereleases=True))
         except metadata.PackageNotFoundError:
             yield Package(requirement.name, wanted, None, False)
-        except (InvalidVersion, TypeError):  # what was left of a broken installation
+        except (InvalidVersion, TypeError):  # remains of a broken installation
             yield Package(requirement.name, wanted, "unknown", False)
 
 
-def _of_checkout() -> tuple[str, list[str], dict[str, list[str]]] | None:
+def _from_checkout() -> tuple[str, list[str], dict[str, list[str]]] | None:
     try:
-        project = tomllib.loads(_CHECKOUT.read_text(encoding="utf-8"))["project"]
+        project = tomllib.loads(_PYPROJECT.read_text(encoding="utf-8"))["project"]
         if project["name"] != NAME:
             return None
         return project["requires-python"], project["dependencies"], project["optional-dependencies"]
@@ -100,18 +101,19 @@ def _of_checkout() -> tuple[str, list[str], dict[str, list[str]]] | None:
         return None
 
 
-def _installed() -> tuple[str, list[str], dict[str, list[str]]] | None:
+def _from_metadata() -> tuple[str, list[str], dict[str, list[str]]] | None:
     from packaging.requirements import Requirement
 
     try:
-        told = metadata.metadata(NAME)
+        installed = metadata.metadata(NAME)
     except metadata.PackageNotFoundError:
         return None
-    lines = metadata.requires(NAME) or []
-    bare = {line: Requirement(line).marker for line in lines}
+    markers = {line: Requirement(line).marker for line in metadata.requires(NAME) or []}
     extras = {
-        extra: [line.partition(";")[0] for line, marker in bare.items() if marker and marker.evaluate({"extra": extra})]
-        for extra in told.get_all("Provides-Extra") or []
+        extra: [
+            line.partition(";")[0] for line, marker in markers.items() if marker and marker.evaluate({"extra": extra})
+        ]
+        for extra in installed.get_all("Provides-Extra") or []
     }
-    base = [line for line, marker in bare.items() if marker is None or marker.evaluate({"extra": ""})]
-    return told["Requires-Python"] or "", base, extras
+    base = [line for line, marker in markers.items() if marker is None or marker.evaluate({"extra": ""})]
+    return installed["Requires-Python"] or "", base, extras

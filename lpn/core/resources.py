@@ -1,4 +1,4 @@
-"""What this process may use of the machine: cores, memory, ports."""
+"""The cores, memory, and ports that this process can use."""
 
 from __future__ import annotations
 
@@ -11,80 +11,70 @@ import sys
 from pathlib import Path
 from typing import Any
 
+_CGROUPS, _OWN_CGROUP = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+# Options of mallopt in <malloc.h>: at most two arenas (M_ARENA_MAX); arrays from 4 MiB on are mapped (M_MMAP_THRESHOLD), as
+# mapping smaller ones would cost a page fault for each 4 kB; 8 MiB at the end of an arena may stay unused (M_TRIM_THRESHOLD).
+_MALLOC_OPTIONS = {-8: 2, -3: 1 << 22, -1: 1 << 23}
+
 
 def usable_cores() -> int:
-    """Cores that this process may use: fewer than the machine has where it is confined to some, or to so much time of them, as
-    in a container or a job."""
-    confined = getattr(os, "sched_getaffinity", None)  # not on every system
-    cores = len(confined(0)) if confined else os.cpu_count() or 1
-    for group in _groups():
+    """Return the number of cores available to this process, within its CPU affinity and its container's quota."""
+    affinity = getattr(os, "sched_getaffinity", None)  # not on every system
+    cores = len(affinity(0)) if affinity else os.cpu_count() or 1
+    for group in _cgroups():
         try:
             quota, period = (int(value) for value in (group / "cpu.max").read_text().split())
             cores = min(cores, max(math.ceil(quota / period), 1))
-        except (OSError, ValueError, ZeroDivisionError):  # "max", which is no limit
+        except (OSError, ValueError, ZeroDivisionError):  # "max" means no limit
             continue
     return cores
 
 
 def memory() -> tuple[int, int] | None:
-    """Bytes of memory that this process may use, and that are free of it by now; None where the system does not say.
-
-    What is kept of files that were read is free, as the system drops it for whoever needs room.
-    """
+    """Return the total and free memory of this process in bytes, page cache counted as free; None if unknown."""
     try:
-        told = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
-        total, free = (int(told[name].split()[0]) * 1024 for name in ("MemTotal", "MemAvailable"))
+        facts = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
+        total, free = (int(facts[name].split()[0]) * 1024 for name in ("MemTotal", "MemAvailable"))
     except (OSError, ValueError, KeyError, IndexError):
         return None
-    for group in _groups():  # a container's, or a job's
+    for group in _cgroups():
         try:
-            most, used = (int((group / name).read_text()) for name in ("memory.max", "memory.current"))
-            told = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
-            kept = sum(int(told[name]) for name in ("active_file", "inactive_file"))
-        except (OSError, ValueError, KeyError):  # "max", which is no limit
+            limit, used = (int((group / name).read_text()) for name in ("memory.max", "memory.current"))
+            facts = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
+            page_cache = sum(int(facts[name]) for name in ("active_file", "inactive_file"))
+        except (OSError, ValueError, KeyError):  # "max" means no limit
             continue
-        total, free = min(total, most), min(free, max(most - used + kept, 0))
+        total, free = min(total, limit), min(free, max(limit - used + page_cache, 0))
     return total, free
 
 
-_GROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-
-
-def _groups() -> list[Path]:
-    """This process's control group of version 2, and those that it is within."""
+def _cgroups() -> list[Path]:
+    """Return this process's control group (version 2) and its ancestors."""
     try:
-        own = next(line[3:] for line in _OWN.read_text().splitlines() if line.startswith("0::"))
+        own = next(line[3:] for line in _OWN_CGROUP.read_text().splitlines() if line.startswith("0::"))
     except (OSError, StopIteration):
         return []
-    names = [name for name in own.split("/") if name not in ("", "..")]  # "..": of a group outside a container
-    return [_GROUPS.joinpath(*names[:depth]) for depth in range(len(names) + 1)]
+    names = [name for name in own.split("/") if name not in ("", "..")]  # ".." leads out of a container
+    return [_CGROUPS.joinpath(*names[:depth]) for depth in range(len(names) + 1)]
 
 
-def pool_memory() -> bool:
-    """Have memory taken from few pools, for a process that runs for long and has many threads.
+def limit_malloc_arenas() -> bool:
+    """Limit glibc's memory arenas, for a long-running process with many threads; return whether that is possible.
 
-    glibc otherwise makes a pool for each of many threads, and, once a few large arrays were freed, takes further ones from these
-    pools, between smaller things that live on: much of what is freed then stays with the process. See `return_memory`.
-
-    Returns:
-        Whether that could be asked for, which is with glibc alone.
+    By default glibc creates an arena for each of many threads and places arrays between small, long-lived objects, so
+    much of the freed memory stays with the process. See also `return_memory`.
     """
-    tell = _of_glibc("mallopt")
-    return tell is not None and all(tell(option, value) for option, value in _POOLS.items())
-
-
-_POOLS = {-8: 2, -3: 1 << 22, -1: 1 << 23}
-"""Of <malloc.h>: pools at most (M_ARENA_MAX); bytes from which an array has memory of its own (M_MMAP_THRESHOLD), smaller ones
-would cost a page fault for each 4 kB; bytes at the end of a pool that may stay unused (M_TRIM_THRESHOLD)."""
+    mallopt = _glibc_function("mallopt")
+    return mallopt is not None and all(mallopt(option, value) for option, value in _MALLOC_OPTIONS.items())
 
 
 def return_memory() -> bool:
-    """Give what was freed back to the system, where that can be asked for; some milliseconds."""
-    trim = _of_glibc("malloc_trim")
+    """Return freed memory to the system, which takes some milliseconds; False without glibc."""
+    trim = _glibc_function("malloc_trim")
     return trim is not None and bool(trim(0))
 
 
-def _of_glibc(name: str) -> Any:
+def _glibc_function(name: str) -> Any:
     if not sys.platform.startswith("linux"):
         return None
     try:
@@ -93,8 +83,8 @@ def _of_glibc(name: str) -> Any:
         return None
 
 
-def port_taken(host: str, port: int) -> str | None:
-    """Why a port cannot be listened on, as a sentence without its end; None when it can."""
+def port_error(host: str, port: int) -> str | None:
+    """Return why a port cannot be listened on, as a sentence without its full stop; None if it can."""
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.socket(family, socket.SOCK_STREAM) as probe:

@@ -1,8 +1,8 @@
-"""Ending on Ctrl-C and SIGTERM: what is being written is finished, one sentence is said, and it takes two seconds at most.
+"""Stopping on Ctrl-C and SIGTERM: finish the files being written, print one sentence, and exit within two seconds.
 
-The first signal raises KeyboardInterrupt in the main thread, though not while it writes a file: then, when the file is whole.
-What still computes two seconds later is not waited for, nor is anything after a second signal: whatever is on the disk
-is whole at any moment, see `lpn.core.files.write_atomic`.
+The first signal raises KeyboardInterrupt in the main thread; while a file is being written, only after the file is complete.
+If the command still computes two seconds later, or after a second signal, the process exits at once. Files on the disk are
+complete at any moment (see `lpn.core.files.write_atomic`).
 """
 
 from __future__ import annotations
@@ -19,23 +19,25 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
+# Seconds that a command has to end by itself, and that files being written have beyond that.
 GRACE = 2.0
-"""Seconds that a command has to end by itself."""
 WRITING = 10.0
-"""Seconds that files being written have beyond that."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class _Writes:
-    """Files that are being written by this process, in any thread."""
+    """The file writes in progress in any thread of this process.
+
+    Attributes:
+        depth: nested writes of the main thread.
+        stop_after: a signal arrived during one of them.
+    """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._count = 0
         self.depth = 0
-        """How many of them, one within the other, by the main thread, which alone changes it."""
         self.stop_after = False
-        """Whether a signal came meanwhile."""
 
     def begin(self) -> None:
         with self._changed:
@@ -51,15 +53,16 @@ class _Writes:
             return self._changed.wait_for(lambda: not self._count, seconds)
 
 
+# Signals belong to the process, and so does this state.
 _WRITES = _Writes()
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """What is done here is done to its end, also when the process is asked to stop meanwhile: files that belong together.
+    """Delay a stop until the block ends, for files that belong together.
 
     Raises:
-        KeyboardInterrupt: at its end in the main thread, when the process was asked to stop.
+        KeyboardInterrupt: at the end of the block in the main thread, if the process was asked to stop.
     """
     main = threading.current_thread() is threading.main_thread()
     if main:
@@ -77,58 +80,58 @@ def uninterrupted() -> Iterator[None]:
 
 
 def writes_finished(seconds: float) -> bool:
-    """Whether no file is being written, now or within some seconds."""
+    """Wait until no file is being written; return False if `seconds` were not enough."""
     return _WRITES.wait(seconds)
 
 
 class StopSignals:
-    """What becomes of a command that is asked to stop.
+    """The signals that stop a command.
 
     Args:
-        say: says that it was stopped, and how to go on; returns the exit status.
+        report: prints that the command was stopped by a signal, and returns the exit status.
 
     Attributes:
-        signal: that asked for it, 0 before any did.
+        signal: the first one received; 0 before.
     """
 
-    def __init__(self, say: Callable[[int], int]) -> None:
+    def __init__(self, report: Callable[[int], int]) -> None:
         self.signal = 0
-        self._say, self._said = say, threading.Lock()
+        self._report, self._reported = report, threading.Lock()
         self._raised = False
-        self._here, self._there = socket.socketpair()
-        self._here.setblocking(False)
+        self._wakeup, self._watched = socket.socketpair()
+        self._wakeup.setblocking(False)
         self._over = threading.Event()
 
     def end(self) -> int:
-        """Say that it was stopped, once, and return the exit status."""
-        if not self._said.acquire(blocking=False):
-            threading.Event().wait(GRACE)  # the other thread is about to end the process
-        return self._say(self.signal or signal.SIGINT)
+        """Report the stop once, and return the exit status."""
+        if not self._reported.acquire(blocking=False):
+            threading.Event().wait(GRACE)  # the other thread is about to exit the process
+        return self._report(self.signal or signal.SIGINT)
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """Heed signals, in the main thread; elsewhere nothing is done."""
+        """Handle signals inside the context; without effect outside of the main thread."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        before = {number: signal.signal(number, self._heard) for number in SIGNALS}
-        # Python runs its handlers between two lines of Python, not while a library computes; this is told at once.
-        woken = signal.set_wakeup_fd(self._here.fileno(), warn_on_full_buffer=False)
+        before = {number: signal.signal(number, self._handle) for number in SIGNALS}
+        # Python delays its handlers while a library computes; the wake-up socket is written at once.
+        old_wakeup = signal.set_wakeup_fd(self._wakeup.fileno(), warn_on_full_buffer=False)
         watcher = threading.Thread(target=self._watch, name="lpn-stopping", daemon=True)
         watcher.start()
         try:
             yield
         finally:
-            signal.set_wakeup_fd(woken)
+            signal.set_wakeup_fd(old_wakeup)
             for number, handler in before.items():
                 signal.signal(number, handler)
             self._over.set()
-            self._here.send(b"\0")
+            self._wakeup.send(b"\0")
             watcher.join()
-            self._here.close()
-            self._there.close()
+            self._wakeup.close()
+            self._watched.close()
 
-    def _heard(self, number: int, _: FrameType | None) -> None:
+    def _handle(self, number: int, _: FrameType | None) -> None:
         self.signal = self.signal or number
         if self._raised:
             return
@@ -143,52 +146,48 @@ class StopSignals:
         if first is None:
             return
         self.signal = self.signal or first
-        again = self._next(GRACE)
+        second = self._next(GRACE)
         until = time.monotonic() + WRITING
-        while again is None and not self._over.is_set() and time.monotonic() < until and not writes_finished(0):
-            again = self._next(0.05)
+        while second is None and not self._over.is_set() and time.monotonic() < until and not writes_finished(0):
+            second = self._next(0.05)
         if not self._over.is_set():
-            exit_now(128 + self.signal, self.end if again is None else None)
+            exit_now(128 + self.signal, self.end if second is None else None)
 
     def _next(self, seconds: float | None) -> int | None:
-        """The next signal that asks to stop; None when none comes in time, or the command is over."""
+        """Return the next stop signal; None if none arrives in time or the command ends."""
         until = None if seconds is None else time.monotonic() + seconds
         while True:
             left = None if until is None else max(until - time.monotonic(), 0)
-            if not select.select([self._there], [], [], left)[0]:
+            if not select.select([self._watched], [], [], left)[0]:
                 return None
-            number = self._there.recv(1)[0]
+            number = self._watched.recv(1)[0]
             if self._over.is_set():
                 return None
             if number in SIGNALS:
                 return number
 
 
-def exit_now(status: int, say: Callable[[], int] | None = None) -> None:
-    """End the process at once, with the processes that it started, whatever its threads are doing.
+def exit_now(status: int, report: Callable[[], int] | None = None) -> None:
+    """Exit the process and its child processes at once, whatever its threads are doing.
 
     Args:
-        say: what is done first, if it can be done at once; returns another exit status.
+        report: called first, for half a second at most; returns another exit status.
     """
     statuses = [status]
 
     def tidy() -> None:
-        for child in multiprocessing.active_children():
-            child.kill()
-        if say is not None:
-            statuses.append(say())
-        for stream in (sys.stdout, sys.stderr):
-            if stream.isatty():
-                stream.write("\x1b[?25h")  # a progress bar hides the cursor
-            stream.flush()
+        with suppress(Exception):  # a closed terminal
+            for child in multiprocessing.active_children():
+                child.kill()
+            if report is not None:
+                statuses.append(report())
+            for stream in (sys.stdout, sys.stderr):
+                if stream.isatty():
+                    stream.write("\x1b[?25h")  # a progress bar hides the cursor
+                stream.flush()
 
-    # A thread that is stuck may hold what this needs.
-    thread = threading.Thread(target=_quietly, args=(tidy,), daemon=True)
+    # Another thread may hold a lock that this needs.
+    thread = threading.Thread(target=tidy, daemon=True)
     thread.start()
     thread.join(0.5)
     os._exit(statuses[-1])
-
-
-def _quietly(work: Callable[[], None]) -> None:
-    with suppress(Exception):  # a closed terminal
-        work()

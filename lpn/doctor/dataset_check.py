@@ -1,4 +1,4 @@
-"""What a data set's folder holds, what is broken in it, and what can be run with it."""
+"""The data set check of `lpn doctor`: what a folder holds, what is broken in it, and what can be run with it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _RECIPES = {
 _AERIAL = (("drone-to-satellite", "satellite-to-drone"), "Tables I, III, IV, V and Figure 5", "Tables IV and V")
 _GROUND = (("street-to-satellite",), "Table II", "Table II")
 _LANDMARKS = (("street-to-street",), "Table VI", "Table VI")
-# Per kind: the tasks that the paper reports, its tables with training, and those that need a test split alone.
+# For each kind: the tasks that the paper reports, the tables that need training, and those that need a test split only.
 _TABLES = {
     "University-1652": _AERIAL,
     "world": _AERIAL,
@@ -41,7 +41,7 @@ _TABLES = {
 
 @dataclass(frozen=True)
 class Count:
-    """One list of pictures: how many there are, of how many places, and how many the complete data set has (None: unknown)."""
+    """The size of one list of pictures, here and in the complete data set (None: unknown)."""
 
     name: str
     pictures: int
@@ -51,22 +51,22 @@ class Count:
 
 
 @dataclass(frozen=True)
-class Broken:
-    """A picture that cannot be read, by its path below the root, and why."""
+class BrokenPicture:
+    """A picture that cannot be read: its path below the root, and the reason."""
 
     file: str
     why: str
 
 
 @dataclass(frozen=True)
-class Lacking:
-    """Places, or queries, that lack their counterpart.
+class MissingCounterparts:
+    """Places or queries without their counterpart.
 
     Attributes:
-        name: the list or task in which it is lacking.
-        what: what the missing ones are, as the subject of a sentence.
-        names: which they are.
-        of: out of how many.
+        name: the list or task that lacks the counterpart.
+        what: the missing ones, as the subject of a sentence.
+        names: of the missing ones.
+        of: the total number.
     """
 
     name: str
@@ -77,19 +77,21 @@ class Lacking:
 
 @dataclass(frozen=True)
 class DataSetReport:
-    """What was found; `healthy` when nothing is broken.
+    """The result of a data set check.
 
     Attributes:
-        kind: what the folder was recognised as.
-        counts: of every list of pictures.
-        looked_at: number of files read; decoded: whether to their last pixel.
+        kind: the recognised layout.
+        counts: the size of every list of pictures.
+        looked_at: number of files read.
+        decoded: whether the files were decoded completely.
         broken: pictures that cannot be read.
-        left_out: files that the data set leaves out by itself: named and not there, or known to be broken.
+        left_out: files that the data set itself leaves out: missing, or known to be broken.
         lacking: places and queries without their counterpart.
-        duplicates: groups of files of one list with the same content and different labels.
-        shared: places that are in train and test alike.
-        positions: what geo.csv says, or None without one; gap: what is wrong with it, or None.
-        runs: what can be run, a sentence each.
+        duplicates: groups of files of one list with equal content and different labels.
+        shared: places in both train and test.
+        positions: what geo.csv covers; None without one.
+        gap: what is wrong with geo.csv, or None.
+        runs: what can be run, one sentence each.
     """
 
     root: str
@@ -97,9 +99,9 @@ class DataSetReport:
     counts: tuple[Count, ...]
     looked_at: int
     decoded: bool
-    broken: tuple[Broken, ...]
+    broken: tuple[BrokenPicture, ...]
     left_out: tuple[LeftOut, ...]
-    lacking: tuple[Lacking, ...]
+    lacking: tuple[MissingCounterparts, ...]
     duplicates: tuple[tuple[str, ...], ...]
     shared: tuple[int, ...]
     positions: str | None
@@ -108,28 +110,30 @@ class DataSetReport:
 
     @property
     def healthy(self) -> bool:
-        """Whether nothing is broken: a smaller set, equal pictures, and what is so as published are no damage."""
+        """Whether nothing is broken; a subset, duplicates, and damage of the published data set do not count."""
         missing = [item for item in self.left_out if not item.published]
         return not (self.broken or missing or self.lacking or self.shared or self.gap)
 
     def to_dict(self) -> dict[str, Any]:
-        """The keys of the JSON file."""
+        """Return the contents of the JSON file."""
         return {"healthy": self.healthy, **asdict(self)}
 
 
-def examine(dataset: Dataset, decode: bool = True, report: Callable[[int, int], None] | None = None) -> DataSetReport:
-    """Look at every picture of a data set and at how its lists fit each other.
+def check_dataset(
+    dataset: Dataset, decode: bool = True, on_progress: Callable[[int, int], None] | None = None
+) -> DataSetReport:
+    """Check every picture of a data set, and whether its lists fit each other.
 
     Args:
-        decode: decode every picture; else read headers and ends only, see `lpn.datasets.integrity`.
-        report: told now and then how many of how many files have been looked at.
+        decode: decode every picture; else read only its header and end (see `lpn.datasets.integrity`).
+        on_progress: called now and then with the numbers of checked files and of all files.
 
     Raises:
-        DataError: when a list cannot be read.
+        DataError: if a list cannot be read.
     """
     lists = dataset.lists()
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
-    found = picture_errors(files, decode, None if report is None else lambda done: report(done, len(files)))
+    found = picture_errors(files, decode, None if on_progress is None else lambda done: on_progress(done, len(files)))
     positions, gap = _positions(dataset)
     return DataSetReport(
         root=printable(dataset.root.resolve().name),
@@ -137,7 +141,7 @@ def examine(dataset: Dataset, decode: bool = True, report: Callable[[int, int], 
         counts=tuple(_count(dataset, name, pictures) for name, pictures in lists.items()),
         looked_at=len(files),
         decoded=decode,
-        broken=tuple(Broken(_below(dataset.root, file), why) for file, why in found.items()),
+        broken=tuple(BrokenPicture(_below(dataset.root, file), why) for file, why in found.items()),
         left_out=tuple(dataset.left_out),
         lacking=(*_partial_places(lists), *_unanswered(dataset)),
         duplicates=tuple(_duplicates(dataset.root, lists, found)),
@@ -154,21 +158,23 @@ def _count(dataset: Dataset, name: str, pictures: Sequence[Picture]) -> Count:
     return Count(name, len(pictures), places, full.pictures if full else None, full.places if full else None)
 
 
-def _partial_places(lists: dict[str, list[Picture]]) -> list[Lacking]:
-    """Training uses a place that has a picture of every view; which have not."""
+def _partial_places(lists: dict[str, list[Picture]]) -> list[MissingCounterparts]:
+    """Find places without a picture of every view, which training cannot use."""
     labels = {name: {p.label for p in pictures} for name, pictures in lists.items() if name.startswith("train/")}
     everywhere = set().union(*labels.values())
     missing = {name: sorted(everywhere - there) for name, there in labels.items()}
     return [
-        Lacking(name, f"places have no picture in {name}", tuple(f"{label:04d}" for label in without), len(everywhere))
+        MissingCounterparts(
+            name, f"places have no picture in {name}", tuple(f"{label:04d}" for label in without), len(everywhere)
+        )
         for name, without in missing.items()
         if without
     ]
 
 
-def _unanswered(dataset: Dataset) -> list[Lacking]:
-    """Queries without a true match, which count as missed."""
-    found: list[Lacking] = []
+def _unanswered(dataset: Dataset) -> list[MissingCounterparts]:
+    """Find queries without a true match, which count as missed."""
+    found: list[MissingCounterparts] = []
     for task in dataset.tasks():
         query_view, gallery_view = views_of(task)
         queries, truth = dataset.queries(query_view), dataset.truth(task)
@@ -178,7 +184,9 @@ def _unanswered(dataset: Dataset) -> list[Lacking]:
         else:
             without = [query.name for query, of in zip(queries, truth, strict=True) if not len(of.good)]
         if without:
-            found.append(Lacking(task, f"queries of {task} have no true match", tuple(without), len(queries)))
+            found.append(
+                MissingCounterparts(task, f"queries of {task} have no true match", tuple(without), len(queries))
+            )
     return found
 
 
@@ -191,7 +199,7 @@ def _shared(lists: dict[str, list[Picture]]) -> list[int]:
 
 
 def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[Path]) -> Iterable[tuple[str, ...]]:
-    """Only files of one size can be equal, so few are read."""
+    """Find equal files; only files of one size are read."""
     digests: dict[Path, str] = {}
     for pictures in lists.values():
         by_size: dict[int, list[Picture]] = defaultdict(list)
@@ -212,7 +220,7 @@ def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[
 
 
 def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
-    """What `geo.csv` covers, and what is wrong with it."""
+    """Return what `geo.csv` covers, and what is wrong with it."""
     try:
         known = geo.positions(dataset.root)
         if known is None:
@@ -251,7 +259,7 @@ def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
 
 
 def _tables(dataset: Dataset, trainable: bool) -> str | None:
-    """The tables of the paper that need no more than this data set, and models of it where it has nothing to train on."""
+    """Return the tables of the paper that can be made from this data set."""
     if dataset.kind not in _TABLES:
         return None
     directions, training, testing = _TABLES[dataset.kind]
@@ -266,8 +274,8 @@ def _below(root: Path, file: Path) -> str:
     return printable(file.relative_to(root).as_posix())
 
 
-def show(report: DataSetReport, console: Console) -> None:
-    """Print a report for a person: at most five names of each kind, of which `to_dict` has all."""
+def print_report(report: DataSetReport, console: Console) -> None:
+    """Print a report with at most five names of each kind; `to_dict` has all names."""
     console.print(f"{report.root} is {_KINDS.get(report.kind, report.kind)}.", markup=False, highlight=False)
     table = Table()
     for name in ("pictures of", "pictures", "places"):

@@ -1,4 +1,4 @@
-"""What a machine has of what is needed here, each with what to do where something is wrong."""
+"""The environment check of `lpn doctor`: packages, machine, and demo, each finding with its remedy."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from lpn.core.errors import LPNError, OutputError
 from lpn.core.files import check_writable, printable
 
 Level = Literal["OK", "note", "problem"]
+# The explorer's default address.
 HOST, PORT = "127.0.0.1", 8080
-"""What the explorer listens on unless told otherwise."""
 _USES = {
     "train": "training, export, reading .pth and .safetensors",
     "world": "rendering a world with Blender",
@@ -31,49 +31,41 @@ _USES = {
     "umap": "a second map of descriptors",
     "dev": "the tests",
 }
-_MODULES = {
-    "opencv-python-headless": "cv2",
-    "pillow": "PIL",
-    "numpy": "numpy",
-    "onnxruntime": "onnxruntime",
-    "rich": "rich",
-    "tyro": "tyro",
-    "viser": "viser",
-}
-_LITTLE_MEMORY, _LITTLE_DISK, _NO_DISK = 1 << 30, 1 << 30, 50 << 20
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+# Modules whose names differ from their packages'.
+_MODULES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
+_LITTLE_MEMORY, _LITTLE_DISK, _MIN_DISK = 1 << 30, 1 << 30, 50 << 20
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """The result of one check.
 
     Attributes:
-        name: of it.
-        level: "OK"; "note" where something is missing that is not needed for everything; "problem" where it is.
-        said: what was found.
-        remedy: what to do; empty where nothing need be done.
+        name: what was checked.
+        level: "OK"; "note" if something optional is missing; "problem" if something required is.
+        message: the result.
+        remedy: what to do; may be empty.
     """
 
     name: str
     level: Level
-    said: str
+    message: str
     remedy: str = ""
 
     @property
     def line(self) -> str:
-        """It as one line for a person."""
+        """The finding as one line of text."""
         remedy = f"; {self.remedy}" if self.remedy else ""
-        return printable(f"{self.level:8}{self.name}: {self.said}{remedy}.")
+        return printable(f"{self.level:8}{self.name}: {self.message}{remedy}.")
 
 
-def look(demo: Path) -> Iterator[Finding]:
-    """Look at everything, one after the other; what fails is a finding, and no exception. No package need be there for it.
+def check_environment(demo: Path) -> Iterator[Finding]:
+    """Run all checks; a check that fails is a finding, not an exception. Works without any installed package.
 
     Args:
-        demo: folder of the demo that the explorer opens when nothing is chosen.
+        demo: the demo's folder.
     """
-    for name, check in {
+    checks: dict[str, Callable[[], Iterator[Finding]]] = {
         "Python and packages": _python_and_packages,
         "ONNX Runtime": _onnxruntime,
         "PyTorch": _torch,
@@ -81,87 +73,87 @@ def look(demo: Path) -> Iterator[Finding]:
         "cache": _cache,
         "port": _port,
         "demo": lambda: _demo(demo),
-        "browser": _browser,
-    }.items():
+    }
+    for name, check in checks.items():
         try:
             yield from check()
         except ModuleNotFoundError as error:
             module = (error.name or "").partition(".")[0]
-            package = next((package for package, of in _MODULES.items() if of == module), module)
+            package = next((package for package, other in _MODULES.items() if other == module), module)
             yield Finding(
-                name, "problem", f"could not be looked at without the package {package}", f"pip install {package}"
+                name, "problem", f"could not be checked without the package {package}", f"pip install {package}"
             )
-        except Exception as error:  # a broken package raises anything
-            remedy = "mend the packages that are named above, or install it again"
-            yield Finding(name, "problem", f"could not be looked at ({type(error).__name__}: {error})", remedy)
+        except Exception as error:  # a broken package may raise anything
+            remedy = "repair the packages named above, or install it again"
+            yield Finding(name, "problem", f"could not be checked ({type(error).__name__}: {error})", remedy)
 
 
 def to_dict(findings: list[Finding]) -> dict[str, Any]:
-    """The keys of the JSON file."""
+    """Return the contents of the JSON file."""
     return {"healthy": healthy(findings), "findings": [asdict(finding) for finding in findings]}
 
 
 def healthy(findings: list[Finding]) -> bool:
-    """Whether nothing that is needed is broken."""
+    """Return whether there is no problem."""
     return all(finding.level != "problem" for finding in findings)
 
 
 def _python_and_packages() -> Iterator[Finding]:
-    found = ".".join(map(str, sys.version_info[:3]))  # not as a build may call itself: "3.13.0+"
-    told = requirements.asked()
-    if told is None:
-        yield Finding(
-            "Python", "note", f"{found}; what {requirements.NAME} asks for is not known", "install it with pip"
-        )
+    version = ".".join(map(str, sys.version_info[:3]))  # platform.python_version() may end in "+"
+    required = requirements.read_requirements()
+    if required is None:
+        message = f"{version}; the requirements of {requirements.NAME} are unknown"
+        yield Finding("Python", "note", message, "install it with pip")
         return
-    if requirements.within(found, told.python):
-        yield Finding("Python", "OK", f"{found} in {sys.prefix}")
+    if requirements.satisfies(version, required.python):
+        yield Finding("Python", "OK", f"{version} in {sys.prefix}")
     else:
-        yield Finding("Python", "problem", f"{found}; {told.python} is needed", "make an environment with a newer one")
+        yield Finding(
+            "Python", "problem", f"{version}; {required.python} is needed", "make an environment with a newer one"
+        )
     good = []
-    for package in told.base:
-        broken = _broken(package)
-        if broken:
+    for package in required.base:
+        if message := _package_error(package):
             again = f"pip install --force-reinstall '{package.requirement}'"
-            yield Finding(package.name, "problem", broken, again if package.fits else _install(package.requirement))
+            yield Finding(package.name, "problem", message, again if package.fits else _install(package.requirement))
         else:
             good.append(f"{package.name} {package.found}")
     yield Finding("packages", "OK", ", ".join(good))
-    for extra, of in told.extras.items():
-        yield _extra(extra, of)
+    for extra, packages in required.extras.items():
+        yield _extra(extra, packages)
 
 
-def _broken(package: requirements.Package) -> str:
-    """What is wrong with a package of the base; empty where nothing is."""
+def _package_error(package: requirements.Package) -> str:
+    """Return what is wrong with a base package; empty if nothing is."""
     if not package.fits:
-        return _unfit(package)
+        return _version_error(package)
     try:
-        with _unheard():
-            importlib.import_module(_MODULES.get(package.name.lower(), package.name))
+        with _silenced():
+            importlib.import_module(_MODULES.get(package.name.lower(), package.name.lower()))
     except Exception as error:
         return f"{package.found} cannot be imported ({type(error).__name__}: {error})"
     return ""
 
 
 @contextmanager
-def _unheard() -> Iterator[None]:
-    """Keep off the terminal what libraries write there while they are imported, a traceback for what is said in one line."""
-    with ExitStack() as after:
+def _silenced() -> Iterator[None]:
+    """Discard the output that libraries print while they are imported, such as tracebacks."""
+    with ExitStack() as restore:
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        after.callback(os.close, nowhere)
+        restore.callback(os.close, nowhere)
         for number, stream in ((1, sys.stdout), (2, sys.stderr)):
             if stream is None:  # closed before the start
                 continue
             stream.flush()
             before = os.dup(number)
-            after.callback(os.close, before)
-            after.callback(os.dup2, before, number)
-            after.callback(stream.flush)
+            restore.callback(os.close, before)
+            restore.callback(os.dup2, before, number)
+            restore.callback(stream.flush)
             os.dup2(nowhere, number)
         yield
 
 
-def _unfit(package: requirements.Package) -> str:
+def _version_error(package: requirements.Package) -> str:
     if package.found is None:
         return "is not installed"
     return f"{package.found} is installed, and {package.wanted} is needed"
@@ -171,56 +163,58 @@ def _install(requirement: str) -> str:
     return f"pip install '{requirement}'"
 
 
-def _extra(extra: str, of: tuple[requirements.Package, ...]) -> Finding:
+def _extra(extra: str, packages: tuple[requirements.Package, ...]) -> Finding:
     use, name = _USES.get(extra, "further things"), f"extra {extra}"
-    wrong = [package for package in of if not package.fits]
+    wrong = [package for package in packages if not package.fits]
     if not wrong:
-        return Finding(name, "OK", ", ".join(f"{package.name} {package.found}" for package in of))
-    missing = all(package.found is None for package in of)
-    said = "not installed" if missing else ", ".join(f"{package.name} {_unfit(package)}" for package in wrong)
-    return Finding(name, "note", said, f"for {use}: {_install(f'{requirements.NAME}[{extra}]')}")
+        return Finding(name, "OK", ", ".join(f"{package.name} {package.found}" for package in packages))
+    missing = all(package.found is None for package in packages)
+    message = (
+        "not installed" if missing else ", ".join(f"{package.name} {_version_error(package)}" for package in wrong)
+    )
+    return Finding(name, "note", message, f"for {use}: {_install(f'{requirements.NAME}[{extra}]')}")
 
 
 def _onnxruntime() -> Iterator[Finding]:
     if find_spec("onnxruntime") is None:
-        return  # said among the packages
-    with _unheard():
+        return  # reported among the packages
+    with _silenced():
         ort: Any = importlib.import_module("onnxruntime")
     providers = [name.removesuffix("ExecutionProvider") for name in ort.get_available_providers()]
-    said = f"{ort.__version__} computes on {ort.get_device()}; providers: {', '.join(providers)}"
+    message = f"{ort.__version__} computes on {ort.get_device()}; providers: {', '.join(providers)}"
     if "CPU" in providers:
-        yield Finding("ONNX Runtime", "OK", said)
+        yield Finding("ONNX Runtime", "OK", message)
     else:
-        yield Finding("ONNX Runtime", "problem", said, "pip install --force-reinstall onnxruntime, which has the CPU's")
+        yield Finding(
+            "ONNX Runtime", "problem", message, "pip install --force-reinstall onnxruntime, which has the CPU's"
+        )
 
 
 def _torch() -> Iterator[Finding]:
     if find_spec("torch") is None:
-        return  # said among the extras
+        return  # reported among the extras
     torch: Any = importlib.import_module("torch")
     if not torch.cuda.is_available():
         built = f", though built for CUDA {torch.version.cuda}" if torch.version.cuda else ""
         remedy = "trainings take long; where this machine has one, install its driver and a torch for CUDA"
         yield Finding("GPU", "note", f"torch {torch.__version__} finds none{built}", remedy)
         return
-    of = [torch.cuda.get_device_properties(number) for number in range(torch.cuda.device_count())]
-    names = ", ".join(f"{one.name} with {one.total_memory / 1e9:.0f} GB" for one in of)
+    devices = [torch.cuda.get_device_properties(number) for number in range(torch.cuda.device_count())]
+    names = ", ".join(f"{device.name} with {device.total_memory / 1e9:.0f} GB" for device in devices)
     yield Finding("GPU", "OK", f"torch {torch.__version__} on {names}")
 
 
 def _machine() -> Iterator[Finding]:
-    cores, there = resources.usable_cores(), os.cpu_count() or 1
-    yield Finding("cores", "OK", f"{cores} of {there} can be used")
+    yield Finding("cores", "OK", f"{resources.usable_cores()} of {os.cpu_count() or 1} can be used")
     if (memory := resources.memory()) is None:
         return
     total, free = memory
-    said = f"{free / 1e9:.1f} of {total / 1e9:.1f} GB are free"
+    message = f"{free / 1e9:.1f} of {total / 1e9:.1f} GB are free"
     if free < _LITTLE_MEMORY:
-        yield Finding(
-            "memory", "note", said, "close other programs; the explorer takes about half a GB, trainings more"
-        )
+        remedy = "close other programs; the explorer takes about half a GB, trainings more"
+        yield Finding("memory", "note", message, remedy)
     else:
-        yield Finding("memory", "OK", said)
+        yield Finding("memory", "OK", message)
 
 
 def _cache() -> Iterator[Finding]:
@@ -229,8 +223,8 @@ def _cache() -> Iterator[Finding]:
     try:
         folder = cache_folder()
     except OutputError as error:
-        said, _, remedy = str(error).rstrip(".").partition("; ")
-        yield Finding("cache", "problem", said, remedy)
+        message, _, remedy = str(error).rstrip(".").partition("; ")
+        yield Finding("cache", "problem", message, remedy)
         return
     try:
         check_writable(folder / "doctor")
@@ -239,16 +233,17 @@ def _cache() -> Iterator[Finding]:
         yield Finding("cache", "problem", str(error).partition(";")[0], remedy)
         return
     free = shutil.disk_usage(folder).free
-    said = f"{folder} can be written; {free / 1e9:.1f} GB are free there"
-    level: Level = "problem" if free < _NO_DISK else "note" if free < _LITTLE_DISK else "OK"
-    yield Finding("cache", level, said, "" if level == "OK" else "free space, or set LPN_CACHE to a folder elsewhere")
+    message = f"{folder} can be written; {free / 1e9:.1f} GB are free there"
+    level: Level = "problem" if free < _MIN_DISK else "note" if free < _LITTLE_DISK else "OK"
+    yield Finding(
+        "cache", level, message, "" if level == "OK" else "free space, or set LPN_CACHE to a folder elsewhere"
+    )
 
 
 def _port() -> Iterator[Finding]:
-    if taken := resources.port_taken(HOST, PORT):
-        yield Finding(
-            "port", "note", taken.removeprefix("Port "), "close what uses it, or start the explorer with --port"
-        )
+    if error := resources.port_error(HOST, PORT):
+        remedy = "close what uses it, or start the explorer with --port"
+        yield Finding("port", "note", error.removeprefix("Port "), remedy)
     else:
         yield Finding("port", "OK", f"{PORT} on {HOST} is free")
 
@@ -256,15 +251,13 @@ def _port() -> Iterator[Finding]:
 def _demo(demo: Path) -> Iterator[Finding]:
     if not demo.is_dir():
         yield Finding("demo", "note", "not part of this installation", "give lpn explore --data and --model")
-        return
-    flaw = _demo_flaw(demo)
-    if flaw is None:
-        yield Finding("demo", "OK", "model, descriptors, and pictures are what they were")
+    elif error := _demo_error(demo):
+        yield Finding("demo", "problem", error.rstrip("."), "restore assets/demo: git checkout -- assets/demo")
     else:
-        yield Finding("demo", "problem", flaw.rstrip("."), "bring assets/demo back: git checkout -- assets/demo")
+        yield Finding("demo", "OK", "model, descriptors, and pictures are undamaged")
 
 
-def _demo_flaw(demo: Path) -> str | None:
+def _demo_error(demo: Path) -> str | None:
     import lpn
     from lpn.descriptors import open_store
     from lpn.descriptors.cache import STORES
@@ -272,14 +265,14 @@ def _demo_flaw(demo: Path) -> str | None:
 
     for verdict in verify(demo):
         if not verdict.whole:
-            return verdict.said
+            return verdict.message
     try:
         model = lpn.load(demo / "lpn.onnx")
         for store in sorted(path for path in (demo / STORES).iterdir() if path.is_dir()):
             manifest = open_store(store).manifest
             if manifest.fingerprint != model.fingerprint:
                 return f"lpn.onnx is not the model that {STORES}/{store.name} was made with, so one of them is damaged"
-            role = {"query": "query", "gallery": "gallery"}[store.name.partition("_")[0]]
+            role = store.name.partition("_")[0]
             for row in manifest.rows:
                 picture = demo / "test" / f"{role}_{manifest.view}" / row.file
                 if not picture.is_file() or picture.stat().st_size != row.size:
@@ -289,21 +282,3 @@ def _demo_flaw(demo: Path) -> str | None:
     except FileNotFoundError as error:
         return f"{error.filename} is missing"
     return None
-
-
-def _browser() -> Iterator[Finding]:
-    found: Callable[[str], str | None] = shutil.which
-    path = next((path for name in _BROWSERS if (path := found(name))), None) or _playwrights()
-    if path is None:
-        yield Finding("browser", "note", "no Chromium is found here", "the tests need one: apt-get install chromium")
-    else:
-        yield Finding("browser", "OK", path)
-
-
-def _playwrights() -> str | None:
-    """The Chromium that Playwright installed."""
-    try:
-        own = os.environ.get("PLAYWRIGHT_BROWSERS_PATH") or Path.home() / ".cache" / "ms-playwright"
-    except RuntimeError:  # this user has no home
-        return None
-    return next((str(path) for path in sorted(Path(own).glob("chromium*")) if path.is_dir()), None)

@@ -1,4 +1,4 @@
-"""Whether what was written is what it was: checksums of stores, indexes, shards, models, and trainings, read in full."""
+"""Compare written files with their checksums: stores, indexes, shards, models, and trainings, read in full."""
 
 from __future__ import annotations
 
@@ -21,40 +21,40 @@ _AGAIN = "copy it again from where it came, or make it again"
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was found of one file or folder.
+    """The result for one file or folder.
 
     Attributes:
-        path: of it.
-        said: the end of a sentence about it.
-        whole: False where it is damaged.
+        path: the file or folder.
+        message: the end of a sentence about it.
+        whole: False if it is damaged.
     """
 
     path: Path
-    said: str
+    message: str
     whole: bool
 
 
 def verify(path: Path) -> Iterator[Verdict]:
-    """Compare a model file, a store, an index, a folder of shards, or all of these in a folder with their checksums.
+    """Compare a model file, store, index, or folder of shards, or all of these below a folder, with their checksums.
 
     Raises:
-        InputError: when there is nothing of the kind.
+        InputError: if there is none.
     """
     if not path.exists():
         raise InputError(f"There is nothing at {path}; check the path.")
-    found = [path] if path.is_file() else sorted({*_files(path)})
+    found = [path] if path.is_file() else sorted({*_find(path)})
     if not found:
         raise InputError(
             f"{path} holds no store, no index, no shards, and no model; give one of these, or a folder of them."
         )
     for file in found:
         try:
-            yield Verdict(file, _verified(file), True)
+            yield Verdict(file, _verify(file), True)
         except (LPNError, OSError) as error:
             yield Verdict(file, printable(str(error)), False)
 
 
-def _files(folder: Path) -> Iterator[Path]:
+def _find(folder: Path) -> Iterator[Path]:
     for file in folder.rglob("*"):
         if file.name in ("manifest.json", "index.json") or (
             file.name == "plan.json" and any(file.parent.glob("*.parquet"))
@@ -64,17 +64,17 @@ def _files(folder: Path) -> Iterator[Path]:
             yield file
 
 
-def _verified(path: Path) -> str:
+def _verify(path: Path) -> str:
     if (path / "index.json").exists():
         verify_index(path)
         return "is what was written"
     if path.is_dir():
-        return _shards(path) if (path / "plan.json").exists() else _store(open_store(path), path)
+        return _verify_shards(path) if (path / "plan.json").exists() else _verify_store(open_store(path), path)
     if path.suffix in (".onnx", ".safetensors") and check_seal(path, _AGAIN):
         return "is what was written"
     if path.suffix in (".pth", ".pt") and check_entries(path, _AGAIN):
         return "is what was written, as far as its entries have checksums"
-    # One that is cut short has lost its checksum, too.
+    # A truncated file has lost its checksum, so it must be opened.
     if path.suffix == ".onnx":
         from lpn.models.onnx_engine import check_opens
     else:
@@ -83,29 +83,28 @@ def _verified(path: Path) -> str:
     return "can be read, and has no checksum: an earlier version or another program wrote it"
 
 
-def _store(store: Store, folder: Path) -> str:
+def _verify_store(store: Store, folder: Path) -> str:
     for start in range(0, len(store.descriptors), _CHUNK):
-        rows = store.descriptors[start : start + _CHUNK]
-        if not np.isfinite(rows).all():
-            bad = start + int(np.argmin(np.isfinite(rows).all(axis=(1, 2))))
+        finite = np.isfinite(store.descriptors[start : start + _CHUNK]).all(axis=(1, 2))
+        if not finite.all():
+            first = store.manifest.rows[start + int(np.argmin(finite))].file
             raise StoreError(
-                f"{folder} holds values that are not finite, the first of {printable(store.manifest.rows[bad].file)}; delete "
-                "the folder and describe the pictures again."
+                f"{folder} holds values that are not finite, the first of {printable(first)}; delete the folder and describe "
+                "the pictures again."
             )
     if store.manifest.damaged:
         raise StoreError(
-            f"manifest.json in {folder} is not what its checksum was made of; delete the folder and describe again."
+            f"manifest.json in {folder} does not match its checksum; delete the folder and describe the pictures again."
         )
-    damaged = int(store.damaged().sum())
-    if damaged:
+    if damaged := int(store.damaged().sum()):
         raise StoreError(
-            f"descriptors.npy in {folder} is not what its checksums were made of, which concerns up to {damaged} of "
-            f"{len(store.descriptors)} rows; delete the folder and describe the pictures again."
+            f"descriptors.npy in {folder} does not match its checksums in up to {damaged} of {len(store.descriptors)} rows; "
+            "delete the folder and describe the pictures again."
         )
     return "is what was written" if store.manifest.checksums else "has no checksums: an earlier version wrote it"
 
 
-def _shards(folder: Path) -> str:
+def _verify_shards(folder: Path) -> str:
     from lpn.cluster.gather import open_shards
 
     shards = open_shards(folder)

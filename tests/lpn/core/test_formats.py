@@ -150,7 +150,7 @@ def test_a_later_index_is_neither_read_nor_added_to(index: Path) -> None:
 
 
 def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path: Path) -> None:
-    assert [(verdict.said, verdict.whole) for verdict in verify(tmp_path)] == [("is what was written", True)]
+    assert [(verdict.message, verdict.whole) for verdict in verify(tmp_path)] == [("is what was written", True)]
     files = [path for path in index.rglob("*") if path.is_file()]
     assert {path.suffix for path in files} == {".npy", ".bin", ".json"}
     assert any(path.name.startswith("dead-") for path in files)

@@ -9,14 +9,14 @@ import pytest
 HELD = """
 import sys
 import numpy as np
-from lpn.core.resources import pool_memory, return_memory
+from lpn.core.resources import limit_malloc_arenas, return_memory
 
 def resident():
     with open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * 4096 // 1_000_000
 
 if sys.argv[1:]:
-    assert pool_memory()
+    assert limit_malloc_arenas()
 for _ in range(3):
     np.ones(500_000)
 arrays = [np.ones(250_000) for _ in range(100)]
@@ -35,4 +35,4 @@ def test_freed_arrays_leave_the_process_though_others_live_on() -> None:
         return int(done.stdout)
 
     assert freed("asked") > 90
-    assert freed() < 50, "the C library gives freed arrays back by itself: pool_memory and return_memory can go"
+    assert freed() < 50, "the C library gives freed arrays back by itself: limit_malloc_arenas and return_memory can go"

@@ -9,7 +9,7 @@ import pytest
 
 from lpn.cli import main
 from lpn.datasets import open_dataset
-from lpn.doctor.dataset_check import examine
+from lpn.doctor.dataset_check import check_dataset
 from tools.fixtures import layouts, small_worlds
 
 
@@ -83,7 +83,7 @@ def test_equal_files_and_shared_places_are_found(tmp_path: Path) -> None:
         "satellite,drone,split,place\na.jpg,1.jpg,train,1\nb.jpg,2.jpg,test,1\nc.jpg,3.jpg,test,3\n",
     )
     shutil.copy(root / "b.jpg", root / "c.jpg")
-    report = examine(open_dataset(root))
+    report = check_dataset(open_dataset(root))
     assert report.duplicates == (("b.jpg", "c.jpg"),)
     assert report.shared == (1,)
     assert not report.healthy

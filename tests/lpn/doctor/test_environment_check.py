@@ -45,9 +45,7 @@ def test_a_sound_machine_is_said_to_be_one(
     assert said[-1] == "Nothing that is needed is broken."
     assert found["healthy"] is True
     levels = {finding["name"]: finding["level"] for finding in found["findings"]}
-    assert {"Python", "packages", "extra train", "ONNX Runtime", "cores", "cache", "port", "demo", "browser"} <= set(
-        levels
-    )
+    assert {"Python", "packages", "extra train", "ONNX Runtime", "cores", "cache", "port", "demo"} <= set(levels)
     assert [levels[name] for name in ("Python", "packages", "ONNX Runtime", "cores", "cache", "demo")] == ["OK"] * 6
     assert "problem" not in levels.values()
     assert len(said) == len(levels) + 1
@@ -77,7 +75,7 @@ def test_a_taken_port_is_no_more_than_a_note(monkeypatch: pytest.MonkeyPatch) ->
         taken.listen()
         monkeypatch.setattr(environment_check, "PORT", taken.getsockname()[1])
         found = of("port", environment_check._port)
-    assert (found.level, found.said) == ("note", f"{environment_check.PORT} on 127.0.0.1 is in use")
+    assert (found.level, found.message) == ("note", f"{environment_check.PORT} on 127.0.0.1 is in use")
     assert "--port" in found.remedy
     assert healthy([found])
 
@@ -93,7 +91,7 @@ def test_a_demo_without_its_descriptors_is_a_problem(tmp_path: Path) -> None:
     shutil.rmtree(demo / "descriptors")
     found = of("demo", lambda: environment_check._demo(demo))
     assert found.level == "problem"
-    assert found.said.endswith("descriptors is missing")
+    assert found.message.endswith("descriptors is missing")
     assert "git checkout" in found.remedy
 
 
@@ -127,13 +125,13 @@ def test_a_package_out_of_range_or_missing_is_a_problem(monkeypatch: pytest.Monk
     assert found["numpy"] == Finding(
         "numpy", "problem", "1.25.2 is installed, and >=1.26 is needed", "pip install 'numpy>=1.26'"
     )
-    assert found["viser"].said == "1.2.0 is installed, and <1.2,>=1.1.1 is needed"
-    assert (found["rich"].level, found["rich"].said) == ("problem", "is not installed")
+    assert found["viser"].message == "1.2.0 is installed, and <1.2,>=1.1.1 is needed"
+    assert (found["rich"].level, found["rich"].message) == ("problem", "is not installed")
     assert found["extra train"].level == "note"
-    assert "torch 2.0.1 is installed, and >=2.7 is needed" in found["extra train"].said
+    assert "torch 2.0.1 is installed, and >=2.7 is needed" in found["extra train"].message
     assert found["extra train"].remedy.endswith("pip install 'lpn-explorer[train]'")
-    assert (found["extra search"].said, found["extra search"].level) == ("not installed", "note")
-    assert "numpy" not in found["packages"].said
+    assert (found["extra search"].message, found["extra search"].level) == ("not installed", "note")
+    assert "numpy" not in found["packages"].message
     assert found["Python"].level == "OK"
 
 
@@ -146,10 +144,10 @@ def test_a_package_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.Monk
         finding for finding in environment_check._python_and_packages() if finding.name == "opencv-python-headless"
     ]
     assert found[0].level == "problem"
-    assert "cannot be imported (ImportError: libGL.so.1" in found[0].said
+    assert "cannot be imported (ImportError: libGL.so.1" in found[0].message
     assert "--force-reinstall" in found[0].remedy
-    assert "problem PyTorch: could not be looked at" in "\n".join(
-        f.line for f in environment_check.look(Path("absent"))
+    assert "problem PyTorch: could not be checked" in "\n".join(
+        f.line for f in environment_check.check_environment(Path("absent"))
     )
 
 
@@ -183,9 +181,9 @@ def test_what_cannot_be_looked_at_without_a_package_names_it(monkeypatch: pytest
         raise ModuleNotFoundError("No module named 'cv2.dnn'", name="cv2.dnn")
 
     monkeypatch.setattr(environment_check, "_demo", without)
-    found = next(finding for finding in environment_check.look(DEMO) if finding.name == "demo")
+    found = next(finding for finding in environment_check.check_environment(DEMO) if finding.name == "demo")
     assert found.line == (
-        "problem demo: could not be looked at without the package opencv-python-headless; "
+        "problem demo: could not be checked without the package opencv-python-headless; "
         "pip install opencv-python-headless."
     )
 
@@ -194,14 +192,12 @@ def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPat
     def homeless() -> Path:
         raise RuntimeError("Could not determine home directory.")
 
-    for name in ("LPN_CACHE", "XDG_CACHE_HOME", "PLAYWRIGHT_BROWSERS_PATH"):
+    for name in ("LPN_CACHE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(Path, "home", homeless)
-    monkeypatch.setattr(environment_check, "_BROWSERS", ())
     assert of("cache", environment_check._cache).line == (
         "problem cache: This user has no home folder to keep a cache in; set LPN_CACHE to a folder that can be written."
     )
-    assert of("browser", environment_check._browser).level == "note"
     with pytest.raises(OutputError, match="set LPN_CACHE to a folder that can be written"):
         cache_folder()
     one = np.ones((1, 1, 4), np.float32)
@@ -216,8 +212,8 @@ def test_a_python_may_call_itself_what_it_likes(monkeypatch: pytest.MonkeyPatch)
 def test_an_installed_package_knows_its_ranges_without_a_checkout(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    there = requirements.asked()
-    monkeypatch.setattr(requirements, "_CHECKOUT", tmp_path / "pyproject.toml")
+    there = requirements.read_requirements()
+    monkeypatch.setattr(requirements, "_PYPROJECT", tmp_path / "pyproject.toml")
     told = {
         "Requires-Python": ">=3.11",
         "extras": ["train"],
@@ -230,7 +226,7 @@ def test_an_installed_package_knows_its_ranges_without_a_checkout(
 
     monkeypatch.setattr(metadata, "metadata", lambda _: Told(told))
     monkeypatch.setattr(metadata, "requires", lambda _: told["requires"])
-    found = requirements.asked()
+    found = requirements.read_requirements()
     assert there is not None
     assert found is not None
     assert [package.requirement for package in found.base] == ["numpy>=1.26"]
@@ -260,8 +256,8 @@ def test_memory_is_that_of_the_group_without_what_is_kept_of_files(
 ) -> None:
     (tmp_path / "self").write_text("4:memory:/other\n0::/jobs/mine\n")
     (tmp_path / "jobs" / "mine").mkdir(parents=True)
-    monkeypatch.setattr(resources, "_GROUPS", tmp_path)
-    monkeypatch.setattr(resources, "_OWN", tmp_path / "self")
+    monkeypatch.setattr(resources, "_CGROUPS", tmp_path)
+    monkeypatch.setattr(resources, "_OWN_CGROUP", tmp_path / "self")
     system = resources.memory()
 
     def group(folder: Path, most: object, used: int, kept: int) -> None:
@@ -270,7 +266,7 @@ def test_memory_is_that_of_the_group_without_what_is_kept_of_files(
         (folder / "memory.stat").write_text(f"anon {used - kept}\nactive_file 0\ninactive_file {kept}\n")
 
     group(tmp_path / "jobs" / "mine", "max", 100 << 20, 0)
-    assert resources._groups()[-1] == tmp_path / "jobs" / "mine"
+    assert resources._cgroups()[-1] == tmp_path / "jobs" / "mine"
     group(tmp_path / "jobs", 100 << 20, 90 << 20, 70 << 20)
     found = resources.memory()
     if system is not None:  # on Linux
@@ -278,8 +274,8 @@ def test_memory_is_that_of_the_group_without_what_is_kept_of_files(
 
 
 def test_cores_are_as_many_as_a_group_has_time_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resources, "_GROUPS", tmp_path)
-    monkeypatch.setattr(resources, "_OWN", tmp_path / "self")
+    monkeypatch.setattr(resources, "_CGROUPS", tmp_path)
+    monkeypatch.setattr(resources, "_OWN_CGROUP", tmp_path / "self")
     monkeypatch.setattr(resources.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
     (tmp_path / "self").write_text("0::/all/job\n")
     (tmp_path / "all" / "job").mkdir(parents=True)

@@ -213,7 +213,7 @@ def test_what_cannot_be_read_is_not_called_damaged(tmp_path: Path) -> None:
                 open_index(tmp_path / "index")
             # A folder's time is that of no file, so that it is only its array that is looked at.
             assert str(told.value) == sentence
-        assert [verdict.said for verdict in verify(tmp_path / "index")] == [sentence]
+        assert [verdict.message for verdict in verify(tmp_path / "index")] == [sentence]
         file.rmdir()
         file.write_bytes(whole)
     open_index(tmp_path / "index").close()
