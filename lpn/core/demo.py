@@ -5,5 +5,5 @@ from __future__ import annotations
 from pathlib import Path
 
 DEMO = Path(__file__).parents[2] / "assets" / "demo"
+# The query that the explorer shows first.
 DEMO_QUERY = "0394/06"
-"""The query that the explorer opens the demo with."""

@@ -1,11 +1,11 @@
-"""What can go wrong, as one small hierarchy. Every message is one sentence meant for the person at the keyboard.
+"""The errors that a user can correct. Every message is one sentence for the user.
 
 LPNError
 ├── ModelFileError   a model file is missing, damaged, or of a kind we cannot use
 ├── DataError        a data set folder is missing, empty, or not laid out as expected
 ├── PictureError     a picture cannot be read
 ├── StoreError       a descriptor store cannot be read or written
-│   └── NewerStoreError   a later version wrote it
+│   └── NewerStoreError   a later version wrote the store
 ├── OutputError      a file cannot be written
 ├── InputError       an array or option has the wrong shape, type, or value
 │   └── DivergedError   a training's loss or weights are out of bounds
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 
 class LPNError(Exception):
-    """Base of all errors a user can cause and mend; the message says what was found, expected, and what to do."""
+    """Base of all errors that a user can correct; the message says what was found, what was expected, and what to do."""
 
 
 class ModelFileError(LPNError):
@@ -36,7 +36,7 @@ class StoreError(LPNError):
 
 
 class NewerStoreError(StoreError):
-    """A later version wrote a store, which must not be taken for damaged and replaced."""
+    """A later version wrote a store; it must not be replaced as if it were damaged."""
 
 
 class OutputError(LPNError):
@@ -48,7 +48,7 @@ class InputError(LPNError):
 
 
 class DivergedError(InputError):
-    """A training's loss or weights are out of bounds, so that going on would be of no use."""
+    """A training's loss or weights are out of bounds, so it cannot continue."""
 
 
 class MissingPackageError(LPNError):

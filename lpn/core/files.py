@@ -1,4 +1,4 @@
-"""Files written whole or not at all, what identifies a file, and how its name is shown."""
+"""Atomic writes, locks, fingerprints, and printable names of files."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ if TYPE_CHECKING:
 
 try:
     import fcntl
-except ImportError:  # not a POSIX system: there, two processes must not write into one folder at once
+except ImportError:  # not a POSIX system; two processes must not write into one folder there
     fcntl = None  # type: ignore[assignment]
 
 try:
     import resource
-except ImportError:  # the same
+except ImportError:  # not a POSIX system
     resource = None  # type: ignore[assignment]
 
 log = logging.getLogger(__name__)
 
+# Partial files of killed processes are deleted after so many seconds without a write: they may be another machine's.
 _ABANDONED = 60.0
-"""Seconds in which nobody wrote to what a killed process left, before it is deleted: it may be another machine's."""
-_MANY = 65_536
-"""Open files that are enough for 7 * 10^8 tiles; a process that may have 2^30 of them can be slow to start another."""
-_FILES = 10_240
-"""What macOS lets a process open, which says that there is no bound."""
+# Enough open files for 7 * 10^8 tiles. A limit of 2^30 can make starting processes slow.
+_OPEN_FILES = 65_536
+# The true limit of macOS, which reports none.
+_OPEN_FILES_MACOS = 10_240
 
 
 def fingerprint(*paths: Path, also: str = "") -> str:
-    """SHA-256 of the contents of files, and of a text that decides how they are read: first 16 hexadecimal digits."""
+    """Return the first 16 hexadecimal digits of the SHA-256 of files and of a text that affects how they are read."""
     digest = hashlib.sha256(also.encode())
     for path in paths:
         with path.open("rb") as file:
@@ -51,57 +51,57 @@ def fingerprint(*paths: Path, also: str = "") -> str:
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Write beside `path`, then rename: a reader sees the old file or the new one, never half of it.
+    """Write a file atomically: a reader sees the old contents or the new ones, never a part.
 
     Raises:
-        OutputError: when it cannot be written; nothing is left behind.
+        OutputError: if it cannot be written; nothing is left behind.
     """
-    beside = _beside(path)
+    temporary = _temporary(path)
     with uninterrupted():
         try:
             _prepare(path)
-            beside.write_bytes(data)
-            os.replace(beside, path)
+            temporary.write_bytes(data)
+            os.replace(temporary, path)
         except OSError as error:
             with suppress(OSError):
-                beside.unlink(missing_ok=True)
+                temporary.unlink(missing_ok=True)
             raise _unwritable(path, error) from error
         with suppress(OSError):
             _clear(path)
 
 
 def open_memmap(path: Path) -> AnyArray:
-    """The array of a `.npy` file, memory-mapped, read-only.
+    """Open the array of a `.npy` file, memory-mapped and read-only.
 
     Raises:
-        FileNotFoundError: when there is none.
-        OSError: when it cannot be read, whatever it holds; see `unreadable`.
-        ValueError: when it is damaged, or holds Python objects.
+        FileNotFoundError: if there is no file.
+        OSError: if the system refuses to read it; see `unreadable_error`.
+        ValueError: if it is damaged, or holds Python objects.
     """
     import numpy as np
 
     try:
-        found: AnyArray = np.lib.format.open_memmap(path, mode="r")
-    # What NumPy raises where a header is neither of today nor of Python 2.
+        array: AnyArray = np.lib.format.open_memmap(path, mode="r")
+    # NumPy raises these on damaged headers.
     except (EOFError, SyntaxError, TokenError, TypeError, OverflowError, MemoryError) as error:
         raise ValueError("no array") from error
-    return found
+    return array
 
 
 def unreadable_error(path: Path, error: OSError) -> StoreError:
-    """The sentence about a file that is there and that the system does not let us read, which says nothing of what it holds."""
+    """Return the error for an existing file that the system refuses to read; its contents may be intact."""
     too_many = error.errno in (errno.EMFILE, errno.ENFILE)
     remedy = "let more files be open at once (ulimit -n)" if too_many else "check its permissions and its disk"
     return StoreError(f"{path} cannot be read ({error.strerror or error}); {remedy}.")
 
 
 def raise_open_file_limit() -> None:
-    """Raise this process's limit of open files, where the system lets it: every mapped array counts as one."""
+    """Raise this process's limit of open files if possible; every mapped array counts as one."""
     if resource is None:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     unbounded = hard == resource.RLIM_INFINITY
-    for most in (_MANY, _FILES):
+    for most in (_OPEN_FILES, _OPEN_FILES_MACOS):
         most = most if unbounded else min(most, hard)
         if most <= soft or soft == resource.RLIM_INFINITY:
             return
@@ -111,29 +111,29 @@ def raise_open_file_limit() -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Find out before long work whether its result can be written to `path`; makes the folders it needs.
+    """Check before long work that `path` can be written; creates missing folders.
 
     Raises:
-        OutputError: when it cannot.
+        OutputError: if it cannot.
     """
-    beside = _beside(path)
+    temporary = _temporary(path)
     try:
         _prepare(path)
-        beside.touch()
-        beside.unlink()
+        temporary.touch()
+        temporary.unlink()
     except OSError as error:
         raise _unwritable(path, error) from error
 
 
 @contextmanager
 def exclusive_lock(folder: Path, wait: bool) -> Iterator[None]:
-    """Two processes that write into one folder take turns; the system lets go of a killed one's lock.
+    """Lock a folder against other processes; the system releases the lock of a killed one.
 
     Args:
-        wait: for the other process, rather than refuse to work beside it.
+        wait: wait for the other process instead of raising.
 
     Raises:
-        OutputError: when another process is at work there and `wait` is False.
+        OutputError: if another process holds the lock and `wait` is False.
     """
     if fcntl is None:
         yield
@@ -155,19 +155,19 @@ def exclusive_lock(folder: Path, wait: bool) -> Iterator[None]:
 
 
 def printable(name: str) -> str:
-    """A file's name as text that can be shown and sent: bytes that are not UTF-8 and control characters become "?"."""
+    """Return a file's name with "?" for control characters and bytes that are not UTF-8."""
     if name.isascii() and name.isprintable():
         return name
     return "".join(c if c.isprintable() else "?" for c in name.encode("utf-8", "replace").decode())
 
 
-def _beside(path: Path) -> Path:
-    """A name that no other process or thread writes to at the same time."""
+def _temporary(path: Path) -> Path:
+    """Return a temporary name that is unique to this process and thread."""
     return path.parent / f"{path.name}.{os.getpid()}-{threading.get_ident()}.part"
 
 
 def _clear(path: Path) -> None:
-    """Delete what processes left that were killed while they wrote the same file."""
+    """Delete temporary files of processes that were killed while they wrote the same file."""
     left = re.compile(re.escape(path.name) + r"\.([0-9]+)-[0-9]+\.part")
     with os.scandir(path.parent) as entries:
         found = [(entry, match) for entry in entries if (match := left.fullmatch(entry.name))]
@@ -177,7 +177,7 @@ def _clear(path: Path) -> None:
 
 
 def _alive(process: int) -> bool:
-    """Whether a process of that number runs on this machine; True where that cannot be known."""
+    """Return whether a process runs on this machine; True if unknown."""
     if os.name != "posix":
         return True
     try:

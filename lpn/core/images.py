@@ -1,4 +1,4 @@
-"""From a picture file to what the network is fed, in the published order: turn, resize (bicubic), normalise."""
+"""Pictures from file to network input, in the published order: rotate, resize (bicubic), normalise."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lpn.core.errors import PictureError
 from lpn.core.files import printable
 from lpn.core.resources import usable_cores
 
-# Its remarks on damaged files would stand between the sentences that name them.
+# OpenCV's own messages about damaged files would add to ours.
 if hasattr(cv2, "setLogLevel"):  # OpenCV 4
     cv2.setLogLevel(0)
 else:
@@ -27,21 +27,20 @@ else:
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 MAX_PIXELS = 50_000_000
 PNG = b"\x89PNG\r\n\x1a\n"
-"""What a PNG file begins with."""
 
 _HEIC = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
 _MEAN = np.array([0.485, 0.456, 0.406], dtype=np.float32)
 _STD = np.array([0.229, 0.224, 0.225], dtype=np.float32)
+# ImageNet normalisation of a value 0 .. 255 of each channel: value * SCALE + OFFSET.
 SCALE = (1.0 / (255.0 * _STD)).astype(np.float32)
 OFFSET = (-_MEAN / _STD).astype(np.float32)
-"""ImageNet normalisation of a value 0 .. 255 of each channel: value * SCALE + OFFSET."""
 
 
 def load_picture(path: str | Path) -> UInt8Array:
-    """Read a picture file as RGB, turned upright where its EXIF data say so: (H, W, 3) uint8.
+    """Read a picture file as upright RGB (EXIF orientation applied): (H, W, 3) uint8.
 
     Raises:
-        PictureError: when there is no such file or it is not a readable picture.
+        PictureError: if the file does not exist or is not a readable picture.
     """
     path = Path(path)
     try:
@@ -57,7 +56,7 @@ def decode_picture(data: bytes, name: str) -> UInt8Array:
     """Decode the bytes of a JPEG, PNG, WebP, or other common picture file; `name` is used in messages only.
 
     Raises:
-        PictureError: when they are not a picture, or one of more than 50 megapixels.
+        PictureError: if they are not a picture, or one of more than 50 megapixels.
     """
     if (found := header_error(io.BytesIO(data))) is not None:
         raise PictureError(
@@ -73,9 +72,9 @@ def decode_picture(data: bytes, name: str) -> UInt8Array:
 
 
 def header_error(file: BinaryIO) -> str | None:
-    """What a picture file's header tells against it, as the end of a sentence: no picture, or too large a one; else None.
+    """Return why a picture file's header is refused, as the end of a sentence: no picture, or too large; None if it is good.
 
-    A decompression bomb is refused here, before anything is decoded.
+    Decompression bombs are refused here, before anything is decoded.
     """
     try:
         with warnings.catch_warnings():
@@ -102,7 +101,7 @@ def header_error(file: BinaryIO) -> str | None:
 
 
 def _overruns(data: bytes) -> bool:
-    """Whether a PNG has a chunk that claims to be longer than the file: OpenCV would take as much memory, up to 2 GB."""
+    """Return whether a PNG chunk claims to be longer than the file; OpenCV would allocate as much memory, up to 2 GB."""
     position = len(PNG)
     while data.startswith(PNG) and position + 8 <= len(data):
         if data[position + 4 : position + 8] == b"IEND":
@@ -114,7 +113,7 @@ def _overruns(data: bytes) -> bool:
 
 
 def _other_kind(file: BinaryIO) -> str | None:
-    """What a file is that people take for a picture of a usual kind."""
+    """Name a kind of file that is often mistaken for a supported picture."""
     file.seek(0)
     start = file.read(512).lstrip(b"\xef\xbb\xbf \t\r\n")
     if start[4:8] == b"ftyp" and start[8:12] in _HEIC:
@@ -125,17 +124,16 @@ def _other_kind(file: BinaryIO) -> str | None:
 
 
 def use_all_cores() -> None:
-    """Have pictures that are turned one by one use every core, also where OpenCV's threads slept before; for a whole process.
+    """Let OpenCV use every core of this process.
 
-    OpenCV wakes one thread fewer than it is told of, by default as many as there are cores. On two cores that is a single one,
-    which the system tends to put on the core of its waker: the other stays idle.
+    OpenCV starts one thread fewer than it is told, so on two cores one core would stay idle.
     """
     cores = usable_cores()
     cv2.setNumThreads(cores + 1 if cores > 1 else 1)
 
 
 def rotate(picture: UInt8Array, degrees: float) -> UInt8Array:
-    """Turn a picture about its centre on its own canvas, counter-clockwise, corners black, bicubic (Table IV)."""
+    """Rotate a picture counter-clockwise about its centre on its own canvas, corners black, bicubic (Table IV)."""
     if degrees % 360 == 0:
         return picture
     height, width = picture.shape[:2]
@@ -144,14 +142,14 @@ def rotate(picture: UInt8Array, degrees: float) -> UInt8Array:
 
 
 def roll(panorama: UInt8Array, degrees: float) -> UInt8Array:
-    """Turn a panorama of the full circle counter-clockwise: its columns move to the left and come back at the right."""
+    """Rotate a full-circle panorama counter-clockwise by rolling its columns to the left."""
     return np.roll(panorama, -round(degrees / 360 * panorama.shape[1]), axis=1)
 
 
 def zoom(picture: UInt8Array, scale: float) -> UInt8Array:
     """Zoom about a picture's centre on its own canvas, bicubic with anti-aliasing: (H, W, 3) to the same shape.
 
-    Above 1 its middle fills the canvas; below 1 it is smaller by a whole number of pixels on either side, black around it.
+    Above 1 its middle fills the canvas; below 1 a border of whole pixels is black.
     """
     height, width = picture.shape[:2]
     if scale == 1:
@@ -167,8 +165,7 @@ def zoom(picture: UInt8Array, scale: float) -> UInt8Array:
 
 
 def shift(picture: UInt8Array, right: int, down: int = 0) -> UInt8Array:
-    """Move a picture to the right and down (to the left and up when negative) on its own canvas, black where it was: same
-    shape."""
+    """Shift a picture right and down (left and up if negative) on its own canvas; uncovered pixels are black."""
     if right == 0 and down == 0:
         return picture
     height, width = picture.shape[:2]
@@ -180,12 +177,12 @@ def shift(picture: UInt8Array, right: int, down: int = 0) -> UInt8Array:
 
 
 def crop(picture: UInt8Array, box: tuple[float, float, float, float] | None, name: str = "the picture") -> UInt8Array:
-    """The part of a picture within (left, top, right, bottom), rounded to whole pixels and cut at its borders; all without one.
+    """Crop a picture to (left, top, right, bottom), rounded to whole pixels and clipped; None keeps the whole picture.
 
     `name` is used in the message only.
 
     Raises:
-        PictureError: when nothing is within the box.
+        PictureError: if the crop is empty.
     """
     if box is None:
         return picture
@@ -210,8 +207,8 @@ def resize(picture: UInt8Array, height: int, width: int) -> UInt8Array:
 def polar(picture: UInt8Array, height: int, width: int) -> UInt8Array:
     """Unroll a north-up square tile around its centre, as SAFA does, into a panorama's shape: (height, width, 3).
 
-    Row i of column j shows what lies S/2 (height - 1 - i) / height pixels from the centre of a tile of side S, in the
-    direction 360 j / width degrees clockwise from south. North is in the middle column, the centre in the bottom row.
+    Row i, column j samples a tile of side S at S/2 (height - 1 - i) / height pixels from its centre, in the direction
+    360 j / width degrees clockwise from south. North is in the middle column, the centre in the bottom row.
     """
     side = min(picture.shape[:2])
     radius = side / 2 * (height - 1 - np.arange(height)) / height
@@ -225,14 +222,14 @@ def polar(picture: UInt8Array, height: int, width: int) -> UInt8Array:
 
 
 def enlarge(cells: AnyArray, height: int, width: int) -> AnyArray:
-    """Cells (rows, columns) as pixels (height, width), each taking its cell's value."""
+    """Enlarge cells (rows, columns) to pixels (height, width), each with its cell's value."""
     rows = np.arange(height) * cells.shape[0] // height
     columns = np.arange(width) * cells.shape[1] // width
     return cast(AnyArray, cells[rows[:, None], columns[None, :]])
 
 
 def shrink(picture: UInt8Array, side: int) -> UInt8Array:
-    """Resize a picture, keeping its proportions, so that no side is longer than `side` pixels."""
+    """Shrink a picture, keeping its aspect ratio, until no side is longer than `side` pixels."""
     height, width = picture.shape[:2]
     factor = side / max(height, width)
     return picture if factor >= 1 else resize(picture, max(round(height * factor), 1), max(round(width * factor), 1))

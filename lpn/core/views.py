@@ -20,11 +20,11 @@ BRANCH: dict[View, str] = {"satellite": "model_1", "street": "model_2", "drone":
 
 
 def branch_of(pictures: str) -> View:
-    """The view whose branch a set of training pictures goes through: its own, or for "google" the street's."""
+    """Return the view whose branch describes a set of training pictures; "google" pictures go through the street's."""
     return "street" if pictures == "google" else cast(View, pictures)
 
 
 def views_of(task: str) -> tuple[View, View]:
-    """The views of a task's queries and of its gallery: of "drone-to-satellite", drone and satellite."""
+    """Return the views of a task's queries and gallery: drone and satellite for "drone-to-satellite"."""
     query, gallery = task.split("-to-")
     return cast(View, query), cast(View, gallery)

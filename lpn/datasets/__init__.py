@@ -1,6 +1,6 @@
-"""Data sets in the layouts they are published in, each read as lists of pictures with places, tasks, and true matches.
+"""Data sets in their published layouts, read as lists of pictures with places, tasks, and true matches.
 
-`open_dataset` recognises University-1652 (and rendered worlds), CVUSA, CVACT, Oxford5k, Paris6k, pairs of one's own with a
+It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), CVUSA, CVACT, Oxford5k, Paris6k, your own pairs with a
 `pairs.csv`, and a plain folder of pictures; docs/data.md shows each layout.
 """
 
@@ -44,15 +44,15 @@ _LAYOUTS = (
 
 
 def open_dataset(root: str | Path) -> Dataset:
-    """Open a data set's folder, whose layout is recognised.
+    """Recognise the layout of a data set's folder and open it.
 
     Raises:
-        DataError: when there is no such folder, it has no layout that is known, or one of its lists is damaged.
+        DataError: if the folder does not exist, its layout is unknown, or one of its lists is damaged.
     """
     root = Path(root)
     if not root.is_dir():
         raise DataError(f"There is no data set folder at {root}; check the path.")
-    is_rendered(root)  # or raises, where it is not whole
+    is_rendered(root)  # raises for an unfinished world
     if marked := _marked(root):
         return marked(root)
     inner = sorted(child.name for child in root.iterdir() if child.is_dir() and not hidden(child) and _marked(child))
@@ -70,7 +70,7 @@ def open_dataset(root: str | Path) -> Dataset:
 
 
 def _marked(root: Path) -> type[PairsCSV | CVUSA | CVACT | University] | None:
-    """The layout that a file or folder right below the root tells."""
+    """Recognise the layout by a file or folder directly below the root."""
     if (root / pairs.NAME).is_file():
         return PairsCSV
     if cvusa.split_file(root, "train").is_file() or cvusa.split_file(root, "val").is_file():

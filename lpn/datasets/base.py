@@ -1,4 +1,4 @@
-"""What every data set offers: pictures by split and view, tasks, and what counts as a true match."""
+"""The interface of a data set: pictures by split and view, tasks, and true matches."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from lpn.core.views import views_of
 
 log = logging.getLogger(__name__)
 
+# The tasks between two views, the usual ones first.
 TASKS = (
     "drone-to-satellite",
     "satellite-to-drone",
@@ -27,10 +28,9 @@ TASKS = (
     "drone-to-street",
     "street-to-drone",
 )
-"""The tasks between two views, the usual ones first."""
 _PLAIN = re.compile(r"\w[\w-]*(\.\w+)?(/\w[\w-]*(\.\w+)?)*")
+# The largest list of pictures (.csv, .txt) that is read, in bytes.
 INDEX_BYTES = 100_000_000
-"""The largest list of pictures (.csv, .txt) that is read."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,10 @@ class Picture:
 
     Attributes:
         path: the file.
-        label: the place it shows; two pictures of one label are a true match where `Dataset.truth` is None.
-        name: how it is shown to people: the place's folder, and where a place has several, the file's ("0005/01" for
-            0005/image-01.jpeg), or what the data set calls it.
-        box: the part of it that is meant, (left, top, right, bottom) in pixels, where a data set marks one (the queries
-            of Oxford5k and Paris6k); else None.
+        label: the place it shows; two pictures with one label are a true match if `Dataset.truth` is None.
+        name: for display: the place's folder and, if the place has several pictures, the file ("0005/01" for
+            0005/image-01.jpeg), or the data set's own name.
+        box: the query region (left, top, right, bottom) in pixels, in Oxford5k and Paris6k; else None.
         panorama: whether it shows the full circle, north in the middle column.
     """
 
@@ -56,11 +55,11 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What counts for one query, as positions in the gallery, sorted, int64.
+    """The ground truth of one query, as sorted positions in the gallery, int64.
 
     Attributes:
         good: the true matches, (M,).
-        junk: pictures that are taken out of the ranking before it is scored, (J,).
+        junk: pictures that are removed from the ranking before it is scored, (J,).
     """
 
     good: Int64Array
@@ -69,7 +68,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Size:
-    """How large a list of pictures is in the complete data set; None where that is not published or sources differ."""
+    """The size of a list of pictures in the complete data set; None if unpublished or disputed."""
 
     pictures: int | None
     places: int | None = None
@@ -77,12 +76,12 @@ class Size:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A file that a data set names or holds and that its lists do not contain.
+    """A file that a data set names or holds but cannot use.
 
     Attributes:
         file: its path below the root.
-        why: such as "is not there".
-        published: whether it is so in the published data set, and therefore no damage of this copy.
+        why: the reason, such as "is not there".
+        published: whether the published data set has the same defect, so this copy is not damaged.
     """
 
     file: str
@@ -95,10 +94,10 @@ class Dataset(ABC):
 
     Attributes:
         root: the folder.
-        kind: what it was recognised as, such as "University-1652".
+        kind: the recognised layout, such as "University-1652".
         panoramas: whether street pictures show the full circle, north in the middle column, as in CVUSA and CVACT.
-        full: the size of each of `lists` in the complete data set, as far as it is known.
-        left_out: files that were found or named but cannot be used; said once, when the data set is opened.
+        full: the size of each of `lists` in the complete data set, if known.
+        left_out: files that cannot be used; logged once, when the data set is opened.
     """
 
     kind: str
@@ -111,44 +110,44 @@ class Dataset(ABC):
 
     @abstractmethod
     def train(self, folder: str) -> list[Picture]:
-        """Training pictures of a view (satellite, drone, street) or of google, empty where there are none."""
+        """Return the training pictures of a view (satellite, drone, street) or of "google"; may be empty."""
 
     @abstractmethod
     def queries(self, view: str) -> list[Picture]:
-        """The test split's queries of a view.
+        """Return the test split's queries of a view.
 
         Raises:
-            DataError: when there are none.
+            DataError: if there are none.
         """
 
     @abstractmethod
     def gallery(self, view: str) -> list[Picture]:
-        """The test split's gallery of a view.
+        """Return the test split's gallery of a view.
 
         Raises:
-            DataError: when there are none.
+            DataError: if there are none.
         """
 
     @abstractmethod
     def tasks(self) -> list[str]:
-        """The retrieval tasks the test split offers, such as "drone-to-satellite", the usual ones first."""
+        """Return the test split's tasks, such as "drone-to-satellite", the usual ones first."""
 
     @abstractmethod
     def lists(self) -> dict[str, list[Picture]]:
-        """Every list of pictures there is, by name, such as "train/satellite" or "test/query_drone"."""
+        """Return every list of pictures by its name, such as "train/satellite" or "test/query_drone"."""
 
     def truth(self, task: str) -> list[Truth] | None:
-        """The true matches of each query of a task, or None where they are the gallery's pictures of the same label."""
+        """Return the ground truth of each query; None if the true matches are the gallery's pictures with its label."""
         del task
         return None
 
 
 class ListedDataset(Dataset):
-    """A data set whose pictures were all listed when it was opened.
+    """A data set whose pictures are all listed when it is opened.
 
     Args:
-        train, queries, gallery: pictures by view; queries and gallery may be one and the same mapping.
-        expected: what the layout is, for the sentence that says a view is absent.
+        train, queries, gallery: pictures by view; queries and gallery may be the same mapping.
+        expected: the expected layout, for the message about a missing view.
     """
 
     def __init__(
@@ -167,10 +166,10 @@ class ListedDataset(Dataset):
         return list(self._train.get(folder, []))
 
     def queries(self, view: str) -> list[Picture]:
-        return self._of(self._queries, view, "test queries")
+        return self._list(self._queries, view, "test queries")
 
     def gallery(self, view: str) -> list[Picture]:
-        return self._of(self._gallery, view, "test gallery")
+        return self._list(self._gallery, view, "test gallery")
 
     def tasks(self) -> list[str]:
         return tasks_between([v for v, q in self._queries.items() if q], [v for v, g in self._gallery.items() if g])
@@ -184,35 +183,35 @@ class ListedDataset(Dataset):
             found |= {f"test/gallery_{view}": pictures for view, pictures in self._gallery.items()}
         return {name: list(pictures) for name, pictures in found.items() if pictures}
 
-    def _of(self, lists: Mapping[str, list[Picture]], view: str, said: str) -> list[Picture]:
+    def _list(self, lists: Mapping[str, list[Picture]], view: str, name: str) -> list[Picture]:
         if not lists.get(view):
-            raise DataError(f"{self.root.name} has no {said} of {view} pictures; expected {self._expected}.")
+            raise DataError(f"{self.root.name} has no {name} of {view} pictures; expected {self._expected}.")
         return list(lists[view])
 
 
 def tasks_between(queries: Collection[str], galleries: Collection[str]) -> list[str]:
-    """Every task from a view with queries to another with a gallery, the usual ones first."""
+    """Return every task from a view with queries to a view with a gallery, the usual ones first."""
     pairs = (views_of(task) for task in TASKS)
     return [f"{query}-to-{gallery}" for query, gallery in pairs if query in queries and gallery in galleries]
 
 
 def hidden(path: Path) -> bool:
-    """Whether a file or folder is one that systems and editors keep for themselves (.ipynb_checkpoints, ._a.jpg)."""
+    """Return whether a file or folder is hidden (.ipynb_checkpoints, ._a.jpg)."""
     return path.name.startswith(".")
 
 
 def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
-    """All files below a folder with one of these endings, in order of path; what is hidden is passed over."""
+    """Return all files below a folder with one of these suffixes, in order of path; hidden ones are skipped."""
     found: list[Path] = []
     for folder, folders, names in os.walk(root):
         folders[:] = [name for name in folders if not name.startswith(".")]
         found += [Path(folder, n) for n in names if not n.startswith(".") and n.lower().endswith(suffixes)]
-    # A link that leads nowhere is a picture that cannot be read, and is named as such.
+    # A broken link counts as a picture, so that it is reported as unreadable.
     return sorted(file for file in found if file.is_file() or (file.is_symlink() and not file.exists()))
 
 
 class FileNames:
-    """Which files there are below a root, each folder read once: quick for tens of thousands of names."""
+    """The files below a root; each folder is read once, so that many look-ups are quick."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
@@ -228,11 +227,14 @@ class FileNames:
         return name in self._folders[folder]
 
 
-def below(text: str, where: str) -> str:
-    """A path as a list of pictures gives it, with forward slashes, checked to stay below the data set's folder.
+def checked_path(text: str, where: str) -> str:
+    """Check that a listed path stays below the data set's folder, and return it with forward slashes.
+
+    Args:
+        where: the origin of the path, for the message.
 
     Raises:
-        DataError: naming `where` it was given, when it is absolute, empty, or climbs out with "..".
+        DataError: if it is absolute, empty, or contains "..".
     """
     if _PLAIN.fullmatch(text):
         return text
@@ -246,10 +248,10 @@ def below(text: str, where: str) -> str:
 
 
 def read_lines(path: Path, name: str) -> list[str]:
-    """The lines of a text file.
+    """Return the lines of a text file.
 
     Raises:
-        DataError: when it cannot be read, is larger than any such list, or is not UTF-8.
+        DataError: if it cannot be read, is too large, or is not UTF-8.
     """
     try:
         if path.stat().st_size > INDEX_BYTES:
@@ -264,10 +266,10 @@ def read_lines(path: Path, name: str) -> list[str]:
 
 
 def read_rows(path: Path, name: str) -> Iterator[tuple[int, list[str]]]:
-    """The lines of a file of comma-separated values that are not empty, each with its number from 1.
+    """Yield the non-empty rows of a CSV file, each with its line number from 1.
 
     Raises:
-        DataError: when it cannot be read as such.
+        DataError: if it is not a CSV file.
     """
     lines = csv.reader(read_lines(path, name))
     try:
@@ -278,8 +280,8 @@ def read_rows(path: Path, name: str) -> Iterator[tuple[int, list[str]]]:
         raise DataError(f"Line {lines.line_num} of {name} is not comma-separated values ({error}); mend it.") from error
 
 
-def say_left_out(dataset: Dataset, what: str, effect: str) -> None:
-    """One warning that names the first files a data set leaves out."""
+def warn_left_out(dataset: Dataset, what: str, effect: str) -> None:
+    """Log one warning that names the first files a data set leaves out."""
     if dataset.left_out:
         some = ", ".join(f"{printable(item.file)} ({item.why})" for item in dataset.left_out[:3])
         more = f", and {len(dataset.left_out) - 3} more" if len(dataset.left_out) > 3 else ""

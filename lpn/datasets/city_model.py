@@ -1,8 +1,7 @@
-"""A data set's city in three dimensions: `city.glb` beside `geo.csv`.
+"""The 3-D model of a data set's city: `city.glb` beside `geo.csv`.
 
-A binary glTF file of at most 4 MB that holds all it needs. As in every glTF file y is up, and lengths are metres; x is
-east and -z is north. Its origin lies at the latitude and longitude (WGS 84 degrees) that the scene's or the asset's
-extras record:
+A self-contained binary glTF file of at most 4 MB, in metres: y is up, x is east, -z is north. The extras of its scene or
+asset record the latitude and longitude (WGS 84 degrees) of its origin:
 
     "scenes": [{"nodes": [0], "extras": {"latitude": 46.2, "longitude": -31.4}}]
 
@@ -21,8 +20,8 @@ from lpn.core.errors import DataError
 from lpn.datasets.geo import Position
 
 NAME = "city.glb"
-LARGEST = 4_000_000
-"""Bytes that the file has at most: every browser that opens the map loads it."""
+# The largest file in bytes; every browser that opens the map loads it.
+MAX_BYTES = 4_000_000
 
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _DRACO = "KHR_draco_mesh_compression"
@@ -34,7 +33,7 @@ class CityModel:
 
     Attributes:
         data: the file.
-        origin: where the model's origin lies.
+        origin: the position of the model's origin.
     """
 
     data: bytes
@@ -42,19 +41,19 @@ class CityModel:
 
 
 def city_model(root: Path) -> CityModel | None:
-    """The city of a data set's folder, or None where it has no `city.glb`.
+    """Read the city model of a data set's folder; None if it has no `city.glb`.
 
     Raises:
-        DataError: when there is one that cannot be used.
+        DataError: if the file cannot be used.
     """
     path = root / NAME
     if not path.is_file():
         return None
     try:
         size = path.stat().st_size
-        if size > LARGEST:
+        if size > MAX_BYTES:
             raise DataError(
-                f"{NAME} has {size / 1e6:.1f} MB; expected at most {LARGEST / 1e6:g} MB, so leave detail out."
+                f"{NAME} has {size / 1e6:.1f} MB; expected at most {MAX_BYTES / 1e6:g} MB, so leave detail out."
             )
         data = path.read_bytes()
     except OSError as error:
@@ -65,7 +64,7 @@ def city_model(root: Path) -> CityModel | None:
 
 
 def _header(data: bytes) -> dict[str, Any]:
-    """The JSON of a GLB file."""
+    """Parse and check the JSON chunk of a GLB file."""
     if len(data) < 20 or data[:4] != _MAGIC or data[16:20] != _JSON:
         raise DataError(f"{NAME} is not a binary glTF file; export it as .glb.")
     version, length = struct.unpack_from("<II", data, 4)
@@ -74,7 +73,7 @@ def _header(data: bytes) -> dict[str, Any]:
     chunks = _chunks(data)
     if length != len(data) or chunks is None:
         raise DataError(f"{NAME} has {len(data)} bytes where it says {length} or its parts do; copy it again.")
-    # Of two headers, a browser may take the one that was not looked at.
+    # With two JSON chunks, a browser might read the one that was not checked.
     if [kind for kind, _ in chunks] not in ([_JSON], [_JSON, _BINARY]):
         raise DataError(f"{NAME} holds more than a header and one block of data; export it again.")
     try:
@@ -83,7 +82,7 @@ def _header(data: bytes) -> dict[str, Any]:
         raise DataError(f"{NAME} is damaged: its header is not JSON; export it again.") from error
     if not isinstance(header, dict):
         raise DataError(f"{NAME} is damaged: its header is not a glTF scene; export it again.")
-    # Nothing may make the page load from elsewhere: other files, or the decoder of compressed meshes.
+    # The page must load nothing from elsewhere: no other files, and no decoder for compressed meshes.
     if _refers(header):
         raise DataError(f"{NAME} refers to other files; export it with everything embedded.")
     if _DRACO in str([header.get("extensionsUsed"), header.get("extensionsRequired")]):
@@ -92,7 +91,7 @@ def _header(data: bytes) -> dict[str, Any]:
 
 
 def _chunks(data: bytes) -> list[tuple[bytes, bytes]] | None:
-    """The kind and content of each chunk, or None where they do not end with the file."""
+    """Return the kind and content of each chunk; None if they do not end with the file."""
     found, at = [], 12
     while at + 8 <= len(data):
         (size,) = struct.unpack_from("<I", data, at)
@@ -102,7 +101,7 @@ def _chunks(data: bytes) -> list[tuple[bytes, bytes]] | None:
 
 
 def _refers(value: object) -> bool:
-    """Whether there is an address anywhere below a value that is not of data in itself."""
+    """Return whether a value contains a URI other than a data URI."""
     if isinstance(value, dict):
         own = "uri" in value and not str(value["uri"]).startswith("data:")
         return own or any(_refers(below) for below in value.values())

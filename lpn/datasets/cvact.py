@@ -3,7 +3,7 @@
     ACT_data.mat    panoIds, and the 1-based rows trainSet.trainInd, valSet.valInd, valSetAll.valInd
     [ANU_data_small/]streetview/<id>_grdView.jpg, [ANU_data_small/]satview_polish/<id>_satView_polish.jpg
 
-Some copies hold the pictures as .png. The test split is CVACT_val (valSet). The label of a pair is its row.
+Some copies hold .png files. The test split is CVACT_val (valSet). The label of a pair is its row.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import matlab
-from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, Size, say_left_out
+from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, Size, warn_left_out
 
 NAME = "ACT_data.mat"
 FULL = {
@@ -32,11 +32,11 @@ _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 class CVACT(ListedDataset):
-    """A folder in CVACT's layout. Pairs of which a picture is not there are left out, which is said once.
+    """A folder in CVACT's layout. Incomplete pairs are left out and logged once.
 
     Raises:
-        DataError: when ACT_data.mat is not what is described above, or no pair is whole.
-        ModuleNotFoundError: when scipy, which reads it, is not installed.
+        DataError: if ACT_data.mat is malformed, or no pair is complete.
+        ModuleNotFoundError: if scipy is not installed.
     """
 
     kind = "CVACT"
@@ -68,17 +68,17 @@ class CVACT(ListedDataset):
         super().__init__(root, pictures["train"], pictures["test"], pictures["test"], f"a valSet in {NAME}")
         self.left_out = left_out
         self.full = FULL
-        say_left_out(self, f"files named in {NAME} cannot be used", "their pairs are left out")
+        warn_left_out(self, f"files named in {NAME} cannot be used", "their pairs are left out")
 
 
 def _find(there: FileNames, view: str, name: str) -> str | None:
-    """The path of a pair's picture below the root."""
+    """Return the path of a pair's picture below the root."""
     files = (f"{folder}{_FILES[view].format(name)}{suffix}" for folder in _FOLDERS for suffix in (".jpg", ".png"))
     return next((file for file in files if file in there), None)
 
 
 def _read(path: Path) -> tuple[list[str], dict[str, Int64Array]]:
-    """The ids of all panoramas, and the 1-based rows of the pairs to train on and to test with."""
+    """Return the ids of all panoramas, and the 1-based rows of the training and test pairs."""
     expected = "a MATLAB 5 file with panoIds, trainSet.trainInd, and valSet.valInd"
     values = matlab.load(path, ["panoIds", "trainSet", "valSet"], expected)
     try:

@@ -1,8 +1,8 @@
-"""CVUSA (Workman et al. 2015, the split of Zhai et al. 2017): pairs of a tile and a panorama centred where it was taken.
+"""CVUSA (Workman et al. 2015, split of Zhai et al. 2017): pairs of a panorama and the tile centred on its camera.
 
     splits/train-19zl.csv, splits/val-19zl.csv    bingmap/19/0000001.jpg,streetview/panos/0000001.jpg,<annotation>
 
-The third column may be empty or absent. The label of a pair is the number in both file names.
+The third column is optional. The label of a pair is the number in both file names.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Literal
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, Size, below, read_rows, say_left_out
+from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, Size, checked_path, read_rows, warn_left_out
 from lpn.datasets.rendered import is_rendered
 
 Split = Literal["train", "val"]
@@ -28,22 +28,22 @@ _NUMBER = re.compile(r"\d{1,15}$")
 
 
 def split_file(root: Path, split: Split) -> Path:
-    """The file that lists the pairs of a split."""
+    """Return the file that lists the pairs of a split."""
     return root / "splits" / f"{split}-19zl.csv"
 
 
 class CVUSA(ListedDataset):
-    """A folder in CVUSA's layout. Pairs of which a picture is not there are left out, which is said once.
+    """A folder in CVUSA's layout. Incomplete pairs are left out and logged once.
 
     Raises:
-        DataError: when a line of the splits is not a pair of paths below the folder, or no pair is whole.
+        DataError: if a line of the splits is not a pair of paths below the folder, or no pair is complete.
     """
 
     kind = "CVUSA"
     panoramas = True
 
     def __init__(self, root: Path) -> None:
-        # A rendered world keeps its panoramas in this layout, and is as large as it was asked to be.
+        # A rendered world stores its panoramas in this layout, in any number.
         rendered = is_rendered(root.parent)
         listed: dict[Split, list[tuple[str, str]]] = {"train": _read(root, "train"), "val": _read(root, "val")}
         labels = _labels(listed["train"] + listed["val"])
@@ -69,7 +69,7 @@ class CVUSA(ListedDataset):
         )
         self.left_out = left_out
         self.full = {} if rendered else FULL
-        say_left_out(self, "files named in splits cannot be used", "their pairs are left out")
+        warn_left_out(self, "files named in splits cannot be used", "their pairs are left out")
 
 
 def _read(root: Path, split: Split) -> list[tuple[str, str]]:
@@ -84,14 +84,14 @@ def _read(root: Path, split: Split) -> list[tuple[str, str]]:
                 f"Line {line} of {name} has {len(values)} values; expected a tile, a panorama, and perhaps an annotation."
             )
         where = f"Line {line} of {name}"
-        pairs.append((below(values[0], where), below(values[1], where)))
+        pairs.append((checked_path(values[0], where), checked_path(values[1], where)))
     if len(set(pairs)) < len(pairs):
         raise DataError(f"{name} lists a pair twice; keep one line of each.")
     return pairs
 
 
 def _labels(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], int]:
-    """Each pair's number in its file names; its position in the lists where names and pairs do not agree one to one."""
+    """Return each pair's number in its file names, or its position if these numbers are not unique."""
     numbers = [[_NUMBER.search(Path(file).stem) for file in pair] for pair in pairs]
     named = [int(a[0]) for a, b in numbers if a and b and int(a[0]) == int(b[0])]
     ordered = named if len(set(named)) == len(pairs) else range(len(pairs))

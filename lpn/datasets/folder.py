@@ -1,4 +1,4 @@
-"""A folder of pictures without a layout: nothing says what shows the same place, so it can be described, not evaluated."""
+"""A folder of pictures without a layout: it can be described but not evaluated, as places are unknown."""
 
 from __future__ import annotations
 

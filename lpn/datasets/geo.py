@@ -1,15 +1,14 @@
-"""Where pictures were taken: `geo.csv` in a data set's folder, and distances on the ground.
+"""Positions of pictures (`geo.csv` in a data set's folder), and distances on the ground.
 
     path,latitude,longitude[,altitude,heading[,tilt,fov[,width]]]
     test/gallery_satellite/0005/0005.jpg,30.30561,120.08023,,
     test/query_drone/0005/image-01.jpeg,30.30561,120.08023,121.5,90
 
-`path` is relative to the folder, with forward slashes. Latitude and longitude are WGS 84 degrees of what the middle of
-the picture shows: the centre of a tile; for an oblique drone picture the point on the ground it looks at, not the
-camera. Altitude is the camera's height above the ground in metres, heading its direction in degrees clockwise from
-north, tilt its angle in degrees from the horizon (-90, which is assumed, is straight down), fov its horizontal field
-of view in degrees, width the metres of ground that a tile shows from side to side. Altitude and what follows it may be
-left out or empty.
+`path` is relative to the folder, with forward slashes. Latitude and longitude are WGS 84 degrees of the ground point in the
+middle of the picture, which for an oblique drone picture is not the camera's position. Altitude is the camera's height
+above the ground in metres, heading its direction in degrees clockwise from north, tilt its angle in degrees from the horizon
+(-90, the default, is straight down), fov its horizontal field of view in degrees, width the ground width of a tile in metres.
+The columns from altitude on are optional and may be empty.
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ from lpn.core.files import printable
 from lpn.datasets import Picture
 
 NAME = "geo.csv"
+# The mean radius of the Earth in metres.
 EARTH_RADIUS = 6_371_008.8
-"""Mean radius of the Earth in metres."""
 
 _REQUIRED = ("path", "latitude", "longitude")
 _OPTIONAL = ("altitude", "heading", "tilt", "fov", "width")
@@ -47,21 +46,21 @@ _LIMITS = {
     "width": (0.1, 1e6),
 }
 
+# Messages show so many characters of a value.
 _SHOWN = 200
-"""Letters of a value that a message shows."""
 
 
 @dataclass(frozen=True)
 class Position:
-    """Where a picture is on the Earth.
+    """The position of a picture on the Earth.
 
     Attributes:
-        latitude, longitude: WGS 84 degrees of what the middle of the picture shows.
-        altitude: of the camera above the ground in metres, None when not given.
-        heading: of the camera in degrees clockwise from north, None when not given.
-        tilt: of the camera in degrees from the horizon, -90 straight down; None when not given.
-        fov: horizontal field of view in degrees, None when not given.
-        width: metres of ground from side to side, None when not given.
+        latitude, longitude: WGS 84 degrees of the ground point in the middle of the picture.
+        altitude: of the camera above the ground in metres.
+        heading: of the camera in degrees clockwise from north.
+        tilt: of the camera in degrees from the horizon; -90 is straight down.
+        fov: horizontal field of view in degrees.
+        width: ground width in metres.
     """
 
     latitude: float
@@ -80,7 +79,7 @@ class Positions:
         root: the data set's folder.
 
     Raises:
-        DataError: when `geo.csv` is absent or not in the format above; the message names the line.
+        DataError: if `geo.csv` is missing or malformed; the message names the line.
     """
 
     def __init__(self, root: Path) -> None:
@@ -89,29 +88,29 @@ class Positions:
 
     @property
     def paths(self) -> list[str]:
-        """The pictures that have one, relative to the data set's folder, with forward slashes, in the file's order."""
+        """The paths of the listed pictures, relative to the data set's folder, in the file's order."""
         return list(self._by_path)
 
     def of(self, pictures: Sequence[Picture]) -> list[Position]:
-        """The position of each picture.
+        """Return the position of each picture.
 
         Raises:
-            DataError: when one has none.
+            DataError: if a picture has none.
         """
         return self.below(names_below(self._root, pictures))
 
     def match(self, names: Sequence[str]) -> list[Position | None]:
-        """The position of each picture by its name below a folder that was described, see the function `match`."""
+        """Return positions by names below a described folder; see the function `match`."""
         return match(self._by_path, names, f"{NAME} in {self._root}")
 
     def below(self, names: Sequence[str]) -> list[Position]:
-        """The position of each picture by its path below the folder, with forward slashes; DataError as for `of`."""
+        """Return positions by paths below the data set's folder; raises DataError as `of` does."""
         return find_positions(self._by_path, names)
 
 
 def names_below(root: Path, pictures: Sequence[Picture]) -> list[str]:
-    """The path of each picture below a folder, with forward slashes."""
-    start = os.path.join(root, "")  # noqa: PTH118 (a text, to be compared with texts)
+    """Return the path of each picture below a folder, with forward slashes."""
+    start = os.path.join(root, "")  # noqa: PTH118 (a string, to compare with strings)
     names = []
     for picture in pictures:
         path = str(picture.path)
@@ -121,33 +120,33 @@ def names_below(root: Path, pictures: Sequence[Picture]) -> list[str]:
 
 
 def positions(root: Path) -> Positions | None:
-    """The positions of a data set's pictures, or None where it has no `geo.csv`.
+    """Read the positions of a data set's pictures; None if it has no `geo.csv`.
 
     Raises:
-        DataError: when there is one that cannot be read.
+        DataError: if the file cannot be read.
     """
     return Positions(root) if (root / NAME).is_file() else None
 
 
 def metres(a: Sequence[Position], b: Sequence[Position]) -> Float64Array:
-    """Distance in metres between each position of `a` and its counterpart in `b`: (N,) float64.
+    """Return the distance in metres between each position in `a` and the one in `b`: (N,) float64.
 
-    On a sphere of the mean radius, which differs from the ellipsoid of `on_plane` by up to 0.6 %.
+    It is computed on a sphere of the mean radius, which differs from the ellipsoid of `on_plane` by up to 0.6 %.
     """
     return metres_between(radians(a), radians(b))
 
 
 def metres_between(a: Float64Array, b: Float64Array) -> Float64Array:
-    """The same for latitudes and longitudes in radians, (N, 2), or (1, 2) for one place against many."""
+    """Return the same for latitudes and longitudes in radians, (N, 2); (1, 2) is broadcast."""
     lat_a, lon_a, lat_b, lon_b = a[:, 0], a[:, 1], b[:, 0], b[:, 1]
     square = np.sin((lat_b - lat_a) / 2) ** 2 + np.cos(lat_a) * np.cos(lat_b) * np.sin((lon_b - lon_a) / 2) ** 2
     return cast(Float64Array, 2 * EARTH_RADIUS * np.arcsin(np.sqrt(np.minimum(square, 1.0))))
 
 
 def on_plane(places: Sequence[Position], origin: Position) -> Float64Array:
-    """Metres east and north of an origin, on a plane that touches the WGS 84 ellipsoid there: (N, 2) float64.
+    """Return metres east and north of an origin, on the plane tangent to the WGS 84 ellipsoid there: (N, 2) float64.
 
-    Within 50 km of the origin, below 45 degrees of latitude, distances on it are wrong by less than 1 %.
+    Within 50 km of the origin and below 45 degrees of latitude, distances are accurate to 1 %.
     """
     degrees = np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
     north, east = metres_per_degree(origin.latitude)
@@ -156,7 +155,7 @@ def on_plane(places: Sequence[Position], origin: Position) -> Float64Array:
 
 
 def metres_per_degree(latitude: float) -> tuple[float, float]:
-    """Metres of a degree of latitude and of a degree of longitude at a latitude on the WGS 84 ellipsoid."""
+    """Return the metres of a degree of latitude and of longitude at a latitude on the WGS 84 ellipsoid."""
     a, e2 = 6378137.0, 6.69437999014e-3
     sine = np.sin(np.radians(latitude))
     north = a * (1 - e2) / (1 - e2 * sine**2) ** 1.5
@@ -165,9 +164,9 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
 
 
 def camera(place: Position, origin: Position) -> Float64Array | None:
-    """Where a picture was taken from: metres east, north, and up from an origin, (3,); None without an altitude.
+    """Return the camera's position in metres east, north, and up from an origin, (3,); None without an altitude.
 
-    The camera stands behind what it shows, as far as its height and tilt say.
+    An oblique camera is behind the ground point that it shows, by its height and tilt.
     """
     if place.altitude is None:
         return None
@@ -179,16 +178,16 @@ def camera(place: Position, origin: Position) -> Float64Array | None:
 
 
 def radians(places: Sequence[Position]) -> Float64Array:
-    """Latitude and longitude of each place in radians, (N, 2)."""
+    """Return latitude and longitude of each position in radians, (N, 2)."""
     degrees = np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
     return cast(Float64Array, np.radians(degrees))
 
 
-def read_positions(data: bytes, said: str = NAME) -> dict[str, Position]:
-    """The positions in a file of the format above, by path; `said` is what messages call it.
+def read_positions(data: bytes, file: str = NAME) -> dict[str, Position]:
+    """Parse positions by path; `file` is the file's name for messages.
 
     Raises:
-        DataError: when it is not in that format; the message names the line.
+        DataError: if the format is wrong; the message names the line.
     """
     try:
         lines = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""))
@@ -196,41 +195,41 @@ def read_positions(data: bytes, said: str = NAME) -> dict[str, Position]:
         unknown = set(header) - {*_REQUIRED, *_OPTIONAL}
         if not set(_REQUIRED) <= set(header) or unknown or len(set(header)) < len(header):
             raise DataError(
-                f"The first line of {said} is {_short(','.join(header)) or 'empty'}; expected path,latitude,longitude and, if "
+                f"The first line of {file} is {_short(','.join(header)) or 'empty'}; expected path,latitude,longitude and, if "
                 "known, altitude,heading,tilt,fov,width."
             )
         found: dict[str, Position] = {}
         for values in lines:
             if values:
-                line = f"Line {lines.line_num} of {said}"
+                line = f"Line {lines.line_num} of {file}"
                 name, position = _position(header, values, line)
                 if name in found:
                     raise DataError(f"{line} gives {_short(name)} a second position; keep one.")
                 found[name] = position
     except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{said} is not a text file of comma-separated values in UTF-8; save it as such.") from error
+        raise DataError(f"{file} is not a text file of comma-separated values in UTF-8; save it as such.") from error
     return found
 
 
-def find_positions(found: Mapping[str, Position], names: Sequence[str], said: str = NAME) -> list[Position]:
-    """The position of each picture by its name; DataError when one has none."""
+def find_positions(found: Mapping[str, Position], names: Sequence[str], file: str = NAME) -> list[Position]:
+    """Return the position of each picture by its name; DataError if one has none."""
     missing = [name for name in names if name not in found]
     if missing:
         raise DataError(
-            f"{said} has no position for {len(missing)} of {len(names)} pictures, the first being {missing[0]}; "
-            f"add a line for each, or take {said} away."
+            f"{file} has no position for {len(missing)} of {len(names)} pictures, the first being {missing[0]}; "
+            f"add a line for each, or take {file} away."
         )
     return [found[name] for name in names]
 
 
-def match(found: Mapping[str, Position], names: Sequence[str], said: str = NAME) -> list[Position | None]:
-    """The position of each picture by its name below a folder that was described, None where it has none.
+def match(found: Mapping[str, Position], names: Sequence[str], file: str = NAME) -> list[Position | None]:
+    """Return positions by names below a described folder; None for pictures without one.
 
-    That folder may lie further down than the file of positions: it is the one below which the most of these names are in the
-    file, and of several, the folder of the file itself.
+    The described folder may lie below the folder of the file of positions: the prefix that matches most names is used,
+    and among equal ones the file's own folder.
 
     Raises:
-        InputError: when there are as many below two folders, at other places.
+        InputError: if two prefixes match equally many names, at different positions.
     """
     wanted = set(names)
     counts: Counter[str] = Counter()
@@ -245,7 +244,7 @@ def match(found: Mapping[str, Position], names: Sequence[str], said: str = NAME)
         for other in above[1:]:
             if any(_place(found.get(above[0] + name)) != _place(found.get(other + name)) for name in names):
                 raise InputError(
-                    f"{said} has the pictures below both {above[0]} and {other}, at other places; give a file of positions, or "
+                    f"{file} has the pictures below both {above[0]} and {other}, at other places; give a file of positions, or "
                     "the folder of one (as --data takes it), that has only the described one."
                 )
     return [found.get(above[0] + name) for name in names]
@@ -280,7 +279,7 @@ def _position(header: Sequence[str], values: Sequence[str], line: str) -> tuple[
 
 
 def _short(text: str) -> str:
-    """What a file holds, as a sentence can show it."""
+    """Shorten a text from a file for a message."""
     return printable(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
 
 

@@ -1,9 +1,9 @@
-"""Whether picture files are whole, found out before long work that needs them.
+"""Check picture files before long work that needs them.
 
-Decoding everything first would cost as much as the work itself. A file is passed when its header is a picture's and its
-end is where its format says it is: the end-of-image marker of a JPEG, every chunk of a PNG with its checksum, the length
-that a WebP states. Any other is decoded. So a file that is cut short, empty, or no picture at all is always found; damage in
-the middle of a JPEG or WebP with both ends whole is found by `decode` alone, and only where the decoder notices.
+Decoding every file would cost as much as the work itself. A file passes if its header is valid and its end agrees with its
+format: the end-of-image marker of a JPEG, the checksums of all chunks of a PNG, the stated length of a WebP. Other files are
+decoded. Truncated and empty files are always found. Damage inside a JPEG or WebP is found only with `decode`, and only if the
+decoder notices.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
 
-_AT_ONCE = 2048
+_BATCH = 2048
+# The error of a picture that has a valid header and end but cannot be decoded.
 DAMAGED = "is damaged"
-"""What is wrong with a picture that has a header and an end and still cannot be decoded."""
 
 
 def picture_error(path: Path, decode: bool = False) -> str | None:
-    """What is wrong with a picture file, such as "is cut short", or None.
+    """Return the error of a picture file, such as "is cut short", or None.
 
     Args:
-        decode: decode the whole picture even where its ends are as they should be.
+        decode: decode the picture even if its header and end are valid.
     """
     try:
         with path.open("rb") as file:
@@ -41,74 +41,74 @@ def picture_error(path: Path, decode: bool = False) -> str | None:
 
 
 def stream_error(file: BinaryIO, decode: bool = False) -> str | None:
-    """The same of an opened file, or of bytes in memory."""
+    """Return the error of an open file or of bytes in memory, as `picture_error` does."""
     if (found := images.header_error(file)) is not None:
         return found
-    ends = _ends(file)
-    if ends and not decode:
+    end_valid = _end_valid(file)
+    if end_valid and not decode:
         return None
     try:
         file.seek(0)
         data = file.read()
         images.decode_picture(data, "")
-        if not ends:
-            # OpenCV of some versions fills the rest of a cut file with grey and says nothing.
+        if not end_valid:
+            # Some versions of OpenCV silently fill the rest of a truncated file with grey.
             with Image.open(io.BytesIO(data)) as picture:
                 picture.load()
     except (PictureError, OSError, ValueError, SyntaxError, EOFError):
-        return DAMAGED if ends else "is cut short or damaged"
+        return DAMAGED if end_valid else "is cut short or damaged"
     return None
 
 
 def picture_errors(
-    files: Sequence[Path], decode: bool = False, report: Callable[[int], None] | None = None
+    files: Sequence[Path], decode: bool = False, on_progress: Callable[[int], None] | None = None
 ) -> dict[Path, str]:
-    """What is wrong with picture files, for those with which something is, in their order; see `flaw`.
+    """Return the errors of broken picture files, in their order; see `picture_error`.
 
     Args:
-        report: told now and then how many files have been looked at.
+        on_progress: called now and then with the number of checked files.
     """
     found: dict[Path, str] = {}
     with ThreadPoolExecutor(min(32, 4 * (os.cpu_count() or 1))) as pool:
-        for start in range(0, len(files), _AT_ONCE):
-            some = files[start : start + _AT_ONCE]
-            for position, (file, said) in enumerate(
+        for start in range(0, len(files), _BATCH):
+            some = files[start : start + _BATCH]
+            for position, (file, error) in enumerate(
                 zip(some, pool.map(lambda f: picture_error(f, decode), some), strict=True), 1
             ):
-                if said is not None:
-                    found[file] = said
-                if report is not None and (position % 64 == 0 or position == len(some)):
-                    report(start + position)
+                if error is not None:
+                    found[file] = error
+                if on_progress is not None and (position % 64 == 0 or position == len(some)):
+                    on_progress(start + position)
     return found
 
 
-def check_whole(files: Sequence[Path], said: str, root: Path | None = None) -> None:
-    """Stop where a picture is broken, before anything is made of the others.
+def check_whole(files: Sequence[Path], what: str, root: Path | None = None) -> None:
+    """Refuse broken pictures.
 
     Args:
-        said: what the files are, such as "pictures".
-        root: the folder their names are told from.
+        what: the plural noun for the files, such as "pictures".
+        root: the folder that shown names are relative to.
 
     Raises:
-        PictureError: naming the first of them, each with what is wrong.
+        PictureError: naming the first broken files with their errors.
     """
     if broken := picture_errors(files):
         raise PictureError(
-            f"{len(broken)} of {len(files)} {said} cannot be described: {list_errors(broken, root)}; mend or remove them."
+            f"{len(broken)} of {len(files)} {what} cannot be described: {list_errors(broken, root)}; mend or remove them."
         )
 
 
 def list_errors(found: Mapping[Path, str], root: Path | None = None, most: int = 5) -> str:
-    """The first of the files that `flaws` found, each with what is wrong, and how many more there are."""
+    """Return the first broken files with their errors, and the number of further ones."""
     some = [
-        f"{printable(str(file.relative_to(root) if root else file))} {said}"
-        for file, said in list(found.items())[:most]
+        f"{printable(str(file.relative_to(root) if root else file))} {error}"
+        for file, error in list(found.items())[:most]
     ]
     return ", ".join(some) + (f", and {len(found) - most} more" if len(found) > most else "")
 
 
-def _ends(file: BinaryIO) -> bool:
-    """Whether a picture file goes on to the end that its format tells."""
+def _end_valid(file: BinaryIO) -> bool:
+    """Return whether a picture file's end agrees with its format."""
     file.seek(0)
     start = file.read(12)
     size = file.seek(0, os.SEEK_END)
@@ -117,16 +117,16 @@ def _ends(file: BinaryIO) -> bool:
         return file.read().rstrip(b"\0\r\n ").endswith(b"\xff\xd9")
     if start.startswith(images.PNG):
         file.seek(len(images.PNG))
-        return _chunks_hold(file, size)
+        return _chunks_valid(file, size)
     if start.startswith(b"RIFF") and start[8:] == b"WEBP":
         return size >= int.from_bytes(start[4:8], "little") + 8
     return False
 
 
-def _chunks_hold(file: BinaryIO, size: int) -> bool:
+def _chunks_valid(file: BinaryIO, size: int) -> bool:
     while len(head := file.read(8)) == 8:
         length = int.from_bytes(head[:4], "big")
-        if length > size:  # for which Python would make room first
+        if length > size:  # reading it would allocate the memory first
             return False
         body = file.read(length)
         if int.from_bytes(file.read(4), "big") != zlib.crc32(body, zlib.crc32(head[4:])):

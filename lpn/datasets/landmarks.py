@@ -1,10 +1,10 @@
-"""Oxford5k and Paris6k (Philbin et al. 2007, 2008): landmark pictures with queries that mark a part of one.
+"""Oxford5k and Paris6k (Philbin et al. 2007, 2008): landmark pictures; each query is a region of a picture.
 
     <anywhere>/<picture>.jpg
     <anywhere>/<landmark>_<k>_query.txt            <picture> <left> <top> <right> <bottom>
     <anywhere>/<landmark>_<k>_{good,ok,junk}.txt   a picture's name a line
 
-Oxford5k writes oxc1_ before the names in its query files. True matches are good and ok; junk is taken out of the ranking.
+Names in the query files of Oxford5k are prefixed with oxc1_. Good and ok are true matches; junk is removed from the ranking.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ import numpy as np
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, files_below, read_lines, say_left_out
+from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, files_below, read_lines, warn_left_out
 from lpn.datasets.integrity import picture_errors
 
 PREFIX = "oxc1_"
 TASK = "street-to-street"
-# The archive of Oxford5k holds one picture more than the 5,062 of the paper.
+# The archive of Oxford5k holds one picture more than the paper's 5,062.
 FULL = {
     "Oxford5k": {"test/query_street": Size(55, 11), "test/gallery_street": Size(5_063)},
     "Paris6k": {"test/query_street": Size(55, 11), "test/gallery_street": Size(6_392)},
 }
-# Listed by the authors of Paris6k beside the archive: these hold a web server's message in place of a picture.
+# The 20 unreadable pictures of the published archive of Paris6k, as listed by its authors, without .jpg.
 _CORRUPT = {
     "louvre": (136, 146),
     "moulinrouge": (422,),
@@ -40,19 +40,17 @@ _CORRUPT = {
     "triomphe": (662, 833, 863, 867),
 }
 CORRUPT = frozenset(f"paris_{landmark}_{number:06d}" for landmark, numbers in _CORRUPT.items() for number in numbers)
-"""The 20 pictures of Paris6k that cannot be read in the published archive, without .jpg."""
 _QUERY = re.compile(r"(.+)_(\d{1,6})_query\.txt")
 
 
 class Landmarks(ListedDataset):
-    """Oxford5k, Paris6k, or a data set with ground-truth files of their kind; its one task is "street-to-street".
+    """Oxford5k, Paris6k, or a data set with the same kind of ground truth; its only task is "street-to-street".
 
-    A picture's label is its landmark's number where a query has it as good or ok, and a number of its own, at least the
-    number of landmarks, otherwise: labels are for display, and `truth` is what counts. Pictures that cannot be read
-    are left out, which is said once.
+    The label of a true match is its landmark's number; every other picture has a label of its own. Labels are for display;
+    `truth` holds the true matches. Unreadable pictures are left out and logged once.
 
     Raises:
-        DataError: when a ground-truth file is missing or not as above, or two pictures have one name.
+        DataError: if a ground-truth file is missing or malformed, or two pictures have the same name.
     """
 
     kind = "landmarks"
@@ -85,17 +83,19 @@ class Landmarks(ListedDataset):
         }
         usable = [query for query in queries if query.picture in position]
         gallery = [Picture(file, labels[name], printable(name)) for name, file in readable.items()]
-        asked = [
+        query_pictures = [
             Picture(readable[query.picture], landmarks[query.landmark], printable(query.name), query.box)
             for query in usable
         ]
-        super().__init__(root, {}, {"street": asked}, {"street": gallery}, "pictures named as in the ground truth")
-        if not asked:
+        super().__init__(
+            root, {}, {"street": query_pictures}, {"street": gallery}, "pictures named as in the ground truth"
+        )
+        if not query_pictures:
             raise DataError(f"{root.name} has the picture of none of its {len(queries)} queries; add them as .jpg.")
         self._truth = [Truth(_positions(query.good, position), _positions(query.junk, position)) for query in usable]
         self.left_out = left_out
         self.full = FULL.get(self.kind, {})
-        say_left_out(self, "pictures cannot be used", "they are left out")
+        warn_left_out(self, "pictures cannot be used", "they are left out")
 
     def tasks(self) -> list[str]:
         return [TASK]
@@ -105,7 +105,7 @@ class Landmarks(ListedDataset):
 
 
 class _Query:
-    """One query's four ground-truth files."""
+    """The four ground-truth files of one query."""
 
     def __init__(self, root: Path, file: Path) -> None:
         matched = _QUERY.fullmatch(file.name)
@@ -120,9 +120,9 @@ class _Query:
         except ValueError:
             left = top = right = bottom = math.nan
         if not (all(map(math.isfinite, (left, top, right, bottom))) and left < right and top < bottom):
-            said = printable(lines[0][:80]) if lines else "nothing"
+            content = printable(lines[0][:80]) if lines else "nothing"
             raise DataError(
-                f"{where} says {said!r} in {len(lines)} lines; expected one line: a picture's name and its box as left, top, "
+                f"{where} says {content!r} in {len(lines)} lines; expected one line: a picture's name and its box as left, top, "
                 "right, bottom in pixels."
             )
         self.box = (left, top, right, bottom)
@@ -138,7 +138,7 @@ class _Query:
 
 
 def query_files(root: Path) -> list[Path]:
-    """The ground-truth files below a folder that name a query."""
+    """Return the ground-truth files below a folder that name a query."""
     return [file for file in files_below(root, ("_query.txt",)) if _QUERY.fullmatch(file.name)]
 
 
@@ -158,7 +158,7 @@ def _names(root: Path, file: Path) -> list[str]:
 
 
 def _name(text: str, where: str, line: int) -> str:
-    """A picture's name, without a folder; names are looked up among the files found, never opened as paths."""
+    """Check a picture's name; names are looked up among existing files, never opened as paths."""
     name = text.strip().removesuffix(".jpg")
     if not re.fullmatch(r"[\w.-]{1,200}", name) or name.startswith("."):
         raise DataError(

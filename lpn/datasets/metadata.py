@@ -1,14 +1,13 @@
-"""What a data set's folder says of its pictures beside the pictures themselves, as columns of a table.
+"""Metadata of a data set's pictures, as columns of a table.
 
     geo.csv        latitude, longitude, altitude, heading, tilt, fov, width: see `lpn.datasets.geo`
-    world.json     of a rendered world, what a picture's building is: district, its character, kind, height, twins
-    metadata.csv   anything else, one line for each picture:
+    world.json     the building on each picture of a rendered world: district, its character, kind, height, twins
+    metadata.csv   anything else, one line a picture:
 
         path,weather,battery
         test/query_drone/0005/image-01.jpeg,rain,81.5
 
-A column of metadata.csv holds numbers where each of its values is one, else texts; a value may be empty, and so may pictures be
-without a line.
+A column of metadata.csv holds numbers if all its values are numbers, else texts. Values may be empty, and lines missing.
 """
 
 from __future__ import annotations
@@ -32,30 +31,30 @@ log = logging.getLogger(__name__)
 
 NAME = "metadata.csv"
 WORLD = "world.json"
+# The columns of a user's annotations.
 TAGS, NOTE = "tags", "note"
-"""Columns that a person's own notes make, see `lpn.analysis.notes`."""
 _UNITS = {"latitude": "°", "longitude": "°", "altitude": "m", "heading": "°", "tilt": "°", "fov": "°", "width": "m"}
-_SIGNS = set('<>=!~"')
+_OPERATOR_CHARACTERS = set('<>=!~"')
 
 
 def relative(root: Path, pictures: Sequence[Picture]) -> list[str]:
-    """The path of each picture below the data set's folder, with forward slashes."""
+    """Return the path of each picture below the data set's folder, with forward slashes."""
     return geo.names_below(root, pictures)
 
 
 def columns(root: Path, paths: Sequence[str], taken: Sequence[str] = ()) -> list[Column]:
-    """Everything known of some pictures; columns of which nothing is known are left out.
+    """Return all known metadata of some pictures; columns without any value are left out.
 
     Args:
         root: the data set's folder.
         paths: the pictures, below it.
-        taken: names that columns of metadata.csv must not have.
+        taken: column names that metadata.csv must not use.
 
     Raises:
-        DataError: when one of the files cannot be used; the message names it and its line.
+        DataError: if a file cannot be used; the message names its line.
     """
     found = [*_positions(root, paths), *_world(root, paths)]
-    found += _own(root, paths, [*taken, *(column.name for column in found), "path", TAGS, NOTE])
+    found += _custom(root, paths, [*taken, *(column.name for column in found), "path", TAGS, NOTE])
     return [column for column in found if column.known.any()]
 
 
@@ -72,7 +71,7 @@ def _positions(root: Path, paths: Sequence[str]) -> list[Column]:
 
 
 def _world(root: Path, paths: Sequence[str]) -> list[Column]:
-    """What a rendered world says of the building on each picture."""
+    """Return the columns about the building on each picture of a rendered world."""
     file = root / WORLD
     if not file.is_file():
         return []
@@ -102,7 +101,7 @@ def _world(root: Path, paths: Sequence[str]) -> list[Column]:
 def _building(
     building: dict[str, object] | None, districts: dict[int, dict[str, object]]
 ) -> tuple[str, str, str, float, str]:
-    """District, its character, kind, height in metres, and whether there are others that look the same."""
+    """Return district, its character, kind, height in metres, and whether the building has twins."""
     if building is None:
         return "", "", "", math.nan, ""
     district = districts[int(str(building["district"]))]
@@ -111,7 +110,7 @@ def _building(
     return str(district["name"]), str(district["character"]), str(building["kind"]), height, twins
 
 
-def _own(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Column]:
+def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Column]:
     file = root / NAME
     if not file.is_file():
         return []
@@ -151,9 +150,9 @@ def _own(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Column]
 def _check_names(names: Sequence[str], taken: Sequence[str]) -> None:
     used = {name.casefold() for name in taken}
     for name in names[1:]:
-        if not name or _SIGNS & set(name):
+        if not name or _OPERATOR_CHARACTERS & set(name):
             raise DataError(
-                f"{NAME} has a column called {name!r}; expected a name without any of {' '.join(sorted(_SIGNS))}, so rename it."
+                f"{NAME} has a column called {name!r}; expected a name without any of {' '.join(sorted(_OPERATOR_CHARACTERS))}, so rename it."
             )
         if name.casefold() in used:
             raise DataError(f"{NAME} has a column called {name!r}, which there is already; rename it.")
@@ -161,7 +160,7 @@ def _check_names(names: Sequence[str], taken: Sequence[str]) -> None:
 
 
 def _column(name: str, values: Sequence[str], everywhere: Sequence[str]) -> Column:
-    """Numbers where every value of the file is one, so that a column is of one kind for all tasks."""
+    """Return a number column if every value in the file is a number, so that the kind is the same for all tasks."""
     known = [text for text in everywhere if text]
     if known and all(_is_number(text) for text in known):
         return number_column(name, [float(text) if text else math.nan for text in values])

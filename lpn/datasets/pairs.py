@@ -1,12 +1,12 @@
-"""Pairs of one's own: pictures anywhere below a folder, put together by a `pairs.csv`.
+"""Your own pairs: pictures anywhere below a folder, paired by a `pairs.csv`.
 
     satellite,street,split,place
     tiles/a.jpg,photos/a1.jpg,train,
     tiles/b.jpg,photos/b1.jpg,test,7
 
-The first line names two or three of satellite, street, drone, and, if wanted, split (train or test; test without it) and
-place (a whole number). A cell may be empty where a line has no picture of a view. Without a place, lines with the same
-satellite picture (without satellites: of the first view named) show the same place.
+The first line names two or three of satellite, street, drone, and optionally split (train or test; default test) and place
+(a whole number). A cell may be empty if a line has no picture of a view. Without a place, lines with the same satellite
+picture (without satellites: the same picture of the first view) show the same place.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.views import VIEWS
-from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, below, read_rows, say_left_out
+from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, checked_path, read_rows, warn_left_out
 
 NAME = "pairs.csv"
 _MOST = 2**62
 
 
 @dataclass(frozen=True)
-class _Row:
+class _PairLine:
     line: int
     files: dict[str, str]
     split: str
@@ -32,10 +32,10 @@ class _Row:
 
 
 class PairsCSV(ListedDataset):
-    """A folder with a pairs.csv. A picture that is not there is left out, which is said once.
+    """A folder with a pairs.csv. Missing pictures are left out and logged once.
 
     Raises:
-        DataError: when pairs.csv is not in the format above; the message names the line.
+        DataError: if pairs.csv is malformed; the message names the line.
     """
 
     kind = "pairs"
@@ -69,10 +69,10 @@ class PairsCSV(ListedDataset):
             )
         super().__init__(root, train, test, test, f"lines of {NAME} with the split test and such a picture")
         self.left_out = list(left_out.values())
-        say_left_out(self, f"files named in {NAME} cannot be used", "they are left out")
+        warn_left_out(self, f"files named in {NAME} cannot be used", "they are left out")
 
 
-def _read(path: Path) -> tuple[list[str], list[_Row]]:
+def _read(path: Path) -> tuple[list[str], list[_PairLine]]:
     rows = read_rows(path, NAME)
     _, first = next(rows, (0, []))
     header = [name.strip().lower() for name in first]
@@ -89,7 +89,7 @@ def _read(path: Path) -> tuple[list[str], list[_Row]]:
     return views, found
 
 
-def _row(header: list[str], views: list[str], values: list[str], line: int) -> _Row:
+def _row(header: list[str], views: list[str], values: list[str], line: int) -> _PairLine:
     if len(values) != len(header):
         raise DataError(f"Line {line} of {NAME} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
     row = {name: value.strip() for name, value in zip(header, values, strict=True)}
@@ -101,16 +101,16 @@ def _row(header: list[str], views: list[str], values: list[str], line: int) -> _
         place = int(text) if text.isdecimal() and len(text) < 20 else _MOST
         if place >= _MOST:
             raise DataError(f"Line {line} of {NAME} has the place {printable(text)!r}; expected a whole number from 0.")
-    files = {view: below(row[view], f"Line {line} of {NAME}") for view in views if row[view]}
+    files = {view: checked_path(row[view], f"Line {line} of {NAME}") for view in views if row[view]}
     if not files:
         raise DataError(f"Line {line} of {NAME} names no picture; expected one of {', '.join(views)}.")
-    return _Row(line, files, split, place)
+    return _PairLine(line, files, split, place)
 
 
-def _places(rows: list[_Row], view: str) -> list[int]:
-    """Each line's place: as given, else that of the line that named its picture of `view` first, else of its own."""
+def _places(rows: list[_PairLine], view: str) -> list[int]:
+    """Return each line's place: as given, else that of the first line with the same picture of `view`, else a new one."""
     given = [row.place for row in rows if row.place is not None]
-    # Places made up here must not be any that was given.
+    # New places must differ from the given ones.
     fresh = max(given, default=-1) + 1
     known = {row.files[view]: row.place for row in rows if row.place is not None and view in row.files}
     places: list[int] = []

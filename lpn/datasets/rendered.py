@@ -1,4 +1,4 @@
-"""How a rendered world is told from other folders, and whether its rendering has ended."""
+"""Recognition of rendered worlds, and whether their rendering has ended."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 
 PLAN = "world.json"
+# Present in a world's folder until its last picture is rendered.
 UNFINISHED = "unfinished.txt"
-"""In a world's folder until the last of its pictures is there."""
 
 
 def is_rendered(root: Path) -> bool:
-    """Whether a folder is one that `lpn world` made; DataError while pictures of it are missing."""
+    """Return whether `lpn world` made a folder; raises DataError while its pictures are incomplete."""
     if not (root / PLAN).is_file():
         return False
     if (root / UNFINISHED).is_file():

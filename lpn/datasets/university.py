@@ -1,4 +1,4 @@
-"""University-1652's folder layout, which rendered worlds share.
+"""The folder layout of University-1652 and of rendered worlds.
 
     train/{satellite,drone,street,google}/<id>/*.jpg|jpeg|png|webp
     test/{query,gallery}_{satellite,drone,street}/<id>/*.jpg|jpeg|png|webp
@@ -17,8 +17,7 @@ from lpn.core.images import SUFFIXES
 from lpn.datasets.base import Dataset, Picture, Size, tasks_between
 from lpn.datasets.rendered import is_rendered
 
-# The pictures of train/street are left open: the publications' sum (50,218 training pictures) and counts of the
-# released folder do not agree.
+# The size of train/street is disputed: the publications' sum (50,218 training pictures) and the released folder differ.
 FULL = {
     "train/satellite": Size(701, 701),
     "train/drone": Size(37_854, 701),
@@ -36,9 +35,9 @@ _VIEWS = ("drone", "satellite", "street")
 
 
 class University(Dataset):
-    """A folder in University-1652's layout. Pictures are listed when asked for, in order of place and file name.
+    """A folder in University-1652's layout; `kind` is "world" if it was rendered.
 
-    Its kind is "world" where a `world.json` says that it was rendered.
+    Pictures are listed on request, in order of place and file name.
     """
 
     kind = "University-1652"
@@ -101,7 +100,7 @@ def _pictures(folder: Path) -> list[Picture]:
 
 
 def _names(folder: Path, folders: bool) -> list[str]:
-    """Names in a folder, sorted: of its folders or of its files. The folder itself says which is which, links aside."""
+    """Return the sorted names of the folders or of the files in a folder."""
     with os.scandir(folder) as entries:
         return sorted(
             e.name for e in entries if not e.name.startswith(".") and (_is_folder(e) if folders else _is_picture(e))
@@ -111,12 +110,12 @@ def _names(folder: Path, folders: bool) -> list[str]:
 def _is_folder(entry: os.DirEntry[str]) -> bool:
     try:
         return entry.is_dir()
-    except OSError:  # links in a circle
+    except OSError:  # circular links
         return False
 
 
 def _is_picture(entry: os.DirEntry[str]) -> bool:
-    """Whether it is a file, or a link that leads nowhere: that is a picture that cannot be read, and is named as such."""
+    """Return whether an entry is a file or a broken link, which is later reported as unreadable."""
     try:
         return entry.is_file() or (entry.is_symlink() and not Path(entry.path).exists())
     except OSError:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import InputError
-from lpn.datasets.city_model import LARGEST
+from lpn.datasets.city_model import MAX_BYTES
 from lpn.world import light, paint, photo, solids, textures
 from lpn.world.atlas import Atlas
 from lpn.world.cameras import TILE, Site, Tile
@@ -82,7 +82,7 @@ def test_window(atlas: Atlas) -> Window:
     return west, south, east, north
 
 
-def city_model(city: City, site: Site, window: Window, largest: int = LARGEST) -> bytes:
+def city_model(city: City, site: Site, window: Window, largest: int = MAX_BYTES) -> bytes:
     """The part of a city that stands in a window, as a GLB file with as much detail as fits.
 
     Args:

@@ -16,7 +16,7 @@ import trimesh
 
 from lpn.core.errors import DataError, InputError
 from lpn.datasets import geo
-from lpn.datasets.city_model import LARGEST, NAME, city_model
+from lpn.datasets.city_model import MAX_BYTES, NAME, city_model
 from lpn.datasets.geo import Position
 from lpn.world import model3d
 from lpn.world.atlas import Atlas, Settings, make_atlas
@@ -70,7 +70,7 @@ def header(data: bytes) -> dict[str, Any]:
 
 
 def test_the_model_is_small_whole_and_says_where_it_stands(atlas: Atlas, data: bytes, tmp_path: Path) -> None:
-    assert 100_000 < len(data) <= LARGEST
+    assert 100_000 < len(data) <= MAX_BYTES
     (tmp_path / NAME).write_bytes(data)
     read = city_model(tmp_path)
     assert read is not None
@@ -215,7 +215,7 @@ def _with_second_header() -> bytes:
         (_with_second_header(), "more than a header"),
         (_changed(lambda h: h["scenes"][0].update(extras={"latitude": 10**400, "longitude": 0})), "expected degrees"),
         (_changed(lambda h: h.update(extensionsUsed=["KHR_draco_mesh_compression"])), "compressed with Draco"),
-        (bytes(LARGEST + 1), "4.0 MB; expected at most 4 MB"),
+        (bytes(MAX_BYTES + 1), "4.0 MB; expected at most 4 MB"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_refused_in_one_sentence(tmp_path: Path, data: bytes, said: str) -> None:
