@@ -125,7 +125,7 @@ def test_ones_own_picture_is_said_not_to_be_in_the_link(
     explorer.expect_status("name", "mine.png")
     wait_address(explorer, "query", "own")
     explorer.page.get_by_text("Link", exact=True).click()
-    expect(explorer.page.locator("#lpn-said")).to_contain_text("not in it")
+    expect(explorer.page.locator("#lpn-notice")).to_contain_text("not in it")
     other = ExplorerPage(contexts().new_page())
     other.page.goto(explorer.page.url)
     expect(other.page.locator(".mantine-Notification-root", has_text="ask them for the file")).to_be_visible()
@@ -139,7 +139,7 @@ def test_the_link_is_copied_by_key(app: RunningApp, contexts: Callable[..., Brow
     explorer.fill("Rotate", "25")
     wait_address(explorer, "angle", "25")
     explorer.key("i")
-    expect(explorer.page.locator("#lpn-said")).to_contain_text("Link copied")
+    expect(explorer.page.locator("#lpn-notice")).to_contain_text("Link copied")
     assert explorer.page.evaluate("navigator.clipboard.readText()") == explorer.page.url
 
 
@@ -286,5 +286,5 @@ def test_a_server_that_is_gone_is_said_to_be(app: RunningApp, contexts: Callable
     explorer = ExplorerPage(contexts().new_page())
     with started(app.data, app.model, app.model.parent / "cache") as running:
         explorer.open(running.url)
-        expect(explorer.page.locator("#lpn-said")).to_have_count(0)
-    expect(explorer.page.locator("#lpn-said.shown")).to_contain_text("Start it again")
+        expect(explorer.page.locator("#lpn-notice")).to_have_count(0)
+    expect(explorer.page.locator("#lpn-notice.shown")).to_contain_text("Start it again")

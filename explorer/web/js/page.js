@@ -1,5 +1,5 @@
-// What happens in the page without asking the server: a linked cursor over a pair's cells, painting, and messages.
-// A message goes to the server through a hidden text control of viser's, as {"kind": ..., "value": ..., "count": ...}.
+// The page's script: messages to the server, the linked cursor over a pair's cells, painting, and maps of queries.
+// A message goes to the server through a hidden text control of viser, as {"kind": ..., "value": ..., "count": ...}.
 (() => {
   if (window.lpn) return;
   let count = 0;
@@ -19,7 +19,7 @@
     input.dispatchEvent(new Event("input", { bubbles: true }));
   };
 
-  // viser sends what changed last every 50 ms: messages that follow each other sooner wait for their turn.
+  // viser sends the control's last value every 50 ms, so messages wait until the one before is sent.
   let free = 0;
   lpn.send = (kind, value) => {
     const now = performance.now();
@@ -50,7 +50,7 @@
     box.style.height = 100 / rows + "%";
   };
 
-  const other = (map) => [...map.closest(".lpn-pair").querySelectorAll(".lpn-map")].find((found) => found !== map);
+  const other = (map) => [...map.closest(".lpn-pair").querySelectorAll(".lpn-map")].find((one) => one !== map);
   const signed = (value) => (value < 0 ? "\u2212" : "+") + Math.abs(value).toFixed(4);
 
   lpn.hover = (map, event, held) => {
@@ -64,10 +64,10 @@
     mark(map, "there", -1);
     mark(other(map), "here", -1);
     const place = (index, width) => "row " + (Math.floor(index / width) + 1) + ", column " + ((index % width) + 1);
-    let said = map.dataset.side + ", " + place(cell, columns) + ": " + signed(numbers(map, "cells")[cell]) + " of the score";
+    let text = map.dataset.side + ", " + place(cell, columns) + ": " + signed(numbers(map, "cells")[cell]) + " of the score";
     if (mate >= 0)
-      said += "; with the " + other(map).dataset.side + "\u2019s " + place(mate, sized(other(map))[1]) + " " + signed(numbers(map, "shares")[cell]);
-    pair.parentElement.querySelector(".lpn-read").textContent = said;
+      text += "; with the " + other(map).dataset.side + "\u2019s " + place(mate, sized(other(map))[1]) + " " + signed(numbers(map, "shares")[cell]);
+    pair.parentElement.querySelector(".lpn-read").textContent = text;
   };
 
   lpn.leave = (map) => {
@@ -77,7 +77,7 @@
     pair.parentElement.querySelector(".lpn-read").textContent = pair.dataset.hint;
   };
 
-  // A click keeps the pair of cells marked until the next one on the same cell.
+  // A click keeps a pair of cells marked until the next click on the same cell.
   lpn.hold = (map, event) => {
     const pair = map.closest(".lpn-pair");
     const cell = map.dataset.side + lpn.cell(map, event);
@@ -89,7 +89,7 @@
     lpn.hover(map, event, true);
   };
 
-  // Painting: the first cell touched decides whether the stroke paints or erases; the server hears of whole strokes.
+  // The first cell of a stroke decides whether the stroke paints or erases; the server receives whole strokes.
   lpn.stroke = (map, event) => {
     if (event.type === "pointerdown") {
       map.setPointerCapture(event.pointerId);
@@ -108,7 +108,7 @@
     event.preventDefault();
   };
 
-  // A text box is sent when typing pauses.
+  // Send the text of a box when typing pauses.
   lpn.typed = (box, kind) => {
     clearTimeout(box._timer);
     box._timer = setTimeout(() => lpn.send(kind, box.value), 250);
@@ -116,19 +116,19 @@
 
   lpn.note = (element) => {
     const row = element.closest(".lab-note");
-    const said = [...row.querySelectorAll("input, textarea")].map((box) => box.value);
-    lpn.send("lab-note", [row.dataset.task, Number(row.dataset.row), ...said]);
+    const [tags, note] = [...row.querySelectorAll("input, textarea")].map((box) => box.value);
+    lpn.send("lab-note", [row.dataset.task, Number(row.dataset.row), tags, note]);
   };
 
-  // A map of queries: a drag is a rectangle, a click a point; where the mouse rests, the server says what is there.
-  const tips = () => document.querySelectorAll(".lab-tip").forEach((tip) => (tip.style.display = "none"));
+  // A map of queries: a drag selects a rectangle, a click a point; where the mouse rests, the server sends a tip.
+  const hideTips = () => document.querySelectorAll(".lab-tip").forEach((tip) => (tip.style.display = "none"));
   lpn.map = (map, event) => {
     const box = map.getBoundingClientRect();
     const part = (value, length) => Math.min(Math.max(value / length, 0), 1);
     const at = [part(event.clientX - box.left, box.width), part(event.clientY - box.top, box.height)];
     const drawn = map.querySelector(".drawn");
     clearTimeout(map._rest);
-    tips();
+    hideTips();
     if (event.type === "pointerdown") {
       map.setPointerCapture(event.pointerId);
       map._from = at;

@@ -1,26 +1,26 @@
-// The tour: a card beside what it speaks of, shown at the first visit, and again when it is asked for.
+// The tour: cards beside their subjects, shown at the first visit and on request.
 (() => {
   const lpn = window.lpn;
   if (lpn.tour) return;
   const GAP = 12;
-  const KEPT = "lpn-tour";
-  let at = -1;
+  const STORAGE_KEY = "lpn-tour";
+  let at = -1; // the step that is shown, -1 for none
 
   const seen = () => {
     try {
-      return localStorage.getItem(KEPT) !== null;
+      return localStorage.getItem(STORAGE_KEY) !== null;
     } catch {
-      return true; // without a memory it would be shown at each visit
+      return true; // without storage, the tour would start at every visit
     }
   };
 
-  // Where a step's subject is on the screen: an element that is in view, else a box on the stage.
+  // Return the rectangle of a step's subject on the screen: a visible element, else a box on the stage.
   const subject = (step) => {
     for (const selector of step.selectors) {
       const box = document.querySelector(selector)?.getBoundingClientRect();
       if (!box || !box.width) continue;
-      const sheet = document.querySelector(selector).closest(".mantine-ScrollArea-viewport")?.getBoundingClientRect();
-      const frame = sheet || { left: 0, top: 0, right: innerWidth, bottom: innerHeight };
+      const scrolled = document.querySelector(selector).closest(".mantine-ScrollArea-viewport")?.getBoundingClientRect();
+      const frame = scrolled || { left: 0, top: 0, right: innerWidth, bottom: innerHeight };
       const left = Math.max(box.left, frame.left), top = Math.max(box.top, frame.top);
       const right = Math.min(box.right, frame.right), bottom = Math.min(box.bottom, frame.bottom);
       const enough = Math.min(60, 0.8 * box.height);
@@ -35,7 +35,7 @@
     return { left: x(step.box[0]), top: y(step.box[3]), right: x(step.box[2]), bottom: y(step.box[1]) };
   };
 
-  // Beside its subject where there is room, else in the corner that covers least of it.
+  // Place the card beside its subject or in a corner, wherever it covers least of the subject.
   const placed = (card, box) => {
     const width = card.offsetWidth, height = card.offsetHeight;
     const right = innerWidth - width - GAP, bottom = innerHeight - height - GAP;
@@ -58,9 +58,9 @@
   };
 
   const element = (id) => {
-    const found = document.getElementById(id) || document.body.appendChild(document.createElement("div"));
-    found.id = id;
-    return found;
+    const node = document.getElementById(id) || document.body.appendChild(document.createElement("div"));
+    node.id = id;
+    return node;
   };
 
   const show = () => {
@@ -69,10 +69,10 @@
     const last = at === lpn.steps.length - 1;
     card.setAttribute("role", "dialog");
     card.setAttribute("aria-label", "Tour");
-    card.innerHTML =
-      "<b>" + step.title + "</b>" + step.text + " <span class='keys'>" + step.keys + "</span><div class='foot'><span>" + (at + 1) + " of " + lpn.steps.length +
-      "</span><button class='skip' title='Escape'>" + (last ? "" : "Skip") + "</button><button class='next'>" + (last ? "Done" : "Next") +
-      "</button></div>";
+    card.innerHTML = step.html +
+      '<div class="foot"><span></span><button class="skip" title="Escape">Skip</button><button class="next"></button></div>';
+    card.querySelector(".foot span").textContent = at + 1 + " of " + lpn.steps.length;
+    card.querySelector(".next").textContent = last ? "Done" : "Next";
     card.querySelector(".skip").hidden = last;
     card.querySelector(".skip").onclick = end;
     card.querySelector(".next").onclick = () => (last ? end() : (at++, show()));
@@ -94,7 +94,7 @@
     at = -1;
     for (const id of ["lpn-tour", "lpn-spot"]) document.getElementById(id)?.remove();
     try {
-      localStorage.setItem(KEPT, "seen");
+      localStorage.setItem(STORAGE_KEY, "seen");
     } catch {}
   };
 
@@ -105,6 +105,6 @@
   window.addEventListener("resize", () => at >= 0 && show());
   window.addEventListener("keydown", (event) => event.key === "Escape" && at >= 0 && end(), true);
 
-  // The first answer is there.
+  // Called when the first analysis is shown.
   lpn.welcome = () => !seen() && setTimeout(() => at < 0 && lpn.tour(), 700);
 })();

@@ -1,15 +1,15 @@
-// How the page sits on its screen: styles, messages, room for the stage, and keys that are the app's alone.
+// The page around the panels: styles, notices, the size of the stage, and keyboard events.
 (() => {
   const lpn = window.lpn;
   if (lpn.head) return;
 
   const element = (id, parent) => {
-    const found = document.getElementById(id) || parent.appendChild(document.createElement("div"));
-    found.id = id;
-    return found;
+    const node = document.getElementById(id) || parent.appendChild(document.createElement("div"));
+    node.id = id;
+    return node;
   };
 
-  // Styles that stand in a panel are gone when it is folded.
+  // Styles live outside the panels, because viser removes the content of a folded panel.
   lpn.head = (html) => {
     const holder = element("lpn-head", document.body);
     holder.hidden = true;
@@ -17,15 +17,15 @@
   };
 
   lpn.say = (text, seconds = 4) => {
-    const said = element("lpn-said", document.body);
-    said.setAttribute("role", "status");
-    said.textContent = text;
-    said.classList.add("shown");
-    clearTimeout(said.hiding);
-    if (seconds) said.hiding = setTimeout(() => said.classList.remove("shown"), 1000 * seconds);
+    const notice = element("lpn-notice", document.body);
+    notice.setAttribute("role", "status");
+    notice.textContent = text;
+    notice.classList.add("shown");
+    clearTimeout(notice.hiding);
+    if (seconds) notice.hiding = setTimeout(() => notice.classList.remove("shown"), 1000 * seconds);
   };
 
-  // viser shades the panels while nobody answers, and goes on when somebody does.
+  // viser shades the panels while the connection is lost, and reconnects by itself.
   let lost = false;
   setInterval(() => {
     const shade = document.getElementById("lpn-header")?.closest('div[style*="transition: opacity 150ms"]');
@@ -37,11 +37,11 @@
 
   lpn.upload = () => document.querySelector('input[type="file"]')?.click();
 
-  // The command palette gives the focus back where it was when it closes, so this comes after it.
+  // The closing command palette restores the focus; set it afterwards.
   lpn.focus = (uuid) =>
     setTimeout(() => (lpn.field(uuid) ? lpn.field(uuid).focus() : lpn.say("Unfold the panel Query first.")), 400);
 
-  // viser moves the camera by these keys, which are commands here.
+  // viser would move the camera by these keys, which are the app's shortcuts.
   document.documentElement.addEventListener("keydown", (event) => {
     if (/^Key[WASDQE]$/.test(event.code)) event.stopPropagation();
   });
@@ -56,31 +56,31 @@
   lpn.small = matchMedia("(max-width: 1100px)");
   lpn.small.addEventListener("change", () => lpn.send("small", lpn.small.matches));
 
-  // On a phone the panels are a sheet over the page; the stage gets what it leaves of it.
+  // On a phone the panels are a sheet over the page, and the stage takes the rest.
   const phone = matchMedia("(max-width: 36em)");
   const sheet = new ResizeObserver(([entry]) => {
     const height = entry.target.getBoundingClientRect().height;
     document.documentElement.style.setProperty("--lpn-sheet", height + "px");
   });
-  const room = new ResizeObserver(([entry]) => {
+  const stage = new ResizeObserver(([entry]) => {
     const { width, height } = entry.contentRect;
-    clearTimeout(room.telling);
-    room.telling = setTimeout(() => lpn.send("room", [Math.round(width), Math.round(height)]), 250);
+    clearTimeout(stage.sending);
+    stage.sending = setTimeout(() => lpn.send("room", [Math.round(width), Math.round(height)]), 250);
   });
   lpn.watch = () => {
     const canvas = document.querySelector("canvas[data-engine]");
-    if (canvas) room.observe(canvas);
+    if (canvas) stage.observe(canvas);
     canvas?.closest('div[style*="flex-grow: 1"]')?.classList.add("lpn-stage");
     sheet.disconnect();
     const panel = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]');
     if (panel) sheet.observe(panel);
   };
-  // What opens in the sheet opens below what is seen of it.
+  // A part of the sheet that opens lies below its visible part: scroll to it.
   lpn.reveal = (selector, tries = 20) => {
-    const found = document.querySelector(selector);
+    const target = document.querySelector(selector);
     if (!phone.matches || !tries) return;
-    if (!found?.offsetHeight) return setTimeout(() => lpn.reveal(selector, tries - 1), 250);
-    setTimeout(() => found.scrollIntoView({ block: "start", behavior: "smooth" }), 300);
+    if (!target?.offsetHeight) return setTimeout(() => lpn.reveal(selector, tries - 1), 250);
+    setTimeout(() => target.scrollIntoView({ block: "start", behavior: "smooth" }), 300);
   };
   phone.addEventListener("change", () => setTimeout(lpn.watch, 300));
 })();
