@@ -1,4 +1,4 @@
-"""What one browser has chosen, as plain data, and the pure functions that change it. No viser here."""
+"""One browser's choices as plain data, and pure functions that change them; no viser here."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from lpn.descriptors.transforms import Change
 from lpn.drawing.theme import DARK, LIGHT, Palette
 
 MAX_WEIGHT = 2.0
+MAX_ZOOM = 4.0
 # The value of `selected` that follows the nearest positive; links contain it.
 POSITIVE: Final = "truth"
 HeatKind = Literal["activation", "evidence"]
-MAX_ZOOM = 4.0
 
 
 @dataclass(frozen=True)
@@ -28,29 +28,29 @@ class SessionState:
 
     Attributes:
         task: name of the task, such as "drone-to-satellite".
-        query: position in the task's queries.
-        upload: the user's own picture, shown instead of `query` when given.
-        angle: degrees counter-clockwise the query is turned, -180 .. 180.
-        weights: of each part, 0 .. 2, as set by the sliders.
-        enabled: which parts are switched on.
-        selected: what the query is compared with: a gallery position, POSITIVE for its nearest true tile, or None for
-            the top match; the last two are followed as the ranking changes.
-        shift, down: pixels of the network's input the query is moved to the right and down, after it is turned.
-        zoom: factor the query is zoomed by, after it is turned.
-        region: cells of the query's feature map, row by row, that the search is by alone; empty for all of it.
-        why: whether the window of reasons is open.
-        lab: whether the failure laboratory is open.
-        heat: whether heatmaps are drawn.
-        heat_kind: what they show: what the network responds to in one picture, or the evidence of the compared pair.
-        heat_part: the part whose heatmap is drawn, None for all together.
+        query: position among the task's queries.
+        upload: the user's own picture, which replaces the query.
+        angle: rotation of the query in degrees counter-clockwise, -180 .. 180.
+        weights: weight of each part, 0 .. 2.
+        enabled: True for each part that is switched on.
+        selected: the tile to compare with: a gallery position, POSITIVE for the nearest positive, or None for the top
+            match. The last two follow the ranking.
+        shift, down: translation of the rotated query to the right and down, in pixels of the network's input.
+        zoom: scale of the rotated query.
+        region: cells of the query's feature map to search by, row by row; empty for the whole query.
+        why: True while the explain window is open.
+        lab: True while the failure laboratory is open.
+        heat: True while heatmaps are drawn.
+        heat_kind: the heatmap's values: one picture's activation, or the compared pair's evidence.
+        heat_part: the part that the heatmap shows; None for all parts.
         opacity: of the heatmap, 0 .. 1.
-        rings: whether part boundaries are drawn.
-        exploded: whether the rings are lifted apart.
-        map: whether the gallery is shown as a map in place of the compared pair.
-        city: whether the map shows the 3-D model of the city, where there is one, in place of its tiles.
-        find: text that picture names must contain in the picker.
-        page: page of the picker.
-        dark: whether the page is light on dark.
+        rings: True while part boundaries are drawn.
+        exploded: True while the rings are lifted apart.
+        map: True to show the gallery as a map in place of the compared pair.
+        city: True to show the 3-D city on the map, where there is one, in place of tiles.
+        find: filter of the picture picker.
+        page: page of the picture picker.
+        dark: True for the dark theme.
     """
 
     task: str
@@ -86,22 +86,22 @@ class SessionState:
             object.__setattr__(self, "enabled", (True,) * self.n_parts)
 
     def part_values(self) -> tuple[float, ...]:
-        """Weight of each part with switched-off parts at 0; equal weights when nothing is left on."""
+        """Return the effective weight of each part: 0 where it is off, and equal weights where none is left."""
         values = tuple(w if on else 0.0 for w, on in zip(self.weights, self.enabled, strict=True))
         return values if any(values) else (1.0,) * self.n_parts
 
     @property
     def change(self) -> Change:
-        """What is done to the query before it is described."""
+        """The transformation of the query before it is described."""
         return Change(self.angle, self.shift, self.zoom, self.down)
 
     @property
     def palette(self) -> Palette:
-        """What captions are drawn with."""
+        """The colours of captions."""
         return DARK if self.dark else LIGHT
 
     def parts_left(self) -> bool:
-        """Whether any part is on with a weight above 0."""
+        """Return True if any part is on with a weight above 0."""
         return any(w > 0 and on for w, on in zip(self.weights, self.enabled, strict=True))
 
 
@@ -115,28 +115,32 @@ def with_field(state: SessionState, field: str, value: Any) -> SessionState:
 
 
 def number(value: Any, low: float, high: float, default: float) -> float:
-    """A value from the page, trusted for nothing: a finite number within low .. high, else the default."""
+    """Clamp an untrusted value to low .. high; returns the default unless it is a finite number."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         return default
     return min(max(float(value), low), high)
 
 
-def whole(value: Any, low: int, high: int) -> int | None:
-    """A value from the page as a whole number within low .. high, or None when it is none."""
-    known = isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
-    return value if known else None
+def integer(value: Any, low: int, high: int) -> int | None:
+    """Return an untrusted value if it is an integer in low .. high, else None."""
+    valid = isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+    return value if valid else None
 
 
-def painted(value: Any, cells: int) -> tuple[int, ...] | None:
-    """A list of cells from the page, in order and each once, or None when it is no such list."""
-    if not isinstance(value, list) or len(value) > cells:
+def check_cells(value: Any, count: int) -> tuple[int, ...] | None:
+    """Return an untrusted list of cells, sorted and without duplicates; None unless all are integers below `count`."""
+    if not isinstance(value, list) or len(value) > count:
         return None
-    found = [whole(cell, 0, cells - 1) for cell in value]
-    return None if None in found else tuple(sorted({cell for cell in found if cell is not None}))
+    cells = [integer(cell, 0, count - 1) for cell in value]
+    return None if None in cells else tuple(sorted({cell for cell in cells if cell is not None}))
 
 
-def taken(state: SessionState, value: Any, size: tuple[int, int]) -> SessionState:
-    """The query turned, shifted, and zoomed as a point of a profile says: [degrees, right, down, factor]."""
+def apply_point(state: SessionState, value: Any, size: tuple[int, int]) -> SessionState:
+    """Transform the query as an untrusted point of a sweep says: [degrees, right, down, factor].
+
+    Args:
+        size: (height, width) of the network's input in pixels, which limits the shifts.
+    """
     if not isinstance(value, list) or len(value) != 4:
         return state
     height, width = size
@@ -150,67 +154,67 @@ def taken(state: SessionState, value: Any, size: tuple[int, int]) -> SessionStat
 
 
 def wrap(angle: float) -> float:
-    """The same direction within -180 .. 180 degrees (exclusive of -180)."""
+    """Return an equivalent angle in degrees, above -180 and up to 180."""
     turned = angle % 360.0
     return turned - 360.0 if turned > 180.0 else turned
 
 
-def choose(state: SessionState, query: int, queries: int) -> SessionState:
-    """Take another query: its own picture, not turned, compared with its top match."""
+def choose_query(state: SessionState, query: int, queries: int) -> SessionState:
+    """Choose a query: upright, and compared with its top match."""
     if not 0 <= query < queries:
         return state
     return replace(upright(state), query=query, upload=None, selected=None)
 
 
-def take_task(state: SessionState, task: str) -> SessionState:
-    """Turn to another task: its first query, compared with its top match."""
+def choose_task(state: SessionState, task: str) -> SessionState:
+    """Choose another task and its first query."""
     if task == state.task:
         return state
     return replace(state, task=task, query=0, upload=None, selected=None, region=(), page=0)
 
 
 def upright(state: SessionState) -> SessionState:
-    """The whole query as it was taken: not turned, shifted, or zoomed, and no region painted."""
+    """Undo rotation, shift, zoom, and region."""
     return replace(state, angle=0.0, shift=0, down=0, zoom=1.0, region=())
 
 
 def compare(state: SessionState, shown: SessionState, index: int) -> SessionState:
-    """Compare with a tile chosen from the answer to `shown`, unless another query has been taken since."""
+    """Compare with a gallery tile that was chosen while `shown` was drawn, unless the query has changed since."""
     same = (state.task, state.query, state.upload) == (shown.task, shown.query, shown.upload)
     return replace(state, selected=index) if same else state
 
 
 def step(state: SessionState, by: int, queries: int) -> SessionState:
-    """The next or previous query, around the end."""
-    return choose(state, (state.query + by) % queries, queries)
+    """Go `by` queries further, around the end."""
+    return choose_query(state, (state.query + by) % queries, queries)
 
 
-def walk(state: SessionState, by: int, order: Int64Array, queries: int) -> SessionState:
-    """The next or previous query in an order, around the end; from outside of it, its first or its last."""
+def step_in_order(state: SessionState, by: int, order: Int64Array, queries: int) -> SessionState:
+    """Go `by` queries further in an order, around the end; from a query outside the order, go to its first or last."""
     if not len(order):
         return state
     places = np.flatnonzero(order == state.query)
     at = int(places[0]) + by if len(places) else (0 if by > 0 else -1)
-    return choose(state, int(order[at % len(order)]), queries)
+    return choose_query(state, int(order[at % len(order)]), queries)
 
 
 def random_query(state: SessionState, queries: int, rng: Random) -> SessionState:
-    """Any other query."""
+    """Choose any other query."""
     if queries < 2:
         return state
-    return choose(state, (state.query + rng.randrange(1, queries)) % queries, queries)
+    return choose_query(state, (state.query + rng.randrange(1, queries)) % queries, queries)
 
 
 def random_failure(state: SessionState, ranks: Sequence[int], rng: Random) -> SessionState | None:
-    """Any other query whose true match is not first, or None when there is none; -1 ranks have no true match."""
+    """Choose any other query whose positive is not first; None without any. A rank of -1 means no positive."""
     failures = [i for i, rank in enumerate(ranks) if rank > 0]
     others = [i for i in failures if i != state.query or state.upload is not None]
     candidates = others or failures
-    return choose(state, rng.choice(candidates), len(ranks)) if candidates else None
+    return choose_query(state, rng.choice(candidates), len(ranks)) if candidates else None
 
 
 def turn(state: SessionState, by: float) -> SessionState:
-    """Turn the query further, around the circle."""
+    """Rotate the query further by some degrees."""
     return replace(state, angle=wrap(state.angle + by))
 
 
@@ -235,12 +239,12 @@ def equal_parts(state: SessionState) -> SessionState:
 
 
 def flip_dark(state: SessionState) -> SessionState:
-    """Light on dark, or dark on light."""
+    """Switch between the dark and the light theme."""
     return replace(state, dark=not state.dark)
 
 
-def found(names: Sequence[str], text: str) -> list[int]:
-    """Positions of the names that contain a text, upper and lower case alike."""
+def matching_names(names: Sequence[str], text: str) -> list[int]:
+    """Return the positions of the names that contain a text, ignoring case; all for an empty text."""
     wanted = text.strip().casefold()
     if not wanted:
         return list(range(len(names)))

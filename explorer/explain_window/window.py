@@ -322,7 +322,7 @@ class ExplainWindow:
             )
 
     def _choose_part(self, value: Any) -> None:
-        part = session_state.whole(value, 0, self._workspace.spec.n_parts - 1)
+        part = session_state.integer(value, 0, self._workspace.spec.n_parts - 1)
         if part is not None or value is None:
             self._change(lambda state: replace(state, heat_part=part))
 
@@ -330,15 +330,15 @@ class ExplainWindow:
         content = self._content
         if content is None:
             return
-        index = session_state.whole(value, 0, len(content.analysis.task.gallery) - 1)
+        index = session_state.integer(value, 0, len(content.analysis.task.gallery) - 1)
         if index is not None:
             self._change(lambda state: session_state.compare(state, content.analysis.state, index))
 
     def _choose_query(self, value: Any) -> None:
         def choose(state: SessionState) -> SessionState:
             queries = len(self._workspace.tasks[state.task].queries)
-            query = session_state.whole(value, 0, queries - 1)
-            return state if query is None else session_state.choose(state, query, queries)
+            query = session_state.integer(value, 0, queries - 1)
+            return state if query is None else session_state.choose_query(state, query, queries)
 
         self._change(choose)
 
@@ -352,13 +352,13 @@ class ExplainWindow:
             self._change(lambda state: replace(state, weights=weights, enabled=()))
 
     def _apply_point(self, value: Any) -> None:
-        self._change(lambda state: session_state.taken(state, value, self._workspace.spec.input_size))
+        self._change(lambda state: session_state.apply_point(state, value, self._workspace.spec.input_size))
 
     def _search_region(self, value: Any) -> None:
         content = self._content
         if content is None:
             return
         rows, columns = self._workspace.map_sizes[content.analysis.task.query_view]
-        cells = session_state.painted(value, rows * columns)
+        cells = session_state.check_cells(value, rows * columns)
         if cells is not None:
             self._change(lambda state: replace(state, region=cells))

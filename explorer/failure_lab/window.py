@@ -265,7 +265,7 @@ class FailureLabWindow:
         queries = len(self._workspace.tasks[task].queries)
         if row < queries:
             self._change(
-                lambda session: session_state.choose(session, row, queries) if session.task == task else session
+                lambda session: session_state.choose_query(session, row, queries) if session.task == task else session
             )
 
     def _download(self) -> None:

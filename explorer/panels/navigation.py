@@ -50,7 +50,11 @@ class Navigation:
 
     def _step(self, state: SessionState, by: int) -> SessionState:
         order, count = self.order(state), self._count(state)
-        return session_state.step(state, by, count) if order is None else session_state.walk(state, by, order, count)
+        return (
+            session_state.step(state, by, count)
+            if order is None
+            else session_state.step_in_order(state, by, order, count)
+        )
 
     def _count(self, state: SessionState) -> int:
         return len(self._workspace.tasks[state.task].queries)

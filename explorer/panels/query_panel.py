@@ -45,7 +45,7 @@ class QueryPanel:
         has_model = workspace.model is not None
         height, width = workspace.spec.input_size
         tasks = {name: name for name in workspace.tasks}
-        controls.dropdown("Task", "task", tasks, visible=len(tasks) > 1, apply=session_state.take_task)
+        controls.dropdown("Task", "task", tasks, visible=len(tasks) > 1, apply=session_state.choose_task)
         moves: dict[str, StateChange] = {
             "‹ Previous": navigation.previous,
             "Next ›": navigation.next,
@@ -99,8 +99,8 @@ class QueryPanel:
             return state
         state = replace(state, find=find, page=0)
         names = self._workspace.tasks[state.task].query_names
-        hits = session_state.found(names, find) if find.strip() else []
-        return session_state.choose(state, hits[0], len(names)) if len(hits) == 1 else state
+        hits = session_state.matching_names(names, find) if find.strip() else []
+        return session_state.choose_query(state, hits[0], len(names)) if len(hits) == 1 else state
 
 
 def city_available(workspace: Workspace, state: SessionState) -> bool:
@@ -135,7 +135,7 @@ class _Picker:
 
     def show(self, analysis: StateAnalysis) -> None:
         state, task = analysis.state, analysis.task
-        hits = session_state.found(task.query_names, state.find)
+        hits = session_state.matching_names(task.query_names, state.find)
         count = max(-(-len(hits) // PAGE_SIZE), 1)
         page = state.page % count
         shown = hits[page * PAGE_SIZE : (page + 1) * PAGE_SIZE]
@@ -152,7 +152,9 @@ class _Picker:
             def choose(state: SessionState) -> SessionState:
                 if (state.task, state.find) != (page.task, page.find):
                     return state
-                return session_state.choose(state, page.queries[slot], len(self._workspace.tasks[state.task].queries))
+                return session_state.choose_query(
+                    state, page.queries[slot], len(self._workspace.tasks[state.task].queries)
+                )
 
             self._change(choose)
 

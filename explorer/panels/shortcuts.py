@@ -107,7 +107,7 @@ def _flip_city(workspace: Workspace, state: SessionState) -> SessionState:
 
 
 def _choose_task(name: str) -> StateChange:
-    return lambda state: session_state.take_task(state, name)
+    return lambda state: session_state.choose_task(state, name)
 
 
 def _flip_part(part: int) -> StateChange:

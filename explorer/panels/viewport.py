@@ -30,7 +30,7 @@ class Viewport:
     def update(self, value: Any) -> None:
         """Take the size from the page, [width, height]; anything else is ignored."""
         if isinstance(value, list) and len(value) == 2:
-            size = tuple(session_state.whole(side, 1, _MAX_SIDE) for side in value)
+            size = tuple(session_state.integer(side, 1, _MAX_SIDE) for side in value)
             if None not in size and (self.width, self.height) != size:
                 self.width, self.height = cast("tuple[int, int]", size)
                 for on_resize in self._watchers:

@@ -25,8 +25,10 @@ def test_another_query_starts_upright_with_its_top_match(state: SessionState) ->
     stepped = session_state.step(state, 1, 10)
     assert (stepped.query, stepped.angle, stepped.selected) == (4, 0, None)
     assert session_state.step(SessionState("t", 4), -1, 10).query == 9
-    assert session_state.choose(state, 99, 10) is state
-    own = session_state.choose(SessionState("t", 4, upload=OwnPicture("mine", np.zeros((2, 2, 3), np.uint8))), 0, 10)
+    assert session_state.choose_query(state, 99, 10) is state
+    own = session_state.choose_query(
+        SessionState("t", 4, upload=OwnPicture("mine", np.zeros((2, 2, 3), np.uint8))), 0, 10
+    )
     assert own.upload is None
 
 
@@ -71,9 +73,9 @@ def test_parts_switched_off_count_nothing_and_never_all() -> None:
 
 
 def test_names_are_found_by_any_part_of_them() -> None:
-    assert session_state.found(["0010", "0100", "Ab"], " 10 ") == [0, 1]
-    assert session_state.found(["0010", "Ab"], "aB") == [1]
-    assert session_state.found(["a", "b"], "") == [0, 1]
+    assert session_state.matching_names(["0010", "0100", "Ab"], " 10 ") == [0, 1]
+    assert session_state.matching_names(["0010", "Ab"], "aB") == [1]
+    assert session_state.matching_names(["a", "b"], "") == [0, 1]
 
 
 def test_a_worker_never_queues_stale_work() -> None:

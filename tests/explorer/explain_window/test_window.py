@@ -171,19 +171,19 @@ def test_shift_and_zoom_are_of_the_described_query(workspace: Workspace) -> None
 
 @pytest.mark.parametrize("value", [None, "a", 3, [1, "b"], [16], [-1], [True], [0.5], list(range(17)), {"a": 1}])
 def test_a_region_from_the_page_is_cells_or_nothing(value: Any) -> None:
-    assert session_state.painted(value, 16) is None
-    assert session_state.painted([3, 1, 3], 16) == (1, 3)
-    assert session_state.painted([], 16) == ()
+    assert session_state.check_cells(value, 16) is None
+    assert session_state.check_cells([3, 1, 3], 16) == (1, 3)
+    assert session_state.check_cells([], 16) == ()
 
 
 @pytest.mark.parametrize("value", [None, [1, 2], ["a", None, {}, []], [1e999, float("nan"), 5000, -7]])
 def test_a_point_of_a_profile_from_the_page_stays_within_bounds(value: Any) -> None:
-    state = session_state.taken(SessionState("drone-to-satellite", 4, angle=10.0), value, (64, 128))
+    state = session_state.apply_point(SessionState("drone-to-satellite", 4, angle=10.0), value, (64, 128))
     assert -180 <= state.angle <= 180
     assert abs(state.shift) <= 64
     assert abs(state.down) <= 32
     assert 0.25 <= state.zoom <= 4
-    assert session_state.taken(state, [270, 5, -6, 2.0], (64, 128)).change == Change(-90, 5, 2.0, -6)
+    assert session_state.apply_point(state, [270, 5, -6, 2.0], (64, 128)).change == Change(-90, 5, 2.0, -6)
 
 
 class Gui:

@@ -459,11 +459,11 @@ def test_notes_that_cannot_be_written_are_said_and_nothing_is_changed(workspace:
 
 def test_next_and_previous_go_through_an_order() -> None:
     session, order = SessionState(TASK, 4, query=7), np.array([3, 7, 5])
-    assert session_state.walk(session, 1, order, 13).query == 5
-    assert session_state.walk(replace(session, query=5), 1, order, 13).query == 3
-    assert session_state.walk(session, -1, order, 13).query == 3
-    assert [session_state.walk(replace(session, query=0), by, order, 13).query for by in (1, -1)] == [3, 5]
-    assert session_state.walk(session, 1, order[:0], 13) is session
+    assert session_state.step_in_order(session, 1, order, 13).query == 5
+    assert session_state.step_in_order(replace(session, query=5), 1, order, 13).query == 3
+    assert session_state.step_in_order(session, -1, order, 13).query == 3
+    assert [session_state.step_in_order(replace(session, query=0), by, order, 13).query for by in (1, -1)] == [3, 5]
+    assert session_state.step_in_order(session, 1, order[:0], 13) is session
 
 
 def test_another_task_begins_with_all_its_queries(lab: LabState) -> None:
