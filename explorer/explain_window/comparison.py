@@ -24,7 +24,7 @@ def page(
     if comparison is None:
         return render("explain/comparison", comparison=None)
     ranking, followed, change = analysis.ranking, comparison.followed, comparison.change
-    margin = counterfactual.margin(ranking, followed.index, comparison.other.index).distance2
+    margin = counterfactual.margin(ranking, followed.index, comparison.other.index).parts
     names, name = workspace.part_names, "the true tile" if followed.true else "this tile"
     without = comparison.without
     return render(

@@ -18,7 +18,7 @@ from lpn.drawing import theme
 
 _HINTS = {
     "rank": "Rank of the first true tile",
-    "margin": "Score of the nearest true tile minus that of the best wrong one; negative where the query failed",
+    "margin": "d² of the hardest negative minus that of the nearest true tile; negative where the query failed",
     "part": "The part that decides: it costs the truth most in a failure, and gains it most in a success",
     "answer": "The tile that came first",
     "distance": "From what the query shows to the centre of the answer",

@@ -142,7 +142,7 @@ def _line(case: Case, task: Task, query: int | OwnPicture) -> _Line:
             for match, entry in ((match, task.gallery[match.index]) for match in tiles)
         ],
         None if truth is None else truth.rank,
-        None if case.margin is None else float(case.margin.distance2.sum()),
+        None if case.margin is None else case.margin.total,
         _decisive(case, task),
     )
 
@@ -151,5 +151,5 @@ def _decisive(case: Case, task: Task) -> str | None:
     """Name the part that speaks most for the winner of the margin; None without a margin."""
     if case.margin is None:
         return None
-    steps = case.margin.distance2
+    steps = case.margin.parts
     return task.part_names[int(steps.argmax() if steps.sum() >= 0 else steps.argmin())]

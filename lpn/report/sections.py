@@ -200,9 +200,9 @@ def _margin(case: Case, task: Task) -> _Margin | None:
     """Make a line for each part of the margin, and one for their sum."""
     if case.margin is None:
         return None
-    pair = case.margin.true, case.margin.wrong
+    pair = case.margin.positive, case.margin.negative
     cosines, scores = case.ranking.cosines, case.ranking.scores
-    steps = charts.waterfall(case.margin.distance2)
+    steps = charts.waterfall(case.margin.parts)
     rows = []
     for part in range(len(task.part_names)):
         ranks: tuple[int | None, int | None] = (None, None)

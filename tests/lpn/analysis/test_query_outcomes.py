@@ -48,8 +48,8 @@ def one_by_one(
         true, false = (order[at[0]] if at else -1 for at in (good, bad))
         parts, margin, decides = [np.nan] * len(weights), np.nan, -1
         if good and bad:
-            parts = [float(w * (a - b)) for w, a, b in zip(weights, cosines[true], cosines[false], strict=True)]
-            margin = float(ranking.scores[true] - ranking.scores[false])
+            parts = [float(2 * w * (a - b)) for w, a, b in zip(weights, cosines[true], cosines[false], strict=True)]
+            margin = 2 * float(ranking.scores[true] - ranking.scores[false])
             decides = parts.index(max(parts) if good[0] == 0 else min(parts))
         found.append((good[0] if good else -1, order[0] if order else -1, true, false, margin, parts, decides))
     return found

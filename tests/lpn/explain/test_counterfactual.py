@@ -11,7 +11,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.explain import counterfactual
-from lpn.explain.least_distance import shortest
+from lpn.explain._least_distance import shortest
 from lpn.models.base import normalise
 from lpn.retrieval import Ranking, inner_products, metrics, scoring
 
@@ -54,9 +54,9 @@ def test_the_parts_of_a_margin_sum_to_the_difference_of_scores_and_distances() -
         found = counterfactual.margin(ranking, a, b)
         one, other = ranking.find(a), ranking.find(b)
         assert found.parts.shape == (4,)
-        assert found.score == pytest.approx(one.score - other.score, abs=1e-6)
-        assert found.distance2.sum() == pytest.approx(other.distance2 - one.distance2, abs=1e-6)
-        np.testing.assert_allclose(found.distance2, other.shares - one.shares, atol=1e-6)
+        assert found.total == pytest.approx(2 * (one.score - other.score), abs=1e-6)
+        assert found.parts.sum() == pytest.approx(other.distance2 - one.distance2, abs=1e-6)
+        np.testing.assert_allclose(found.parts, other.shares - one.shares, atol=1e-6)
         assert found.parts[2] == 0
     with pytest.raises(InputError, match="no gallery picture 30"):
         counterfactual.margin(ranking, 3, 30)
@@ -79,7 +79,8 @@ def test_without_and_alone_are_the_ranks_of_those_weights(seed: int) -> None:
         assert standing.rank == truth.rank
         wrong = [index for index in direct.order if labels[index] != 7]
         if wrong:
-            assert standing.lead == pytest.approx(truth.score - float(direct.scores[wrong[0]]), abs=1e-6)
+            margin = 2 * (truth.score - float(direct.scores[wrong[0]]))
+            assert standing.margin == pytest.approx(margin, abs=2e-6)
     now = ranking.positive()
     assert now is not None
     assert found.now.rank == now.rank

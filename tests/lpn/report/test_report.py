@@ -24,7 +24,7 @@ from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.explain import counterfactual
-from lpn.explain.counterfactual import Effect, Reweighting, Standing, Without
+from lpn.explain.counterfactual import Effect, PositiveRank, Reweighting, Without
 from lpn.explain.sweeps import Point, Profile
 from lpn.report import Options, OwnPicture
 from lpn.retrieval import Ranking, scoring
@@ -122,7 +122,7 @@ def test_the_numbers_are_those_of_the_outcomes_and_add_up(task: Task) -> None:
     ranking = rank(task, task.query_descriptors[query], query)
     expected = [match.distance2 for match in ranking.top(5)]
     np.testing.assert_allclose(sums[:5], expected, atol=5e-4)
-    steps = 2 * outcomes.parts[query]
+    steps = outcomes.parts[query]
     for step in (*steps, steps.sum()):
         assert f"{step:+.3f}" in text
     assert f"{task.figures['recall@1']:.1f} %" in text
@@ -225,8 +225,8 @@ def test_a_selection_that_cannot_be_reported_is_refused(task: Task, queries: lis
 
 
 def standings(now: int, without: list[int | None], alone: list[int]) -> Without:
-    made = [None if rank is None else Standing(rank, 0.1 if rank == 1 else -0.1) for rank in without]
-    return Without(Standing(now, -0.1), tuple(made), tuple(Standing(rank, 1 / rank) for rank in alone))
+    made = [None if rank is None else PositiveRank(rank, 0.1 if rank == 1 else -0.1) for rank in without]
+    return Without(PositiveRank(now, -0.1), tuple(made), tuple(PositiveRank(rank, 1 / rank) for rank in alone))
 
 
 @pytest.mark.parametrize(
