@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Hashable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, cast
 
@@ -22,56 +23,38 @@ class SupersededError(Exception):
     """A newer request has replaced this one."""
 
 
+@dataclass(eq=False)
 class InferenceRequest:
-    """Pictures (B, 3, H, W) of one view that wait for a forward pass.
+    """Pictures of one view that wait for a forward pass.
 
-    Args:
+    Attributes:
+        images: (B, 3, H, W).
         background: long work, which lets interactive requests go first.
         cancellable: dropped when `context` supersedes it.
         enqueued: time at which it was made, in seconds.
-
-    Attributes:
         position: order among interactive requests; the smallest is first.
-        batch_key: requests of equal keys may share a batch.
     """
 
-    def __init__(
-        self,
-        context: RequestContext,
-        model: Model,
-        images: Float32Array,
-        view: View,
-        background: bool,
-        cancellable: bool,
-        enqueued: float,
-    ) -> None:
-        self.context, self.model, self.images, self.view = context, model, images, view
-        self.background, self.cancellable, self.enqueued = background, cancellable, enqueued
-        self.position = 0
-        self.batch_key: Hashable = (model, view, images.shape[1:], images.dtype)
-        self._finished = threading.Event()
-        self._result: ForwardPass | None = None
-        self._error: BaseException | None = None
+    context: RequestContext
+    model: Model
+    images: Float32Array
+    view: View
+    background: bool
+    cancellable: bool
+    enqueued: float
+    position: int = 0
+    future: Future[ForwardPass] = field(default_factory=Future)
 
-    def finish(self, result: ForwardPass) -> None:
-        """Wake the waiting thread with a result."""
-        self._result = result
-        self._finished.set()
+    @property
+    def batch_key(self) -> Hashable:
+        """Requests of equal keys may share a batch."""
+        return self.model, self.view, self.images.shape[1:], self.images.dtype
 
     def fail(self, error: BaseException) -> None:
-        """Wake the waiting thread with an error."""
-        self._error = error
-        self._finished.set()
-
-    def wait(self) -> ForwardPass:
-        """Wait for the result; raise the error if it failed."""
-        self._finished.wait()
-        if isinstance(self._error, Exception):
-            raise self._error
-        if self._error is not None:  # SystemExit and the like must not end the waiting thread
-            raise LPNError(f"The network ended with {type(self._error).__name__}; try again.")
-        assert self._result is not None
-        return self._result
+        """Raise an error in the waiting thread, which SystemExit and the like must not end."""
+        if not isinstance(error, Exception):
+            error = LPNError(f"The network ended with {type(error).__name__}; try again.")
+        self.future.set_exception(error)
 
 
 def next_batch(requests: list[InferenceRequest]) -> list[InferenceRequest]:
@@ -86,24 +69,20 @@ def next_batch(requests: list[InferenceRequest]) -> list[InferenceRequest]:
 
 def compute(batch: list[InferenceRequest]) -> None:
     """Compute a batch. If it fails, compute each request alone, so that one bad request does not fail the others."""
-    first = batch[0]
+    first, alone = batch[0], len(batch) == 1
     try:
-        if len(batch) == 1:
-            first.finish(first.model.run(first.images, first.view))
-            return
-        results = _split(
-            first.model.run(np.concatenate([request.images for request in batch]), first.view),
-            [len(request.images) for request in batch],
-        )
+        images = first.images if alone else np.concatenate([request.images for request in batch])
+        result = first.model.run(images, first.view)
+        results = [result] if alone else _split(result, [len(request.images) for request in batch])
     except BaseException as error:  # every waiting thread must be woken
-        if len(batch) == 1:
+        if alone:
             first.fail(error)
         else:
             for request in batch:
                 compute([request])
         return
     for request, result in zip(batch, results, strict=True):
-        request.finish(result)
+        request.future.set_result(result)
 
 
 def _split(result: ForwardPass, sizes: list[int]) -> list[ForwardPass]:

@@ -116,7 +116,7 @@ class InferenceScheduler:
                     self._remove([request])
                     raise
             self._changed.notify_all()
-        return request.wait()
+        return request.future.result()
 
     def drop(self, context: RequestContext) -> None:
         """Close a context: fail its requests and give up its places."""

@@ -169,7 +169,7 @@ class Authenticator:
         """Refuse unknown host names: DNS rebinding lets another site's name point to this machine."""
         match = _HOST.fullmatch(host)
         name = match[1].rstrip(".") if match else ""
-        if name and (name in self._names or (self._any_address and _is_ip_address(name))):
+        if name and (name in self._names or (self._any_address and _ip_address(name.strip("[]")))):
             return None
         return Refusal(
             421,
@@ -220,19 +220,16 @@ def authenticator(
 
 def is_loopback(host: str) -> bool:
     """Return whether a listening address is reachable from this machine only."""
-    try:
-        return host.lower() == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+    ip = _ip_address(host)
+    return host.lower() == "localhost" or (ip is not None and ip.is_loopback)
 
 
 def same_origin(origin: str, host: str) -> bool:
     """Return whether an origin ("https://name:port") is the requested host ("name:port")."""
     scheme, _, place = origin.lower().partition("://")
-    ours, theirs = _HOST.fullmatch(host.lower()), _HOST.fullmatch(place)
-    if scheme not in _DEFAULT_PORTS or ours is None or theirs is None:
+    ours, theirs, default = _HOST.fullmatch(host.lower()), _HOST.fullmatch(place), _DEFAULT_PORTS.get(scheme)
+    if default is None or ours is None or theirs is None:
         return False
-    default = _DEFAULT_PORTS[scheme]
     return (ours[1], ours[2] or default) == (theirs[1], theirs[2] or default)
 
 
@@ -243,12 +240,11 @@ def _host_name(name: str) -> str:
     return match[1].rstrip(".")
 
 
-def _is_ip_address(name: str) -> bool:
+def _ip_address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
     try:
-        ipaddress.ip_address(name.strip("[]"))
+        return ipaddress.ip_address(text)
     except ValueError:
-        return False
-    return True
+        return None
 
 
 def _foreign_source(query: str, host: str) -> str | None:
@@ -257,17 +253,15 @@ def _foreign_source(query: str, host: str) -> str | None:
     The page runs scripts that this source sends. It also rewrites its address without escaping it, so the unescaped query is
     checked, too.
     """
-    queries = query, "&".join("=".join(pair) for pair in parse_qsl(query, True))
-    if any(_values(one, "playbackPath") for one in queries):
+    query += "&" + "&".join("=".join(pair) for pair in parse_qsl(query, True))
+    if _values(query, "playbackPath"):
         return "another file"
-    for address in [address for one in queries for address in _values(one, "websocket")]:
-        try:
-            parts = urlsplit(address)
-        except ValueError:
-            return "another server"
-        if parts.scheme not in ("ws", "wss") or parts.netloc.lower() != host:
-            return "another server"
-    return None
+    try:
+        parts = [urlsplit(address) for address in _values(query, "websocket")]
+    except ValueError:
+        return "another server"
+    own = all(part.scheme in ("ws", "wss") and part.netloc.lower() == host for part in parts)
+    return None if own else "another server"
 
 
 def _is_cross_site_link(request: HttpRequest) -> bool:

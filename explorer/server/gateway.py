@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import inspect
 import itertools
 import logging
 from collections.abc import Awaitable, Callable, Iterator
@@ -26,14 +25,14 @@ from websockets.protocol import CONNECTING, Event
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, HttpRequest, Redirect, Refusal
 from explorer.server.auth_pages import redirect_page, refusal_page
-from explorer.server.message_filter import KINDS, MAX_MESSAGE, MessageFilter, RejectedMessageError
+from explorer.server.message_filter import FIELDS, MAX_MESSAGE, MessageFilter, RejectedMessageError
 from explorer.server.rate_limiter import RateLimiter, TokenBucket
 from lpn.core.errors import MissingPackageError
 
 log = logging.getLogger(__name__)
 
 Handler = Callable[[ServerConnection], Awaitable[None]]
-PageServer = Callable[[ServerConnection, WebsocketRequest], Any]
+PageServer = Callable[[ServerConnection, WebsocketRequest], Response | None]
 
 # Connections whose request is not answered yet, from one address and in all; each has 10 s.
 MAX_PENDING, MAX_ALL_PENDING = 64, 256
@@ -45,14 +44,9 @@ _WEB_LOG = logging.getLogger(f"{__name__}.web")
 _WEB_LOG.setLevel(logging.WARNING)  # at debug level, websockets logs requests, and thus tokens
 # websockets logs a traceback for each malformed request.
 _WEB_LOG.addFilter(lambda record: record.getMessage() != "opening handshake failed")
-_BLOCKED = Refusal(
-    429,
-    "Too many wrong tokens",
-    "Too many wrong tokens came from your address. Wait some seconds.",
-    ask_token=True,
-)
+_TOO_MANY = "Too many wrong tokens came from your address. Wait some seconds."
+_BLOCKED = Refusal(429, "Too many wrong tokens", _TOO_MANY, ask_token=True)
 _MALFORMED = Refusal(400, "This cannot be answered", "The request is not for an address of this server.")
-_BROKEN = Refusal(503, "The server is not ready", "It failed to start correctly; its log has the details.")
 
 
 class Gateway:
@@ -70,10 +64,7 @@ class Gateway:
         self._rate_limiter = RateLimiter()
         self._server: viser.ViserServer | None = None
         self._protecting = False
-        changed = [
-            kind.__name__ for kind in KINDS if viser_compat.message_fields(kind.__name__) != set(kind.__struct_fields__)
-        ]
-        if changed:
+        if changed := [kind for kind, fields in FIELDS.items() if viser_compat.message_fields(kind) != fields]:
             raise _unsupported(", ".join(changed))
 
     def protect(self, make_server: Callable[[], viser.ViserServer]) -> viser.ViserServer:
@@ -96,7 +87,7 @@ class Gateway:
     def _serve(self, handler: Handler, *where: Any, **settings: Any) -> Any:
         """Replace `websockets.asyncio.server.serve`. It must not raise: viser would wait for ever."""
         self._protecting = True
-        page = settings.pop("process_request", None)
+        page = settings.pop("process_request")
         return websockets.asyncio.server.serve(
             functools.partial(_handle, handler, itertools.count()),
             *where,
@@ -113,21 +104,15 @@ class Gateway:
     def _is_upload_button(self, uuid: str) -> bool:
         return self._server is not None and viser_compat.is_upload_button(self._server, uuid)
 
-    async def _respond(
-        self, page: PageServer | None, connection: ServerConnection, request: WebsocketRequest
-    ) -> Response | None:
+    def _respond(self, page: PageServer, connection: ServerConnection, request: WebsocketRequest) -> Response | None:
         """Answer a request; None lets it open the websocket."""
         try:
-            return await self._checked(page, connection, request)
+            return self._checked(page, connection, request)
         except Exception as error:  # for example a path that the file system rejects, or a repeated header
             log.info("Refused a request: %s", _summary(error))
             return refusal_page(_MALFORMED)
 
-    async def _checked(
-        self, page: PageServer | None, connection: ServerConnection, raw: WebsocketRequest
-    ) -> Response | None:
-        if page is None:
-            return refusal_page(_BROKEN)
+    def _checked(self, page: PageServer, connection: ServerConnection, raw: WebsocketRequest) -> Response | None:
         port = int(connection.local_address[1])
         request = _http_request(connection, raw)
         if self.authenticator.has_token(request) and self._rate_limiter.blocked(request.address):
@@ -142,10 +127,7 @@ class Gateway:
                 self._rate_limiter.wrong_token(request.address)
             return refusal_page(verdict)
         response = page(connection, raw)
-        response = await response if inspect.isawaitable(response) else response
-        if request.upgrade:
-            return None if response is None else refusal_page(_BROKEN)
-        return refusal_page(_BROKEN) if response is None else _hardened(response, request.only("host"))
+        return None if response is None else _hardened(response, request.only("host"))
 
 
 class _Connection(ServerConnection):

@@ -38,7 +38,6 @@ Number = (
 )
 Word = Annotated[str, Meta(max_length=_MAX_WORD)]
 Count = Annotated[int, Meta(ge=0, le=1 << 40)]
-Pair = tuple[Number, Number]
 Triple = tuple[Number, Number, Number]
 
 
@@ -46,13 +45,11 @@ class RejectedMessageError(Exception):
     """The browser does not follow viser's protocol; its connection must be closed."""
 
 
-class Message(msgspec.Struct, tag_field="type", tag=True, forbid_unknown_fields=True):
-    """A message of viser's protocol; `type` is the name of viser's class."""
+class Message(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
+    """A message of viser's protocol; its tag is the name of viser's class."""
 
 
-class ViewerCameraMessage(Message):
-    """The pose and size of the browser's view."""
-
+class _Camera(Message, tag="ViewerCameraMessage"):
     wxyz: tuple[Number, Number, Number, Number]
     position: Triple
     fov: Number
@@ -64,40 +61,30 @@ class ViewerCameraMessage(Message):
     up_direction: Triple
 
 
-class SceneNodeClickMessage(Message):
-    """A click on a node of the scene."""
-
+class _SceneClick(Message, tag="SceneNodeClickMessage"):
     name: Word
     instance_index: Count | None
     ray_origin: Triple
     ray_direction: Triple
-    screen_pos: Pair
+    screen_pos: tuple[Number, Number]
     modifier: Word | None
     owner: Word
 
 
-class NewValue(msgspec.Struct, forbid_unknown_fields=True):
-    """The value of a control; viser would set other attributes, too."""
-
+class _Value(msgspec.Struct, forbid_unknown_fields=True):  # viser would set other attributes of a control, too
     value: bool | Number | Annotated[str, Meta(max_length=MAX_TEXT)]
 
 
-class GuiUpdateMessage(Message):
-    """A changed control."""
-
+class _ControlUpdate(Message, tag="GuiUpdateMessage"):
     uuid: Word
-    updates: NewValue
+    updates: _Value
 
 
-class CommandTriggerMessage(Message):
-    """A command of the palette."""
-
+class _Command(Message, tag="CommandTriggerMessage"):
     uuid: Word
 
 
-class FileTransferStartUpload(Message):
-    """The start of an upload."""
-
+class _UploadStart(Message, tag="FileTransferStartUpload"):
     source_component_uuid: Word
     transfer_uuid: Word
     filename: str
@@ -106,34 +93,22 @@ class FileTransferStartUpload(Message):
     size_bytes: Count
 
 
-class FileTransferPart(Message):
-    """One part of an upload."""
-
+class _UploadPart(Message, tag="FileTransferPart"):
     source_component_uuid: Word
     transfer_uuid: Word
     part_index: Count
     content: bytes
 
 
-AnyMessage = (
-    ViewerCameraMessage
-    | SceneNodeClickMessage
-    | GuiUpdateMessage
-    | CommandTriggerMessage
-    | FileTransferStartUpload
-    | FileTransferPart
-)
-KINDS: tuple[type[Message], ...] = get_args(AnyMessage)
-
-
-class _Envelope(msgspec.Struct):
-    """Any message of viser's protocol."""
-
+class _Other(msgspec.Struct):
     type: str
 
 
-_MESSAGE = msgspec.msgpack.Decoder(AnyMessage)
-_ENVELOPE = msgspec.msgpack.Decoder(_Envelope)
+_ACCEPTED = _Camera | _SceneClick | _ControlUpdate | _Command | _UploadStart | _UploadPart
+_MESSAGE = msgspec.msgpack.Decoder(_ACCEPTED)
+_OTHER = msgspec.msgpack.Decoder(_Other)
+# The fields of each accepted message by the name of viser's class.
+FIELDS = {kind.__struct_config__.tag: set(kind.__struct_fields__) for kind in get_args(_ACCEPTED)}
 
 
 @dataclass
@@ -175,20 +150,20 @@ class MessageFilter:
             RejectedMessageError: when `raw` is not a message, or an upload differs in size from its announcement.
         """
         message = _decode(raw)
-        if isinstance(message, FileTransferStartUpload):
+        if isinstance(message, _UploadStart):
             accepted = self._start(message)
-        elif isinstance(message, FileTransferPart):
+        elif isinstance(message, _UploadPart):
             accepted = self._continue(message)
         else:
-            accepted = isinstance(message, Message)
+            accepted = not isinstance(message, _Other)
         if accepted:
             return msgspec.msgpack.encode(message)
         self.dropped += 1
-        kind = type(message).__name__ if isinstance(message, Message) else message.type
+        kind = message.type if isinstance(message, _Other) else message.__struct_config__.tag
         log.debug("Browser %d: dropped a message of kind %.40r and %d bytes", self.number, kind, len(raw))
         return None
 
-    def _start(self, message: FileTransferStartUpload) -> bool:
+    def _start(self, message: _UploadStart) -> bool:
         """Register an upload. One beyond the limits becomes an empty file, which the app reports to the user."""
         name, size, parts = message.transfer_uuid, message.size_bytes, message.part_count
         button = message.source_component_uuid
@@ -201,7 +176,7 @@ class MessageFilter:
         message.filename = message.filename[:_MAX_WORD]
         return True
 
-    def _continue(self, message: FileTransferPart) -> bool:
+    def _continue(self, message: _UploadPart) -> bool:
         """Count a part. viser ignores a repeated part, so counting it would leave viser's upload incomplete for ever."""
         upload = self._uploads.get(message.transfer_uuid)
         if (
@@ -220,8 +195,8 @@ class MessageFilter:
         return True
 
 
-def _decode(raw: bytes | str) -> Message | _Envelope:
-    """Return the message, or only its envelope if it is of another kind or shape."""
+def _decode(raw: bytes | str) -> Message | _Other:
+    """Return the message, or only its type if it is of another kind or shape."""
     if not isinstance(raw, bytes):
         raise RejectedMessageError("a text frame; expected a binary one")
     try:
@@ -230,6 +205,6 @@ def _decode(raw: bytes | str) -> Message | _Envelope:
     except (ValueError, RecursionError):
         pass
     try:
-        return _ENVELOPE.decode(raw)
+        return _OTHER.decode(raw)
     except (ValueError, RecursionError) as error:
         raise RejectedMessageError("bytes that are not a message") from error

@@ -15,7 +15,7 @@ from viser._messages import Message, RunJavascriptMessage
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 from explorer.server import viser_compat
-from explorer.server.message_filter import KINDS
+from explorer.server.message_filter import FIELDS
 from explorer.server.viser_compat import SendBuffer
 from tools.fixtures.websocket_client import Talker
 
@@ -54,10 +54,8 @@ def client(server: viser.ViserServer) -> Iterator[viser.ClientHandle]:
 # Each private attribute, and what must hold for it.
 CONTRACT: dict[str, Callable[[viser.ViserServer, viser.ClientHandle], bool]] = {
     **{
-        f"viser._messages.{kind.__name__}": lambda *_, kind=kind: (
-            viser_compat.message_fields(kind.__name__) == set(kind.__struct_fields__)
-        )
-        for kind in KINDS
+        f"viser._messages.{kind}": lambda *_, kind=kind: viser_compat.message_fields(kind) == FIELDS[kind]
+        for kind in FIELDS
     },
     "viser.infra._infra.websockets.asyncio.server.serve": lambda *_: callable(
         viser_infra.websockets.asyncio.server.serve  # type: ignore[attr-defined]
