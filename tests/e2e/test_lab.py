@@ -234,7 +234,7 @@ def test_clicks_in_the_breakdown_choose_what_they_count(
 
 def drag(lab: LabPage, start: tuple[float, float], end: tuple[float, float]) -> None:
     """Draw a rectangle on the map, in fractions of it."""
-    lab.page.locator(".lab-map").scroll_into_view_if_needed()
+    lab.page.locator(".lab-map").evaluate("map => map.scrollIntoView({block: 'nearest'})")
     lab.at_rest(lab.page.locator(".lab-map"))
     box = lab.page.locator(".lab-map").bounding_box()
     assert box is not None
