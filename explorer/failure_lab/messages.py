@@ -17,165 +17,120 @@ from explorer.failure_lab.state import LabState, OutcomeFilter, Tab
 
 Index = Annotated[int, Meta(ge=0)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
-# From the left and the top border of the map.
+# Fractions from the left and the top border of the map.
 MapPoint = tuple[Fraction, Fraction]
 Work = Literal["table", "pca", "umap", "ground"]
 
 
 class LabMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
-    """A message of the laboratory's html."""
+    """A message of the laboratory's HTML. Its effect is in `apply`, or in the window where it needs more than the state."""
 
 
 class ShowTab(LabMessage):
-    """Show another tab."""
-
     tab: Tab
 
 
 class ShowOutcome(LabMessage):
-    """Show all queries, those that failed, or those that were found."""
-
     outcome: OutcomeFilter
 
 
 class SortBy(LabMessage):
-    """Sort the table by a column, or reverse its order."""
-
     column: str
 
 
 class SearchNames(LabMessage):
-    """Show the queries whose name contains a text."""
-
     text: Annotated[str, Meta(max_length=200)]
 
 
 class SetFilter(LabMessage):
-    """Show the queries that a filter selects."""
-
     text: Annotated[str, Meta(max_length=2000)]
 
 
 class ToggleColumn(LabMessage):
-    """Show a column, or hide it."""
-
     column: str
 
 
-class ToggleColumnChoice(LabMessage):
-    """Open or close the list of columns."""
+class ToggleColumnChoice(LabMessage): ...
 
 
 class RemoveSelection(LabMessage):
-    """Remove the selection of a kind."""
-
     kind: str
 
 
-class ClearSelections(LabMessage):
-    """Select all queries again."""
+class ClearSelections(LabMessage): ...
 
 
 class SelectPart(LabMessage):
-    """Select the failures that a part costs most."""
-
     part: Index
 
 
 class SelectPair(LabMessage):
-    """Select the queries of one place that were answered with another."""
-
     place: int
     answered: int
 
 
 class SelectBin(LabMessage):
-    """Select the queries of one bin of a column's chart."""
-
     column: str
     index: Index
     name: str
 
 
 class ShowMap(LabMessage):
-    """Show another map."""
-
     map: MapKind
 
 
-class ToggleZoom(LabMessage):
-    """Zoom the map to the selected queries, or show all of it."""
+class ToggleZoom(LabMessage): ...
 
 
 class SelectRectangle(LabMessage):
-    """Select the queries between two corners of the map that is shown."""
-
     map: MapKind
     corner: MapPoint
     opposite: MapPoint
 
 
 class OpenPoint(LabMessage):
-    """Show the query at a point of the map."""
-
     map: MapKind
     point: MapPoint
 
 
 class ShowTip(LabMessage):
-    """Say which queries are at a point of the map."""
-
     map: MapKind
     point: MapPoint
 
 
 class TurnPage(LabMessage):
-    """Turn the table's page."""
-
     by: Literal[-1, 1]
 
 
-class ToggleTall(LabMessage):
-    """Cover the whole stage, or its lower half."""
+class ToggleTall(LabMessage): ...
 
 
 class CancelWork(LabMessage):
-    """Cancel the computation of the table or of a map."""
-
     work: Work
 
 
 class ResumeWork(LabMessage):
-    """Compute the table or a map after all."""
-
     work: Work
 
 
 class OpenQuery(LabMessage):
-    """Show a query."""
-
     row: Index
 
 
 class SaveNote(LabMessage):
-    """Save the tags and the note of a query."""
-
     task: str
     row: Index
     tags: str
     note: str
 
 
-class SaveCsv(LabMessage):
-    """Send the selected queries as a CSV file."""
+class SaveCsv(LabMessage): ...
 
 
-class SaveReport(LabMessage):
-    """Make a report of the selected queries."""
+class SaveReport(LabMessage): ...
 
 
-class CloseLab(LabMessage):
-    """Close the window."""
+class CloseLab(LabMessage): ...
 
 
 MESSAGES: dict[str, type[LabMessage]] = {
