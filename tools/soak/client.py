@@ -1,4 +1,4 @@
-"""What one client does: a person's acts in an order that its seed decides, and now and then what no person would do."""
+"""A simulated user: random acts in an order that the seed decides, with hostile messages among them."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from tools.soak.record import OWN_ERROR, Fault, Record, SoakAnswer
 from tools.soak.reference import Reference
 from tools.soak.websocket_driver import FaultError, PageDriver, StoppedError, WebSocketDriver
 
-# Seconds that a client rests between two acts, at most; one act in ten is followed by a longer rest.
+# Longest rest between two acts in seconds; a tenth of the rests may be four times as long.
 PAUSE = 1.0
-# Seconds within which the laboratory has its table.
+# Seconds to wait for the failure laboratory's table.
 LABORATORY = 60.0
-# Frames that end the connection.
+# Frames that must end the connection.
 GARBAGE = ("text", b"\xff" * 1000, b"\x91" * 2000, b"")
 _ENTER_AT_ONCE = 0.4
 
 
 class SoakClient:
-    """One client, who comes and goes until the soak ends.
+    """One client, which visits the page again and again until the soak ends.
 
     Args:
-        who: its name, such as "client 3"; with the seed it decides all that it does.
-        hand: at its page.
-        stays: whether it never leaves, so that its answers are those of a server that nobody else uses.
+        client_name: such as "client 3"; with the seed it decides every act.
+        driver: operates the client's page.
+        stays: True to stay on the first visit.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class SoakClient:
         self._state = reference.first()
 
     def run(self) -> None:
-        """Visit again and again. Whatever goes wrong ends a visit, not the client."""
+        """Visit again and again; a fault ends the visit, not the client."""
         try:
             while not self._stop.is_set():
                 self._visit += 1
@@ -95,7 +95,7 @@ class SoakClient:
         self._begin(f"opened ?{link}")
         self._driver.enter(link)
         self._state = state
-        self._settle("open", state, [first])  # which a page may be shown until it is heard
+        self._settle("open", state, [first])  # the page may show the initial state before its greeting arrives
 
     def _act(self) -> None:
         acts: list[tuple[float, Callable[[], None]]] = [
@@ -112,7 +112,7 @@ class SoakClient:
         self._rng.choices([act for _, act in acts], [weight for weight, _ in acts])[0]()
 
     def _drag(self) -> None:
-        """One slider, moved back and forth, or a number typed beside it."""
+        """Drag a slider, or type into its number box."""
         label = self._rng.choice(["Rotate", "Rotate", "Zoom", *self._more()])
         values = self._path(label, self._rng.randint(4, 40))
         if isinstance(self._driver, BrowserDriver) and self._rng.random() < 0.3:
@@ -133,12 +133,12 @@ class SoakClient:
         self._begin(f"dragged {label} {len(values)} times to {values[-1]:g}")
         before = self._state
         left = self._driver.drag(label, values)
-        # What a mouse passes is a matter of pixels.
+        # A mouse passes values that depend on the slider's width in pixels.
         passed = self._values(label) if isinstance(self._driver, BrowserDriver) else values
         self._settle("drag", self._moved(before, label, left), [self._moved(before, label, value) for value in passed])
 
     def _drag_two(self) -> None:
-        """Two sliders by turns, as two fingers do."""
+        """Drag two sliders in turns, as two fingers do."""
         one, other = self._rng.sample(["Rotate", "Zoom", "Shift right", "Shift down"], 2)
         paths = {label: self._path(label, 10) for label in (one, other)}
         self._begin(f"dragged {one} to {paths[one][-1]:g} and {other} to {paths[other][-1]:g} by turns")
@@ -150,7 +150,7 @@ class SoakClient:
         self._settle("drag", state, path)
 
     def _path(self, label: str, count: int) -> list[float]:
-        """Values of a drag, which ends where the slider was at no time of it."""
+        """Values of a drag; the last one occurs only once, so its answer is unmistakable."""
         known = self._values(label)
         start, speed = self._rng.randrange(len(known)), self._rng.choice([1, 2, 5])
         values = [known[(start + speed * i) % len(known)] for i in range(count)]
@@ -185,7 +185,7 @@ class SoakClient:
         return [f"Weight {name}" for name in self._reference.names]
 
     def _weigh(self) -> None:
-        """A part's weight dragged, or a part switched on or off."""
+        """Drag a part's weight, or switch a part on or off."""
         part = self._rng.randrange(self._reference.parts)
         if isinstance(self._driver, BrowserDriver):
             self._driver.open_tab("Parts")
@@ -200,7 +200,7 @@ class SoakClient:
             self._driver.open_tab("Query")
 
     def _pick(self) -> None:
-        """Another query: the next, the one before, or any."""
+        """Choose the next query, the previous one, or any."""
         queries = len(self._reference.sides[self._state.task].queries)
         if not self._state.lab and (isinstance(self._driver, BrowserDriver) or self._rng.random() < 0.5):
             option, by = self._rng.choice([("Next ›", 1), ("‹ Previous", -1)])
@@ -217,18 +217,18 @@ class SoakClient:
         self._settle("pick", self._state.picked(query))
 
     def _find(self) -> None:
-        """A query by its name, typed in full."""
+        """Type a query's full name."""
         side = self._reference.sides[self._state.task]
         if not side.unique or not isinstance(self._driver, WebSocketDriver):
             return
         query = self._rng.choice(side.unique)
         self._begin(f"typed the name of query {query}")
-        # The same name twice would be no change, so spaces follow that do not count.
+        # The app ignores trailing spaces; they make the same name a change of the control.
         self._driver.set("Find name", side.queries[query].name + " " * (self._step % 50))
         self._settle("pick", self._state.picked(query))
 
     def _compare(self) -> None:
-        """Another tile of those that are ranked, or the true one."""
+        """Compare with any tile, or with the positive."""
         assert isinstance(self._driver, WebSocketDriver)
         side = self._reference.sides[self._state.task]
         if self._rng.random() < 0.3:
@@ -242,7 +242,7 @@ class SoakClient:
         self._settle("compare", replace(self._state, tile=index))
 
     def _turn_to(self) -> None:
-        """Another direction, where there is one."""
+        """Choose another task where there is one."""
         others = [task for task in self._reference.sides if task != self._state.task]
         if others:
             task = self._rng.choice(others)
@@ -251,7 +251,7 @@ class SoakClient:
             self._settle("pick", self._state.turned_to(task))
 
     def _upload(self) -> None:
-        """A picture that no other client has, turned."""
+        """Upload a unique picture, then rotate it."""
         own_picture = self._reference.own_picture(
             self._rng, f"{self._client_name} {self._visit} {self._step}".replace(" ", "-")
         )
@@ -261,7 +261,7 @@ class SoakClient:
         self._dragged("Rotate", self._path("Rotate", self._rng.randint(4, 20)))
 
     def _why(self) -> None:
-        """The window of reasons opened, a profile begun there, and closed again."""
+        """Open or close the explain window; sometimes start a sweep there."""
         self._begin("opened or closed Why")
         self._driver.press("Why this tile?")
         self._settle("why", replace(self._state, why=not self._state.why))
@@ -272,7 +272,7 @@ class SoakClient:
                 self._driver.tell("cancel", None)
 
     def _laboratory(self) -> None:
-        """The laboratory opened, looked through, and closed again."""
+        """Open or close the failure laboratory, and click through its tabs."""
         self._begin("opened or closed the laboratory")
         self._driver.press("Failure laboratory")
         self._settle("laboratory", replace(self._state, lab=not self._state.lab))
@@ -289,7 +289,7 @@ class SoakClient:
                 self._rest(0.1)
 
     def _hostile(self) -> None:
-        """What no page sends; none of it may matter, and garbage ends the connection."""
+        """Send invalid messages, which must change nothing, or garbage, which must end the connection."""
         driver, rng = self._driver, self._rng
         assert isinstance(driver, WebSocketDriver)
         self._begin("sent what no page would")
@@ -327,7 +327,7 @@ class SoakClient:
         ]
 
     def _leave(self) -> None:
-        """Close the page, or be gone in the middle of something."""
+        """Close the page, or vanish in the middle of an act."""
         how = self._rng.choice(["close", "vanish", "vanish in a drag", "vanish in an upload"])
         self._begin(f"left: {how}")
         if isinstance(self._driver, WebSocketDriver) and how == "vanish in a drag":
@@ -345,7 +345,7 @@ class SoakClient:
     def _settle(self, kind: str, state: ClientState, path: list[ClientState] | None = None) -> None:
         same, self._state = state == self._state and kind != "open", state
         settled = self._driver.settle(state, path or ())
-        seconds = None if same else settled.seconds  # what is there already is no answer
+        seconds = None if same else settled.seconds  # nothing changed, so there is no answer to time
         text = f"visit {self._visit}, {self._did}"
         self._record.answer(SoakAnswer(kind, self._client_name, self._step, text, state, settled.shown, seconds))
 

@@ -15,29 +15,26 @@ from rich.table import Table
 from tools.soak.record import CHANGES, Fault, Time
 from tools.soak.server import ResourceSample
 
-# Seconds in which caches fill, and the memory that so many clients need at once is taken; half of a run that is shorter
-# than two minutes.
+# Warm-up in seconds, in which caches and pools grow to their size; at most half of a run.
 FIRST_MINUTE = 60.0
-# Seconds whose median stands for the memory at a moment: it goes up and down by tens of megabytes with what is being
-# drawn.
+# Seconds over which the median of memory is taken, since single samples vary by tens of megabytes.
 WHILE = 30.0
-# Megabytes that the server may grow after that: what the caches of tiles, cards, and pictures (explorer.workspace)
-# still lack. Ten minutes of visits, of which each kept a megabyte, are more.
+# Megabytes of growth allowed after the warm-up, for caches that are not full yet. A leak of one megabyte a visit exceeds this
+# within ten minutes.
 GROWTH = 64.0
-# Threads that viser keeps for callbacks; it makes them as they are needed, and keeps them for good.
+# Largest number of threads in viser's pool for callbacks, which never shrinks.
 CALLBACKS = 32
-# Threads and file handles more than before the clients came that the server may have after they left: a thread of the
-# server's own may be at work at that moment, and a handle of a picture be open. Every client has several of each.
+# Threads and file handles allowed after all clients have left, above their number before: the server itself may be busy at that
+# moment. Every client takes several of each.
 LEFT_THREADS, LEFT_HANDLES = 2, 2
-# How many times the median of all a client's own may be, of clients with so many answers at least: of fewer it says
-# little.
+# Largest allowed ratio of one client's median time to that of all, for clients with at least ENOUGH answers.
 SLOWEST, ENOUGH = 3.0, 20
 SHOWN_FAULTS = 12
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Of times, in seconds; NaN without any."""
+    """Count, median, 95th percentile, and maximum of times in seconds; NaN without any."""
 
     count: int
     median: float
@@ -46,7 +43,7 @@ class Spread:
 
     @staticmethod
     def of(seconds: Sequence[float]) -> Spread:
-        """Of some times."""
+        """Compute the spread of times in seconds."""
         if not seconds:
             return Spread(0, float("nan"), float("nan"), float("nan"))
         return Spread(len(seconds), *(float(value) for value in np.percentile(seconds, [50, 95, 100])))
@@ -54,17 +51,16 @@ class Spread:
 
 @dataclass(frozen=True)
 class Memory:
-    """The server's resources; None where they were not seen.
+    """The server's resources; None where they were not measured.
 
     Attributes:
-        empty: before anybody came.
-        before: after one client came and went.
-        minute: after the first minute of all clients, the sample of median memory of some seconds.
-        end: before they left, likewise.
-        left: after they left.
-        growth: of memory after the first minute, megabytes an hour, along a line through all samples; None for a run that
-            is too short to say.
-        samples: all that were taken while all clients were there.
+        empty: before the first client.
+        before: after the single client has left.
+        minute: after the warm-up with all clients; the sample of median memory in a window.
+        end: before the clients leave; the same kind of sample.
+        left: after the clients have left.
+        growth: slope of memory after the warm-up in megabytes an hour; None for a short run.
+        samples: all samples taken with all clients.
     """
 
     empty: ResourceSample | None
@@ -82,7 +78,7 @@ class Memory:
         during: Sequence[ResourceSample],
         left: ResourceSample | None,
     ) -> Memory:
-        """From samples taken while all clients were there."""
+        """Compute the record from samples taken with all clients."""
         if not during:
             return Memory(empty, before, None, None, left, None)
         began, ended = during[0].at, during[-1].at
@@ -92,17 +88,17 @@ class Memory:
             line = np.polyfit([sample.at for sample in later], [sample.megabytes for sample in later], 1)
             growth = float(3600 * line[0])
         length = min(WHILE, (later[-1].at - later[0].at) / 2)
-        minute = _usual([sample for sample in later if sample.at <= later[0].at + length])
-        end = _usual([sample for sample in later if sample.at >= later[-1].at - length])
+        minute = _median_sample([sample for sample in later if sample.at <= later[0].at + length])
+        end = _median_sample([sample for sample in later if sample.at >= later[-1].at - length])
         return Memory(empty, before, minute, end, left, growth, tuple(during))
 
     @property
     def warm(self) -> float:
-        """Seconds of all clients before the sample `minute`."""
+        """Seconds with all clients before the sample `minute`."""
         return self.minute.at - self.samples[0].at if self.minute and self.samples else 0.0
 
     def failures(self) -> list[str]:
-        """What grew past its bound."""
+        """Violated bounds, one sentence each."""
         found = []
         for text, here in (("the end", self.end), ("when all had left", self.left)):
             if here and self.minute and here.megabytes > self.minute.megabytes + GROWTH:
@@ -120,17 +116,17 @@ class Memory:
         return found
 
     def most(self) -> tuple[int, int]:
-        """Threads and file handles that may be left."""
+        """Allowed threads and file handles after all clients have left."""
         return bounds(self.empty, self.before)
 
 
-def _usual(samples: Sequence[ResourceSample]) -> ResourceSample:
+def _median_sample(samples: Sequence[ResourceSample]) -> ResourceSample:
     """The sample of median memory."""
     return sorted(samples, key=lambda sample: sample.megabytes)[len(samples) // 2]
 
 
 def bounds(empty: ResourceSample | None, before: ResourceSample | None) -> tuple[int, int]:
-    """Threads and file handles that the server may have when nobody is there; arguments as in `Memory`."""
+    """Allowed threads and file handles without clients; arguments as in `Memory`."""
     known = [sample for sample in (empty, before) if sample is not None]
     threads = [sample.threads for sample in known] + [sample.threads + CALLBACKS for sample in known[:1]]
     return max(threads, default=0) + LEFT_THREADS, max((sample.handles for sample in known), default=0) + LEFT_HANDLES
@@ -138,7 +134,7 @@ def bounds(empty: ResourceSample | None, before: ResourceSample | None) -> tuple
 
 @dataclass(frozen=True)
 class SoakFigures:
-    """All that a soak found."""
+    """The results of a soak."""
 
     seed: int
     clients: int
@@ -154,7 +150,7 @@ class SoakFigures:
     memory: Memory
 
     def spread(self, phase: str, client_name: str = "client", kinds: Sequence[str] = CHANGES) -> Spread:
-        """Times of one client, or of all whose name begins so."""
+        """Spread of the times of one client, or of all clients of a kind, "client" or "page"."""
         found = [
             time.seconds
             for time in self.times
@@ -165,8 +161,11 @@ class SoakFigures:
         return Spread.of(found)
 
     def fairness(self, least: int = 1) -> tuple[float, float]:
-        """The slowest client's median and 95th percentile over the median of all, of clients with so many answers at least;
-        NaN without any."""
+        """Largest median and 95th percentile of a client, over the median of all; NaN without clients.
+
+        Args:
+            least: clients with fewer answers are left out.
+        """
         each = [self.spread("together", client_name) for client_name in self._names("client")]
         each = [spread for spread in each if spread.count >= least]
         usual = self.spread("together").median
@@ -175,7 +174,7 @@ class SoakFigures:
         return max(spread.median for spread in each) / usual, max(spread.p95 for spread in each) / usual
 
     def failures(self) -> list[str]:
-        """Why the run has failed; nothing where it has not."""
+        """Reasons why the run failed, one sentence each; empty for a pass."""
         kinds = Counter(fault.kind for fault in self.faults)
         found = [f"{count} x {kind}." for kind, count in kinds.most_common()]
         found += [f"{len(self.tracebacks)} tracebacks in the server's log."] if self.tracebacks else []
@@ -189,7 +188,7 @@ class SoakFigures:
         return found + self.memory.failures()
 
     def json(self) -> bytes:
-        """For a file."""
+        """All figures as JSON."""
         clients = {
             client_name: asdict(self.spread("together", client_name))
             for kind in ("client", "page")
@@ -214,7 +213,7 @@ class SoakFigures:
         return json.dumps(_plain(text), indent=1).encode()
 
     def show(self, console: Console) -> None:
-        """Print the table, and what went wrong."""
+        """Print the table and all failures."""
         table = Table(
             title=f"{self.clients} clients and {self.pages} pages, {self.seconds / 60:.1f} minutes, seed {self.seed}"
         )
@@ -230,8 +229,8 @@ class SoakFigures:
             console.print(f"… and {len(self.faults) - SHOWN_FAULTS} more; --out has all.")
         for traceback in self.tracebacks[:3]:
             console.print(traceback, markup=False, highlight=False)
-        for flaw in self.failures():
-            console.print(f"✗ {flaw}", markup=False, highlight=False)
+        for failure in self.failures():
+            console.print(f"✗ {failure}", markup=False, highlight=False)
         if not self.failures():
             console.print("✓ No wrong answer, no error, nothing left behind.")
 
@@ -244,13 +243,13 @@ class SoakFigures:
             ("answers checked", f"{self.checked:,}"),
             ("wrong answers", f"{self.wrong:,}"),
             ("errors", f"{len(self.faults) - self.wrong + len(self.tracebacks):,}"),
-            ("one client alone: median, p95, longest", _said(alone)),
-            ("all clients: median, p95, longest", _said(together)),
+            ("one client alone: median, p95, longest", _spread_text(alone)),
+            ("all clients: median, p95, longest", _spread_text(together)),
             ("p95 of all over p95 alone", f"{together.p95 / alone.p95:.1f}"),
             ("slowest client's median, p95 over the median of all", f"{median:.2f}, {p95:.2f}"),
         ]
         if self.pages:
-            lines.append(("pages in Chromium: median, p95, longest", _said(self.spread("together", "page"))))
+            lines.append(("pages in Chromium: median, p95, longest", _spread_text(self.spread("together", "page"))))
         if memory.empty is None:
             return [*lines, ("memory, threads, handles", "not known: this system has no /proc")]
         for what, sample in (
@@ -275,14 +274,14 @@ class SoakFigures:
         return sorted(found, key=lambda client_name: int(client_name.rpartition(" ")[2]))
 
 
-def _said(spread: Spread) -> str:
+def _spread_text(spread: Spread) -> str:
     return (
         f"{spread.median:.2f}, {spread.p95:.2f}, {spread.longest:.2f} s ({spread.count:,})" if spread.count else "none"
     )
 
 
 def _plain(value: Any) -> Any:
-    """JSON has no NaN."""
+    """Replace NaN, which JSON lacks, by None."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):
