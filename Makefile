@@ -67,7 +67,7 @@ test: check $(VENV)/.browser $(VENV)/.milvus
 test-all: test
 	$(PYTEST) --dist loadfile -m slow
 	$(MAKE) fuzz INPUTS=300
-	$(MAKE) soak MINUTES=1
+	$(MAKE) soak MINUTES=1 CLIENTS=8 PAGES=1
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -1,1 +1,1 @@
-"""Many people at the running explorer at once, every answer checked against a direct computation: `python -m tools.soak`."""
+"""A load test of the running explorer that checks every answer: `python -m tools.soak`."""

@@ -17,31 +17,31 @@ from tools.soak.run import Soak
 
 @dataclass
 class Arguments:
-    """Drives the real explorer with many clients at once, and checks every answer against a direct computation.
+    """Drive the real explorer with many clients at once, and check every answer against a direct computation.
 
-    Ends with status 1 when an answer was wrong, anything failed, a client waited much longer than the others, or memory,
-    threads, or file handles stayed.
+    The exit status is 1 after a wrong answer, an error, a client that waited much longer than the others, or leaked memory,
+    threads, or file handles.
     """
 
     minutes: float = 10.0
-    """For which all clients are there."""
+    """Duration with all clients."""
     clients: int = 20
-    """That speak over a websocket as a page does."""
+    """Number of clients over websockets."""
     pages: int = 2
-    """In headless Chromium, each a browser of its own."""
+    """Number of pages in headless Chromium."""
     seed: int = 0
-    """Decides what every client does."""
+    """Seed of all clients' acts."""
     alone: float = 60.0
-    """Seconds before that for which one client is alone, to compare times with."""
+    """Seconds with a single client before, as a reference for times."""
     data: Path | None = None
     """Data set; by default the demo."""
     model: Path | None = None
-    """Trained LPN; by default the demo's."""
+    """Trained LPN; by default that of the demo."""
     out: Path | None = None
     """JSON file for all figures."""
 
     def run(self) -> int:
-        """Exit status."""
+        """Run the soak and return the exit status."""
         if (self.data is None) != (self.model is None):
             raise InputError("Either --data or --model is given alone; give both, or neither for the demo.")
         if self.minutes <= 0 or self.clients < 1 or self.pages < 0 or self.alone < 0:

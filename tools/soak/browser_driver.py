@@ -1,4 +1,4 @@
-"""A hand at a real page in headless Chromium: mouse, fields, and keys."""
+"""Drive a real page in headless Chromium with mouse, fields, and keys."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ class Chromium:
 
 
 class BrowserDriver:
-    """One client in a browser, which may come and go; each visit is a profile of its own.
+    """One client in a browser; each visit has a profile of its own.
 
     Args:
-        url: of the server.
-        naming: of what is asked for.
+        url: the server's address.
+        names: names of the pictures.
         stop: set when the soak ends.
     """
 
@@ -75,7 +75,7 @@ class BrowserDriver:
         self.page: Page
 
     def enter(self, link: str) -> None:
-        """Open the page by a link's query, as somebody who has seen the tour."""
+        """Open the page by a link's query, with the tour already seen."""
         began = time.monotonic()
         self._link, self._links, self._before = None, [], []
         self.errors: list[str] = []
@@ -97,7 +97,7 @@ class BrowserDriver:
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
 
     def drag(self, label: str, values: list[float]) -> float:
-        """Drag a slider's thumb to the places of values; the page rounds to what a pixel is."""
+        """Drag a slider's thumb through values, which the page rounds to pixels."""
         row = self._row(label)
         low, high = {"Rotate": (-180.0, 180.0), "Zoom": (0.25, 4.0)}.get(label, (0.0, 2.0))
         thumb, track = row.get_by_role("slider"), row.locator(".mantine-Slider-root")
@@ -139,7 +139,7 @@ class BrowserDriver:
         self._changing(lambda: self._row(label).locator("input").last.set_checked(on))
 
     def press(self, label: str) -> None:
-        """Press the key that does what a button does."""
+        """Press the key that stands for a button."""
 
         def pressed() -> None:
             self.page.evaluate("document.activeElement.blur()")
@@ -148,7 +148,7 @@ class BrowserDriver:
         self._changing(pressed)
 
     def choose(self, label: str, option: str) -> None:
-        """Take an option: of the buttons in a row by its key, else of a list."""
+        """Choose an option: of a row of buttons by its key, else from a list."""
         if option in KEYS:
             self.press(option)
             return
@@ -169,7 +169,7 @@ class BrowserDriver:
         self._doing(lambda: self.page.get_by_role("tab", name=name).click())
 
     def settle(self, state: ClientState, path: Iterable[ClientState] = ()) -> SettledPage:
-        """Wait for the answer, and see that the page's address said nothing else before it."""
+        """Wait for the answer, and check that the page's URL held nothing foreign before it."""
         found = list[tuple[str | None, str, str, str]]()
 
         def there() -> bool:
@@ -192,7 +192,7 @@ class BrowserDriver:
         return SettledPage(page_content.shown(*found[0][1:]), seconds)
 
     def leave(self, how: str) -> None:
-        """Close the profile, or put another page into its place first."""
+        """Close the profile; to vanish, load another page first."""
         context, self._context = self._context, None
         if context is not None:
             with contextlib.suppress(Error):
@@ -221,12 +221,12 @@ class BrowserDriver:
                 )
 
     def _changing(self, act: Callable[[], object]) -> None:
-        """Do what is to be answered."""
+        """Perform an act that the page must answer."""
         self._doing(act)
         self._changed = time.monotonic()
 
     def _doing(self, act: Callable[[], T]) -> T:
-        """Do something with the page; what fails is the page's fault, unless the soak ends."""
+        """Call `act`; an error is a fault of the page, unless the soak ends."""
         try:
             return act()
         except (Error, AssertionError) as error:

@@ -1,4 +1,4 @@
-"""One soak from the server's start to its end: one client alone, then all, then nobody."""
+"""The phases of a soak: one client alone, then all clients, then none."""
 
 from __future__ import annotations
 
@@ -19,28 +19,27 @@ from tools.soak.reference import Reference
 from tools.soak.server import ExplorerServer, ResourceSample
 from tools.soak.websocket_driver import FaultError, WebSocketDriver
 
-# Seconds between two samples of what the server holds.
+# Seconds between two samples of the server's resources.
 EVERY = 2.0
-# Seconds that the server has to free what clients held.
+# Seconds for the server to release the clients' resources.
 LEAVING = 30.0
-# Seconds that clients have to end, each after the answer that it waits for.
+# Seconds for clients to end, each after its current answer.
 ENDING = 90.0
-# Seconds between the first visits of two clients.
+# Seconds between the starts of two clients.
 STAGGER = 0.2
-# Changes that each of eight connections sends at once, and how often at most, to make viser's threads for callbacks as
-# many as they get.
+# Changes that each of eight connections sends at once, and the largest number of repetitions, to fill viser's pool of threads.
 FLOOD, FLOODS = 200, 6
 
 
 @dataclass
 class Soak:
-    """A run's settings.
+    """A soak and its settings.
 
     Attributes:
-        data, model: as of `lpn explore`.
-        options: for `lpn explore`, that it takes the same data and model by.
-        alone, together: seconds of one client alone, and of all.
-        say: told what goes on.
+        data, model: as in `lpn explore`.
+        options: options of `lpn explore` that name the same data and model.
+        alone, together: seconds with one client, and with all.
+        say: called with progress messages.
     """
 
     data: Path
@@ -56,10 +55,10 @@ class Soak:
     _began: float = field(default_factory=time.monotonic)
 
     def run(self) -> SoakFigures:
-        """All phases; Ctrl-C ends the one that is on, and what was measured until then is returned.
+        """Run all phases; after Ctrl-C return the figures measured so far.
 
         Raises:
-            LPNError: when data set or model cannot be used, or the explorer does not start.
+            LPNError: when the data set or the model cannot be used, or the explorer does not start.
         """
         self.say("Starting the explorer, and a model and descriptors to check its answers by")
         reference = Reference(self.data, self.model)
@@ -108,7 +107,7 @@ class Soak:
         def begin(client_name: str) -> None:
             try:
                 starts[client_name](client_name, server, record, reference, stop)
-            except Exception as error:  # such as no browser; who is not there has no wrong answers
+            except Exception as error:  # such as a missing browser
                 if not stop.is_set():
                     record.fault(Fault(OWN_ERROR, client_name, 0, "".join(traceback.format_exception(error))))
 
@@ -157,7 +156,7 @@ class Soak:
     def _flood(
         self, server: ExplorerServer, record: Record, reference: Reference, empty: ResourceSample | None
     ) -> None:
-        """So many changes at once that the threads which viser keeps for good are there before any are counted."""
+        """Send many changes at once, so that viser's pool of threads is full before threads are counted."""
         drivers = [WebSocketDriver(server.url, reference, threading.Event()) for _ in range(8)]
 
         def send(driver: WebSocketDriver) -> None:
@@ -189,7 +188,7 @@ class Soak:
     def _settled(
         self, server: ExplorerServer, record: Record, empty: ResourceSample | None, before: ResourceSample | None
     ) -> ResourceSample | None:
-        """What the server holds when nobody is there: as soon as it has given back what it must, else after some time."""
+        """Sample the server without clients, once it is within bounds or the time is up."""
         deadline = time.monotonic() + (5.0 if before is None else LEAVING)
         threads, handles = bounds(empty, before)
         while True:

@@ -1,4 +1,4 @@
-"""The explorer as a process of its own: what it says, and what it holds."""
+"""The explorer as a process: its output and its resources."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from typing import Self
 
 from lpn.core.errors import LPNError
 
-# Seconds that it may take to start; a data set that was never described takes long.
+# Longest time to start in seconds; a new data set must be described first.
 START = 300.0
-# Seconds that it may take to end; it has promised two (lpn.core.shutdown), on a machine that does nothing else.
-END = 10.0
+# Longest time to end in seconds; on an idle machine it takes two (lpn.core.shutdown).
+END = 60.0
 _TRACEBACK = re.compile(r"Traceback \(most recent call last\):\n(?:[ \t].*\n|\n)*.*\n?")
 
 
 @dataclass(frozen=True)
 class ResourceSample:
-    """What the server holds at a moment.
+    """The server's resources at a moment.
 
     Attributes:
-        at: seconds since the soak began.
+        at: seconds since the start of the soak.
         megabytes: resident memory.
-        threads, handles: their numbers.
-        clients: that are connected.
+        threads, handles: numbers of threads and file handles.
+        clients: number of connected clients.
     """
 
     at: float
@@ -44,11 +44,11 @@ class ExplorerServer:
     """`lpn explore` on a free port, for a `with` block.
 
     Attributes:
-        url: of its page.
-        killed: whether it did not end when it was told to.
+        url: the page's address.
+        killed: True when it did not end on SIGTERM in time.
 
     Raises:
-        LPNError: when it does not start; the text is what it said.
+        LPNError: when it does not start; the message holds its output.
     """
 
     def __init__(self, options: list[str]) -> None:
@@ -70,7 +70,7 @@ class ExplorerServer:
         try:
             while not (found := re.search(r"ready: (http://\S+)", self.text())):
                 if self._process.poll() is not None or time.monotonic() > deadline:
-                    raise LPNError(f"The explorer did not start. It said: {self.text().strip() or 'nothing'}")
+                    raise LPNError(f"The explorer did not start. Its output: {self.text().strip() or 'nothing'}")
                 time.sleep(0.1)
         except BaseException:
             self.__exit__()
@@ -84,7 +84,7 @@ class ExplorerServer:
             self._process.wait(END)
         except subprocess.TimeoutExpired:
             self.killed = True
-        finally:  # also when the soak is told to stop meanwhile
+        finally:  # also after Ctrl-C
             self._process.kill()
             self._process.wait()
             self._output = self.text()
@@ -92,19 +92,19 @@ class ExplorerServer:
 
     @property
     def alive(self) -> bool:
-        """Whether it still runs."""
+        """True while the process runs."""
         return self._process.poll() is None
 
     def text(self) -> str:
-        """All that it printed, also after it ended."""
+        """Everything it printed, also after its end."""
         return Path(self._log.name).read_text("utf-8", errors="replace") if self._output is None else self._output
 
     def tracebacks(self) -> list[str]:
-        """Those in what it printed, each with the line that names the error."""
+        """Tracebacks in the output, each with the line that names the error."""
         return [found[0] for found in _TRACEBACK.finditer(self.text())]
 
     def sample(self, at: float, clients: int) -> ResourceSample | None:
-        """What it holds now; None where the system does not say (it has no /proc)."""
+        """Sample the resources; None on a system without /proc."""
         of = Path(f"/proc/{self._process.pid}")
         try:
             lines = dict(line.split(":", 1) for line in (of / "status").read_text().splitlines())

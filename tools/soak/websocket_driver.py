@@ -1,4 +1,4 @@
-"""A hand at a page over a websocket: it moves controls as viser's page does, and reads what is shown."""
+"""Drive a page over a websocket: move controls as viser's page does, and read what it would show."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from tools.soak import page_content
 from tools.soak.client_state import ClientState, OwnPicture, PictureNames, shows_state, unexpected_links
 from tools.soak.page_content import PageContent
 
-# Seconds within which every answer must be there, on a machine that is busy with all of the others.
+# Longest time to any answer in seconds, with all clients at work.
 BOUND = 60.0
-# Changes a second that viser's page sends of a slider that is dragged.
+# Changes a second that viser's page sends while a slider is dragged.
 RATE = 20.0
 
 
 class StoppedError(Exception):
-    """The soak ends, and so does every client."""
+    """Raised in every client when the soak ends."""
 
 
 class FaultError(Exception):
-    """The server did what it must not.
+    """Raised when the server violates an expectation.
 
     Args:
         kind: such as "no answer".
-        text: what was expected, and what was there.
+        text: expected and actual behaviour.
     """
 
     def __init__(self, kind: str, text: str) -> None:
@@ -40,11 +40,11 @@ class FaultError(Exception):
 
 @dataclass(frozen=True)
 class SettledPage:
-    """A page that shows what was asked for.
+    """A page that shows the expected state.
 
     Attributes:
-        shown: what it shows.
-        seconds: from the last change to the answer.
+        shown: the page's content.
+        seconds: time from the last change to the answer.
     """
 
     shown: PageContent
@@ -52,13 +52,13 @@ class SettledPage:
 
 
 class PageDriver(Protocol):
-    """Works a page; each call is what a person does with it. Raises FaultError and StoppedError."""
+    """Operates a page as a person does; every method may raise FaultError and StoppedError."""
 
     def enter(self, link: str) -> None:
         """Open the page by a link's query."""
 
     def drag(self, label: str, values: list[float]) -> float:
-        """Move a slider through values, and say where it was left."""
+        """Move a slider through values, and return the last one."""
 
     def switch(self, label: str, on: bool) -> None:
         """Set a checkbox."""
@@ -67,28 +67,28 @@ class PageDriver(Protocol):
         """Press a button."""
 
     def choose(self, label: str, option: str) -> None:
-        """Take an option."""
+        """Choose an option."""
 
     def send(self, own_picture: OwnPicture) -> None:
         """Upload a picture."""
 
     def settle(self, state: ClientState, path: Iterable[ClientState] = ()) -> SettledPage:
-        """Wait for the answer to what is asked for.
+        """Wait until the page shows a state.
 
         Args:
-            path: what was asked for in between, so may have been shown in between.
+            path: states set on the way, which the page may have shown.
         """
 
     def leave(self, how: str) -> None:
-        """Go: "close", or "vanish" without a word."""
+        """Leave by "close", or by "vanish", without a farewell."""
 
 
 class WebSocketDriver:
-    """One client over a websocket, which may come and go.
+    """One client over a websocket, for one visit after the other.
 
     Args:
-        url: of the server.
-        naming: of what is asked for.
+        url: the server's address.
+        names: names of the pictures.
         stop: set when the soak ends.
     """
 
@@ -105,7 +105,7 @@ class WebSocketDriver:
         return self._talker
 
     def enter(self, link: str) -> None:
-        """Connect, show a camera, and greet as the page does."""
+        """Connect, send a camera, and greet as the page does."""
         began = time.monotonic()
         try:
             self._talker = Talker(self._url, origin=self._url, open_timeout=BOUND)
@@ -115,14 +115,14 @@ class WebSocketDriver:
         self._await(lambda: self.talker.find("page") is not None, "the page's controls", "none came")
         hello = {"search": f"?{link}", "small": False}
         self.tell("hello", hello)
-        # Again and again, as the page does: the app may not be listening yet.
+        # Repeat the greeting, as the page does: the app may not be listening yet.
         self._await(
             lambda: self.talker.link is not None, "a first answer", "none came", lambda: self.tell("hello", hello)
         )
         self._changed, self._before = began, []
 
     def drag(self, label: str, values: list[float]) -> float:
-        """Send the values at the page's pace."""
+        """Send values at the page's rate."""
         for value in values:
             self.set(label, value)
             if self._stop.wait(1 / RATE):
@@ -138,7 +138,7 @@ class WebSocketDriver:
         self.set(label, True)
 
     def choose(self, label: str, option: str) -> None:
-        """Take an option."""
+        """Choose an option."""
         self.set(label, option)
 
     def set(self, label: str, value: Any, prop: str = "value") -> None:
@@ -162,10 +162,10 @@ class WebSocketDriver:
         self._sending(lambda: self.talker.raw(data))
 
     def settle(self, state: ClientState, path: Iterable[ClientState] = ()) -> SettledPage:
-        """Wait for the answer, and see that nothing else was shown before it."""
+        """Wait for the answer, and check that the page showed nothing foreign before it."""
         talker, caught = self.talker, list[tuple[dict[str, str], float, list[str], list[str]]]()
 
-        def there() -> bool:  # nothing is taken in meanwhile
+        def there() -> bool:  # called under the client's lock
             found = shows_state(
                 self._names, state, talker.link, page_content.status(talker.elements.get("lpn-status", ""))
             )
@@ -187,17 +187,17 @@ class WebSocketDriver:
         return SettledPage(found, max(heard - self._changed, 0.0))
 
     def leave(self, how: str) -> None:
-        """Go, with a farewell or without."""
+        """Leave, with a farewell or without."""
         if self._talker is not None:
             self._talker.close() if how == "close" else self._talker.abort()
             self._talker = None
 
     def gone(self, seconds: float) -> bool:
-        """Whether the server ends the connection."""
+        """Return True when the server ends the connection in time."""
         return self.talker.gone(seconds)
 
     def _foreign(self, path: list[ClientState], statuses: list[str], links: list[str]) -> None:
-        """Raise FaultError when a state was shown that this client never asked for."""
+        """Raise FaultError when the page showed a state that this client never set."""
         own_picture = {(str(one.query), self._names.label(one), f"{one.angle:g}") for one in path}
         lines = [text for text in map(page_content.status, statuses) if text.get("seq", "0") != "0"]
         shown = {(text["query"], text["name"], text["angle"]) for text in lines}
@@ -209,7 +209,7 @@ class WebSocketDriver:
     def _await(
         self, holds: Callable[[], bool], what: str, found: str | None, again: Callable[[], None] = lambda: None
     ) -> None:
-        """Wait; also when the soak ends meanwhile, or what never comes in a short one would not be noticed."""
+        """Wait, even after the soak's end, so that a missing answer is noticed in a short soak too."""
         deadline = time.monotonic() + BOUND
         while not self.talker.until(holds, 0.5):
             if self.talker.closed.is_set():
