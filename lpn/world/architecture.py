@@ -1,7 +1,7 @@
-"""What one building looks like, wherever it stands: parts, roofs, and roof plant in its own frame.
+"""The appearance of a building, wherever it stands: volumes, roofs, and roof equipment in its own frame.
 
-The frame has x along the street, y away from it, z up, in metres, with the origin at the middle of the footprint.
-Two buildings are twins when they share one `Architecture`.
+The frame has x along the street, y away from it, and z up, in metres, with the origin at the middle of the footprint. Two
+buildings are twins if they share one `Architecture`.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ ItemShape = Literal["box", "cylinder", "skylight", "solar"]
 
 @dataclass(frozen=True)
 class Volume:
-    """One volume of a building.
+    """A volume of a building.
 
     Attributes:
         outline: corners counter-clockwise; a pitched roof's ridge runs along the first edge of a rectangle.
-        base, eaves: heights of its foot and of the top of its walls.
+        base, eaves: heights of its bottom and of the top of its walls.
         rise: height of the roof above the eaves.
-        wall, cover: names of the wall's and the roof's texture.
-        wall_tint, cover_tint: linear reflectance the textures are multiplied with.
-        bay, storey: size of one window unit.
+        wall, cover: names of the textures of walls and roof.
+        wall_tint, cover_tint: linear reflectance that multiplies the textures.
+        bay, storey: width and height of a window unit.
     """
 
     outline: tuple[Corner, ...]
@@ -52,7 +52,7 @@ class Volume:
 
 @dataclass(frozen=True)
 class RoofItem:
-    """Something small on a roof: its middle and foot, its size, and its turn in radians."""
+    """A small object on a roof: the middle of its bottom, its size, and its rotation in radians."""
 
     shape: ItemShape
     x: float
@@ -67,7 +67,7 @@ class RoofItem:
 
 @dataclass(frozen=True)
 class Architecture:
-    """A building's look.
+    """The appearance of a building.
 
     Attributes:
         outline: the footprint's outer ring, counter-clockwise.
@@ -117,21 +117,21 @@ SHEDS = (("cladding", STEEL), ("cladding", WHITE), ("cladding", BLUE), ("claddin
 
 
 def near(rng: np.random.Generator, colour: Colour, spread: float = 0.12) -> Colour:
-    """A colour a little lighter, darker, and off."""
+    """Vary a colour a little in brightness and hue."""
     value = np.array(colour) * rng.normal(1, spread) * rng.normal(1, spread / 4, 3)
     red, green, blue = np.clip(value, 0.02, 0.8)
     return round(float(red), 4), round(float(green), 4), round(float(blue), 4)
 
 
 def box(x0: float, y0: float, x1: float, y1: float) -> tuple[Corner, ...]:
-    """Corners of an upright rectangle; its first edge runs along the longer side."""
+    """Return the corners of an upright rectangle; its first edge runs along the longer side."""
     corners = ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
     return corners if x1 - x0 >= y1 - y0 else corners[1:] + corners[:1]
 
 
 @dataclass(frozen=True)
 class Dress:
-    """Materials shared by the parts of one building."""
+    """Materials shared by the volumes of one building."""
 
     wall: str
     wall_tint: Colour
@@ -143,7 +143,7 @@ class Dress:
     def part(
         self, outline: tuple[Corner, ...], eaves: float, roof: RoofShape = "flat", rise: float = 0.0, base: float = 0.0
     ) -> Volume:
-        """A part in these materials."""
+        """Make a volume of these materials."""
         return Volume(
             outline,
             base,
@@ -178,24 +178,24 @@ def _dress(
 
 
 def modern(rng: np.random.Generator) -> Dress:
-    """Flat roofs and office or laboratory walls."""
+    """Draw flat roofs and office or laboratory walls."""
     return _dress(rng, MODERN, FLAT, FLAT_WEIGHTS)
 
 
 def classic(rng: np.random.Generator) -> Dress:
-    """Pitched roofs and sash windows."""
+    """Draw pitched roofs and sash windows."""
     return _dress(rng, CLASSIC, PITCHED, np.array([0.28, 0.28, 0.27, 0.13, 0.04]))
 
 
 def shed(rng: np.random.Generator) -> Dress:
-    """Halls clad in sheet metal."""
+    """Draw halls clad in sheet metal."""
     covers = (("seams", WHITE), ("seams", LIGHT), ("membrane", LIGHT), ("seams", GREY), ("bitumen", DARK), ("seams", BLUE),
               ("seams", RUST))  # fmt: skip
     return _dress(rng, SHEDS, covers, np.array([0.22, 0.25, 0.17, 0.15, 0.11, 0.05, 0.05]))
 
 
 def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amount: float = 1.0) -> list[RoofItem]:
-    """What stands on a flat roof over an upright rectangle: plant rooms, air handlers, ducts, vents, lights, panels."""
+    """Place equipment on a flat roof over an upright rectangle: plant rooms, air handlers, ducts, vents, lights, panels."""
     ring = np.array(outline)
     (x0, y0), (x1, y1) = ring.min(axis=0) + 1.6, ring.max(axis=0) - 1.6
     w, d = x1 - x0, y1 - y0
@@ -258,7 +258,7 @@ def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amoun
 
 
 def chimneys(rng: np.random.Generator, x0: float, x1: float, z: float, pitch: float) -> list[RoofItem]:
-    """Chimneys along a ridge at y = 0 whose top is at height z."""
+    """Place chimneys along a ridge at y = 0 and height z."""
     tint = near(rng, BRICK)
     offset = float(rng.uniform(-0.8, 0.8))
     return [

@@ -1,8 +1,9 @@
-"""Every picture of a world before it is taken: its path, camera, and place; and the files that say so.
+"""All pictures of a world before they are rendered, with path, camera, and place, and the files that describe them.
 
-world.json   what stands where, and how each picture was taken
-geo.csv      where what each picture shows lies, in the format of `lpn.datasets.geo`, with the drone's pose and the tile's width
-cvusa/       the panoramas and their tiles have files of their own, see `lpn.world.cvusa`
+world.json   the plan, and the camera of each picture
+geo.csv      the position that each picture shows, in the format of `lpn.datasets.geo`, with the drone's pose and the tile's
+             width
+cvusa/       panoramas and their tiles, with files of their own, see `lpn.world.cvusa`
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from lpn.core.formats import WORLD
 from lpn.world import cvusa
 from lpn.world.cameras import Panorama, Pose, Site, Tile, drone_poses, tile_around
 from lpn.world.city import City, Target
-from lpn.world.ground_level import Outdoors, panoramas, street_poses
+from lpn.world.ground_level import GroundLevel, panoramas, street_poses
 from lpn.world.plan import plan_city
 
 EDITION = 2  # counts changes of the code that change the pictures of a seed
@@ -33,15 +34,15 @@ _AIM = 0.4  # share of the building's height that the drone looks at
 
 @dataclass(frozen=True)
 class Settings:
-    """What decides every pixel of a world.
+    """The settings that determine every pixel of a world.
 
     Attributes:
         seed, buildings: of the plan.
         views: drone pictures of each building, the last of them from straight above.
-        pixels, tile_pixels: sides of a drone picture and of a satellite tile.
-        samples: light paths a pixel.
-        streets: pictures of each building from street level.
-        panoramas: of each building's surroundings.
+        pixels, tile_pixels: side lengths of a drone picture and of a satellite tile.
+        samples: light paths per pixel.
+        streets: street-level pictures of each building.
+        panoramas: panoramas near each building.
     """
 
     seed: int
@@ -59,7 +60,7 @@ View = Literal["satellite", "drone", "street", "panorama"]
 
 @dataclass(frozen=True)
 class PlannedPicture:
-    """One picture; a test picture has two paths, as query and in the gallery."""
+    """A picture to be rendered; a test picture has two paths, as query and in the gallery."""
 
     paths: tuple[str, ...]
     target: int
@@ -69,15 +70,15 @@ class PlannedPicture:
 
 @dataclass(frozen=True)
 class Sector:
-    """Targets near each other, rendered from one scene.
+    """Neighbouring targets, rendered from one scene.
 
     Attributes:
         x, y: middle of the square around its targets.
         reach: half its side.
-        district: whose weather it has.
-        tiles: the satellite's, those of panoramas last.
-        frames: the drone's.
-        walks: what is taken from the ground.
+        district: determines the weather.
+        tiles: satellite tiles, those of panoramas last.
+        frames: drone pictures.
+        walks: pictures from the ground.
     """
 
     number: int
@@ -91,17 +92,17 @@ class Sector:
 
     @property
     def shots(self) -> tuple[PlannedPicture, ...]:
-        """All its pictures."""
+        """All pictures of the sector."""
         return *self.tiles, *self.frames, *self.walks
 
     def covers(self, places: Float64Array) -> NDArray[np.bool_]:
-        """Which places (n, 2) the satellite's picture covers with a tile to the north around them."""
+        """Return for which places (n, 2) the satellite image contains a north-up tile around them."""
         return _covers(self.x, self.y, self.reach, places)
 
 
 @dataclass(frozen=True)
 class Atlas:
-    """A world's plan and all its pictures."""
+    """The plan of a world and all its pictures."""
 
     settings: Settings
     site: Site
@@ -115,7 +116,7 @@ class Atlas:
         return sorted(shots, key=lambda shot: (shot.target, shot.paths))
 
     def world_json(self) -> bytes:
-        """The file world.json."""
+        """Encode world.json."""
         city, site = self.city, self.site
         values = {
             "format": WORLD,
@@ -138,11 +139,11 @@ class Atlas:
         return (json.dumps(values, indent=1) + "\n").encode()
 
     def geo_csv(self) -> bytes:
-        """The file geo.csv, as `lpn.datasets.geo` reads it: positions of what pictures show."""
+        """Encode geo.csv: the positions that pictures show."""
         return self._geo([(path, shot) for shot in self.shots if not _of_cvusa(shot) for path in shot.paths])
 
     def cvusa_files(self) -> dict[str, bytes]:
-        """The files of CVUSA's layout that are no pictures, by path; none without panoramas."""
+        """Return the text files of CVUSA's layout by path; none without panoramas."""
         shots = {shot.paths[0]: shot for shot in self.shots if _of_cvusa(shot)}
         if not shots:
             return {}
@@ -228,7 +229,7 @@ def make_atlas(settings: Settings) -> Atlas:
     def covered(target: Target, places: Float64Array) -> NDArray[np.bool_]:
         return _covers(*squares[city.buildings[target.building].district], places)
 
-    outdoors = Outdoors(city)
+    outdoors = GroundLevel(city)
     around = panoramas(outdoors, city, settings.panoramas, covered)
     sectors = []
     for number, district in enumerate(sorted(groups)):
@@ -277,7 +278,7 @@ def _frames(city: City, target: Target, views: int) -> list[PlannedPicture]:
     ]
 
 
-def _streets(outdoors: Outdoors, city: City, target: Target, count: int) -> list[PlannedPicture]:
+def _streets(outdoors: GroundLevel, city: City, target: Target, count: int) -> list[PlannedPicture]:
     return [
         PlannedPicture(_paths(target, "street", f"image-{i + 1:02d}.jpg"), target.number, "street", pose)
         for i, pose in enumerate(street_poses(outdoors, city, target, count))
@@ -292,11 +293,11 @@ def _panoramas(target: Target, cameras: list[Panorama]) -> list[PlannedPicture]:
 
 
 def _centred(target: Target, number: int, at: Panorama) -> PlannedPicture:
-    """The tile with a panorama's camera in its middle."""
+    """Make the tile with a panorama's camera in its middle."""
     return PlannedPicture((cvusa.tile_path(target.number, number),), target.number, "satellite", Tile(at.x, at.y, 0.0))
 
 
 def _aim(city: City, target: Target) -> tuple[float, float, float]:
-    """The point on a building that its drone looks at."""
+    """Return the point on a building that its drone looks at."""
     b = city.buildings[target.building]
     return b.x, b.y, city.height(b.x, b.y) + _AIM * city.architectures[b.architecture].height

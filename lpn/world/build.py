@@ -1,4 +1,4 @@
-"""Write a world: plan it, render what is not there yet, sector by sector."""
+"""Building a world: plan it, then render missing pictures sector by sector."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ _ADDED = ("streets", "panoramas")  # settings that may be raised in a world that
 
 @dataclass(frozen=True)
 class RenderShare:
-    """Which share of the sectors one process renders: the `number`-th of `count`, from 1."""
+    """The share of the sectors that one process renders: the `number`-th of `count`, from 1."""
 
     number: int = 1
     count: int = 1
 
     @classmethod
     def parse(cls, text: str) -> RenderShare:
-        """Read `i/k`.
+        """Parse `i/k`.
 
         Raises:
-            InputError: when it is something else.
+            InputError: when the text is not of that form.
         """
         try:
             number, count = (int(item) for item in text.split("/"))
@@ -61,7 +61,7 @@ class RenderShare:
 
 @dataclass
 class Tally:
-    """Pictures made and seconds spent, by step."""
+    """Numbers of pictures, and seconds of each step."""
 
     scenes: int = 0
     scene_seconds: float = 0.0
@@ -93,11 +93,11 @@ class Tally:
 
 
 def build_world(settings: Settings, out: Path, part: RenderShare | None = None, threads: int = 0) -> Tally:
-    """Render a world into University-1652's layout; pictures that are there are kept, so that a killed run goes on.
+    """Render a world into University-1652's layout, skipping pictures that exist, so that an interrupted run can continue.
 
     Raises:
-        InputError: when the settings make no world.
-        OutputError: when `out` cannot be written, or holds a world made with other settings.
+        InputError: when the settings are invalid.
+        OutputError: when `out` cannot be written, or holds a world with other settings.
     """
     from lpn.world import render  # asks for bpy before anything is planned
 
@@ -121,10 +121,10 @@ def build_world(settings: Settings, out: Path, part: RenderShare | None = None, 
     with (
         render.quiet() as stream,
         Progress(*columns, console=Console(file=stream)) as bar,
-        render.workplace() as folder,
+        render.scratch_folder() as folder,
     ):
         task = bar.add_task("Rendering", total=sum(len(sector.shots) for sector in mine))
-        studio = _Studio(render.BlenderScene, atlas, out, folder, threads, tally, lambda: bar.advance(task))
+        studio = _SectorRenderer(render.BlenderScene, atlas, out, folder, threads, tally, lambda: bar.advance(task))
         for sector in mine:
             tiles, frames, walks = (
                 [shot for shot in shots if not _there(out, shot)]
@@ -143,7 +143,7 @@ def build_world(settings: Settings, out: Path, part: RenderShare | None = None, 
 
 
 def _write_city(atlas: Atlas, out: Path) -> None:
-    """A city too large for its model is photographed all the same."""
+    """Write the 3-D model; a city too large for it is rendered without one."""
     try:
         write_atomic(out / CITY_NAME, city_model(atlas.city, atlas.site, test_window(atlas)))
     except InputError as error:
@@ -151,8 +151,8 @@ def _write_city(atlas: Atlas, out: Path) -> None:
 
 
 @dataclass(frozen=True)
-class _Studio:
-    """Takes a sector's pictures and writes them; `done` is called after each."""
+class _SectorRenderer:
+    """Renders a sector's pictures and writes them; calls `done` after each."""
 
     make: type[BlenderScene]
     atlas: Atlas
@@ -163,7 +163,7 @@ class _Studio:
     done: Callable[[], None]
 
     def tiles(self, sector: Sector, shots: list[PlannedPicture]) -> None:
-        """Satellite tiles, cut from one picture."""
+        """Cut the satellite tiles from one image."""
         inside = sector.covers(np.array([(shot.camera.x, shot.camera.y) for shot in shots]))
         covered = [shot for shot, within in zip(shots, inside, strict=True) if within]
         if covered:
@@ -175,7 +175,7 @@ class _Studio:
                 self._cut(sector, [shot], shot.camera.x, shot.camera.y, TILE / 2 + SPARE)
 
     def frames(self, sector: Sector, shots: list[PlannedPicture]) -> None:
-        """The drone's pictures."""
+        """Render the drone pictures."""
         look = photo.drone_look(self.atlas.settings.seed, sector.district)
         made = self._scene(sector.x, sector.y, look, sector.reach + SIGHT)
         for shot in shots:
@@ -187,11 +187,11 @@ class _Studio:
             self.tally.frame_seconds += time.perf_counter() - start
 
     def walks(self, sector: Sector, shots: list[PlannedPicture]) -> None:
-        """Street pictures and panoramas."""
+        """Render street pictures and panoramas."""
         settings, tally = self.atlas.settings, self.tally
         look = photo.street_look(settings.seed, sector.district)
         made = self._scene(sector.x, sector.y, look, sector.reach + SIGHT)
-        made.come_down()
+        made.prepare_ground_view()
         for shot in shots:
             start = time.perf_counter()
             if isinstance(shot.camera, Panorama):
@@ -266,10 +266,10 @@ def _check(settings: Settings) -> None:
 
 
 def check_folder(settings: Settings, out: Path) -> None:
-    """Make sure that a folder holds no other world; the same with fewer street pictures or panoramas can be added to.
+    """Check that a folder is empty or holds the same world, perhaps with fewer street pictures or panoramas.
 
     Raises:
-        OutputError: when it does.
+        OutputError: when it holds another world.
     """
     file = out / PLAN
     if not file.is_file():

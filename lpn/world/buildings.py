@@ -1,4 +1,4 @@
-"""Kinds of building: each maker draws one architecture of its kind."""
+"""The kinds of buildings: each function draws a random architecture of one kind."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from lpn.world.geometry import ellipse
 
 
 def _joined(kind: Kind, outline: tuple[Corner, ...], parts: list[Volume], items: list[RoofItem]) -> Architecture:
-    """An architecture moved so that its footprint's middle is the origin."""
+    """Make an architecture, moved so that its footprint's middle is the origin."""
     ring = np.array(outline)
     dx, dy = (-(ring.max(axis=0) + ring.min(axis=0)) / 2).tolist()
 
@@ -60,7 +60,7 @@ def _joined(kind: Kind, outline: tuple[Corner, ...], parts: list[Volume], items:
 def _storey(
     rng: np.random.Generator, dress: Dress, wing: tuple[Corner, ...], eaves: float, parts: list[Volume]
 ) -> list[RoofItem]:
-    """Roof plant of a wing, around and on a set-back upper storey where it has one."""
+    """Place roof equipment on a wing, around and on a set-back storey if it has one."""
     below = plant(rng, wing, eaves)
     if rng.random() > 0.5:
         return below
@@ -85,7 +85,7 @@ def _storey(
 
 def _wings(rng: np.random.Generator, kind: Kind, wings: list[tuple[Corner, ...]], outline: tuple[Corner, ...],
            pitched: bool, storeys: int) -> Architecture:  # fmt: skip
-    """A building of straight wings: flat with different heights, or pitched with roofs that run into each other."""
+    """Make a building of straight wings: flat with different heights, or pitched with roofs that meet."""
     dress = classic(rng) if pitched else modern(rng)
     eaves = storeys * dress.storey
     parts: list[Volume] = []

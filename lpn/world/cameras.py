@@ -1,6 +1,6 @@
-"""From where the city is seen: the site on the globe, satellite tiles, and University-1652's drone spiral.
+"""The cameras: the site on the globe, satellite tiles, and University-1652's drone spiral.
 
-Metres are x east, y north, z up. A heading is in degrees clockwise from north; a tilt in degrees from the horizon, -90 is
+Metres are x east, y north, z up. A heading is in degrees clockwise from north, a tilt in degrees above the horizon; -90 is
 straight down.
 """
 
@@ -21,7 +21,7 @@ FIELD_OF_VIEW = 41.0  # degrees across
 
 @dataclass(frozen=True)
 class Site:
-    """Where the plan's origin lies: in the open Atlantic, so that no real place is shown."""
+    """The site of the plan's origin: in the open Atlantic, so that no real place is shown."""
 
     latitude: float = 46.2
     longitude: float = -31.4
@@ -39,7 +39,7 @@ class Site:
 
 @dataclass(frozen=True)
 class Pose:
-    """A perspective camera with square pictures: place, direction, and horizontal field of view in degrees."""
+    """A perspective camera of square pictures: position, direction, and horizontal field of view in degrees."""
 
     x: float
     y: float
@@ -57,7 +57,7 @@ class Pose:
         return np.stack([right, np.cross(right, forward), forward])
 
     def project(self, points: Float64Array) -> Float64Array:
-        """Places (n, 2) of points (n, 3) in the picture: x right and y down from -1 to 1, 0 at the centre."""
+        """Project points (n, 3) to picture coordinates (n, 2): x right and y down from -1 to 1, 0 at the centre."""
         right, up, forward = ((points - (self.x, self.y, self.z)) @ self.axes().T).T
         scale = 1 / np.tan(np.radians(self.fov / 2))
         return np.stack([right / forward * scale, -up / forward * scale], axis=1)
@@ -65,10 +65,10 @@ class Pose:
 
 @dataclass(frozen=True)
 class Panorama:
-    """A camera that sees all around (equirectangular), as in CVUSA: north in the middle column, east right of it.
+    """An equirectangular camera as in CVUSA: north in the middle column, east to its right.
 
     Attributes:
-        x, y, z: where it stands in metres.
+        x, y, z: position in metres.
         low, high: degrees above the horizon of the bottom and the top of the picture.
     """
 
@@ -79,20 +79,23 @@ class Panorama:
     high: float = 360 * 2 / 11 - 29.0  # CVUSA's panoramas have 1232 x 224 pixels, as many to a degree both ways
 
     def size(self, pixels: int) -> tuple[int, int]:
-        """Width and height of about as many pixels as a square of side `pixels` has: 616 x 112 for 256."""
+        """Return width and height with about as many pixels as a square of side `pixels`: 616 x 112 for 256."""
         height = 2 * round(pixels * 7 / 32)
         return round(height * 5.5), height
 
     def project(self, points: Float64Array) -> Float64Array:
-        """Places (n, 2) of points (n, 3) in the picture: x right and y down from -1 to 1, 0 at the centre."""
+        """Project points (n, 3) to picture coordinates (n, 2): x right and y down from -1 to 1, 0 at the centre."""
         dx, dy, dz = (points - (self.x, self.y, self.z)).T
         up = np.degrees(np.arctan2(dz, np.hypot(dx, dy)))
         return np.stack([np.arctan2(dx, dy) / np.pi, 1 - 2 * (up - self.low) / (self.high - self.low)], axis=1)
 
 
 def drone_poses(aim: tuple[float, float, float], views: int, rng: np.random.Generator) -> list[Pose]:
-    """The spiral around a point: `views` - 1 pictures tilted at it, from 256 m down to 121.5 m in three rounds, and the
-    last one from straight above. Heights are above `aim`; the start and each heading vary by some degrees."""
+    """Return the poses of the spiral around a point.
+
+    The first `views` - 1 are tilted at it, from 256 m down to 121.5 m in three rounds; the last looks straight down. Heights are
+    above `aim`; the start and each heading vary by some degrees.
+    """
     tilted = max(1, views - 1) if views > 1 else 1
     start = rng.uniform(-10, 10)
     poses = []
@@ -112,7 +115,7 @@ def drone_poses(aim: tuple[float, float, float], views: int, rng: np.random.Gene
 
 @dataclass(frozen=True)
 class Tile:
-    """A satellite tile: its centre, which misses the building's a little, and how far its top is turned from north."""
+    """A satellite tile: its centre, slightly off the building's, and its rotation from north."""
 
     x: float
     y: float
@@ -121,18 +124,18 @@ class Tile:
 
 
 def tile_around(x: float, y: float, rng: np.random.Generator) -> Tile:
-    """The tile of a building at (x, y): up to 5 m off, up to 2.5 degrees from north."""
+    """Draw the tile of a building at (x, y), up to 5 m off and up to 2.5 degrees from north."""
     dx, dy = rng.uniform(-5, 5, 2)
     return Tile(float(x + dx), float(y + dy), float(rng.uniform(-2.5, 2.5)))
 
 
 @dataclass(frozen=True)
 class SatelliteImage:
-    """One large picture from a satellite, without perspective: `size` metres in `pixels` pixels around (x, y, z).
+    """A large orthographic satellite image: `size` metres in `pixels` pixels around (x, y, z).
 
     Attributes:
-        lean: degrees the satellite stands off the zenith.
-        bearing: degrees clockwise from north towards where it stands.
+        lean: angle of the satellite off the zenith in degrees.
+        bearing: direction of the satellite in degrees clockwise from north.
     """
 
     x: float
@@ -144,7 +147,7 @@ class SatelliteImage:
     bearing: float
 
     def axes(self) -> Float64Array:
-        """Unit vectors (3, 3): right, up, and forward of the picture, as rows; up is as near to north as can be."""
+        """Unit vectors (3, 3): right, up, and forward of the picture, as rows; up is as close to north as possible."""
         lean, bearing = np.radians(self.lean), np.radians(self.bearing)
         forward = -np.array([np.sin(lean) * np.sin(bearing), np.sin(lean) * np.cos(bearing), np.cos(lean)])
         right = np.cross(forward, [0.0, 1.0, 0.0])
@@ -152,13 +155,13 @@ class SatelliteImage:
         return np.stack([right, np.cross(right, forward), forward])
 
     def project(self, points: Float64Array) -> Float64Array:
-        """Pixels (n, 2), column and row, of points (n, 3)."""
+        """Project points (n, 3) to pixels (n, 2), column and row."""
         right, up, _ = self.axes()
         local = (points - (self.x, self.y, self.z)) / (self.size / self.pixels)
         return np.stack([local @ right, -(local @ up)], axis=1) + self.pixels / 2
 
     def corners(self, tile: Tile) -> Float64Array:
-        """Pixels (4, 2) of a tile's corners: top left, top right, bottom right, bottom left."""
+        """Return the pixels (4, 2) of a tile's corners: top left, top right, bottom right, bottom left."""
         h = np.radians(tile.heading)
         right, up = np.array([np.cos(h), -np.sin(h)]), np.array([np.sin(h), np.cos(h)])
         half = tile.size / 2

@@ -1,4 +1,4 @@
-"""Painting a window of the city: polygons and lines with grain, in linear reflectance."""
+"""A canvas for a window of the city: polygons and lines with grain, in linear reflectance."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PERIOD = 1024
 
 @lru_cache(maxsize=8)
 def noise(scale: float) -> Float32Array:
-    """A periodic field (1024, 1024) of mean 0 and deviation 1 whose blobs are about `scale` pixels wide."""
+    """Make a periodic field (1024, 1024) of mean 0 and deviation 1 with blobs about `scale` pixels wide."""
     rng = np.random.default_rng(int(scale * 97))
     frequency = np.fft.fftfreq(_PERIOD)
     squared = frequency[:, None] ** 2 + frequency[None] ** 2
@@ -27,11 +27,11 @@ def noise(scale: float) -> Float32Array:
 
 
 class Canvas:
-    """The ground of a window of the city, painted layer over layer.
+    """The ground of a window of the city, painted in layers.
 
     Attributes:
         colour: (h, w, 3) linear reflectance, north up.
-        water: (h, w) share of water.
+        water: (h, w) fraction of water.
     """
 
     def __init__(self, west: float, north: float, width: float, height: float, scale: float) -> None:
@@ -41,11 +41,11 @@ class Canvas:
         self.water = np.zeros(self.shape, np.float32)
 
     def pixels(self, points: Float64Array) -> Float64Array:
-        """Columns and rows of points (n, 2)."""
+        """Convert points (n, 2) to columns and rows."""
         return np.stack([points[:, 0] - self.west, self.north - points[:, 1]], axis=1) / self.scale
 
     def field(self, metres: float, rows: slice, columns: slice) -> Float32Array:
-        """Noise with blobs of that size, the same at one place of the city in every window."""
+        """Return noise with blobs of that size, which is the same for one place of the city in every window."""
         pixels = metres / self.scale
         shrink = max(1, int(pixels // 24))
         y0, x0 = round(-self.north / self.scale), round(self.west / self.scale)
@@ -66,7 +66,7 @@ class Canvas:
 
     def fill(self, polygon: Float64Array, colour: Colour, grain: float = 0.1, blotch: float = 0.1, strength: float = 1.0,
              water: float = 0.0, soft: float = 0.0) -> None:  # fmt: skip
-        """A polygon in a colour that varies finely (`grain`) and in large blotches; `soft` metres blur its edge."""
+        """Fill a polygon with a colour that varies finely (`grain`) and in large blotches; `soft` metres blur its edge."""
         crop = self.masked(polygon, soft / self.scale * 2)
         if crop is None:
             return
@@ -77,7 +77,7 @@ class Canvas:
 
     def line(self, line: Float64Array, width: float, colour: Colour, grain: float = 0.05, strength: float = 1.0,
              blotch: float = 0.0, soft: float = 0.0) -> None:  # fmt: skip
-        """A line `width` metres wide."""
+        """Draw a line `width` metres wide."""
         crop = self.masked(line, width / self.scale)
         if crop is None:
             return

@@ -24,11 +24,11 @@ VEHICLES = ("car", "van", "truck", "bus")
 
 @dataclass(frozen=True)
 class District:
-    """A part of the city with one character, within arterial streets.
+    """A district of one character, bounded by arterial streets.
 
     Attributes:
         polygon: its boundary (n, 2).
-        split: the targets in it are all for training, or all for testing; empty where there are none.
+        split: the split of all targets in it, train or test; empty if there are none.
     """
 
     number: int
@@ -40,7 +40,7 @@ class District:
 
 @dataclass(frozen=True)
 class Street:
-    """A street along a line (n, 2), its carriageway `width` wide, with pavements of `pavement` on both sides."""
+    """A street along a line (n, 2) with a carriageway `width` wide and pavements of `pavement` on both sides."""
 
     line: Float64Array
     width: float
@@ -50,7 +50,7 @@ class Street:
 
 @dataclass(frozen=True)
 class Block:
-    """Ground between streets: a convex polygon and what covers it where nothing else does."""
+    """Ground between streets: a convex polygon and its default surface."""
 
     polygon: Float64Array
     district: int
@@ -59,10 +59,10 @@ class Block:
 
 @dataclass(frozen=True)
 class Building:
-    """One building: where its architecture stands.
+    """A building: the place of its architecture.
 
     Attributes:
-        number: its place in `City.buildings`.
+        number: its index in `City.buildings`.
         architecture: index into `City.architectures`.
         notable: large enough to be a target.
     """
@@ -78,7 +78,7 @@ class Building:
 
 @dataclass(frozen=True)
 class Patch:
-    """Ground of one use, a convex polygon; `angle` gives markings and furrows their direction, `shade` varies it."""
+    """Ground of one use, a convex polygon; `angle` is the direction of markings and furrows, `shade` varies its colour."""
 
     surface: Surface
     polygon: Float64Array
@@ -99,7 +99,7 @@ class Path:
 
 @dataclass(frozen=True)
 class RoadBridge:
-    """A street's deck over the river."""
+    """The deck of a street over the river."""
 
     x: float
     y: float
@@ -110,7 +110,7 @@ class RoadBridge:
 
 @dataclass(frozen=True)
 class River:
-    """Water along a line (n, 2), `width` wide, whose surface lies at height `level`."""
+    """A river along a line (n, 2), `width` wide, with its surface at height `level`."""
 
     line: Float64Array
     width: float
@@ -119,13 +119,13 @@ class River:
 
 @dataclass(frozen=True)
 class Target:
-    """A building that pictures are taken of.
+    """A building that is photographed.
 
     Attributes:
         number: the place's id, from 1.
         building: index into `City.buildings`.
-        twins: number of its twin group, or 0 when its architecture is its own.
-        split: `train` or `test`, as its district.
+        twins: number of its group of twins, 0 if its architecture is unique.
+        split: `train` or `test`, as its district's.
     """
 
     number: int
@@ -136,7 +136,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Terrain:
-    """Height of the ground in metres: gentle waves, level at the river, whose bed is cut into it."""
+    """Height of the ground in metres: gentle waves, level at the river, with the river's bed cut into it."""
 
     waves: Waves
     river: River
@@ -164,7 +164,7 @@ class Terrain:
 
 @dataclass(frozen=True)
 class Trees:
-    """Trees as arrays (n,): x, y, index into SPECIES, height in metres, and a number in [0, 1) that varies the look."""
+    """Trees as arrays (n,): x, y, index into SPECIES, height in metres, and a number in [0, 1) that varies their appearance."""
 
     x: Float64Array
     y: Float64Array
@@ -174,8 +174,8 @@ class Trees:
 
 
 @dataclass(frozen=True)
-class Stalls:
-    """Places of vehicles as arrays (n,): x, y, angle, index into VEHICLES, and how often one stands there."""
+class ParkingBays:
+    """Parking bays as arrays (n,): x, y, angle, index into VEHICLES, and the probability of a vehicle."""
 
     x: Float64Array
     y: Float64Array
@@ -186,7 +186,7 @@ class Stalls:
 
 @dataclass(frozen=True)
 class City:
-    """Everything that was planned."""
+    """The whole plan."""
 
     seed: int
     districts: tuple[District, ...]
@@ -200,7 +200,7 @@ class City:
     bridges: tuple[RoadBridge, ...]
     terrain: Terrain
     trees: Trees
-    stalls: Stalls
+    stalls: ParkingBays
     targets: tuple[Target, ...]
 
     def footprint(self, building: Building) -> Float64Array:
@@ -216,7 +216,7 @@ class City:
 
 @dataclass
 class Draft:
-    """What the planning of blocks collects."""
+    """The state of the plan while blocks are filled."""
 
     architectures: list[Architecture] = field(default_factory=list)
     buildings: list[Building] = field(default_factory=list)

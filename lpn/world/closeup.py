@@ -1,6 +1,6 @@
-"""What a scene needs besides when it is seen from the ground: a sky with clouds, grain underfoot, leaves, panes.
+"""Details of a scene that are visible only from the ground: clouds, grain of the ground, leaves, window panes.
 
-The drone and the satellite look down from afar, where none of this shows. Everything here works on Blender's node trees.
+The drone and the satellite are too far away to see them. All functions edit Blender's node trees.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ _GRAIN = 25.0  # metres at which the grain of the ground fades out, where it wou
 
 
 def open_sky(world: Any, phase: float, cover: float) -> None:
-    """Put clouds into what the camera sees of the sky.
+    """Add clouds to the visible sky.
 
     Args:
-        phase: any number; another one gives other clouds.
-        cover: from 0 to 1, how much of the sky they fill.
+        phase: seed of the clouds.
+        cover: fraction of the sky they fill, 0 to 1.
     """
     nodes, links = world.node_tree.nodes, world.node_tree.links
     light = nodes["Background"]
@@ -56,7 +56,7 @@ def open_sky(world: Any, phase: float, cover: float) -> None:
 
 
 def grain(ground: Any) -> None:
-    """Vary the ground's colour more finely than its texture can, near the camera."""
+    """Vary the ground's colour near the camera at a scale below its texture's pixels."""
     nodes, links = ground.node_tree.nodes, ground.node_tree.links
     base = nodes["Principled BSDF"].inputs["Base Color"]
     painted = base.links[0].from_socket
@@ -77,7 +77,7 @@ def grain(ground: Any) -> None:
 
 
 def refine(materials: Iterable[tuple[str, Any]]) -> None:
-    """Cut leaves out of the quads trees are made of, and make panes shine; takes names and materials."""
+    """Cut leaves out of the quads of trees, and make panes shine; takes names and materials."""
     for name, material in materials:
         kind, _, style = name.partition(" ")
         if kind == "leaves":
@@ -99,7 +99,7 @@ def _leaves(material: Any) -> None:
 
 
 def _panes(material: Any) -> None:
-    """The dark places of a wall's texture are its panes."""
+    """Make the dark pixels of a wall's texture reflect as panes."""
     nodes, links = material.node_tree.nodes, material.node_tree.links
     shader = nodes["Principled BSDF"]
     texture = next(node for node in nodes if node.bl_idname == "ShaderNodeTexImage").outputs["Color"]

@@ -1,11 +1,11 @@
-"""The panoramas of a world in CVUSA's layout, in a folder of its own, each with a tile centred where it was taken.
+"""A world's panoramas in CVUSA's layout, in their own folder, each with a tile centred at its camera.
 
     cvusa/bingmap/19/<number>.jpg      the tile: north up, the panorama's camera in the middle
-    cvusa/streetview/panos/<number>.jpg   the panorama: north in the middle column, as the polar transform of a tile
+    cvusa/streetview/panos/<number>.jpg   the panorama: north in the middle column, as in the polar transform of a tile
     cvusa/splits/{train,val}-19zl.csv  pairs of both, by the split of the place
-    cvusa/geo.csv                      where both were taken, in the format of `lpn.datasets.geo`
+    cvusa/geo.csv                      positions of both, in the format of `lpn.datasets.geo`
 
-A number is its place's, followed by two digits that count the place's panoramas from 00.
+A number is that of the place, followed by two digits that count its panoramas from 00.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ def panorama_path(place: int, number: int) -> str:
 
 
 def splits(pairs: Sequence[tuple[Split, str, str]]) -> dict[str, bytes]:
-    """The files of both splits, by path, from each pair's split, tile, and panorama.
+    """Return the files of both splits by path, from each pair's split, tile, and panorama.
 
-    CVUSA's third column names a picture of what each pixel shows. There are none here, so it is empty; it is there
-    because readers that split a line at its commas would take the line's end for a part of the second.
+    CVUSA's third column names a semantic map of the panorama. There are none here, so the column is empty; readers that split
+    lines at commas need it.
     """
     lines: dict[str, list[str]] = {file: [] for file in _SPLITS.values()}
     for split, tile, panorama in pairs:

@@ -1,4 +1,4 @@
-"""What a block is used for, by the character of its district, and how buildings, paths, and trees fill it."""
+"""The use of blocks by the character of their district: buildings, paths, and trees that fill them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lpn.world.plot import Plot
 def _fill(
     plot: Plot, kinds: tuple[str, ...], shared: tuple[str, ...], setback: float, gap: float, tries: int = 3
 ) -> None:
-    """Buildings along all edges, one after the other; kinds in `shared` have twins."""
+    """Place buildings along all edges in turn; kinds in `shared` have twins."""
     rng = plot.rng
     for i in rng.permutation(4):
         length = plot.edge(i)[3]
@@ -34,7 +34,7 @@ def _fill(
 
 
 def _inside(plot: Plot, kinds: tuple[str, ...], shared: tuple[str, ...], tries: int, gap: float) -> None:
-    """Buildings in the middle of a block, parallel to one of its edges."""
+    """Place buildings inside a block, parallel to one of its edges."""
     rng = plot.rng
     low, high = plot.polygon.min(axis=0), plot.polygon.max(axis=0)
     for _ in range(tries):
@@ -304,7 +304,7 @@ _USES: dict[Character, tuple[tuple[Use, float], ...]] = {
 
 
 def develop(plot: Plot) -> Surface:
-    """Fill a block by the character of its district; returns what covers the rest of it."""
+    """Fill a block by the character of its district, and return the surface of the rest."""
     options = _USES[plot.district.character]
     chosen = plot.rng.choice(len(options), p=[weight for _, weight in options])
     surface = options[chosen][0](plot)

@@ -11,21 +11,21 @@ from lpn.core.arrays import Float64Array
 
 
 def rectangle(x: float, y: float, length: float, width: float, angle: float) -> Float64Array:
-    """Corners (4, 2) of a rectangle around (x, y); `angle` is that of its length, in radians from east."""
+    """Return the corners (4, 2) of a rectangle around (x, y) whose length points at `angle` radians from east."""
     half = np.array([[-length, -width], [length, -width], [length, width], [-length, width]]) / 2
     corners: Float64Array = turned(half, angle) + np.array([x, y])
     return corners
 
 
 def turned(points: Float64Array, angle: float) -> Float64Array:
-    """Points (n, 2) turned counter-clockwise about the origin."""
+    """Rotate points (n, 2) counter-clockwise about the origin."""
     c, s = np.cos(angle), np.sin(angle)
     result: Float64Array = points @ np.array([[c, s], [-s, c]])
     return result
 
 
 def overlap(a: Float64Array, b: Float64Array, margin: float = 0.0) -> bool:
-    """Whether two convex polygons come nearer than `margin` along every axis of separation."""
+    """Return whether two convex polygons are closer than `margin` along every separating axis."""
     for one, other in ((a, b), (b, a)):
         edges = np.roll(one, -1, axis=0) - one
         normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1)[:, None]
@@ -36,7 +36,7 @@ def overlap(a: Float64Array, b: Float64Array, margin: float = 0.0) -> bool:
 
 
 def within(points: Float64Array, polygon: Float64Array, margin: float = 0.0) -> NDArray[np.bool_]:
-    """Which of the points (n, 2) lie in a convex polygon, at least `margin` from its edges; a negative one widens it."""
+    """Return which points (n, 2) are in a convex polygon, at least `margin` from its edges; a negative margin widens it."""
     edges = np.roll(polygon, -1, axis=0) - polygon
     normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1)[:, None]
     distance = points @ normals.T - (polygon * normals).sum(axis=1)
@@ -45,7 +45,7 @@ def within(points: Float64Array, polygon: Float64Array, margin: float = 0.0) -> 
 
 
 def inset(polygon: Float64Array, distances: Float64Array) -> Float64Array:
-    """A convex polygon with edge i moved inwards by `distances[i]`; its corners stay in order."""
+    """Move edge i of a convex polygon inwards by `distances[i]`; the corners stay in order."""
     edges = np.roll(polygon, -1, axis=0) - polygon
     normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1)[:, None]
     offset = (polygon * normals).sum(axis=1) + distances
@@ -63,7 +63,7 @@ def area(polygon: Float64Array) -> float:
 
 
 def ellipse(x: float, y: float, length: float, width: float, angle: float, corners: int = 28) -> Float64Array:
-    """A polygon (corners, 2) on an ellipse of these diameters."""
+    """Return a polygon (corners, 2) on an ellipse of these diameters."""
     around = np.arange(corners) * 2 * np.pi / corners
     ring = np.stack([np.cos(around) * length / 2, np.sin(around) * width / 2], axis=1)
     moved: Float64Array = turned(ring, angle) + np.array([x, y])
@@ -94,7 +94,7 @@ class Waves:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, height: float, shortest: float, longest: float, count: int = 6) -> Waves:
-        """Random waves between two lengths in metres, whose sum stays within about `height`."""
+        """Draw random waves of wavelengths between two lengths in metres, with a total of about `height`."""
         lengths = np.geomspace(shortest, longest, count) * rng.uniform(0.9, 1.1, count)
         direction = rng.uniform(0, 2 * np.pi, count)
         vectors = np.stack([np.cos(direction), np.sin(direction)], axis=1) * (2 * np.pi / lengths)[:, None]

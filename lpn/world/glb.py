@@ -1,6 +1,6 @@
-"""Triangles as a binary glTF file, kept small: places in 16-bit steps, indices of 16 bits, colours of 8.
+"""A compact writer of binary glTF: 16-bit positions and indices, 8-bit colours.
 
-trimesh and Blender read such files; what they write has 32 bits for each number and would be twice as large.
+trimesh and Blender read such files; files that they write use 32 bits for each number and are twice as large.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from lpn.core.arrays import Float64Array
 
+# Maximum number of vertices of a primitive; index 65535 is reserved.
 MOST_VERTICES = 65_535
-"""Vertices of one primitive; the index after them has a meaning of its own."""
 _STEPS = 65_534  # of a place along the longest side
 _BYTE, _USHORT, _SHORT, _FLOAT = 5121, 5123, 5122, 5126
 _VERTICES, _INDICES = 34962, 34963
@@ -31,9 +31,9 @@ class Primitive:
         name: of the mesh in the file.
         vertices: (n, 3) metres east, north, up; n is at most `MOST_VERTICES`.
         faces: (t, 3) corners, counter-clockwise from outside.
-        colours: (n, 3) uint8 in linear steps, or None for white.
-        uv: (n, 2) place in the picture from its top left corner, or None without one.
-        picture: a JPEG or PNG file that the colours are multiplied with, or None.
+        colours: (n, 3) uint8, linear, or None for white.
+        uv: (n, 2) texture coordinates from the top left corner, or None without a picture.
+        picture: a JPEG or PNG file that multiplies the colours, or None.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Primitive:
 
 
 def glb(primitives: Sequence[Primitive], extras: dict[str, Any]) -> bytes:
-    """A file in which the primitives are shown unlit, in their own colours; `extras` are its scene's."""
+    """Encode primitives as a file that shows them unlit; `extras` belong to its scene."""
     low = np.min([p.vertices.min(axis=0) for p in primitives], axis=0)
     high = np.max([p.vertices.max(axis=0) for p in primitives], axis=0)
     middle, step = (low + high) / 2, float((high - low).max()) / _STEPS
@@ -73,7 +73,7 @@ def glb(primitives: Sequence[Primitive], extras: dict[str, Any]) -> bytes:
 
 
 class _File:
-    """The binary part of the file, and the tables that say what lies where in it."""
+    """The binary part of the file, and the JSON tables that describe it."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -128,7 +128,7 @@ class _File:
     def _array(
         self, values: NDArray[Any], kind: int, shape: str, bounds: bool = False, normalized: bool = False
     ) -> int:
-        """The attribute (n, k) of vertices, each of which begins at a multiple of four bytes."""
+        """Append a vertex attribute (n, k), each vertex aligned to four bytes."""
         more: dict[str, Any] = {"normalized": True} if normalized else {}
         if bounds:
             more |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}

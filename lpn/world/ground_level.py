@@ -1,7 +1,7 @@
-"""Where people with a camera stand: on streets, paths, and open ground near a building, with a view of it.
+"""Viewpoints of pedestrians: on streets, paths, and open ground near a building, with a view of it.
 
-A camera keeps clear of buildings, hedges, water, the crowns of trees, and wherever a vehicle may stand. What it would see
-of the building is judged on the plan: straight lines to its walls, against the buildings, trees, and hedges between.
+A camera keeps clear of buildings, hedges, water, tree crowns, and parking bays. Its view of the building is estimated on the
+plan, by straight lines to the walls that buildings, trees, and hedges may block.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lpn.world.city import SPECIES, City, Target
 from lpn.world.geometry import segment_distance
 from lpn.world.meshes import CROWNS, VEHICLE_SIZES
 from lpn.world.streets import beside, densified
-from lpn.world.surroundings import Things, distances
+from lpn.world.surroundings import Obstacles, distances
 
 NEAR, FAR = 15.0, 45.0  # metres from a building's walls to who photographs it
 CLOSER = 9.0  # where little of it can be seen from there, open ground this far off will do too
@@ -35,15 +35,15 @@ _LANE, _PAVEMENT, _PATH, _OPEN = range(4)
 
 
 @dataclass(frozen=True)
-class Stands:
-    """Places to stand around one building, the more of it to be seen the better.
+class Viewpoints:
+    """Viewpoints around one building.
 
     Attributes:
         places: (n, 2).
         kind: (n,) lane, pavement, path, or open ground: 0 to 3.
-        away: (n,) metres from the building's walls.
-        seen: (n,) share of the walls facing this way that nothing hides, 0 to 1.
-        aims: (n, 2) middle of what is seen of them.
+        away: (n,) distance from the building's walls in metres.
+        seen: (n,) visible fraction of the walls that face the viewpoint, 0 to 1.
+        aims: (n, 2) middle of the visible walls.
     """
 
     places: Float64Array
@@ -53,8 +53,8 @@ class Stands:
     aims: Float64Array
 
 
-class Outdoors:
-    """The city as somebody on foot finds it.
+class GroundLevel:
+    """The city at ground level.
 
     Args:
         city: the plan.
@@ -81,12 +81,12 @@ class Outdoors:
         self._hedges = np.array(city.hedges).reshape(-1, 2, 2)
 
     def open(self, places: Float64Array) -> NDArray[np.bool_]:
-        """Which places (n, 2) somebody can stand at, on dry ground and with nothing overhead."""
+        """Return on which places (n, 2) a person can stand, on dry ground and with nothing overhead."""
         dry: NDArray[np.bool_] = self._city.terrain.bank(places) > 4
         return dry & self._things(places.min(axis=0), places.max(axis=0)).room(places)
 
-    def around(self, target: Target, near: float = NEAR, far: float = FAR) -> Stands:
-        """Places to stand, `near` to `far` metres from a target's walls; open ground too, where they show little of it.
+    def around(self, target: Target, near: float = NEAR, far: float = FAR) -> Viewpoints:
+        """Find viewpoints `near` to `far` metres from a target's walls, on open ground too if the others show little of it.
 
         Raises:
             InputError: when there are none.
@@ -101,23 +101,29 @@ class Outdoors:
             grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
             kinds = np.full(len(grid), _OPEN)
             more = self._judged(target, things, grid, kinds, (min(near, CLOSER), far), 3 * _TRIED)
-            found = Stands(*(np.concatenate(pair) for pair in zip(_columns(found), _columns(more), strict=True)))
+            found = Viewpoints(*(np.concatenate(pair) for pair in zip(_columns(found), _columns(more), strict=True)))
         if not len(found.places):
             raise InputError(f"There is nowhere to stand around place {target.number} of this world; try another seed.")
         return found
 
-    def _things(self, low: Float64Array, high: Float64Array) -> Things:
-        """What stands in a box, or reaches into it."""
+    def _things(self, low: Float64Array, high: Float64Array) -> Obstacles:
+        """Return the obstacles in a box, or reaching into it."""
         numbers = _inside(self._bodies[:, :2], low - 60, high + 60)
         trees = self._trees[_inside(self._trees[:, :2], low - 15, high + 15)]
         hedges = self._hedges[_inside(self._hedges.mean(axis=1), low - 60, high + 60)]
         near = _inside(self._vehicles[:, :2], low - 10, high + 10)
         water = tuple(p for p in self._water if (p.max(axis=0) > low - 2).all() and (p.min(axis=0) < high + 2).all())
-        return Things(numbers, self._bodies[numbers], trees, hedges, self._vehicles[near], self._tall[near], water)
+        return Obstacles(numbers, self._bodies[numbers], trees, hedges, self._vehicles[near], self._tall[near], water)
 
     def _judged(
-        self, target: Target, things: Things, places: Float64Array, kinds: _Kind, reach: tuple[float, float], most: int
-    ) -> Stands:
+        self,
+        target: Target,
+        things: Obstacles,
+        places: Float64Array,
+        kinds: _Kind,
+        reach: tuple[float, float],
+        most: int,
+    ) -> Viewpoints:
         city, building = self._city, self._city.buildings[target.building]
         corners = city.footprint(building)
         ring = np.concatenate([corners, corners[:1]])
@@ -130,13 +136,13 @@ class Outdoors:
         line = densified(ring, 5.0)
         views = [_view(things, target.building, line, height, place) for place in places[keep]]
         seen, aims = np.array([view[0] for view in views]), np.array([view[1] for view in views]).reshape(-1, 2)
-        return Stands(places[keep], kinds[keep], away[keep], seen, aims)
+        return Viewpoints(places[keep], kinds[keep], away[keep], seen, aims)
 
 
 def _view(
-    things: Things, own: int, line: Float64Array, height: float, place: Float64Array
+    things: Obstacles, own: int, line: Float64Array, height: float, place: Float64Array
 ) -> tuple[float, Float64Array]:
-    """The share of the walls along a ring (n, 2) facing a place that can be seen from there, and their middle (2,)."""
+    """Return the visible fraction of the walls along a ring (n, 2) that face a place, and the middle (2,) of the visible ones."""
     steps, middles = np.diff(line, axis=0), (line[1:] + line[:-1]) / 2
     outward = np.stack([steps[:, 1], -steps[:, 0]], axis=1)
     facing = middles[((place - middles) * outward).sum(axis=1) > 0]
@@ -149,13 +155,13 @@ def _view(
     return float(clear.mean()), aim
 
 
-def street_poses(outdoors: Outdoors, city: City, target: Target, count: int) -> list[Pose]:
-    """Cameras of street pictures of a target: the first `count` of a list that does not depend on it.
+def street_poses(outdoors: GroundLevel, city: City, target: Target, count: int) -> list[Pose]:
+    """Choose the cameras of a target's street pictures: the first `count` of a list that is independent of it.
 
     The best view comes first; the next ones also look from other sides.
 
     Raises:
-        InputError: when there are not that many places to stand.
+        InputError: when there are fewer viewpoints.
     """
     if not count:
         return []
@@ -186,18 +192,18 @@ def street_poses(outdoors: Outdoors, city: City, target: Target, count: int) -> 
 
 
 def panoramas(
-    outdoors: Outdoors, city: City, count: int, covered: Callable[[Target, Float64Array], NDArray[np.bool_]]
+    outdoors: GroundLevel, city: City, count: int, covered: Callable[[Target, Float64Array], NDArray[np.bool_]]
 ) -> dict[int, list[Panorama]]:
-    """Cameras of `count` panoramas near each target, by its number; the first ones do not depend on `count`.
+    """Choose the cameras of `count` panoramas near each target, by its number; the first ones are independent of `count`.
 
-    They stand on carriageways, else on paths, a few metres to some 60 m from the building, apart from each other, and so
-    that no tile around one crosses the middle of the river.
+    They stand on carriageways, else on paths, a few metres to some 60 m from the building and apart from each other. No tile
+    around a camera crosses the middle of the river.
 
     Args:
-        covered: which places (n, 2) the satellite's picture of a target's sector covers with a tile around them.
+        covered: returns for which places (n, 2) the satellite image of a target's sector contains a tile around them.
 
     Raises:
-        InputError: when there are not that many places to stand.
+        InputError: when there are fewer viewpoints.
     """
     river = city.terrain.river
     choice = {target.number: outdoors.around(target, 6.0, 60.0) for target in city.targets} if count else {}
@@ -225,7 +231,7 @@ def panoramas(
 
 
 def _ways(city: City) -> tuple[Float64Array, _Kind]:
-    """Places (n, 2) along streets and paths, and what they are on (n,)."""
+    """Return places (n, 2) along streets and paths, and the kind (n,) of each."""
     pieces: list[tuple[Float64Array, int]] = []
     for street in city.streets:
         line = densified(street.line, _SPACING)
@@ -242,5 +248,5 @@ def _inside(points: Float64Array, low: Float64Array, high: Float64Array) -> NDAr
     return np.flatnonzero(((points > low) & (points < high)).all(axis=1))
 
 
-def _columns(stands: Stands) -> tuple[Float64Array, _Kind, Float64Array, Float64Array, Float64Array]:
+def _columns(stands: Viewpoints) -> tuple[Float64Array, _Kind, Float64Array, Float64Array, Float64Array]:
     return stands.places, stands.kind, stands.away, stands.seen, stands.aims

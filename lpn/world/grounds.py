@@ -1,4 +1,4 @@
-"""Blocks of open ground: sports, parks, schools, fields, and the river's banks; and what stands along streets."""
+"""Open blocks: sports, parks, schools, fields, and river banks; and the vehicles and trees along streets."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def riverside(plot: Plot) -> Surface:
 
 
 def along_street(street: Street, draft: Draft, rng: np.random.Generator, terrain: Terrain) -> None:
-    """Parked and moving cars on a street, and trees on the pavements of some."""
+    """Place parked and moving cars on a street, and trees on some pavements."""
     steps = np.diff(street.line, axis=0)
     lengths = np.concatenate([[0], np.cumsum(np.linalg.norm(steps, axis=1))])
     total = float(lengths[-1])

@@ -1,4 +1,4 @@
-"""The summer afternoon on which the drone flies, without a renderer: sun, sky, and shadows, baked into colours."""
+"""The light of the drone's summer afternoon without a renderer: sun, sky, and shadows, baked into colours."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _SOFT = 1.2  # metres over which a shadow's edge fades
 
 
 def towards_sun() -> Float64Array:
-    """Unit vector (3,): x east, y north, z up."""
+    """Unit vector (3,) towards the sun: x east, y north, z up."""
     elevation, bearing = np.radians(DAY.sun)
     level = np.cos(elevation)
     return np.array([level * np.sin(bearing), level * np.cos(bearing), np.sin(elevation)])
 
 
 def reflected(tints: Float64Array, normals: Float64Array) -> Float64Array:
-    """Light (n, 3) that surfaces of linear reflectance (n, 3) send out; `normals` (n, 3) are unit vectors."""
+    """Compute the light (n, 3) reflected by surfaces of linear reflectance (n, 3) with unit normals (n, 3)."""
     sun = np.clip(normals @ towards_sun(), 0, None)[:, None]
     sky = (0.62 + 0.38 * normals[:, 2])[:, None]
     light: Float64Array = tints * (sun * _SUN + sky * _SKY)
@@ -35,20 +35,20 @@ def reflected(tints: Float64Array, normals: Float64Array) -> Float64Array:
 
 
 def displayed(light: Float64Array) -> NDArray[np.uint8]:
-    """Colours (..., 3) in sRGB of light (..., 3), with the exposure and tones of the drone's camera."""
+    """Convert light (..., 3) to sRGB with the exposure and tone curve of the drone's camera."""
     picture = light.reshape(-1, 1, 3).astype(np.float32)
     return np.asarray(photo.develop(picture, DAY, np.random.default_rng(0)).reshape(light.shape), np.uint8)
 
 
 def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """sRGB colours in linear steps, as glTF wants the colours of vertices."""
+    """Convert sRGB colours to linear ones, which glTF uses for vertices."""
     value = colours / 255
     steps = 255 * np.where(value < 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     return np.asarray(np.rint(steps), np.uint8)
 
 
 def sunshine(city: City, west: float, north: float, shape: tuple[int, int], scale: float) -> Float32Array:
-    """Share of the sun (h, w) that reaches the ground past buildings and trees, `scale` metres a pixel, north up."""
+    """Compute the fraction (h, w) of the sun that reaches the ground past buildings and trees, `scale` metres a pixel, north up."""
     height, width = shape
     mask = np.zeros(shape, np.uint8)
     sun = towards_sun()
@@ -75,7 +75,7 @@ def sunshine(city: City, west: float, north: float, shape: tuple[int, int], scal
 
 
 def ground(colour: Float32Array, water: Float32Array, sunshine: Float32Array) -> NDArray[np.uint8]:
-    """The lit ground (h, w, 3) in sRGB, from its reflectance (h, w, 3), share of water, and share of the sun."""
+    """Light the ground: sRGB (h, w, 3) from reflectance (h, w, 3), fraction of water, and fraction of the sun."""
     light = colour * (sunshine[..., None] * towards_sun()[2] * _SUN + _SKY)
     light += water[..., None] * np.array([0.03, 0.055, 0.075])  # the sky on it
     return displayed(light)

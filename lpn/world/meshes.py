@@ -1,4 +1,4 @@
-"""Buildings, trees, vehicles, and bridges as polygons, before any renderer sees them."""
+"""Buildings, trees, vehicles, and bridges as polygons, independent of a renderer."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Mesh:
 
     Attributes:
         vertices: (n, 3) in metres; polygons do not share them.
-        sizes: corners of each polygon.
-        uv: (n, 2) place in the texture.
+        sizes: number of corners of each polygon.
+        uv: (n, 2) texture coordinates.
         materials: name of each polygon's material.
         tints: linear reflectance of each polygon.
     """
@@ -41,7 +41,7 @@ class Mesh:
     tints: list[Colour] = field(default_factory=list)
 
     def add(self, corners: Float64Array, material: str, tint: Colour, uv: Float64Array | None = None) -> None:
-        """One polygon (k, 3)."""
+        """Add a polygon (k, 3)."""
         self.vertices.append(corners)
         self.uv.append(corners[:, :2] / COVER if uv is None else uv)
         self.sizes.append(len(corners))
@@ -49,7 +49,7 @@ class Mesh:
         self.tints.append(tint)
 
     def quads(self, corners: Float64Array, material: str, tints: Float64Array) -> None:
-        """Many quadrilaterals (n, 4, 3) at once, with tints (n, 3)."""
+        """Add quadrilaterals (n, 4, 3) with tints (n, 3)."""
         self.vertices.append(corners.reshape(-1, 3))
         self.uv.append(corners.reshape(-1, 3)[:, :2] / COVER)
         self.sizes.extend([4] * len(corners))
@@ -57,7 +57,7 @@ class Mesh:
         self.tints.extend((r, g, b) for r, g, b in tints.tolist())
 
     def wall(self, a: Float64Array, b: Float64Array, low: float, high: float, part: Volume, start: float = 0.0) -> None:
-        """A wall from a to b, outside to the right, with whole window units."""
+        """Add a wall from a to b with whole window units; its outside is on the right."""
         length = float(np.linalg.norm(b - a))
         bays = max(1, round(length / part.bay))
         corners = np.array([[*a, low], [*b, low], [*b, high], [*a, high]])
@@ -125,7 +125,7 @@ def _flat(mesh: Mesh, part: Volume, ring: Float64Array, rim: float, cover: str) 
 
 
 def _shrunk(ring: Float64Array, by: float) -> Float64Array:
-    """A ring moved inwards; corners may point inwards too."""
+    """Move a ring inwards; it may be concave."""
     ahead = np.roll(ring, -1, axis=0) - ring
     ahead /= np.linalg.norm(ahead, axis=1)[:, None]
     normal = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
@@ -136,7 +136,7 @@ def _shrunk(ring: Float64Array, by: float) -> Float64Array:
 
 
 def _pitched(mesh: Mesh, part: Volume, ring: Float64Array, cover: str) -> None:
-    """Gable, hip, or barrel over a rectangle whose first edge runs along the ridge."""
+    """Add a gable, hip, or barrel roof over a rectangle whose first edge runs along the ridge."""
     a, b, _, d = ring[:4]
     along = (b - a) / np.linalg.norm(b - a)
     depth = float(np.linalg.norm(d - a))
@@ -223,7 +223,7 @@ def _item(mesh: Mesh, item: RoofItem) -> None:
 
 
 def tree(species: str, rng: np.random.Generator) -> Mesh:
-    """A tree of height 1: some hundred leaf clumps as small quads, darker inside and below."""
+    """Make a tree of height 1: some hundred clumps of leaves as small quads, darker inside and below."""
     mesh = Mesh()
     across, low = CROWNS[species]
     lumps, leaves = {
@@ -266,7 +266,7 @@ def tree(species: str, rng: np.random.Generator) -> Mesh:
 
 
 def vehicle(kind: str) -> Mesh:
-    """A vehicle along x in metres; faces of material `paint` take the object's colour."""
+    """Make a vehicle along x in metres; faces of material `paint` take the object's colour."""
     mesh = Mesh()
     white, dark = (1.0, 1.0, 1.0), (0.03, 0.035, 0.04)
     if kind == "car":
@@ -290,7 +290,7 @@ def vehicle(kind: str) -> Mesh:
 
 
 def bridge(length: float, width: float) -> Mesh:
-    """A deck along x with pavements, rails, a broken line, and piers; its top is z = 0."""
+    """Make a deck along x with pavements, rails, a broken line, and piers; its top is z = 0."""
     mesh = Mesh()
     mesh.box(0, 0, -1.6, length, width, 1.6, 0, "plain", (0.15, 0.15, 0.15))
     for side in (-1, 1):

@@ -1,7 +1,6 @@
-"""The city as a light 3-D model, `city.glb`: ground, buildings, bridges, and trees, with the day's light baked in.
+"""The city as a light 3-D model, `city.glb`: ground, buildings, bridges, and trees with baked light.
 
-The file says in `lpn.datasets.city_model` what it must. Nothing in it needs a lamp, which also makes it quick to draw without a graphics
-card.
+`lpn.datasets.city_model` states the format. The model needs no lamps, so that it is fast to draw without a graphics card.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ from lpn.world.glb import MOST_VERTICES, Primitive, glb
 from lpn.world.meshes import BAYS, STOREYS
 from lpn.world.solids import PLAIN, TREE_BYTES, Solid, Solids
 
+# West, south, east, and north border in metres of the plan.
 Window = tuple[float, float, float, float]
-"""West, south, east, and north border in metres of the plan."""
 
 _MARGIN = 120.0  # metres around the tiles
 _PIECE = 512.0  # metres of ground painted at once
@@ -39,14 +38,14 @@ _ENOUGH = 0.5  # share of the trees there must be room for
 
 @dataclass(frozen=True)
 class Detail:
-    """What is left out of a model.
+    """Limits of a model's detail.
 
     Attributes:
-        pixel: metres of ground in a pixel of its picture.
-        grid: metres between the heights of the ground.
-        house: square metres that a building covers at least.
-        item: square metres that something on a roof covers at least.
-        face: square metres of a surface at least.
+        pixel: metres per pixel of the ground's picture.
+        grid: metres between height samples of the ground.
+        house: minimum footprint of a building in square metres.
+        item: minimum area of a roof item in square metres.
+        face: minimum area of a surface in square metres.
     """
 
     pixel: float
@@ -69,7 +68,7 @@ DETAILS = (
 
 
 def test_window(atlas: Atlas) -> Window:
-    """The ground that the tiles of the test split show, with a margin: what the explorer's map covers."""
+    """Return the ground that the tiles of the test split show, with a margin; the explorer's map covers it."""
     tiles = [
         shot.camera
         for sector in atlas.sectors
@@ -83,14 +82,14 @@ def test_window(atlas: Atlas) -> Window:
 
 
 def city_model(city: City, site: Site, window: Window, largest: int = MAX_BYTES) -> bytes:
-    """The part of a city that stands in a window, as a GLB file with as much detail as fits.
+    """Encode the part of a city within a window as GLB, with as much detail as fits.
 
     Args:
-        site: where the plan's origin, which is also the model's, lies on the Earth.
-        largest: bytes that the file has at most.
+        site: position on the Earth of the origin of the plan and of the model.
+        largest: maximum size of the file in bytes.
 
     Raises:
-        InputError: when it does not fit with the least detail.
+        InputError: when the least detail does not fit.
     """
     trees = _within(window, city.trees.x, city.trees.y)
     trees = trees[np.argsort(-city.trees.height[trees], kind="stable")]
@@ -124,7 +123,7 @@ def _bytes(primitives: list[Primitive]) -> int:
 
 
 def _built(city: City, window: Window, detail: Detail) -> Solids:
-    """All in the window that is not ground or tree."""
+    """Return everything in the window except ground and trees."""
     sizes = np.array([np.prod(city.architectures[b.architecture].size) for b in city.buildings])
     x, y = (np.array([getattr(b, key) for b in city.buildings]) for key in ("x", "y"))
     numbers = _within(window, x, y)
@@ -153,7 +152,7 @@ def _primitives(built: Solids, plain: str = "plain") -> list[Primitive]:
 
 
 def _windows(style: str) -> bytes:
-    """What the light of a wall is multiplied with: a PNG file of `_UNITS` windows each way."""
+    """Make a wall's light map as a PNG file with `_UNITS` windows each way."""
     pattern = textures.wall_texture(style)
     height, width = (int(_UNITS * side / units) for side, units in zip(pattern.shape, (STOREYS, BAYS), strict=False))
     side = _UNITS * _UNIT_PIXELS
@@ -176,7 +175,7 @@ def _ground(city: City, window: Window, detail: Detail) -> Primitive:
 
 
 def _painted(city: City, window: Window, pixel: float) -> NDArray[np.uint8]:
-    """The lit ground (h, w, 3) in sRGB, north up, painted twice as fine and made smaller."""
+    """Paint the lit ground (h, w, 3) in sRGB, north up, at twice the resolution, and shrink it."""
     west, south, east, north = window
     width, height = round((east - west) / pixel), round((north - south) / pixel)
     sun = light.sunshine(city, west, north, (height, width), pixel)
@@ -198,7 +197,7 @@ def _halved(layer: Float32Array, side: int) -> Float32Array:
 
 
 def _edge(city: City, window: Window, grid: float) -> Solid:
-    """The cut through the soil all around, so that the model stands on something."""
+    """Make the cut through the soil along the border."""
     west, south, east, north = window
     corners = np.array([(west, south), (east, south), (east, north), (west, north), (west, south)])
     vertices, faces, normals, first = [], [], [], 0

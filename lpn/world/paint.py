@@ -1,4 +1,4 @@
-"""The colours of the ground: what grows, is paved, marked, and worn, as linear reflectance."""
+"""The colours of the ground: vegetation, pavement, markings, and wear, as linear reflectance."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from lpn.world.streets import beside
 
 @dataclass(frozen=True)
 class Season:
-    """What of the look changes from one day to another.
+    """The appearance of plants on one day.
 
     Attributes:
         grass, dry: reflectance of watered and of dry grass.
-        dryness: from 0 to 1, how much of the grass is dry.
-        leaves: reflectances trees choose from.
+        dryness: fraction of dry grass, 0 to 1.
+        leaves: reflectances of leaves.
     """
 
     grass: Colour
@@ -60,7 +60,7 @@ _FIELDS: tuple[Colour, ...] = (
 def ground(
     city: City, west: float, north: float, size: float, scale: float, season: Season
 ) -> tuple[Float32Array, Float32Array]:
-    """The ground of a square window: colour (h, w, 3) and share of water (h, w), `scale` metres a pixel."""
+    """Paint the ground of a square window: colour (h, w, 3) and fraction of water (h, w), `scale` metres a pixel."""
     canvas = Canvas(west, north, size, size, scale)
     window = np.array([[west, north - size], [west + size, north - size], [west + size, north], [west, north]])
 
@@ -127,7 +127,7 @@ def _surface(canvas: Canvas, polygon: Float64Array, surface: str, season: Season
 
 
 def _stains(canvas: Canvas, polygon: Float64Array, count: float = 0.004) -> None:
-    """Repairs, oil, and dirt on hard ground."""
+    """Paint repairs, oil, and dirt on hard ground."""
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     rng = np.random.default_rng(int(abs(low.sum()) * 10))
     for _ in range(rng.poisson(count * float(np.prod(high - low)))):
@@ -246,7 +246,7 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
 
 
 def _clipped(line: Float64Array, polygon: Float64Array) -> Float64Array:
-    """The part of a straight line inside a convex polygon."""
+    """Clip a straight line to a convex polygon."""
     places = line[0] + (line[1] - line[0]) * np.linspace(0, 1, 120)[:, None]
     inside = places[within(places, polygon, 0.3)]
     ends: Float64Array = inside[[0, -1]] if len(inside) else places[:1]
@@ -318,7 +318,7 @@ def _dashes(canvas: Canvas, line: Float64Array, mark: float, pitch: float) -> No
 
 
 def _crossings(canvas: Canvas, street: Street) -> None:
-    """Zebra stripes and a stop line where a street ends."""
+    """Paint zebra stripes and a stop line at the ends of a street."""
     for line in (street.line, street.line[::-1]):
         along = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
         across = np.array([-along[1], along[0]])

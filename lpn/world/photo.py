@@ -1,4 +1,4 @@
-"""From rendered light to a photograph: haze, exposure, colour, blur, sensor noise."""
+"""Development of rendered light into a photograph: haze, exposure, colour, blur, sensor noise."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from lpn.world.paint import Season
 
 @dataclass(frozen=True)
 class Look:
-    """One day, one camera.
+    """The conditions of one day and the settings of one camera.
 
     Attributes:
         sun: elevation above the horizon and bearing clockwise from north, in degrees.
-        exposure: factor on the light.
+        exposure: factor of the light.
         balance: gain of red, green, blue.
-        contrast: steepness around the middle grey, 1 leaves it.
-        saturation: 1 leaves it, 0 is grey.
-        haze: share of the light that the air replaces over 500 m.
-        veil: the haze's colour, as displayed (0 to 1).
+        contrast: slope of the tone curve around middle grey; 1 is neutral.
+        saturation: 1 is neutral, 0 is grey.
+        haze: fraction of the light replaced by haze over 500 m.
+        veil: displayed colour of the haze, 0 to 1.
         blur: deviation in pixels.
-        noise: deviation of the sensor's noise, as displayed.
-        traffic: seed of which vehicles are there.
-        clouds: how much of the sky they fill, 0 to 1, where it is seen.
+        noise: deviation of the displayed sensor noise.
+        traffic: seed of the vehicles.
+        clouds: fraction of the sky with clouds, 0 to 1.
     """
 
     season: Season
@@ -77,24 +77,24 @@ STREETS = (
 
 
 def drone_look(seed: int, district: int) -> Look:
-    """The day on which a district was flown over: the drone's usual one, more or less."""
+    """Vary the drone's day for a district."""
     return _varied(DRONE, np.random.default_rng([seed, 41, district]))
 
 
 def satellite_look(seed: int, district: int) -> Look:
-    """The day on which the satellite saw a district: one of a few, more or less."""
+    """Draw the satellite's day for a district: a variation of one of a few."""
     rng = np.random.default_rng([seed, 42, district])
     return _varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng)
 
 
 def street_look(seed: int, district: int) -> Look:
-    """The day on which people walked through a district: one of a few, more or less."""
+    """Draw the pedestrians' day for a district: a variation of one of a few."""
     rng = np.random.default_rng([seed, 43, district])
     return _varied(STREETS[int(rng.integers(len(STREETS)))], rng)
 
 
 def metered(look: Look, light: Float32Array) -> Look:
-    """The look with the exposure a camera on the ground would choose, at least partly, for the lower part of (h, w, 3)."""
+    """Adapt the exposure, partly, to the lower part of (h, w, 3) light, as a camera on the ground does."""
     grey = np.maximum(light[len(light) // 3 :].mean(axis=-1), 1e-3)
     middle = float(np.exp(np.log(grey).mean()))
     return replace(look, exposure=look.exposure * float(np.clip(_METER / middle, 0.4, 3.0)) ** 0.7)
@@ -116,7 +116,7 @@ def _varied(look: Look, rng: np.random.Generator) -> Look:
 
 
 def develop(light: Float32Array, look: Look, rng: np.random.Generator, pose: Pose | None = None) -> NDArray[np.uint8]:
-    """A picture (h, w, 3) uint8 from linear light; `pose` gives the haze its depth, without it all is equally far."""
+    """Develop linear light into a picture (h, w, 3) uint8; `pose` gives the depth of the haze, which is uniform without it."""
     value = light * np.float32(look.exposure) * np.array(look.balance, np.float32)
     # A film-like shoulder keeps white roofs from burning out.
     value = value * (1 + value / 4.5) / (1 + value)
@@ -134,7 +134,7 @@ def develop(light: Float32Array, look: Look, rng: np.random.Generator, pose: Pos
 
 
 def _distance(pose: Pose, pixels: int) -> Float32Array:
-    """How far the ground is (pixels, pixels) in metres, were it level 0 m below the picture's centre's."""
+    """Estimate the distance (pixels, pixels) of level ground in metres."""
     at = (np.arange(pixels) + 0.5) / pixels * 2 - 1
     slope = np.tan(np.radians(pose.fov / 2))
     right, up, forward = pose.axes()
@@ -145,6 +145,6 @@ def _distance(pose: Pose, pixels: int) -> Float32Array:
 
 
 def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
-    """The picture (h, w, 3) in RGB as a JPEG file."""
+    """Encode an RGB picture (h, w, 3) as JPEG."""
     _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     return data.tobytes()

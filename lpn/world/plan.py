@@ -1,4 +1,4 @@
-"""From a seed to a city: districts, river, streets, blocks, buildings, and the targets that pictures are taken of."""
+"""The planner: from a seed to districts, river, streets, blocks, buildings, and targets."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from lpn.world.city import (
     City,
     District,
     Draft,
+    ParkingBays,
     River,
     RoadBridge,
     Split,
-    Stalls,
     Street,
     Target,
     Terrain,
@@ -29,7 +29,7 @@ from lpn.world.city import (
 from lpn.world.districts import develop
 from lpn.world.geometry import Waves, inset
 from lpn.world.grounds import along_street
-from lpn.world.plot import Plot, Pools
+from lpn.world.plot import ArchitecturePool, Plot
 from lpn.world.streets import ARTERIAL, RIM, SIDE, STRIP, Quad, Warp, densified, divide, margin, street
 
 TEST_SHARE = 0.35
@@ -102,7 +102,7 @@ def _attempt(seed: int, wanted: int, more: int) -> City | None:
     streets: list[Street] = []
     blocks: list[Block] = []
     draft = Draft()
-    pools = Pools(np.random.default_rng([seed, 2]), draft.architectures)
+    pools = ArchitecturePool(np.random.default_rng([seed, 2]), draft.architectures)
     used: Counter[str] = Counter()
     order = list(rng.permutation(len(_ORDER) // 2)) + list(range(len(_ORDER) // 2, len(_ORDER)))
     turn = {"train": 0, "test": 0}
@@ -141,12 +141,12 @@ def _attempt(seed: int, wanted: int, more: int) -> City | None:
     return City(
         seed, tuple(districts), tuple(streets), tuple(blocks), tuple(draft.architectures), tuple(draft.buildings),
         tuple(draft.patches), tuple(draft.paths), tuple(draft.hedges), tuple(bridges), terrain,
-        Trees(*_columns(draft.trees)), Stalls(*_columns(draft.stalls)), targets,
+        Trees(*_columns(draft.trees)), ParkingBays(*_columns(draft.stalls)), targets,
     )  # fmt: skip
 
 
 def _forget_unused(draft: Draft) -> None:
-    """Drop architectures that no building got, such as those there was no room for."""
+    """Drop architectures without a building, for which there was no room."""
     used = sorted({building.architecture for building in draft.buildings})
     renumbered = {old: new for new, old in enumerate(used)}
     draft.architectures[:] = [draft.architectures[i] for i in used]
@@ -171,7 +171,7 @@ def _river(west: Float64Array, east: Float64Array, warp: Warp, rng: np.random.Ge
 
 
 def _arterials(nodes: Float64Array, river: int, warp: Warp) -> list[Street]:
-    """Along the lines of the grid; those that go from west to east stop at the river, where their bridges begin."""
+    """Lay arterials along the grid's lines; those from west to east stop at the river, where their bridges begin."""
     columns, rows, _ = nodes.shape
     found: list[Street] = []
     for i in range(columns):
@@ -197,7 +197,7 @@ def _bridges(nodes: Float64Array, river: int, warp: Warp) -> list[RoadBridge]:
 def _choose(
     draft: Draft, districts: list[District], wanted: int, rng: np.random.Generator
 ) -> tuple[Target, ...] | None:
-    """Targets for both splits: half of them twins where possible, well apart, and from all districts alike."""
+    """Choose targets for both splits: half of them twins if possible, well apart, and evenly from all districts."""
     tests = max(1, round(wanted * TEST_SHARE))
     chosen: list[tuple[Building, Split]] = []
     for split, number in (("train", wanted - tests), ("test", tests)):

@@ -1,4 +1,4 @@
-"""A block while it is being filled: what is free, and ways to build, pave, and plant."""
+"""A block while it is filled: its free ground, and ways to build, pave, and plant."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _NOTABLE = 260.0  # square metres a target covers at least
 _PADS: tuple[Surface, ...] = ("concrete", "asphalt", "paved", "asphalt", "lawn", "gravel")
 
 
-class Pools:
-    """Architectures that several buildings share, by kind and split, so that twins never cross from train to test."""
+class ArchitecturePool:
+    """Architectures that several buildings share, by kind and split, so that twins are never in both splits."""
 
     def __init__(self, rng: np.random.Generator, architectures: list[Architecture]) -> None:
         self._rng = rng
@@ -27,13 +27,13 @@ class Pools:
         self._spare: dict[str, int] = {}
 
     def own(self, kind: str, rng: np.random.Generator) -> int:
-        """A new architecture that one building has for itself, or one there was no room for before."""
+        """Return an architecture for a single building: a new one, or one for which there was no room before."""
         if kind not in self._spare:
             self._spare[kind] = self._new(kind, rng)
         return self._spare[kind]
 
     def taken(self, index: int) -> None:
-        """Say that a building has this architecture, so that it is nobody's own any more."""
+        """Mark an architecture as used by a building."""
         for kind, spare in list(self._spare.items()):
             if spare == index:
                 del self._spare[kind]
@@ -43,7 +43,7 @@ class Pools:
         return len(self._architectures) - 1
 
     def shared(self, kind: str, split: str, variants: int, rng: np.random.Generator) -> int:
-        """One of the architectures of this kind that buildings of the split have in common."""
+        """Draw one of the architectures of a kind that buildings of a split share."""
         pool = self._shared.setdefault((kind, split), [])
         if not pool:
             pool.extend(self._new(kind, self._rng) for _ in range(variants))
@@ -55,13 +55,13 @@ class Pools:
 
 @dataclass
 class Plot:
-    """A block while it is being filled; a convex polygon whose corners run counter-clockwise."""
+    """A block while it is filled: a convex polygon with corners counter-clockwise."""
 
     polygon: Float64Array
     district: District
     rng: np.random.Generator
     draft: Draft
-    pools: Pools
+    pools: ArchitecturePool
     terrain: Terrain
     bodies: list[Float64Array] = field(default_factory=list)
     hard: list[Float64Array] = field(default_factory=list)
@@ -78,7 +78,7 @@ class Plot:
         return start, along, np.array([-along[1], along[0]]), length
 
     def longest(self) -> int:
-        """The longer of the two pairs of edges: 0 or 1."""
+        """Index of the longer of the two pairs of edges: 0 or 1."""
         lengths = [self.edge(i)[3] for i in range(4)]
         return int(lengths[0] + lengths[2] < lengths[1] + lengths[3])
 
@@ -89,13 +89,13 @@ class Plot:
         return middle
 
     def free(self, shape: Float64Array, gap: float = 1.0, border: float = 0.5) -> bool:
-        """Whether a shape lies in the block and clear of buildings and hard ground."""
+        """Return whether a shape is in the block and clear of buildings and hard ground."""
         return bool(within(shape, self.polygon, border).all()) and not any(
             overlap(shape, other, gap) for other in (*self.bodies, *self.hard)
         )
 
     def build(self, index: int, x: float, y: float, angle: float, gap: float = 3.0, border: float = 0.5) -> bool:
-        """Put a building if there is room for it."""
+        """Place a building if there is room."""
         look = self.pools[index]
         body = rectangle(x, y, *look.size, angle)
         if not self.free(body, gap, border):
@@ -111,7 +111,7 @@ class Plot:
         return True
 
     def _surround(self, x: float, y: float, length: float, depth: float, angle: float) -> None:
-        """The way to the door, and perhaps a yard with cars beside the building."""
+        """Add a path to the door, and perhaps a yard with cars beside the building."""
         rng = self.rng
         door = float(rng.uniform(-0.3, 0.3)) * length
         way = turned(np.array([[door, -depth / 2 + 2], [door + rng.uniform(-3, 3), -depth / 2 - 14]]), angle)
@@ -152,14 +152,14 @@ class Plot:
                     self.plant_at(places[self.rng.random(len(places)) < 0.8], (5,), (5, 9), 0.7)
 
     def front(self, index: int, i: int, at: float, setback: float, gap: float = 3.0, border: float = 0.5) -> bool:
-        """Put a building at `at` metres along edge i, facing its street."""
+        """Place a building at `at` metres along edge i, facing its street."""
         start, along, normal, _ = self.edge(i)
         x, y = start + along * at + normal * (setback + self.pools[index].size[1] / 2)
         return self.build(index, float(x), float(y), float(np.arctan2(along[1], along[0])), gap, border)
 
     def lay(self, surface: Surface, x: float, y: float, length: float, width: float, angle: float,
             solid: bool = True, round_: bool = False, border: float = 0.3) -> bool:  # fmt: skip
-        """Cover ground if there is room for it; nothing is built or planted on solid ground."""
+        """Cover ground if there is room; nothing is built or planted on solid ground."""
         shape = ellipse(x, y, length, width, angle) if round_ else rectangle(x, y, length, width, angle)
         if solid and not self.free(shape, 0.6, border):
             return False
@@ -169,7 +169,7 @@ class Plot:
         return True
 
     def path(self, points: Float64Array, width: float, surface: Surface = "gravel") -> None:
-        """A path along a line; buildings stand on it where they are in its way."""
+        """Add a path along a line; buildings may cover it."""
         made = Path(points, width, surface)
         self.paths.append(made)
         self.draft.paths.append(made)
@@ -179,7 +179,7 @@ class Plot:
         self.draft.hedges.append(np.stack([start, end]))
 
     def plant(self, count: int, species: tuple[int, ...], height: tuple[float, float], clump: float = 0.0) -> None:
-        """Trees at random, clear of buildings, hard ground, and paths; `clump` gathers them in groves of that radius."""
+        """Plant trees at random, clear of buildings, hard ground, and paths; `clump` is the radius of groves."""
         low, high = self.polygon.min(axis=0), self.polygon.max(axis=0)
         places = self.rng.uniform(low, high, (count, 2))
         if clump:
@@ -190,7 +190,7 @@ class Plot:
     def plant_at(
         self, places: Float64Array, species: tuple[int, ...], height: tuple[float, float], gap: float = 2.4
     ) -> None:
-        """Trees at given places where there is room for them."""
+        """Plant trees at given places if there is room."""
         keep = within(places, self.polygon, 0.8)
         for body in self.bodies:
             keep &= ~within(places, body, -gap)
@@ -209,7 +209,7 @@ class Plot:
     def stalls(
         self, x: float, y: float, length: float, width: float, angle: float, chance: float, truck: bool = False
     ) -> None:
-        """Rows of parked cars on a rectangle: bays of 2.5 by 5 m at right angles to its length, aisles of 6 m."""
+        """Add rows of parking bays to a rectangle: 2.5 by 5 m, at right angles to its length, with aisles of 6 m."""
         for row in parking_rows(width):
             for along in np.arange(-length / 2 + 1.4, length / 2 - 1.2, 2.5):
                 a, b = turned(np.array([[along, row]]), angle)[0] + (x, y)
@@ -219,14 +219,14 @@ class Plot:
                 self.draft.stalls.append((float(a), float(b), float(turn), kind, chance))
 
     def car_park(self, x: float, y: float, length: float, width: float, angle: float) -> bool:
-        """A marked car park with its cars, if there is room."""
+        """Add a marked car park with cars if there is room."""
         if not self.lay("parking", x, y, length, width, angle):
             return False
         self.stalls(x, y, length, width, angle, float(self.rng.uniform(0.3, 0.9)))
         return True
 
     def leftover_parking(self) -> None:
-        """Car parks wherever there is still room for one."""
+        """Add car parks wherever there is still room."""
         start, along, normal, edge = self.edge(self.longest())
         across = self.edge(self.longest() + 1)[3]
         angle = float(np.arctan2(along[1], along[0]))
@@ -273,7 +273,7 @@ class Plot:
 
 
 def parking_rows(width: float) -> list[float]:
-    """Where the rows of bays lie across a car park: pairs of rows with aisles between."""
+    """Return the offsets of rows of bays across a car park: pairs of rows with aisles between."""
     rows, y = [], -width / 2 + 2.6
     while y < width / 2 - 2.0:
         rows.append(y)

@@ -29,13 +29,13 @@ _PAINTS = ((0.62, 0.62, 0.62), (0.02, 0.02, 0.022), (0.25, 0.26, 0.27), (0.09, 0
 
 
 class BlenderScene:
-    """What can be seen within a square window of the city, on one day.
+    """The scene of a square window of the city on one day.
 
-    Only one exists at a time: Blender's data is global.
+    Only one can exist at a time, because Blender's data is global.
 
     Args:
         x, y, size: middle and side of the window in metres.
-        samples: light paths a pixel, before the denoiser.
+        samples: light paths per pixel, before the denoiser.
         threads: processor threads, 0 for all.
     """
 
@@ -60,7 +60,7 @@ class BlenderScene:
         self._bridges()
 
     def frame(self, pose: Pose, pixels: int) -> Float32Array:
-        """The drone's picture: (pixels, pixels, 3) linear light."""
+        """Render a drone picture: (pixels, pixels, 3) linear light."""
         data = self._camera.data
         data.type = "PERSP"
         data.sensor_fit = "HORIZONTAL"
@@ -69,7 +69,7 @@ class BlenderScene:
         return self._render(pixels, pixels)
 
     def panorama(self, panorama: Panorama, pixels: int) -> Float32Array:
-        """All around from the ground: (h, w, 3) linear light, of `panorama.size(pixels)`."""
+        """Render a panorama from the ground: (h, w, 3) linear light of `panorama.size(pixels)`."""
         data = self._camera.data
         data.type = "PANO"
         data.panorama_type = "EQUIRECTANGULAR"
@@ -78,8 +78,8 @@ class BlenderScene:
         self._aim(level.axes(), (panorama.x, panorama.y, panorama.z))
         return self._render(*panorama.size(pixels))
 
-    def come_down(self) -> None:
-        """Prepare for pictures from the ground, which show the sky and what is near; the drone's and satellite's do not."""
+    def prepare_ground_view(self) -> None:
+        """Add the details that only pictures from the ground show: the sky, and nearby surfaces."""
         bearing = self._look.sun[1]
         closeup.open_sky(self._scene.world, bearing, self._look.clouds)
         closeup.grain(bpy.data.materials["ground"])
@@ -87,7 +87,7 @@ class BlenderScene:
         self._scene.cycles.transparent_max_bounces = 6
 
     def sweep(self, sweep: SatelliteImage) -> Float32Array:
-        """The satellite's picture: (pixels, pixels, 3) linear light."""
+        """Render a satellite image: (pixels, pixels, 3) linear light."""
         axes = sweep.axes()
         data = self._camera.data
         data.type = "ORTHO"
@@ -307,7 +307,7 @@ class BlenderScene:
         return self._materials[name]
 
     def _image(self, name: str, colour: Float32Array, alpha: Float32Array | None) -> Any:
-        """An sRGB image of linear colours in [0, 1], with a channel of its own."""
+        """Make an sRGB image of linear colours in [0, 1] with an alpha channel."""
         shown = np.where(colour < 0.0031308, 12.92 * colour, 1.055 * np.maximum(colour, 1e-6) ** (1 / 2.4) - 0.055)
         channels = [shown[..., ::-1]] if alpha is None else [shown[..., ::-1], alpha[..., None]]
         data = (np.clip(np.concatenate(channels, axis=-1), 0, 1) * 255 + 0.5).astype(np.uint8)
@@ -321,7 +321,7 @@ class BlenderScene:
 
 
 def _fill(mesh: Any, vertices: Float64Array, sizes: NDArray[np.int32], corners: NDArray[np.int32]) -> None:
-    """Give an empty Blender mesh its polygons: `sizes` corners each, `corners` their vertices one after the other."""
+    """Set the polygons of an empty Blender mesh: the number of corners of each, and the vertices of all corners in order."""
     mesh.vertices.add(len(vertices))
     mesh.vertices.foreach_set("co", vertices.reshape(-1).astype(np.float32))
     mesh.loops.add(len(corners))
@@ -337,7 +337,7 @@ def _matrix(x: float, y: float, z: float, angle: float, size: float = 1.0) -> An
 
 
 def _material(name: str, kind: str, image: Any) -> Any:
-    """A material whose colour is texture x tint, or object colour x tint for leaves and paint."""
+    """Make a material of colour texture x tint, or object colour x tint for leaves and paint."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -375,7 +375,7 @@ def _material(name: str, kind: str, image: Any) -> Any:
 
 
 def _ground_material(image: Any) -> Any:
-    """The painted ground; where its alpha is 0 there is water."""
+    """Make the painted ground, with water where its alpha is 0."""
     material = bpy.data.materials.new("ground")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -408,7 +408,7 @@ def _ground_material(image: Any) -> Any:
 
 @contextmanager
 def quiet() -> Iterator[TextIO]:
-    """Keep Blender's reports, written from C, off the terminal; yields a stream that still reaches it."""
+    """Keep the reports of Blender's C code off the terminal; yields a stream that still reaches it."""
     sys.stdout.flush()
     sys.stderr.flush()
     kept = [os.dup(number) for number in (1, 2)]
@@ -424,7 +424,7 @@ def quiet() -> Iterator[TextIO]:
 
 
 @contextmanager
-def workplace() -> Iterator[Path]:
-    """A folder for what Blender hands over in files."""
+def scratch_folder() -> Iterator[Path]:
+    """A temporary folder for files that Blender exchanges with us."""
     with TemporaryDirectory(prefix="lpn-world-") as folder:
         yield Path(folder)

@@ -1,4 +1,4 @@
-"""Polygons as triangles with baked light: what stands in the city, for its 3-D model."""
+"""The city's polygons as triangles with baked light, for its 3-D model."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from lpn.world.architecture import Architecture
 from lpn.world.city import SPECIES, City
 from lpn.world.geometry import turned
 
+# The material of surfaces without windows.
 PLAIN = ""
-"""The material of what has no windows."""
 _DARK_FOOT = 0.78  # of a wall where it meets the ground
 
 
@@ -28,7 +28,7 @@ class Solid:
         vertices: (n, 3) metres east, north, up.
         faces: (t, 3) corners of triangles, counter-clockwise from outside.
         colours: (n, 3) sRGB.
-        uv: (n, 2) place in a texture of the material, zeros where it has none.
+        uv: (n, 2) texture coordinates, zeros without a texture.
     """
 
     vertices: Float64Array
@@ -49,12 +49,12 @@ class Solids:
             self._parts[material].append(solid)
 
     def extend(self, other: Solids) -> None:
-        """Add all that another collection holds."""
+        """Add everything of another collection."""
         for material, parts in other._parts.items():
             self._parts[material].extend(parts)
 
     def joined(self, most: int) -> Iterator[tuple[str, Solid]]:
-        """Materials and their triangles, as few solids as can be of at most `most` vertices each, in order of name."""
+        """Merge the triangles of each material into as few solids of at most `most` vertices as possible, ordered by name."""
         for name, parts in sorted(self._parts.items()):
             numbers = np.cumsum([len(part.vertices) for part in parts])
             first = 0
@@ -66,11 +66,11 @@ class Solids:
 
 
 def buildings(city: City, numbers: NDArray[np.int_], item: float, face: float) -> Solids:
-    """Buildings where they stand.
+    """Make the buildings in their places.
 
     Args:
-        item: square metres that something on a roof covers at least; what is smaller is left out.
-        face: square metres of a surface; smaller ones, such as those of parapets, are left out.
+        item: minimum area of a roof item in square metres.
+        face: minimum area of a surface in square metres, to omit parapets for example.
     """
     solids = Solids()
     made: dict[int, dict[str, Polygons]] = {}
@@ -85,7 +85,7 @@ def buildings(city: City, numbers: NDArray[np.int_], item: float, face: float) -
 
 
 def bridges(city: City, numbers: NDArray[np.int_]) -> Solids:
-    """Bridges where they stand."""
+    """Make the bridges in their places."""
     solids = Solids()
     for number in numbers:
         bridge = city.bridges[number]
@@ -95,7 +95,7 @@ def bridges(city: City, numbers: NDArray[np.int_]) -> Solids:
 
 
 def trees(city: City, numbers: NDArray[np.int_]) -> Solid:
-    """Trees as pointed crowns of their species' shape and colour."""
+    """Make trees as pointed crowns of their species' shape and colour."""
     planted = city.trees
     kinds = planted.species[numbers].astype(int)
     across, low, wide = np.array([_CROWNS[name] for name in SPECIES])[kinds].T
@@ -135,8 +135,8 @@ def trees(city: City, numbers: NDArray[np.int_]) -> Solid:
 
 
 _SIDES = 4
+# Size of a tree in a file.
 TREE_BYTES = (_SIDES + 2) * 12 + 2 * _SIDES * 6
-"""Bytes of a tree in a file."""
 _CROWNS = {  # half the crown's width, its lowest and its widest point, as shares of the height
     "oak": (0.44, 0.08, 0.52), "maple": (0.37, 0.08, 0.50), "lime": (0.32, 0.08, 0.46),
     "poplar": (0.15, 0.04, 0.40), "fir": (0.22, 0.02, 0.16), "bush": (0.6, -0.1, 0.40),
@@ -145,7 +145,7 @@ _CROWNS = {  # half the crown's width, its lowest and its widest point, as share
 
 @dataclass(frozen=True)
 class Polygons:
-    """Convex polygons of one material in a building's own frame: triangles, with a normal and a tint each."""
+    """Convex polygons of one material in a building's frame: triangles, with a normal and a tint each."""
 
     vertices: Float64Array
     faces: NDArray[np.int64]
@@ -154,7 +154,7 @@ class Polygons:
     uv: Float64Array
 
     def placed(self, angle: float, place: Float64Array) -> Solid:
-        """The polygons turned, moved, and lit."""
+        """Rotate, move, and light the polygons."""
         vertices = np.column_stack([turned(self.vertices[:, :2], angle), self.vertices[:, 2]]) + place
         normals = np.column_stack([turned(self.normals[:, :2], angle), self.normals[:, 2]])
         lit = light.reflected(self.tints, normals)
@@ -163,12 +163,12 @@ class Polygons:
 
 
 def _simpler(look: Architecture, least: float) -> Architecture:
-    """Without small items on the roof, and without what only changes its colour."""
+    """Remove small roof items, and those that only change the roof's colour."""
     return replace(look, items=tuple(i for i in look.items if i.length * i.width >= least and i.height > 0.2))
 
 
 def _polygons(mesh: meshes.Mesh, face: float = 0.0) -> dict[str, Polygons]:
-    """A mesh's polygons of at least `face` square metres by material; all but walls with windows are plain."""
+    """Group a mesh's polygons of at least `face` square metres by material; only walls with windows are not plain."""
     vertices, uv, sizes, tints = mesh.arrays()
     starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
     crosses = np.array([_cross(vertices[i : i + k]) for i, k in zip(starts, sizes, strict=True)])
@@ -199,7 +199,7 @@ def _has_windows(material: str) -> bool:
 
 
 def _cross(ring: Float64Array) -> Float64Array:
-    """Normal (3,) of a polygon (k, 3), as long as twice its area."""
+    """Normal (3,) of a polygon (k, 3) with twice its area as length."""
     cross: Float64Array = np.cross(ring - ring[0], np.roll(ring, -1, axis=0) - ring[0]).sum(axis=0)
     return cross
 

@@ -1,4 +1,4 @@
-"""The street network: a grid of districts bent by smooth waves, each divided again and again into blocks."""
+"""The street network: a grid of districts bent by smooth waves, each divided recursively into blocks."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _PAVEMENT = {"arterial": 3.2, "local": 2.2, "lane": 1.4}
 
 @dataclass(frozen=True)
 class Warp:
-    """Bends the square grid of the plan into the city: (..., 2) metres to metres."""
+    """The smooth deformation of the square grid into the city: (..., 2) metres to metres."""
 
     east: Waves
     north: Waves
 
     def __call__(self, points: Float64Array) -> Float64Array:
-        """The points' places in the city."""
+        """Map points to the city."""
         return points + np.stack([self.east(points), self.north(points)], axis=-1)
 
 
 @dataclass(frozen=True)
 class Quad:
-    """Four corners (4, 2) in the grid's plane, counter-clockwise, and for each edge half the width of its street."""
+    """A quadrilateral (4, 2) of the grid's plane, counter-clockwise, with half the street's width for each edge."""
 
     corners: Float64Array
     margins: tuple[float, float, float, float]
@@ -44,7 +44,7 @@ class Quad:
 
 
 def densified(line: Float64Array, step: float = 12.0) -> Float64Array:
-    """A line (n, 2) with points no more than `step` apart."""
+    """Resample a line (n, 2) with points at most `step` apart."""
     pieces = [
         a + (b - a) * np.arange(n := max(1, int(np.ceil(np.linalg.norm(b - a) / step))))[:, None] / n
         for a, b in pairwise(line)
@@ -53,7 +53,7 @@ def densified(line: Float64Array, step: float = 12.0) -> Float64Array:
 
 
 def beside(line: Float64Array, offset: float) -> Float64Array:
-    """A line (n, 2) moved `offset` metres to its left."""
+    """Offset a line (n, 2) by `offset` metres to its left."""
     step = np.gradient(line, axis=0)
     step /= np.linalg.norm(step, axis=1)[:, None]
     moved: Float64Array = line + offset * np.stack([-step[:, 1], step[:, 0]], axis=1)
@@ -61,13 +61,13 @@ def beside(line: Float64Array, offset: float) -> Float64Array:
 
 
 def street(line: Float64Array, kind: StreetKind, warp: Warp, rural: bool = False) -> Street:
-    """A street along a straight line of the grid; without pavements in the countryside."""
+    """Make a street along a straight line of the grid; without pavements in the countryside."""
     width = {"arterial": ARTERIAL, "local": LOCAL, "lane": LANE}[kind]
     return Street(warp(densified(line)), width, kind, 0.3 if rural else _PAVEMENT[kind])
 
 
 def margin(kind: StreetKind) -> float:
-    """From a street's middle to the back of its pavement."""
+    """Distance from a street's middle to the back of its pavement."""
     return {"arterial": ARTERIAL, "local": LOCAL, "lane": LANE}[kind] / 2 + _PAVEMENT[kind]
 
 
@@ -81,10 +81,10 @@ def divide(
     streets: list[Street],
     rural: bool = False,
 ) -> list[Quad]:
-    """Cut a quad until no block is longer than `long` and wider than `short`; the cuts become streets.
+    """Cut a quad until no block is longer than `long` or wider than `short`; the cuts become streets.
 
     Args:
-        slant: how far a cut may lean, as a share of the edges it joins.
+        slant: maximum slant of a cut, as a fraction of the edges it joins.
     """
     a, b, c, d = quad.lengths()
     one, other = max(a, c), max(b, d)

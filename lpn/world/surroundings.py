@@ -1,4 +1,4 @@
-"""What stands about in a part of the city: where it leaves room to stand, and what it hides from there."""
+"""Obstacles in a part of the city: the free places between them, and the lines of sight that they block."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _HEDGE = 2.4  # metres high
 
 
 @dataclass(frozen=True)
-class Things:
-    """What stands in a part of the city.
+class Obstacles:
+    """The obstacles in a part of the city.
 
     Attributes:
         numbers: (b,) of the buildings, as in `City.buildings`.
-        bodies: (b, 6) x, y, half length, half width, angle, height of each.
-        trees: (t, 5) x, y, radius of the crown, where it begins and ends above the ground.
+        bodies: (b, 6) x, y, half length, half width, angle, height of each building.
+        trees: (t, 5) x, y, radius of the crown, heights of its bottom and top above the ground.
         hedges: (h, 2, 2).
         vehicles: (v, 5) x, y, half length, half width, angle, of those that are there some days.
-        tall: (v,) which of them one cannot look over.
+        tall: (v,) vehicles that block the view.
         water: polygons.
     """
 
@@ -36,7 +36,7 @@ class Things:
     water: tuple[Float64Array, ...]
 
     def room(self, places: Float64Array) -> NDArray[np.bool_]:
-        """At which places (n, 2) somebody can stand and see more than a crown's leaves or a car's door."""
+        """Return at which places (n, 2) a person can stand with a free view."""
         built = self._within(places, self.bodies, np.full((len(self.bodies), 2), 1.2))
         parked = self._within(places, self.vehicles, np.where(self.tall[:, None], (3.0, 1.8), (1.5, 0.9)))
         leafy = distances(places, self.trees[:, :2]) < self.trees[:, 2] + 0.3
@@ -49,12 +49,15 @@ class Things:
 
     @staticmethod
     def _within(places: Float64Array, boxes: Float64Array, more: Float64Array) -> NDArray[np.bool_]:
-        """Which places (n, 2) lie in which boxes, larger by `more` (m, 2) on each side: (n, m)."""
+        """Return which places (n, 2) are in which boxes, enlarged by `more` (m, 2) on each side: (n, m)."""
         local = np.abs(_turned_back(places[:, None] - boxes[:, :2], boxes[:, 4]))
         return np.asarray((local < boxes[:, 2:4] + more).all(axis=2))
 
     def clear(self, starts: Float64Array, ends: Float64Array, tops: Float64Array, own: int) -> NDArray[np.bool_]:
-        """Which lines of sight (n, 2) to (n, 2), from 2 m above the ground to `tops` (n,), meet nothing but building `own`."""
+        """Return which lines of sight are blocked by nothing but building `own`.
+
+        They run from `starts` (n, 2), 2 m above the ground, to `ends` (n, 2) at height `tops` (n,).
+        """
         ways = ends - starts
         low, high = 0.04, 0.95  # shares of a line that count
 
@@ -99,7 +102,7 @@ def _cross(a: Float64Array, b: Float64Array) -> Float64Array:
 
 
 def _turned_back(points: Float64Array, angles: Float64Array) -> Float64Array:
-    """Points (n, m, 2) turned clockwise by `angles` (m,)."""
+    """Rotate points (n, m, 2) clockwise by `angles` (m,)."""
     c, s = np.cos(angles), np.sin(angles)
     x, y = points[..., 0], points[..., 1]
     return np.stack([c * x + s * y, c * y - s * x], axis=-1)

@@ -9,7 +9,7 @@ from lpn.world.canvas import noise
 
 
 def wall_texture(style: str) -> Float32Array:
-    """A wall of 16 by 8 window units, 32 pixels each: (256, 512, 3), bottom row last."""
+    """Make a wall of 16 by 8 window units, 32 pixels each: (256, 512, 3), bottom row last."""
     rng = np.random.default_rng([hash_of(style), 1])
     unit = 32
     image = np.ones((8 * unit, 16 * unit, 3), np.float32)
@@ -42,7 +42,7 @@ def wall_texture(style: str) -> Float32Array:
 
 
 def roof_texture(style: str) -> Float32Array:
-    """A roof of 32 m by 32 m: (512, 512, 3), of mean about 1."""
+    """Make a roof of 32 m by 32 m: (512, 512, 3), of mean about 1."""
     rng = np.random.default_rng([hash_of(style), 2])
     size = 512
     fine, blobs, large = (noise(scale)[:size, :size] for scale in (1.2, 12.0, 60.0))
@@ -77,5 +77,5 @@ def roof_texture(style: str) -> Float32Array:
 
 
 def hash_of(name: str) -> int:
-    """A number that a name stands for, the same in every process."""
+    """Hash a name to a number, the same in every process."""
     return sum((i + 1) * ord(letter) for i, letter in enumerate(name))

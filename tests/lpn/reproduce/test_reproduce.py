@@ -228,14 +228,14 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, tm
         ),
         ({"models": {"lpn": two_views(tmp_path)}}, ["figure7"], "figure7 needs the view drone"),
         # A network that is not what it would be called, and one that nothing would be measured on.
-        ({"models": {"lpn-2-parts": model}}, ["figure5"], "has n_parts 4, and lpn-2-parts stands for n_parts 2"),
+        ({"models": {"lpn-2-parts": model}}, ["figure5"], "has n_parts 4, and lpn-2-parts needs n_parts 2"),
         (
             {"models": {"lpn": start}, "changes": {}},
             ["table4"],
-            "has input size 64 x 64, and lpn stands for input size 256 x",
+            "has input size 64 x 64, and lpn needs input size 256 x",
         ),
-        ({"models": {"lpn": strips(tmp_path)}}, ["table5"], "has layout strips, and lpn stands for layout university"),
-        ({"models": {"lpn": model}}, ["figure5"], "as lpn, which no row of what is asked for uses"),
+        ({"models": {"lpn": strips(tmp_path)}}, ["table5"], "has layout strips, and lpn needs layout university"),
+        ({"models": {"lpn": model}}, ["figure5"], "as lpn, which no requested row uses"),
         (
             {"init": [start], "changes": {**QUICK, "backbone": "resnet50", "last_layer": "layer4"}},
             ["table5"],

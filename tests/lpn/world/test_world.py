@@ -28,9 +28,9 @@ from lpn.world.build import RenderShare, Tally, build_world, check_folder
 from lpn.world.canvas import Canvas
 from lpn.world.city import City
 from lpn.world.geometry import area, overlap, rectangle, segment_distance, within
-from lpn.world.ground_level import Outdoors
+from lpn.world.ground_level import GroundLevel
 from lpn.world.plan import SPACING, plan_city
-from lpn.world.surroundings import Things
+from lpn.world.surroundings import Obstacles
 
 SETTINGS = Settings(seed=5, buildings=24, views=4, pixels=48, tile_pixels=64, samples=1)
 WALKED = replace(SETTINGS, streets=3, panoramas=2)
@@ -315,7 +315,7 @@ def test_a_street_picture_looks_at_its_building(walked: Atlas) -> None:
 
 
 def test_most_street_pictures_show_most_of_a_wall(walked: Atlas) -> None:
-    outdoors = Outdoors(walked.city)
+    outdoors = GroundLevel(walked.city)
     shares = []
     for number, pose in _cameras(walked, "street"):
         stands = outdoors.around(walked.city.targets[number - 1])
@@ -329,7 +329,7 @@ def test_what_stands_between_hides_a_wall() -> None:
                "hedges": np.zeros((0, 2, 2)), "vehicles": np.zeros((0, 5)), "tall": np.zeros(0, bool), "water": ()}  # fmt: skip
 
     def clear(**things: Any) -> bool:
-        return bool(Things(**{**nothing, **things}).clear(*line, own=7)[0])
+        return bool(Obstacles(**{**nothing, **things}).clear(*line, own=7)[0])
 
     house, tree = np.array([[20.0, 0, 4, 4, 0.3, 9]]), np.array([[20.0, 1, 3, 1, 12]])
     hedge = np.array([[[2.0, -2], [2, 2]]])
