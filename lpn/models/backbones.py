@@ -1,7 +1,7 @@
-"""The convolutional networks under LPN: ResNet-18, ResNet-50, and VGG-16 with batch normalisation.
+"""The backbones of LPN: ResNet-18, ResNet-50, and VGG-16 with batch normalisation.
 
-Parameter names are torchvision's, so its weights and the published checkpoints load as they are; the final
-pooling and class layers do not exist here, because LPN reads the last feature map.
+Parameter names are torchvision's, so its weights and the published checkpoints load unchanged. There are no final pooling
+and class layers, because LPN reads the last feature map.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from lpn.core.errors import InputError
 BackboneName = Literal["resnet18", "resnet50", "vgg16_bn"]
 LastLayer = Literal["layer3", "layer4"]
 
+# Channels of the last feature map, by backbone and last layer.
 CHANNELS: dict[tuple[str, str], int] = {
     ("resnet18", "layer3"): 256,
     ("resnet18", "layer4"): 512,
@@ -23,7 +24,6 @@ CHANNELS: dict[tuple[str, str], int] = {
     ("resnet50", "layer4"): 2048,
     ("vgg16_bn", "layer4"): 512,
 }
-"""Channels of the last feature map, by backbone and last layer."""
 
 
 class BasicBlock(nn.Module):
@@ -70,8 +70,8 @@ class Bottleneck(nn.Module):
 class ResNet(nn.Module):
     """A ResNet up to its last feature map: (B, 3, H, W) -> (B, channels, H/16, W/16) with `last_stride` 1.
 
-    `last_layer` "layer3" leaves layer4 out; the map then has a quarter or half of the channels and, at stride 2 as
-    usual for layer3, the same 1/16 resolution. `last_stride` is layer4's stride, 1 as published or 2.
+    Without layer4 (`last_layer` "layer3") the map has half the channels and the same resolution. `last_stride` is the stride
+    of layer4, 1 as published or 2.
     """
 
     def __init__(
@@ -120,10 +120,10 @@ class VGG16(nn.Module):
 
 
 def build_backbone(name: BackboneName, last_layer: LastLayer = "layer4", last_stride: int = 1) -> ResNet | VGG16:
-    """The named network with random weights (He initialisation).
+    """Build the named network with random weights (He initialisation).
 
     Raises:
-        InputError: for an unknown name.
+        InputError: if the name is unknown.
     """
     network: ResNet | VGG16
     if name == "resnet18":

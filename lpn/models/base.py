@@ -1,4 +1,4 @@
-"""What every loaded model can do, whether it runs in PyTorch or from an exported graph."""
+"""The contract of a loaded model, in PyTorch or on ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CHUNK = 16
 
 @dataclass(frozen=True)
 class Heads:
-    """The test-time heads, affine: part i embeds as `A[i] @ sum_cells(cells[i] * map) + c[i]`.
+    """The affine test-time heads: the embedding of part i is `A[i] @ sum_cells(cells[i] * map) + c[i]`.
 
     Attributes:
         weight: A, (n, D, C) float32.
@@ -33,12 +33,12 @@ class Heads:
 
 
 class ForwardPass(NamedTuple):
-    """What one forward pass gives.
+    """The result of one forward pass.
 
     Attributes:
         parts: raw head outputs, (B, n, D).
         features: the last feature map, (B, C, h, w).
-        attention: SAFA's weights of each picture's cells, (B, n, M, h, w); None where all pictures' cells weigh alike.
+        attention: SAFA's cell weights of each picture, (B, n, M, h, w); None with fixed cell weights.
     """
 
     parts: Float32Array
@@ -50,30 +50,33 @@ class Model(ABC):
     """A trained LPN, ready to describe pictures.
 
     Images are (B, 3, H, W) float32, RGB, ImageNet-normalised (see `lpn.core.images`), as NumPy array or torch tensor.
+
+    Attributes:
+        spec: the architecture.
+        fingerprint: hexadecimal digest of the model file; only descriptors with the same fingerprint are comparable.
+        compute: the precision of its convolutions, "float32" or "int8".
+        parallel: whether several threads can call it in parallel, each on one core.
+        batch: the best batch size for `descriptors`.
     """
 
     spec: ModelSpec
     fingerprint: str
-    """Hexadecimal digest of the model file: descriptors are comparable only under the same fingerprint."""
     compute: str = "float32"
-    """What its convolutions compute in: "float32" or "int8"."""
     parallel: bool = False
-    """Whether calls of several threads run beside each other, each on a core of its own."""
     batch: int = 4
-    """Pictures that are best given to `descriptors` at once when there are many."""
 
     def describe(self) -> str:
-        """One line for a header or a log, see `ModelSpec.describe`, with what it computes in where that is not float32."""
+        """Return one line for a header or a log: `ModelSpec.describe`, and the precision if it is not float32."""
         return self.spec.describe() + ("" if self.compute == "float32" else f", {self.compute}")
 
     @property
     def n_parts(self) -> int:
-        """Number of parts n of a descriptor."""
+        """The number of parts n of a descriptor."""
         return self.spec.n_parts
 
     @property
     def input_size(self) -> tuple[int, int]:
-        """(height, width) in pixels of the pictures the model was trained on."""
+        """(height, width) of the network input in pixels."""
         return self.spec.input_size
 
     @property
@@ -83,39 +86,39 @@ class Model(ABC):
 
     @abstractmethod
     def run(self, images: Float32Array, view: View) -> ForwardPass:
-        """One forward pass of pictures (B, 3, H, W)."""
+        """Run one forward pass of images (B, 3, H, W)."""
 
     @abstractmethod
     def heads(self, view: View) -> Heads:
-        """The affine heads and cell weights for exact explanation.
+        """Return the affine heads and cell weights, for exact explanation.
 
         Raises:
-            InputError: when the model has no such view, or weighs cells anew for each picture (SAFA).
+            InputError: if the model lacks the view, or has no heads (SAFA).
         """
 
     @abstractmethod
     def map_size(self, view: View) -> tuple[int, int]:
-        """(h, w) of the feature map of a picture of the model's input size."""
+        """Return (h, w) of the feature map of an image of the model's input size."""
 
     def to_input_size(self, picture: UInt8Array, view: View) -> UInt8Array:
-        """A picture as the network gets it, before normalisation: (height, width, 3) uint8 of the input size."""
+        """Resize a picture to the input size, unrolled if the view needs it: (height, width, 3) uint8."""
         if self.spec.unrolled(view):
             return pictures.polar(picture, *self.input_size)
         return pictures.resize(picture, *self.input_size)
 
     def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
-        """A picture as its parts are cut from it: unrolled where the network sees it so (SAFA), else as it is."""
+        """Return the picture that the partition applies to: unrolled if the view needs it (SAFA), else unchanged."""
         return self.to_input_size(picture, view) if self.spec.unrolled(view) else picture
 
     def prepare(self, picture: UInt8Array, view: View) -> Float32Array:
-        """A picture ready for the model: (3, height, width) float32, in the published order."""
+        """Convert a picture to the model's input: (3, height, width) float32."""
         return pictures.normalise(self.to_input_size(picture, view))
 
     def part_embeddings(self, images: Any, view: View) -> Float32Array:
-        """Raw head outputs of one forward pass, (B, n, D) float32, in the checkpoint's classifier order.
+        """Return the raw head outputs, (B, n, D) float32, in the checkpoint's classifier order.
 
         Raises:
-            InputError: when images are not (B, 3, H, W) float32 or the model has no such view.
+            InputError: if images are not (B, 3, H, W) float32, or the model lacks the view.
         """
         batch = self._batch(images, view)
         size = max(_CHUNK, self.batch)
@@ -123,14 +126,14 @@ class Model(ABC):
         return np.concatenate(chunks) if chunks else np.zeros((0, self.n_parts, self.spec.embedding), np.float32)
 
     def descriptors(self, images: Any, view: View, mirror: bool = True) -> Float32Array:
-        """Descriptors for retrieval, (B, n, D) float32, each part of norm 1/sqrt(n).
+        """Return descriptors for retrieval, (B, n, D) float32, each part of norm 1/sqrt(n).
 
         With `mirror`, the head outputs of the picture and of its horizontal mirror are added first, as published for LPN;
-        a model that tells left from right (SAFA) is described without.
+        SAFA, which distinguishes left from right, ignores it.
 
         Raises:
             InputError: as for `part_embeddings`.
-            ModelFileError: when what the network gives is not finite.
+            ModelFileError: if the network's output is not finite.
         """
         raw = self.part_embeddings(images, view)
         if mirror and self.spec.mirrored:
@@ -138,7 +141,7 @@ class Model(ABC):
         return normalise(raw)
 
     def for_parallel_inference(self) -> Model:
-        """The same model as several threads use it best, see `lpn.descriptors.parallel_inference`; here this one, in turn."""
+        """Return this model configured for several threads, see `lpn.descriptors.parallel_inference`."""
         return self
 
     def check_view(self, view: str) -> None:
@@ -154,7 +157,7 @@ class Model(ABC):
             )
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
-        """The part embeddings of one chunk; for models that can leave the feature map out."""
+        """Return the part embeddings of one chunk; overridden by models that can skip the feature map."""
         return self.run(images, view).parts
 
     def _batch(self, images: Any, view: View) -> Float32Array:
@@ -168,10 +171,10 @@ class Model(ABC):
 
 
 def as_array(values: Any) -> AnyArray:
-    """A NumPy array of what was given: an array, nested lists, or a torch tensor wherever it lies.
+    """Convert an array, nested lists, or a torch tensor on any device to a NumPy array.
 
     Raises:
-        InputError: when nested lists are of unequal lengths.
+        InputError: if nested lists have unequal lengths.
     """
     if hasattr(values, "detach"):
         values = values.detach().cpu()
@@ -183,10 +186,10 @@ def as_array(values: Any) -> AnyArray:
 
 
 def normalise(raw: Float32Array) -> Float32Array:
-    """Scale each part of (..., n, D) head outputs to norm 1/sqrt(n), so that the whole has norm 1.
+    """Scale each part of (..., n, D) head outputs to norm 1/sqrt(n), so that the descriptor has norm 1.
 
     Raises:
-        ModelFileError: when a value is not finite.
+        ModelFileError: if a value is not finite.
     """
     if not np.isfinite(raw).all():
         raise ModelFileError(

@@ -42,21 +42,21 @@ class TorchModel(Model):
         self.batch = 64 if next(network.parameters()).device.type == "cuda" else 8
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
-        """One forward pass of pictures (B, 3, H, W)."""
+        """Run one forward pass of images (B, 3, H, W)."""
         device = next(self.network.parameters()).device
-        # Left to itself, cuDNN convolves in TF32, whose ten-bit mantissa moves descriptors by more than 1e-4.
+        # By default cuDNN convolves in TF32, whose ten-bit mantissa changes descriptors by more than 1e-4.
         precise = torch.backends.cudnn.flags(allow_tf32=False) if device.type == "cuda" else nullcontext()
         with torch.inference_mode(), precise:
-            found = self.network.embed(torch.tensor(images, device=device), view)
-        parts, features, attention = (None if tensor is None else tensor.cpu().numpy() for tensor in found)
+            outputs = self.network.embed(torch.tensor(images, device=device), view)
+        parts, features, attention = (None if tensor is None else tensor.cpu().numpy() for tensor in outputs)
         return ForwardPass(cast(Float32Array, parts), cast(Float32Array, features), attention)
 
     def map_size(self, view: View) -> tuple[int, int]:
-        """(h, w) of the feature map of a picture of the model's input size."""
+        """Return (h, w) of the feature map of an image of the model's input size."""
         return map_size(self.network.branch(view).model, self.input_size)
 
     def heads(self, view: View) -> Heads:
-        """The affine heads and cell weights for exact explanation; InputError with SAFA, which has none."""
+        """Return the affine heads and cell weights, for exact explanation; InputError with SAFA, which has none."""
         self.check_view(view)
         self.check_heads()
         with torch.inference_mode():
@@ -68,10 +68,10 @@ class TorchModel(Model):
 def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchModel:
     """Load a published `.pth` or our `.safetensors` into PyTorch, on a device.
 
-    Only tensors are ever unpickled. An `opts.yaml` beside a `.pth` is read for what the keys do not tell.
+    Only tensors are unpickled. An `opts.yaml` beside a `.pth` supplies options that the keys do not determine.
 
     Raises:
-        ModelFileError: when the file is missing, is not a model, is truncated, or lacks keys.
+        ModelFileError: if the file is missing, is not a model, is truncated, or lacks keys.
     """
     path = Path(path)
     if not path.is_file():
@@ -81,7 +81,7 @@ def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchMod
     else:
         state = _read_pth(path)
         spec = infer_spec(state, read_options(path.with_name("opts.yaml")), path.name)
-    # Without memory first: what a file claims to be may be far larger than what is in it.
+    # Check on the meta device first: a file may claim a network far larger than its contents.
     with torch.device("meta"):
         _check_fits(LPN(spec), state, path.name)
     network = LPN(spec)
@@ -90,14 +90,14 @@ def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchMod
 
 
 def best_device() -> torch.device:
-    """The GPU where there is one."""
+    """Return the GPU if there is one, else the CPU."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None) -> None:
-    """Write a network as `.safetensors` with its description, beside the target first and then renamed.
+    """Write a network and its description atomically as `.safetensors`.
 
-    `extra` is stored as further metadata (recipe, figures). Weights shared between branches are stored once.
+    `extra` is stored as further metadata (recipe, figures). Weights that branches share are stored once.
     """
     own = _own_keys(network)
     tensors = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items() if k in own}
@@ -106,7 +106,7 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None) ->
 
 
 def epochs_of(path: Path) -> int | None:
-    """How many epochs a model of ours was trained, None where its file does not say or cannot be read."""
+    """Return the number of epochs that a model of ours was trained; None if unknown."""
     try:
         return int(_read_tensors(path)[1]["epochs"])
     except (ModelFileError, OSError, KeyError, ValueError):
@@ -114,10 +114,10 @@ def epochs_of(path: Path) -> int | None:
 
 
 def backbone_in(path: Path) -> str:
-    """Which backbone a file of backbone weights or of a whole model holds: "resnet18", "resnet50", or "vgg16_bn".
+    """Return the backbone in a file of backbone weights or of a whole model: "resnet18", "resnet50", or "vgg16_bn".
 
     Raises:
-        ModelFileError: when the file cannot be read or holds none of them.
+        ModelFileError: if the file cannot be read or holds none of them.
     """
     state = _read_weights(path)
     prefix = "model_1.model." if any(key.startswith("model_1.model.") for key in state) else ""
@@ -135,14 +135,14 @@ def _read_weights(path: Path) -> State:
 
 
 def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
-    """Fill the branches' backbones from a file of backbone weights or of a whole model, as far as it goes.
+    """Fill the branches' backbones from backbone weights or a whole model, as far as tensors fit.
 
     Returns:
-        How many of the backbone's tensors were filled, how many it has, and which stages (`conv1`, `layer1`, ...)
-        stay as initialised, in part or in whole.
+        The number of filled tensors, the number of all tensors, and the stages (`conv1`, `layer1`, ...) that keep initial
+        weights, at least in part.
 
     Raises:
-        ModelFileError: when the file cannot be read or nothing in it fits.
+        ModelFileError: if the file cannot be read or nothing in it fits.
     """
     path = Path(path)
     state = _read_weights(path)
@@ -170,14 +170,14 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
 
 
 def _own_keys(network: LPN) -> set[str]:
-    """Keys of the state dict without the second name of shared branches."""
+    """Return the keys of the state dict, without duplicates of shared branches."""
     spec = network.spec
     aliases = tuple(BRANCH[view] + "." for view in spec.views if spec.owner(view) != view)
     return {key for key in network.state_dict() if not key.startswith(aliases or ("\0",))}
 
 
 def _entries(network: LPN, state: State) -> tuple[State, State]:
-    """A network's own tensors, and those of a file under the network's names."""
+    """Return a network's own tensors, and those of a file under the network's names."""
     own = _own_keys(network)
     target = {k: v for k, v in network.state_dict().items() if k in own}
     if network.spec.n_parts == 1:
@@ -186,7 +186,7 @@ def _entries(network: LPN, state: State) -> tuple[State, State]:
 
 
 def _check_fits(network: LPN, state: State, name: str) -> None:
-    """Refuse a file that lacks entries of the network, or has some of another shape or kind."""
+    """Refuse a file that lacks entries of the network or has entries of another shape."""
     target, state = _entries(network, state)
     needed = [k for k in target if not k.endswith("num_batches_tracked") and ".classifier." not in k]
     missing = [k for k in needed if k not in state]
@@ -209,25 +209,25 @@ def _fill(network: LPN, state: State, name: str) -> None:
     for key, tensor in target.items():
         if key in state:
             tensor.copy_(state[key])
-            # A sum is cheap, and finite unless an entry is not.
+            # The sum is a cheap test: it is finite only if all entries are.
             if not bool(tensor.sum().isfinite()) and not bool(tensor.isfinite().all()):
                 raise ModelFileError(f"In {name}, {key} holds values that are not finite; take an earlier checkpoint.")
 
 
 def check_opens(path: Path) -> None:
-    """Refuse a `.safetensors`, `.pth`, or `state.pt` that cannot be read, or whose seal is lost.
+    """Check that a `.safetensors`, `.pth`, or `state.pt` can be read and has not lost its seal.
 
     Raises:
-        ModelFileError: when it is refused.
+        ModelFileError: if the check fails.
     """
     if path.suffix == ".safetensors":
         _read_tensors(path)
     else:
-        _unpickled(path)
+        _unpickle(path)
 
 
-def _unpickled(path: Path) -> Any:
-    """What a PyTorch file holds, its tensors alone unpickled."""
+def _unpickle(path: Path) -> Any:
+    """Return the contents of a PyTorch file; only tensors are unpickled."""
     check_entries(
         path, f"{_AGAIN}, or save it again where it was saved with torch.serialization.set_crc32_options(False)"
     )
@@ -240,28 +240,28 @@ def _unpickled(path: Path) -> Any:
             f"{path.name} is not a PyTorch file of tensors alone, so it was not opened further (it may run code); "
             "expected a saved state_dict()."
         ) from error
-    except Exception as error:  # the unpickler raises anything on what it does not know
+    except Exception as error:  # the unpickler may raise anything
         raise ModelFileError(
             f"{path.name} is not a PyTorch file or is truncated; expected a saved state_dict."
         ) from error
 
 
 def _read_pth(path: Path) -> State:
-    loaded = _unpickled(path)
+    loaded = _unpickle(path)
     if isinstance(loaded, dict) and isinstance(loaded.get("state_dict"), dict):
         loaded = loaded["state_dict"]
     if not isinstance(loaded, dict) or not loaded:
         raise ModelFileError(f"{path.name} holds a {type(loaded).__name__}; expected a state_dict of named tensors.")
     items: dict[Any, Any] = loaded
-    if not all(isinstance(k, str) and isinstance(v, Tensor) and _plain(v) for k, v in items.items()):
+    if not all(isinstance(k, str) and isinstance(v, Tensor) and _is_plain(v) for k, v in items.items()):
         raise ModelFileError(f"{path.name} holds other things than named tensors; expected a state_dict.")
-    # A tensor may repeat one number without end.
+    # A tensor of stride 0 can claim any size.
     check_claimed_size(path, sum(tensor.numel() * tensor.element_size() for tensor in items.values()), _AGAIN)
     return {key.removeprefix("module."): value for key, value in cast(State, items).items()}
 
 
-def _plain(tensor: Tensor) -> bool:
-    """Whether a tensor has its numbers in memory, one for each place."""
+def _is_plain(tensor: Tensor) -> bool:
+    """Return whether a tensor is dense, on the CPU, and not quantised."""
     return tensor.device.type == "cpu" and tensor.layout == torch.strided and not tensor.is_quantized
 
 
@@ -273,7 +273,7 @@ def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
     except (SafetensorError, OSError, ValueError) as error:
         raise ModelFileError(f"{path.name} is not a .safetensors file or is truncated ({error}).") from error
     if SEAL in metadata and not sealed_file:
-        raise ModelFileError(f"{path.name} is damaged, its checksum being none; {_AGAIN}.")
+        raise ModelFileError(f"{path.name} is damaged: its checksum is malformed; {_AGAIN}.")
     return state, metadata
 
 

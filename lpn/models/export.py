@@ -1,4 +1,4 @@
-"""From a PyTorch LPN to `.onnx`: one graph per group of views that share weights, each carrying its heads."""
+"""Export of a PyTorch LPN to `.onnx`: one graph per group of views that share weights, each with its heads."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class _SafaGraph(nn.Module):
 
 
 class _Graph(nn.Module):
-    """An LPN at test time for one view, heads folded to affine maps."""
+    """An LPN at test time for one view, with its heads as affine maps."""
 
     def __init__(self, model: TorchModel, view: View) -> None:
         super().__init__()
@@ -63,23 +63,21 @@ class _Graph(nn.Module):
 def export(model: str | Path, out: str | Path, storage: Storage = "float32") -> list[Path]:
     """Export a `.pth` or `.safetensors` model for ONNX Runtime.
 
-    The first group of views is written to `out`; a group that shares no weights with it, such as the street view,
-    to a file beside it (`out` with the views' names before the suffix). Outputs: `parts` (B, n, D), `features`
-    (B, C, h, w), and, independent of the input, `head_weight` (n, D, C), `head_bias` (n, D), `cells` (n, h, w); SAFA has
-    `attention` (B, n, M, h, w) in their place.
+    The first group of views is written to `out`; further groups, such as the street view, to files beside it (`out` with the
+    views' names before the suffix). Outputs: `parts` (B, n, D), `features` (B, C, h, w), and the constants `head_weight`
+    (n, D, C), `head_bias` (n, D), `cells` (n, h, w); SAFA has `attention` (B, n, M, h, w) instead of the constants.
 
     Args:
-        storage: of the weights in the file. float16 halves the file; int8 takes convolutions to a quarter, one scale per
-            output channel, and the rest to half. They are widened when it is opened, and computed with in float32, so
-            that neither is faster.
+        storage: of the weights in the file. float16 halves the file; int8 stores convolutions in a quarter, with one scale
+            per output channel, and the rest in half. Either is converted to float32 on opening, so neither is faster.
 
     Returns:
         The files written.
 
     Raises:
-        InputError: when `out` does not end in .onnx, or `model` does.
-        ModelFileError: when the model cannot be loaded.
-        OutputError: when `out` cannot be written.
+        InputError: if `out` does not end in .onnx, or `model` does.
+        ModelFileError: if the model cannot be loaded.
+        OutputError: if `out` cannot be written.
     """
     out = Path(out)
     if out.suffix != ".onnx":
@@ -101,7 +99,7 @@ def export(model: str | Path, out: str | Path, storage: Storage = "float32") -> 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """The exporter logs and warns about its own insides, which say nothing to a user."""
+    """Silence the exporter's messages about its own internals."""
     logging.disable(logging.WARNING)
     try:
         with warnings.catch_warnings():
@@ -128,7 +126,7 @@ def _graph(model: TorchModel, view: View, metadata: dict[str, str], storage: Sto
         )
     assert program is not None
     proto = program.model_proto
-    _forget_origin(proto)
+    _remove_origin(proto)
     if storage != "float32":
         _shrink(proto, storage)
     onnx.helper.set_model_props(proto, metadata | {SEAL: UNSEALED})
@@ -137,8 +135,8 @@ def _graph(model: TorchModel, view: View, metadata: dict[str, str], storage: Sto
     return with_seal(buffer.getvalue())
 
 
-def _forget_origin(proto: onnx.ModelProto) -> None:
-    """Take out the exporter's notes on where in which source file each node was made: paths of this machine."""
+def _remove_origin(proto: onnx.ModelProto) -> None:
+    """Remove the exporter's notes on the source of each node, which contain paths of this machine."""
     graph = proto.graph
     for part in (proto, graph, *graph.node, *graph.initializer, *graph.value_info, *graph.input, *graph.output):
         del part.metadata_props[:]
@@ -146,7 +144,7 @@ def _forget_origin(proto: onnx.ModelProto) -> None:
 
 
 def _shrink(proto: onnx.ModelProto, storage: Storage) -> None:
-    """Store weights in fewer bits, behind nodes that widen them to the 32 bits that the graph computes with."""
+    """Store weights in fewer bits, behind nodes that convert them to the float32 of the graph."""
     graph = proto.graph
     widening: list[onnx.NodeProto] = []
     for weight in list(graph.initializer):
@@ -154,7 +152,7 @@ def _shrink(proto: onnx.ModelProto, storage: Storage) -> None:
         if values.dtype != np.float32:
             continue
         name, stored = weight.name, f"{weight.name}.stored"
-        # Heads and cells are few, and what the graph yields of them must be what it computes with.
+        # Heads and cells are small, and the graph's constants must be the values that it computes with.
         if storage == "float16" or values.ndim != 4:
             widened, narrow = name, values.astype(np.float16)
         else:

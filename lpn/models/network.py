@@ -22,8 +22,11 @@ from lpn.models.spec import ModelSpec
 
 
 class SpatialAware(nn.Module):
-    """The spatial-aware layers of SAFA (Shi et al. 2019) for one part of P cells: from what is strongest in each cell, over
-    all channels, two linear maps without an activation between them, P to P/2 to P, make each of M weight maps."""
+    """The spatial-aware layers of SAFA (Shi et al. 2019) for one part of P cells.
+
+    Each of M weight maps is computed from the maximum over channels by two linear layers without an activation between
+    them, P to P/2 to P.
+    """
 
     def __init__(self, cells: int, maps: int) -> None:
         super().__init__()
@@ -34,14 +37,14 @@ class SpatialAware(nn.Module):
         self.bias2 = nn.Parameter(torch.full((maps, 1, cells), 0.1))
 
     def forward(self, features: Tensor) -> Tensor:
-        """Weight of each cell in each map: (B, C, h, w) -> (B, M, h w)."""
+        """Return the weight of each cell in each map: (B, C, h, w) -> (B, M, h w)."""
         strongest = features.amax(dim=1).flatten(1).unsqueeze(0)
         hidden = torch.matmul(strongest, self.weight1) + self.bias1
         return (torch.matmul(hidden, self.weight2) + self.bias2).transpose(0, 1)
 
 
 class Branch(nn.Module):
-    """One view's backbone under the name the published checkpoints give it, `model`, and SAFA's layers if any."""
+    """One view's backbone, named `model` as in the published checkpoints, and the spatial-aware layers of SAFA."""
 
     def __init__(self, spec: ModelSpec, partition: Partition) -> None:
         super().__init__()
@@ -63,7 +66,7 @@ class Branch(nn.Module):
 
 
 def map_size(backbone: nn.Module, input_size: tuple[int, int]) -> tuple[int, int]:
-    """(h, w) of the feature map of a picture of that size, without computing it."""
+    """Return (h, w) of the feature map for an input size, without computing it."""
     with torch.device("meta"):
         shadow = copy.deepcopy(backbone).to("meta").eval()
         return cast("tuple[int, int]", tuple(shadow(torch.zeros(1, 3, *input_size)).shape[2:]))
@@ -88,7 +91,7 @@ class PartHead(nn.Module):
         self.classifier = nn.Sequential(class_layer)
 
     def affine(self) -> tuple[Tensor, Tensor]:
-        """The test-time head before any activation as one affine map: A (D, C) and c (D,)."""
+        """Return the test-time head, without its activation, as one affine map: A (D, C) and c (D,)."""
         linear, norm = cast(nn.Linear, self.add_block[0]), cast(nn.BatchNorm1d, self.add_block[1])
         mean, var = cast(Tensor, norm.running_mean), cast(Tensor, norm.running_var)
         scale = norm.weight / torch.sqrt(var + norm.eps)
@@ -99,7 +102,7 @@ class LPN(nn.Module):
     """An LPN with one branch per view of `spec`; branches that share weights are one module under two names.
 
     Raises:
-        InputError: when the spec contradicts itself.
+        InputError: if the spec contradicts itself.
     """
 
     def __init__(self, spec: ModelSpec) -> None:
@@ -123,10 +126,10 @@ class LPN(nn.Module):
             self.add_module(name, PartHead(channels, spec))
 
     def branch(self, view: View) -> Branch:
-        """The branch that describes `view`.
+        """Return the branch of `view`.
 
         Raises:
-            InputError: when the model has no such view.
+            InputError: if the model lacks the view.
         """
         if view not in self.spec.views:
             raise InputError(f"This model has no {view!r} view; it has {', '.join(self.spec.views)}.")
@@ -134,11 +137,11 @@ class LPN(nn.Module):
 
     @property
     def heads(self) -> list[PartHead]:
-        """The head of each part, in the checkpoint's classifier order; none with SAFA."""
+        """The head of each part, in the checkpoint's classifier order; SAFA has none."""
         return [cast(PartHead, self.get_submodule(name)) for name in self.head_names]
 
     def features(self, images: Tensor, view: View) -> Tensor:
-        """The last feature map: (B, 3, H, W) -> (B, C, h, w)."""
+        """Return the last feature map: (B, 3, H, W) -> (B, C, h, w)."""
         return cast(Tensor, self.branch(view)(images))
 
     def pool(self, features: Tensor, view: View) -> Tensor:
@@ -148,10 +151,10 @@ class LPN(nn.Module):
         return torch.matmul(cells, features.flatten(2).transpose(1, 2))
 
     def attention(self, features: Tensor, view: View) -> Tensor:
-        """SAFA's weight of each cell in each of a part's maps, 0 outside of the part: (B, C, h, w) -> (B, n, M, h, w).
+        """Return SAFA's cell weights in each map of each part, 0 outside of the part: (B, C, h, w) -> (B, n, M, h, w).
 
         Raises:
-            InputError: when the model has no spatial-aware layers.
+            InputError: if the model has no spatial-aware layers.
         """
         if self.spec.pooling != "safa":
             raise InputError(
@@ -166,7 +169,7 @@ class LPN(nn.Module):
         return torch.stack(maps, 1)
 
     def forward(self, images: Tensor, view: View) -> tuple[Tensor, Tensor]:
-        """Part embeddings (B, n, D), the raw head outputs, and class scores (B, n, classes), of which SAFA has none."""
+        """Return part embeddings (B, n, D) and class scores (B, n, classes); SAFA has no classes."""
         embeddings = self.embed(images, view)[0]
         if not self.heads:
             return embeddings, embeddings[..., :0]
@@ -174,7 +177,7 @@ class LPN(nn.Module):
         return embeddings, scores
 
     def embed(self, images: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Part embeddings (B, n, D), the feature map (B, C, h, w) they were pooled from, and SAFA's `attention` or None."""
+        """Return part embeddings (B, n, D), the feature map (B, C, h, w), and SAFA's `attention` or None."""
         features = self.features(images, view)
         if self.spec.pooling == "safa":
             attention = self.attention(features, view)
@@ -184,6 +187,6 @@ class LPN(nn.Module):
 
 
 def weigh(features: Tensor, attention: Tensor) -> Tensor:
-    """SAFA's part embeddings: (B, C, h, w) summed under weights (B, n, M, h, w) give (B, n, M C), map by map."""
+    """Return SAFA's part embeddings: features (B, C, h, w) and weights (B, n, M, h, w) give (B, n, M C), map by map."""
     cells = features.flatten(2).transpose(1, 2).unsqueeze(1)
     return torch.matmul(attention.flatten(3), cells).flatten(2)

@@ -1,6 +1,6 @@
-"""What an ONNX file holds, found without onnx and before ONNX Runtime opens it.
+"""A check of ONNX files before ONNX Runtime opens them, without the package onnx.
 
-The file is a Protocol Buffers message; only the fields that are followed here are named, by their numbers in onnx.proto.
+A file is a Protocol Buffers message; the fields that matter here are named by their numbers in onnx.proto.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from pathlib import Path
 
 from lpn.core.errors import ModelFileError
 
-LARGEST = 2**31
-"""Bytes that Protocol Buffers can read."""
+# The largest message of Protocol Buffers in bytes.
+MAX_BYTES = 2**31
 
-_INSIDE: dict[str, dict[int, str]] = {
+_FIELDS: dict[str, dict[int, str]] = {
     "model": {7: "graph", 20: "training", 25: "function"},
     "training": {1: "graph", 2: "graph"},
     "graph": {1: "node", 5: "tensor", 15: "sparse"},
@@ -24,53 +24,53 @@ _INSIDE: dict[str, dict[int, str]] = {
     "sparse": {1: "tensor", 2: "tensor"},
     "tensor": {},
 }
-_DATA_ELSEWHERE, _LOCATION = 13, 14
-_DEEPEST = 30
+_EXTERNAL_DATA, _DATA_LOCATION = 13, 14
+_MAX_DEPTH = 30
 
 
 def check_self_contained(path: Path, remedy: str) -> None:
-    """Refuse a model that takes weights from other files, which it could name anywhere on this machine.
+    """Refuse a model that reads weights from other files, which could be any file on this machine.
 
     Args:
         remedy: what to do, as the end of a sentence.
 
     Raises:
-        ModelFileError: when it does, or is no ONNX file, or cut short.
+        ModelFileError: if it does, or is not an ONNX file, or is truncated.
     """
     size = path.stat().st_size
     damaged = f"{path.name} is not an ONNX model or is truncated; {remedy}."
-    if not 0 < size < LARGEST:
+    if not 0 < size < MAX_BYTES:
         raise ModelFileError(damaged)
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         try:
-            elsewhere = _elsewhere(data, 0, size, "model", 0)
+            external = _has_external_data(data, 0, size, "model", 0)
         except ValueError as error:
             raise ModelFileError(damaged) from error
-    if elsewhere:
+    if external:
         raise ModelFileError(
             f"{path.name} takes weights from other files, which lpn export never does, so it was not opened; {remedy}."
         )
 
 
-def _elsewhere(data: mmap.mmap, start: int, end: int, message: str, depth: int) -> bool:
-    """Whether a message between two positions has a tensor whose values are in another file."""
-    if depth > _DEEPEST:
+def _has_external_data(data: mmap.mmap, start: int, end: int, message: str, depth: int) -> bool:
+    """Return whether a message between two positions has a tensor with external data."""
+    if depth > _MAX_DEPTH:
         raise ValueError("it is nested too deep")
-    inside = _INSIDE[message]
+    fields = _FIELDS[message]
     for number, kind, first, last in _fields(data, start, end):
-        if message == "tensor" and number in (_DATA_ELSEWHERE, _LOCATION):
-            if number == _DATA_ELSEWHERE or kind != 0 or _varint(data, first, last)[0]:
+        if message == "tensor" and number in (_EXTERNAL_DATA, _DATA_LOCATION):
+            if number == _EXTERNAL_DATA or kind != 0 or _varint(data, first, last)[0]:
                 return True
-        elif number in inside and kind == 2 and _elsewhere(data, first, last, inside[number], depth + 1):
+        elif number in fields and kind == 2 and _has_external_data(data, first, last, fields[number], depth + 1):
             return True
     return False
 
 
 def _fields(data: mmap.mmap, position: int, end: int) -> Iterator[tuple[int, int, int, int]]:
-    """Number and wire type of each field, and where its value begins and ends."""
+    """Yield each field's number and wire type, and the begin and end of its value."""
     while position < end:
         key, position = _varint(data, position, end)
-        # Protocol Buffers cuts a key to 32 bits, and so would see another field in it than is seen here.
+        # Protocol Buffers truncates a key to 32 bits, so it would read another field number than this code.
         if not 8 <= key < 2**32:
             raise ValueError("it has a field of no number")
         kind = key & 7

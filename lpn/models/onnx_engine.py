@@ -1,7 +1,7 @@
-"""An exported LPN on ONNX Runtime: pictures in, part embeddings and feature map out, and the heads to explain them.
+"""An exported LPN on ONNX Runtime.
 
-The exported file is one graph per group of views that share weights. Each graph also yields its own heads, as
-outputs that depend on nothing, so a file explains itself and nothing but ONNX Runtime is needed to read it.
+A model is one graph for each group of views that share weights. Each graph also yields its heads as constant outputs, so
+evidence can be computed with ONNX Runtime alone.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from lpn.models.onnx_check import check_self_contained
 from lpn.models.spec import ModelSpec
 
 FORMAT = "lpn-explorer-onnx/1"
+# The metadata entry of a quantised file, see `lpn.models.quantize`.
 COMPUTE = "compute"
-"""Entry of the metadata of a quantised file, see `lpn.models.quantize`."""
 OUTPUTS = ("parts", "features")
 HEAD_OUTPUTS = ("head_weight", "head_bias", "cells")
 SAFA_OUTPUTS = ("attention",)
@@ -34,7 +34,7 @@ _AGAIN = "copy it again from where it came, or export the model again"
 
 
 def extra_outputs(spec: ModelSpec) -> tuple[str, ...]:
-    """What a graph yields beside `OUTPUTS`: its heads, or SAFA's weight maps of the picture."""
+    """Return the outputs beside `OUTPUTS`: the heads, or SAFA's weight maps of the picture."""
     return SAFA_OUTPUTS if spec.pooling == "safa" else HEAD_OUTPUTS
 
 
@@ -43,10 +43,10 @@ class Engine(Model):
 
     Args:
         path: the file written by `lpn export`; files of further view groups lie beside it.
-        threads: threads per forward pass; by default as many as this process may use cores.
+        threads: threads per forward pass; default: all usable cores.
 
     Raises:
-        ModelFileError: when a file is missing, damaged, or was not written by `lpn export`.
+        ModelFileError: if a file is missing, damaged, or not written by `lpn export`.
     """
 
     def __init__(self, path: str | Path, threads: int | None = None) -> None:
@@ -73,28 +73,28 @@ class Engine(Model):
         self.fingerprint = fingerprint(*files)
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
-        """One forward pass of pictures (B, 3, H, W) of the model's input size."""
+        """Run one forward pass of images (B, 3, H, W) of the model's input size."""
         self._check_size(images, view)
         names = [*OUTPUTS, *(SAFA_OUTPUTS if self.spec.pooling == "safa" else ())]
-        found = self._outputs(names, images, view)
-        return ForwardPass(found[0], found[1], found[2] if len(found) > 2 else None)
+        outputs = self._outputs(names, images, view)
+        return ForwardPass(outputs[0], outputs[1], outputs[2] if len(outputs) > 2 else None)
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
         self._check_size(images, view)
         return self._outputs(["parts"], images, view)[0]
 
     def for_parallel_inference(self) -> Model:
-        """The same model with one thread per forward pass."""
+        """Return the same model with one thread per forward pass."""
         return self if self.parallel else Engine(self._path, threads=1)
 
     def map_size(self, view: View) -> tuple[int, int]:
-        """(h, w) of the feature map, as the graph says it."""
+        """Return (h, w) of the feature map, as the graph declares it."""
         self.check_view(view)
         shape = next(output.shape for output in self._sessions[view].get_outputs() if output.name == "features")
         return int(shape[2]), int(shape[3])
 
     def heads(self, view: View) -> Heads:
-        """The affine heads and cell weights for exact explanation, read from the graph once; InputError with SAFA."""
+        """Return the affine heads and cell weights, for exact explanation; InputError with SAFA, which has none."""
         self.check_view(view)
         self.check_heads()
         if view not in self._heads:
@@ -103,16 +103,16 @@ class Engine(Model):
         return self._heads[view]
 
     def _outputs(self, names: list[str], images: Float32Array, view: View) -> list[Float32Array]:
-        """What the graph yields; ModelFileError when it fails, or yields other shapes than it says."""
+        """Run the graph; ModelFileError if it fails or its outputs contradict their declared shapes."""
         session = self._sessions[view]
         try:
-            found = cast("list[Float32Array]", session.run(names, {"images": images}))
+            outputs = cast("list[Float32Array]", session.run(names, {"images": images}))
         except Exception as error:  # see `_open`
             raise ModelFileError(f"{self._path.name} cannot be computed, so it is damaged; {_AGAIN}.") from error
-        told = {output.name: output.shape for output in session.get_outputs()}
-        if not all(_agrees(array.shape, told[name]) for name, array in zip(names, found, strict=True)):
+        declared = {output.name: output.shape for output in session.get_outputs()}
+        if not all(_agrees(array.shape, declared[name]) for name, array in zip(names, outputs, strict=True)):
             raise ModelFileError(f"{self._path.name} yields other shapes than it says, so it is damaged; {_AGAIN}.")
-        return found
+        return outputs
 
     def _check_size(self, images: Float32Array, view: View) -> None:
         self.check_view(view)
@@ -124,10 +124,10 @@ class Engine(Model):
 
 
 def check_opens(path: Path) -> None:
-    """Refuse a file that ONNX Runtime cannot open, or whose seal is lost.
+    """Check that ONNX Runtime can open a file, and that it has not lost its seal.
 
     Raises:
-        ModelFileError: when it is refused.
+        ModelFileError: if the check fails.
     """
     options = ort.SessionOptions()
     options.log_severity_level = 4
@@ -145,13 +145,13 @@ def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
         raise ModelFileError(f"{path} cannot be read ({error.strerror}); check that it is readable.") from error
     try:
         session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0)
-        # Whose texts may be none, which is found when they are asked for.
+        # Malformed texts raise only when they are read.
         _ = session.get_modelmeta().custom_metadata_map
         _ = [(value.name, value.shape) for value in (*session.get_inputs(), *session.get_outputs())]
-    except Exception as error:  # ONNX Runtime's own classes all derive from RuntimeError or from Exception directly
+    except Exception as error:  # ONNX Runtime's errors have no common base
         raise ModelFileError(f"{path.name} is not an ONNX model or is truncated; export the model again.") from error
     if SEAL in session.get_modelmeta().custom_metadata_map and not sealed:
-        raise ModelFileError(f"{path.name} is damaged, its checksum being none; {_AGAIN}.")
+        raise ModelFileError(f"{path.name} is damaged: its checksum is malformed; {_AGAIN}.")
     return session
 
 
@@ -169,17 +169,17 @@ def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
 
 
 def _check_shapes(session: ort.InferenceSession, spec: ModelSpec, path: Path) -> None:
-    """Refuse a graph whose inputs and outputs are not those of the architecture that the file claims."""
+    """Refuse a graph whose inputs and outputs contradict the architecture in its metadata."""
     features = next(output.shape for output in session.get_outputs() if output.name == "features")
-    told = [None, *features[1:]]
-    if len(told) != 4 or not all(isinstance(side, int) and side > 0 for side in told[1:]):
-        raise ModelFileError(f"{path.name} has a feature map of shape {features}, which is none; {_AGAIN}.")
-    channels, *cells = told[1:]
+    feature_shape = [None, *features[1:]]
+    if len(feature_shape) != 4 or not all(isinstance(side, int) and side > 0 for side in feature_shape[1:]):
+        raise ModelFileError(f"{path.name} has a feature map of the invalid shape {features}; {_AGAIN}.")
+    channels, *cells = feature_shape[1:]
     n, size = spec.n_parts, spec.embedding
     expected: dict[str, list[Any]] = {
         "images": [None, 3, *spec.input_size],
         "parts": [None, n, size],
-        "features": told,
+        "features": feature_shape,
         "head_weight": [n, size, channels],
         "head_bias": [n, size],
         "cells": [n, *cells],
@@ -195,7 +195,7 @@ def _check_shapes(session: ort.InferenceSession, spec: ModelSpec, path: Path) ->
 
 
 def _agrees(found: Sequence[Any], expected: Sequence[Any]) -> bool:
-    """Whether two shapes can be of one array; sides that are not known are names or None."""
+    """Return whether two shapes agree; unknown sides are names or None."""
     known = [(a, b) for a, b in zip(found, expected, strict=False) if isinstance(a, int) and isinstance(b, int)]
     return len(found) == len(expected) and all(a == b for a, b in known)
 
@@ -213,5 +213,5 @@ def _check_group(found: dict[str, str], main: dict[str, str], group: tuple[View,
 
 
 def graph_files(path: Path, groups: list[tuple[View, ...]]) -> list[Path]:
-    """The file of each group of views: `path` itself, then files beside it with the views before the suffix."""
+    """Return the file of each group of views: `path`, then files beside it with the views before the suffix."""
     return [path, *(path.with_name(f"{path.stem}.{'+'.join(group)}{path.suffix}") for group in groups[1:])]

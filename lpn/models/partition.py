@@ -1,8 +1,7 @@
-"""Which cell of a feature map belongs to which part: the one source for pooling, explanation, and drawing.
+"""The partition of a feature map into parts: the only source for pooling, explanation, and drawing.
 
-LPN (Wang et al., section III-B) cuts the last feature map into square rings around its centre. Pooling a part is
-a weighted sum over cells, `part_i = sum_cells weights[i, cell] * map[cell]`, so a partition is fully described by
-its weights, whatever is averaged and whether the map is first resized.
+LPN (Wang et al., section III-B) cuts the last feature map into square rings around its centre. Pooling a part is a weighted
+sum over cells, `part_i = sum_cells weights[i, cell] * map[cell]`, so its weights describe a partition completely.
 """
 
 from __future__ import annotations
@@ -30,16 +29,14 @@ class Partition:
 
     Attributes:
         kind: "rings" (square rings around the centre), "rows" (horizontal strips, top to bottom), "columns"
-            (vertical strips, left to right), "windows" (vertical strips of equal width, left to right, each floor(W / n)
-            further on, so that they overlap where n does not divide the width W; SAFA + LPN's), or "whole" (the baseline:
-            one part, n = 1).
+            (vertical strips, left to right), "windows" (vertical strips of equal width at multiples of floor(W / n), which
+            overlap if n does not divide the width W; SAFA + LPN), or "whole" (the baseline: one part, n = 1).
         n: number of parts, at least 1.
-        weighting: how a ring is averaged. "published" divides a ring's sum by the area of its whole box, the inner
-            part counted as zeros, as the released LPN does; "area" divides by the ring's own area, as the paper's
-            text says. Strips and the whole map are plain means in either case.
+        weighting: the average over a ring. "published" divides a ring's sum by the area of its whole box, as the released
+            code does; "area" divides by the ring's own area, as the paper states. Strips and the whole map are plain means.
         outside_in: number rings from the outermost (part 0) to the centre, as the released CVUSA/CVACT models do
             for the satellite; otherwise part 0 is the centre.
-        align_corners: how a map too small for n rings is resized bilinearly (true for the University-1652 models,
+        align_corners: of the bilinear resize of a map too small for n rings (true for the University-1652 models,
             false for CVUSA/CVACT).
     """
 
@@ -60,11 +57,10 @@ class Partition:
             )
 
     def grid(self, height: int, width: int) -> tuple[int, int]:
-        """Rows and columns of the grid that `labels` are given on.
+        """Return rows and columns of the grid of `labels`.
 
-        It is the feature map itself, unless that has too few cells: rings need 2n along each side (the released
-        code resizes such a map to 2n x 2n), strips need n along theirs. Of a map that is not square, only the side
-        that is too short is resized.
+        It is the feature map, or its resized version if it has too few cells: rings need 2n along each side (the released
+        code resizes to 2n x 2n), strips need n along theirs. Only sides that are too short are resized.
         """
         if height < 1 or width < 1:
             raise InputError(f"The feature map is {height} x {width}; expected at least 1 x 1.")
@@ -77,10 +73,10 @@ class Partition:
         return height, width
 
     def labels(self, height: int, width: int) -> Int64Array:
-        """The part of each grid cell: (rows, columns) of `grid`, values 0 .. n-1, each present at least once.
+        """Return the part of each grid cell: (rows, columns) of `grid`, values 0 .. n-1, each present at least once.
 
-        Where strips do not divide the map, adjacent strips share a row or column (adaptive pooling); its label is
-        the strip that holds its middle, and `weights` have both.
+        If strips do not divide the map, adjacent strips share a row or column (adaptive pooling). Its label is the strip that
+        holds its middle; `weights` include both.
         """
         rows, columns = self.grid(height, width)
         if self.kind in ("rows", "columns", "windows"):
@@ -94,10 +90,10 @@ class Partition:
         return self.n - 1 - labels if self.outside_in else labels
 
     def weights(self, height: int, width: int) -> Float32Array:
-        """The weight of each feature map cell in each part's pooling: (n, height, width) float32.
+        """Return the weight of each feature map cell in each part: (n, height, width) float32.
 
-        `einsum("nhw,chw->nc", weights, map)` is the pooled map. The bilinear resize of a small map is folded in, so
-        these are always weights of real cells. With "area" weighting each part sums to one.
+        `einsum("nhw,chw->nc", weights, map)` is the pooled map. The weights include the bilinear resize of a small map, so
+        they always apply to real cells. With "area" weighting each part sums to one.
         """
         if self.kind in ("rows", "columns", "windows"):
             return self._strip_weights(height, width)
@@ -119,9 +115,9 @@ class Partition:
         return weights.astype(np.float32)
 
     def boxes(self, height: int, width: int) -> list[Box]:
-        """The outer border of each part as (left, top, right, bottom) in fractions of the picture, 0 .. 1.
+        """Return the outer border of each part as (left, top, right, bottom) in fractions of the picture, 0 .. 1.
 
-        A ring is its box less the box of the next ring inside; a strip is its box.
+        A ring is its box without the next inner ring's box; a strip is its box.
         """
         rows, columns = self.grid(height, width)
         boxes: list[Box] = []
@@ -139,7 +135,7 @@ class Partition:
         return boxes
 
     def names(self) -> list[str]:
-        """A short name for each part, as a person would say it: "1 centre", "2", "3", "4 outer"."""
+        """Return a short name for each part: "1 centre", "2", "3", "4 outer"."""
         if self.n == 1:
             return ["1 whole"]
         first, last = _ENDS.get(self.kind, ("centre", "outer"))
@@ -148,17 +144,17 @@ class Partition:
         return [f"1 {first}", *(str(i + 1) for i in range(1, self.n - 1)), f"{self.n} {last}"]
 
     def _ring_box(self, rows: int, columns: int, ring: int) -> tuple[int, int, int, int]:
-        """Rows top:bottom and columns left:right of ring's box (0 = centre); the last box is the whole grid."""
+        """Return rows top:bottom and columns left:right of a ring's box (0 = centre); the last box is the whole grid."""
         if ring == self.n - 1:
             return 0, rows, 0, columns
         down, across = (ring + 1) * (rows // (2 * self.n)), (ring + 1) * (columns // (2 * self.n))
         return rows // 2 - down, rows // 2 + down, columns // 2 - across, columns // 2 + across
 
     def strip(self, part: int, length: int) -> tuple[int, int]:
-        """Where strip `part` of `length` rows or columns begins and ends, the end not included.
+        """Return begin and end (exclusive) of strip `part` along `length` rows or columns.
 
-        Rows and columns are cut as adaptive pooling to n does, from floor(i L / n) to ceil((i + 1) L / n); windows begin
-        at i floor(L / n) and are L - (n - 1) floor(L / n) wide.
+        Rows and columns follow adaptive pooling to n: from floor(i L / n) to ceil((i + 1) L / n). Windows begin at
+        i floor(L / n) and are L - (n - 1) floor(L / n) wide.
         """
         if self.kind == "windows":
             step = length // self.n
@@ -175,7 +171,7 @@ class Partition:
 
 
 def _bilinear(source: int, target: int, align_corners: bool) -> Float64Array:
-    """The (target, source) matrix of a bilinear resize along one side."""
+    """Return the (target, source) matrix of a bilinear resize along one side."""
     if align_corners:
         position = np.arange(target) * ((source - 1) / max(target - 1, 1))
     else:

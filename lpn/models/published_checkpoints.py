@@ -1,4 +1,4 @@
-"""What a published state dict is: told from the names of its entries and the `opts.yaml` beside it."""
+"""The architecture of a published state dict, inferred from the names of its entries and its `opts.yaml`."""
 
 from __future__ import annotations
 
@@ -20,24 +20,23 @@ log = logging.getLogger(__name__)
 
 State = dict[str, Tensor]
 
+# The largest opts.yaml in bytes (usual ones have some forty lines), and characters of a value that are kept.
 _OPTIONS_BYTES, _SHOWN = 100_000, 1000
-"""Of an opts.yaml, which has some forty lines; and letters of a value that are read."""
 
+# Entries of layers that the published code keeps and does not use.
 UNUSED = re.compile(r"model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.")
-"""Entries of layers that the published code keeps and does not use."""
 
 
 def infer_spec(state: State, options: dict[str, Any], name: str = "the file") -> ModelSpec:
-    """Tell the architecture of a published state dict from its keys and, where given, its `opts.yaml`.
+    """Infer the architecture of a published state dict from its keys and the options of its `opts.yaml`.
 
-    Three branches are University-1652's. Two, model_1 and model_2, are satellite and street, cut as the released models
-    for CVUSA and CVACT are ("cvusa"): the released code trains no other LPN of two views. The keys cannot tell whether
-    somebody showed the second branch other pictures, so the log says how the file was read, unless `data_dir` or `name`
-    in the options speak of these data sets. A file with model_1 and model_3 alone is read as satellite and drone, with
+    Three branches are University-1652's. Two branches, model_1 and model_2, are satellite and street with the layout "cvusa"
+    of the released CVUSA and CVACT models, since the released code trains no other LPN of two views. This is logged unless
+    the options `data_dir` or `name` mention these data sets. Model_1 and model_3 are satellite and drone, with
     University-1652's rings.
 
     Raises:
-        ModelFileError: when it is not an LPN or baseline, or contradicts its options.
+        ModelFileError: if it is not an LPN or baseline, or contradicts its options.
     """
     views = tuple(view for view, branch in BRANCH.items() if any(k.startswith(branch + ".model.") for k in state))
     heads = {m[1] for key in state if (m := re.match(r"classifier(\d*)\.", key))}
@@ -86,10 +85,10 @@ def infer_spec(state: State, options: dict[str, Any], name: str = "the file") ->
 
 
 def infer_backbone(keys: set[str], name: str) -> tuple[str, str]:
-    """Backbone and last layer, as `ModelSpec` has them, told from the names of a backbone's entries.
+    """Infer `backbone` and `last_layer` of `ModelSpec` from the names of a backbone's entries.
 
     Raises:
-        ModelFileError: when it is none of those that are known.
+        ModelFileError: if the backbone is unknown.
     """
     if {
         "features.0.weight",
@@ -108,17 +107,17 @@ def infer_backbone(keys: set[str], name: str) -> tuple[str, str]:
 
 
 def _check_options(options: dict[str, Any], name: str, views: tuple[View, ...], n_parts: int, backbone: str) -> None:
-    """Refuse options that belong to another model, and say how two branches are read when nothing confirms it."""
-    told = [
+    """Refuse options of another model; log how two branches are read if the options do not confirm it."""
+    facts = [
         ("block", n_parts, f"{n_parts} heads"),
         ("views", len(views), f"the branches {', '.join(BRANCH[view] for view in views)}"),
         ("use_vgg16", backbone == "vgg16_bn", f"the backbone {backbone}"),
     ]
-    for option, found, said in told:
+    for option, value, source in facts:
         counts = option != "block" or options.get("LPN")
-        if counts and option in options and options[option] != found:
+        if counts and option in options and options[option] != value:
             raise ModelFileError(
-                f"{name} has {said}, but the opts.yaml beside it says {option}: {options[option]}; correct or remove it."
+                f"{name} has {source}, but the opts.yaml beside it says {option}: {options[option]}; correct or remove it."
             )
     trained_on = f"{options.get('data_dir')} {options.get('name')}".lower()
     if views == ("satellite", "street") and not any(data in trained_on for data in ("cvusa", "cvact")):
@@ -139,10 +138,10 @@ def _branches_equal(state: State, views: tuple[View, ...]) -> bool:
 
 
 def read_options(path: Path) -> dict[str, Any]:
-    """The `opts.yaml` of a published checkpoint, empty where there is none.
+    """Read the `opts.yaml` of a published checkpoint; empty if there is none.
 
     Raises:
-        ModelFileError: when it cannot be read, or a number in it is none.
+        ModelFileError: if it cannot be read, or a number in it is invalid.
     """
     if not path.is_file():
         return {}
@@ -150,9 +149,7 @@ def read_options(path: Path) -> dict[str, Any]:
         if path.stat().st_size > _OPTIONS_BYTES:
             raise ValueError("it is no list of options")
         options: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (
-        Exception
-    ) as error:  # the reader raises anything on dates and numbers that are none, and on what is nested deep
+    except Exception as error:  # the reader may raise anything on invalid dates and deep nesting
         raise ModelFileError("The opts.yaml beside the model cannot be read; correct or remove it.") from error
     if options is None:
         return {}
@@ -174,7 +171,7 @@ def read_options(path: Path) -> dict[str, Any]:
 
 
 def _value(value: Any) -> Any:
-    """A value of an option as it is compared and shown; in place of a list, which may be shown without end, what it is."""
+    """Shorten an option's value for comparison and messages; a list or mapping becomes its type's name."""
     if isinstance(value, int) and value.bit_length() > 64:
         return "a huge number"
     if isinstance(value, str):

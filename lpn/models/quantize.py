@@ -1,8 +1,7 @@
-"""From an exported float32 model to one that computes in 8-bit integers, calibrated on real pictures.
+"""Quantization of an exported float32 model to 8-bit integers, calibrated on real pictures.
 
-Convolutions, and what lies between them, are quantised: weights by output channel, activations by the range that
-the calibration pictures give them. Pooling and heads stay in float32 and start from the feature map that the graph yields, so
-that evidence adds up as exactly as before.
+Convolutions and the layers between them are quantised: weights by output channel, activations by their range on the
+calibration pictures. Pooling and heads stay in float32 and use the graph's feature map, so evidence stays exact.
 """
 
 from __future__ import annotations
@@ -28,31 +27,31 @@ from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import check_whole
 from lpn.models.onnx_engine import COMPUTE, Engine, graph_files
 
+# Calibration pictures for each group of views that share weights.
 PICTURES = 128
-"""Calibration pictures for each group of views that share weights."""
 _QUANTISED = frozenset({"Conv", "Relu", "Add", "MaxPool"})
 
 
 def quantize(
     model: str | Path, dataset: Dataset, out: str | Path, pictures: int = PICTURES
 ) -> tuple[list[Path], dict[View, float]]:
-    """Write an exported model again so that its convolutions compute in 8 bits.
+    """Quantize an exported model so that its convolutions compute in 8 bits.
 
     Args:
         model: the `.onnx` file, stored as float32; files of further view groups lie beside it.
-        dataset: where calibration pictures are taken from, see `calibration_pictures`.
+        dataset: the source of calibration pictures, see `calibration_pictures`.
         out: the file to write; further view groups get files beside it.
-        pictures: how many for each group of views.
+        pictures: the number of calibration pictures for each group of views.
 
     Returns:
-        The files written, and for each view the mean cosine between descriptors of calibration pictures by the new model
-        and by the old one, -1 .. 1.
+        The files written, and for each view the mean cosine (-1 .. 1) between both models' descriptors of calibration
+        pictures.
 
     Raises:
-        InputError: when `out` does not end in .onnx or is `model`, `model` is not stored as float32, or there are no pictures.
-        ModelFileError: when the model cannot be loaded.
-        PictureError: naming calibration pictures that are broken.
-        OutputError: when `out` cannot be written.
+        InputError: if `out` does not end in .onnx or is `model`, `model` is not stored as float32, or there are no pictures.
+        ModelFileError: if the model cannot be loaded.
+        PictureError: if calibration pictures are broken.
+        OutputError: if `out` cannot be written.
     """
     model, out = Path(model), Path(out)
     if out.suffix != ".onnx":
@@ -74,12 +73,12 @@ def quantize(
 
 
 def calibration_pictures(dataset: Dataset, views: Sequence[View], count: int) -> list[tuple[View, Picture]]:
-    """Pictures to take the ranges of activations from: each view's share of `count`, spread evenly over its list.
+    """Choose calibration pictures: each view's share of `count`, spread evenly over its list.
 
-    They are of the training split where it has the view, else of the test split.
+    They come from the training split if it has the view, else from the test split.
 
     Raises:
-        InputError: when the data set has pictures of none of the views.
+        InputError: if the data set has pictures of none of the views.
     """
     lists = {view: _pictures(dataset, view) for view in views}
     lists = {view: found for view, found in lists.items() if found}
@@ -107,21 +106,21 @@ def _pictures(dataset: Dataset, view: View) -> list[Picture]:
 
 
 def _inputs(engine: Engine, view: View, picture: Picture) -> Float32Array:
-    """What the network sees of a picture: (1, 3, H, W), or with its mirror (2, 3, H, W)."""
+    """Return the network input of a picture: (1, 3, H, W), or with its mirror (2, 3, H, W)."""
     prepared = engine.prepare(images.crop(images.load_picture(picture.path), picture.box, picture.name), view)
     batch = [prepared, prepared[..., ::-1]] if engine.spec.mirrored else [prepared]
     return np.stack(batch)
 
 
-class _Reader(CalibrationDataReader):  # type: ignore[misc]
-    """Hands the quantiser one picture after the other."""
+class _CalibrationReader(CalibrationDataReader):  # type: ignore[misc]
+    """Feeds the quantiser one picture at a time."""
 
     def __init__(self, engine: Engine, pictures: Sequence[tuple[View, Picture]]) -> None:
-        self._left = iter([(engine, *pair) for pair in pictures])
+        self._remaining = iter([(engine, *pair) for pair in pictures])
 
     def get_next(self) -> dict[str, Float32Array] | None:
-        found = next(self._left, None)
-        return None if found is None else {"images": _inputs(*found)}
+        item = next(self._remaining, None)
+        return None if item is None else {"images": _inputs(*item)}
 
 
 def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Picture]]) -> bytes:
@@ -143,7 +142,7 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
         quantize_static(
             proto,
             made,
-            _Reader(engine, pictures),
+            _CalibrationReader(engine, pictures),
             quant_format=QuantFormat.QDQ,
             per_channel=True,
             activation_type=QuantType.QUInt8,
@@ -157,7 +156,7 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
 
 
 def _upstream(graph: onnx.GraphProto, output: str) -> set[str]:
-    """Names of the nodes that an output depends on."""
+    """Return the names of the nodes that an output depends on."""
     makers = {name: node for node in graph.node for name in node.output}
     found: set[str] = set()
     left = [output]
@@ -180,7 +179,7 @@ def _agreement(before: Engine, after: Engine, pictures: Sequence[tuple[View, Pic
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """The quantiser logs advice on its own insides."""
+    """Silence the quantiser's advice on its own internals."""
     logging.disable(logging.WARNING)
     try:
         yield

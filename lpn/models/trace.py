@@ -1,4 +1,4 @@
-"""What a description leaves to account for it: each part's embedding as a sum over cells and one constant, see `lpn.explain`."""
+"""The trace of a described picture: each part's embedding as a sum over cells and one constant, see `lpn.explain`."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.models.base import ForwardPass, Heads, Model
 
+# The slope of a head's LeakyReLU below zero.
 LEAK = 0.1
-"""Slope of a head's LeakyReLU below zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """What a description leaves to account for it.
+    """The intermediate results from which exact evidence is computed.
 
     Attributes:
         embedding: raw part embeddings, the mirror's added, (n, D).
-        features: the feature map of each of P passes, the mirror's turned back, (P, C, h, w).
-        cells: weight of each cell in each part of each pass, (P, n, M, h, w); M is 1, or SAFA's number of maps.
-        heads: the affine heads; None with SAFA, whose parts are the weighted sums themselves.
-        slopes: of a head's LeakyReLU for each number of each pass's embedding, (P, n, D); None without one.
+        features: the feature map of each of P passes, the mirror's flipped back, (P, C, h, w).
+        cells: the weight of each cell in each part of each pass, (P, n, M, h, w); M is 1, or SAFA's number of maps.
+        heads: the affine heads; None with SAFA, whose parts are the weighted sums.
+        slopes: the LeakyReLU's slope for each number of each pass's embedding, (P, n, D); None without one.
     """
 
     embedding: Float32Array
@@ -35,21 +35,21 @@ class Trace:
     slopes: Float32Array | None
 
     @classmethod
-    def from_pass(cls, model: Model, found: ForwardPass, view: View) -> Trace:
-        """The trace of one forward pass: of a picture alone, or of a picture and its mirror as a batch of two."""
-        attention = found.attention
+    def from_pass(cls, model: Model, outputs: ForwardPass, view: View) -> Trace:
+        """Return the trace of a forward pass of a picture, or of a picture and its mirror as a batch of two."""
+        attention = outputs.attention
         heads = None if attention is not None else model.heads(view)
         if heads is None:
             cells = cast(Float32Array, attention)
         else:
-            # A model in PyTorch takes pictures of other sizes than it was trained on; then the cells are others.
-            size = found.features.shape[2:]
+            # A model in PyTorch accepts images of other sizes, whose cells differ.
+            size = outputs.features.shape[2:]
             weights = heads.cells if heads.cells.shape[1:] == size else model.spec.partition(view).weights(*size)
-            cells = np.broadcast_to(weights[None, :, None], (len(found.parts), len(weights), 1, *size))
+            cells = np.broadcast_to(weights[None, :, None], (len(outputs.parts), len(weights), 1, *size))
         leaky = heads is not None and model.spec.activation == "leaky_relu"
-        slopes = np.where(found.parts > 0, np.float32(1), np.float32(LEAK)) if leaky else None
-        embedding = cast(Float32Array, found.parts.sum(axis=0))
-        return cls(embedding, _upright(found.features), _upright(cells), heads, slopes)
+        slopes = np.where(outputs.parts > 0, np.float32(1), np.float32(LEAK)) if leaky else None
+        embedding = cast(Float32Array, outputs.parts.sum(axis=0))
+        return cls(embedding, _upright(outputs.features), _upright(cells), heads, slopes)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -57,7 +57,7 @@ class Trace:
         return self.features.shape[2], self.features.shape[3]
 
     def along(self, direction: FloatingArray) -> tuple[Float64Array, Float64Array]:
-        """The inner product of the embedding with a direction (n, D), part by part, as cells (n, h, w) and constants (n,)."""
+        """Split the inner product of the embedding with a direction (n, D) into cells (n, h, w) and constants (n,)."""
         passes, channels = self.features.shape[:2]
         parts, maps = self.cells.shape[1:3]
         direction = direction.astype(np.float32)
@@ -74,13 +74,13 @@ class Trace:
         return shares.sum(axis=(0, 2), dtype=np.float64), constants
 
     def vectors(self, part: int, only: BoolArray | None = None) -> Float32Array:
-        """What each cell adds to a part's embedding, (h * w, D), row by row; their sum and the constant are the embedding.
+        """Return each cell's term of a part's embedding, (h * w, D); their sum plus the constant is the embedding.
 
         Args:
-            only: cells (h, w) to sum over, which gives (D,) in place of one row for each cell.
+            only: cells (h, w) to sum over; the result is then (D,).
         """
         flat = self.features.reshape(*self.features.shape[:2], -1)
-        found: Float32Array | None = None
+        total: Float32Array | None = None
         for number, (features, cells) in enumerate(zip(flat, self.cells[:, part], strict=True)):
             weights = cells.reshape(len(cells), -1)
             if only is None:
@@ -92,22 +92,22 @@ class Trace:
             else:
                 added = self.heads.weight[part] @ pooled[0]
                 added = added if self.slopes is None else added * self.slopes[number, part][:, None]
-            found = added if found is None else found + added
-        assert found is not None
-        return found.T if only is None else found[:, 0]
+            total = added if total is None else total + added
+        assert total is not None
+        return total.T if only is None else total[:, 0]
 
     def region(self, cells: BoolArray, weights: Float32Array) -> Float32Array:
-        """A query of some cells alone, (n, D): its scores order a gallery by what these cells add to the whole query's.
+        """Return the query of a region, (n, D), which ranks a gallery by the region's contribution to the scores.
 
-        Parts without such a cell are zero; the constants, which come from no cell, are left out. It is scaled to
+        Parts without a cell in the region are zero, and the constants are left out. The query is scaled to
         sum_i w_i n |q_i|^2 = 1, so that 2 - 2 score is a squared distance as for whole queries.
 
         Args:
-            cells: which cells are meant, (h, w).
+            cells: the region, (h, w).
             weights: part weights that sum to one, (n,).
 
         Raises:
-            InputError: when they are not as many as the feature map has, or none of them belongs to a part.
+            InputError: if its shape is not the feature map's, or no cell belongs to a part that counts.
         """
         if cells.shape != self.size:
             raise InputError(f"The region has {cells.shape} cells; the feature map has {self.size}.")
@@ -120,5 +120,5 @@ class Trace:
 
 
 def _upright(values: Float32Array) -> Float32Array:
-    """The second of two passes is of the mirrored picture: turn its columns back."""
+    """Flip the columns of the second pass, which is of the mirrored picture."""
     return values if len(values) == 1 else np.concatenate([values[:1], values[1:, ..., ::-1]])

@@ -79,7 +79,7 @@ def test_files_keep_their_order_and_are_named(tmp_path: Path) -> None:
     good = picture(tmp_path, "jpg")
     bad = [tmp_path / f"{letter}.jpg" for letter in "hgfedcba"]
     told: list[int] = []
-    found = picture_errors([good, *bad, good], report=told.append)
+    found = picture_errors([good, *bad, good], on_progress=told.append)
     assert list(found) == bad
     assert told[-1] == 10
     said = list_errors(found, tmp_path, most=2)
