@@ -46,6 +46,7 @@ _WEB_LOG.setLevel(logging.WARNING)  # at debug level, websockets logs requests, 
 _WEB_LOG.addFilter(lambda record: record.getMessage() != "opening handshake failed")
 _TOO_MANY = "Too many wrong tokens came from your address. Wait some seconds."
 _BLOCKED = Refusal(429, "Too many wrong tokens", _TOO_MANY, ask_token=True)
+_SERVER_START = "the way it starts its server"
 _MALFORMED = Refusal(400, "This cannot be answered", "The request is not for an address of this server.")
 
 
@@ -56,7 +57,7 @@ class Gateway:
         authenticator: decides which requests are let in.
 
     Raises:
-        MissingPackageError: when viser's messages are not those of the supported version.
+        MissingPackageError: when viser's private API is not that of the supported version.
     """
 
     def __init__(self, authenticator: Authenticator) -> None:
@@ -66,6 +67,8 @@ class Gateway:
         self._protecting = False
         if changed := [kind for kind, fields in FIELDS.items() if viser_compat.message_fields(kind) != fields]:
             raise _unsupported(", ".join(changed))
+        if not viser_compat.has_websocket_server_hook():
+            raise _unsupported(_SERVER_START)
 
     def protect(self, make_server: Callable[[], viser.ViserServer]) -> viser.ViserServer:
         """Return the server made by `make_server`, behind this gateway.
@@ -73,21 +76,18 @@ class Gateway:
         Raises:
             MissingPackageError: when viser did not use the gateway; the server is stopped.
         """
-        try:
-            with viser_compat.websocket_server_hook(self._serve):
-                server = make_server()
-        except AttributeError as error:
-            raise _unsupported("the way it starts its server") from error
+        with viser_compat.websocket_server_hook(self._serve):
+            server = make_server()
         if not self._protecting:
             server.stop()
-            raise _unsupported("the way it starts its server")
+            raise _unsupported(_SERVER_START)
         self._server = server
         return server
 
     def _serve(self, handler: Handler, *where: Any, **settings: Any) -> Any:
         """Replace `websockets.asyncio.server.serve`. It must not raise: viser would wait for ever."""
         self._protecting = True
-        page = settings.pop("process_request")
+        page = settings.pop("process_request", None)  # None fails every request
         return websockets.asyncio.server.serve(
             functools.partial(_handle, handler, itertools.count()),
             *where,

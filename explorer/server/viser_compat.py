@@ -60,13 +60,14 @@ def message_fields(kind: str) -> set[str] | None:
     return {field.name for field in dataclasses.fields(message)} if dataclasses.is_dataclass(message) else None
 
 
+def has_websocket_server_hook() -> bool:
+    """Return whether `websocket_server_hook` works with this viser."""
+    return hasattr(viser_infra, "websockets")
+
+
 @contextmanager
 def websocket_server_hook(serve: Callable[..., Any]) -> Iterator[None]:
-    """Have viser call `serve` in place of `websockets.asyncio.server.serve` while the context is open.
-
-    Raises:
-        AttributeError: when viser no longer refers to `websockets`.
-    """
+    """Have viser call `serve` in place of `websockets.asyncio.server.serve` while the context is open."""
     infra: Any = viser_infra
     websockets = infra.websockets
     server = _Override(websockets.asyncio.server, serve=serve)

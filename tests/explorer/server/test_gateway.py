@@ -20,6 +20,7 @@ import cv2
 import msgspec
 import pytest
 import viser._messages as viser_messages
+import viser.infra._infra as viser_infra
 from websockets.exceptions import InvalidStatus
 
 from explorer.app import App
@@ -219,6 +220,10 @@ def test_an_unsupported_viser_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(MissingPackageError, match=r"install viser==1\.1\.1"):
         Gateway(Authenticator("127.0.0.1")).protect(lambda: other)  # type: ignore[arg-type,return-value]
     assert other.stopped
+    with monkeypatch.context() as patch:
+        patch.delattr(viser_infra, "websockets")
+        with pytest.raises(MissingPackageError, match="starts its server"):
+            Gateway(Authenticator("127.0.0.1"))
     monkeypatch.setattr(viser_messages, "FileTransferPart", object)
     with pytest.raises(MissingPackageError, match="FileTransferPart"):
         Gateway(Authenticator("127.0.0.1"))
