@@ -123,3 +123,12 @@ def test_a_worker_survives_a_failure(error: Exception, traced: bool, caplog: pyt
     worker.stop()
     assert [str(e) for e in failures] == ["first"]
     assert [bool(record.exc_info) for record in caplog.records] == [traced]
+
+
+def test_next_and_previous_go_through_an_order() -> None:
+    session, order = SessionState("drone-to-satellite", 4, query=7), np.array([3, 7, 5])
+    assert session_state.step_in_order(session, 1, order, 13).query == 5
+    assert session_state.step_in_order(replace(session, query=5), 1, order, 13).query == 3
+    assert session_state.step_in_order(session, -1, order, 13).query == 3
+    assert [session_state.step_in_order(replace(session, query=0), by, order, 13).query for by in (1, -1)] == [3, 5]
+    assert session_state.step_in_order(session, 1, order[:0], 13) is session

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from explorer.failure_lab import messages, state
+from explorer.failure_lab.messages import OpenPoint, SelectBin
+from explorer.failure_lab.service import Findings
+from explorer.failure_lab.state import LabState
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [
+        ("lab-tab", "other"),
+        ("lab-tab", ["table"]),
+        ("lab-outcome", None),
+        ("lab-sort", "password"),
+        ("lab-sort", {"a": 1}),
+        ("lab-find", 7),
+        ("lab-where", None),
+        ("lab-column", []),
+        ("lab-unpick", 3),
+        ("lab-pair", [1, "2"]),
+        ("lab-pair", [True, 2]),
+        ("lab-pair", 3),
+        ("lab-bin", ["weather", 0, None]),
+        ("lab-bin", ["weather", True, "sun"]),
+        ("lab-bin", ["weather", "sun"]),
+        ("lab-bin", ["margin", 0, "1"]),
+        ("lab-map", "moon"),
+        ("lab-sort", "\ud800"),
+        ("lab-page", 1.0),
+        ("lab-page", True),
+        ("lab-open", -1),
+        ("lab-open", 1e400),
+        ("lab-part", 4),
+        ("lab-rect", ["pca", [0, 0]]),
+        ("lab-stop", []),
+        ("lab-tab", "\ud800"),
+        ("lab-go", "attic"),
+    ],
+)
+def test_a_malformed_message_changes_nothing(findings: Findings, lab: LabState, kind: str, value: Any) -> None:
+    message = messages.decode(kind, value)
+    assert message is None or messages.apply(message, lab, findings) is lab
+
+
+def test_a_second_click_removes_a_selection(findings: Findings, lab: LabState) -> None:
+    index = [rate.name for rate in state.failure_rates(findings, lab, findings.table.columns["weather"])].index("sun")
+    message = SelectBin("weather", index, "sun")
+    once = messages.apply(message, lab, findings)
+    assert [selection.label for selection in once.selections] == ["weather sun"]
+    assert messages.apply(message, once, findings).selections == ()
+
+
+@pytest.mark.parametrize("value", [[0.5], [0, "1"], [-0.1, 0], [0, math.nan], [True, 0], None, [0, 1, 0]])
+def test_points_of_a_map_are_fractions(value: Any) -> None:
+    assert messages.decode("lab-point", ["pca", value]) is None
+    assert messages.decode("lab-point", ["pca", [0, 0.25]]) == OpenPoint("pca", (0.0, 0.25))

@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from explorer.failure_lab import messages, state, table
+from explorer.failure_lab.messages import SelectBin
+from explorer.failure_lab.service import Findings
+from explorer.failure_lab.state import LabState, Selection
+from explorer.workspace import Workspace
+from lpn.analysis import breakdown
+from lpn.core.tables import Column, number_column, text_column
+from tests.explorer.failure_lab.conftest import TASK, WEATHERS
+
+
+def failures(findings: Findings) -> list[int]:
+    return np.flatnonzero(findings.outcomes.failed).tolist()
+
+
+def test_selections_narrow_each_other(findings: Findings, lab: LabState) -> None:
+    failed = failures(findings)
+    assert state.selected_rows(findings, replace(lab, outcome="failed")).tolist() == failed
+    both = state.add_selection(replace(lab, outcome="failed"), Selection("some", "some", np.array([*failed[:2], 12])))
+    assert set(state.selected_rows(findings, both)) == {*failed[:2]} | ({12} & set(failed))
+    assert state.selected_rows(findings, both, without="some").tolist() == failed
+    assert 12 in state.selected_rows(findings, both, any_outcome=True)
+    named = replace(lab, name_search="0009")
+    assert [findings.task.queries[row].name for row in state.selected_rows(findings, named)] == ["0009"]
+    assert state.selected_rows(findings, state.clear(both)).tolist() == list(range(13))
+
+
+def test_a_selection_replaces_the_one_of_its_kind(lab: LabState) -> None:
+    one, other, third = (
+        Selection(kind, label, np.zeros(0, int)) for kind, label in (("a", "x"), ("b", "y"), ("a", "z"))
+    )
+    narrowed = lab
+    for selection in (one, other, third):
+        narrowed = state.add_selection(replace(narrowed, page=3), selection)
+        assert narrowed.page == 0
+    assert narrowed.selections == (other, third)
+    assert state.remove_selection(narrowed, "b").selections == (third,)
+
+
+def test_sorting_twice_turns_the_order_round(findings: Findings, lab: LabState) -> None:
+    by_rank = state.sort_by(lab, "rank")
+    assert findings.outcomes.rank[state.sorted_rows(findings, by_rank)].tolist() == sorted(
+        findings.outcomes.rank.tolist()
+    )
+    again = state.sort_by(by_rank, "rank")
+    assert again.descending
+    assert findings.outcomes.rank[state.sorted_rows(findings, again)].tolist() == sorted(findings.outcomes.rank)[::-1]
+    assert not state.sort_by(again, "name").descending
+
+
+def test_a_wrong_filter_is_reported_and_changes_nothing(findings: Findings, lab: LabState) -> None:
+    right = state.set_filter(lab, "altitude > 100 and weather = sun", findings.table)
+    assert len(state.selected_rows(findings, right)) == 4
+    wrong = state.set_filter(right, "weather > 3 <script>", findings.table)
+    assert (wrong.filter, wrong.filter_typed) == (right.filter, "weather > 3 <script>")
+    assert "weather" in wrong.filter_error
+    html = table.summary(findings, wrong, state.selected_rows(findings, wrong), (0, 9))
+    assert "4 of 13 queries" in html
+    assert 'role="alert"' in html
+    assert "<script>" not in html + table.search_boxes(findings, wrong)
+    assert state.set_filter(wrong, "", findings.table).filter_error == ""
+
+
+def test_a_chart_is_not_narrowed_by_a_selection_made_in_it(findings: Findings, lab: LabState) -> None:
+    weather = findings.table.columns["weather"]
+    all_rates = state.failure_rates(findings, lab, weather)
+    assert {rate.name for rate in all_rates} == set(WEATHERS)
+    for weather_name in WEATHERS:
+        index = [rate.name for rate in all_rates].index(weather_name)
+        selection = state.select_bin(findings, lab, "weather", index, weather_name)
+        assert selection is not None
+        assert selection.rows.tolist() == np.flatnonzero(weather.values == weather_name).tolist()
+        chosen = state.add_selection(replace(lab, outcome="failed"), selection)
+        assert state.failure_rates(findings, chosen, weather) == all_rates
+        altitude = state.failure_rates(findings, chosen, findings.table.columns["heading"])
+        assert sum(rate.queries for rate in altitude) in (len(selection.rows), 13)
+    assert state.select_bin(findings, lab, "weather", 0, "hail") is None
+    assert state.select_bin(findings, lab, "weather", 3, "sun") is None
+    assert state.select_bin(findings, lab, "weather", -1, all_rates[-1].name) is None
+    assert state.select_bin(findings, lab, "latitude", 0, "46") is None
+
+
+def test_a_bin_of_numbers_holds_the_queries_it_counts(findings: Findings, lab: LabState) -> None:
+    for index, rate in enumerate(state.failure_rates(findings, lab, findings.table.columns["heading"])):
+        selection = state.select_bin(findings, lab, "heading", index, rate.name)
+        assert selection is not None
+        assert len(selection.rows) == rate.queries
+        assert int(findings.outcomes.failed[selection.rows].sum()) == rate.failures
+
+
+def with_column(findings: Findings, column: Column) -> Findings:
+    return replace(findings, table=findings.table.with_columns([column]))
+
+
+def test_bins_of_large_numbers_are_named_apart(findings: Findings, lab: LabState) -> None:
+    seconds = 1_700_000_000 + 150.0 * np.arange(13)
+    timed = with_column(findings, number_column("time", seconds, "s"))
+    bins = state.failure_rates(timed, lab, timed.table.columns["time"])
+    assert len({rate.name for rate in bins}) == len(bins) == 5
+    assert bins[0].name.startswith("1700000000 to 17000003")
+    for index, rate in enumerate(bins):
+        chosen = messages.apply(SelectBin("time", index, rate.name), lab, timed)
+        assert seconds[chosen.selections[0].rows].min() == rate.low
+        assert len(chosen.selections[0].rows) == rate.queries
+
+
+def test_a_value_named_not_known_differs_from_a_missing_value(findings: Findings, lab: LabState) -> None:
+    values = ["not known"] * 4 + [""] * 5 + ["sun"] * 4
+    named = with_column(findings, text_column("sky", values))
+    bins = state.failure_rates(named, lab, named.table.columns["sky"])
+    selections = [state.select_bin(named, lab, "sky", index, rate.name) for index, rate in enumerate(bins)]
+    rows = {tuple(selection.rows.tolist()) for selection in selections if selection is not None}
+    assert rows == {(0, 1, 2, 3), (4, 5, 6, 7, 8), (9, 10, 11, 12)}
+
+
+def test_a_description_names_every_condition_and_the_order(findings: Findings, lab: LabState) -> None:
+    assert state.describe(findings, lab) == "all, sorted by margin"
+    pair = Selection("pair", "0449 taken for 0450", np.array([1, 2]))
+    part = Selection("part", "part ring 1 costs most", np.array([1]))
+    busy = state.add_selection(
+        state.add_selection(replace(lab, outcome="failed", filter="rank > 1 ", name_search=" 0002 "), pair), part
+    )
+    assert state.describe(findings, replace(busy, sort_column="rank", descending=True)) == (
+        "failed and rank > 1 and name ~ 0002 and 0449 taken for 0450 and part ring 1 costs most, sorted by rank, descending"
+    )
+    assert state.describe(findings, replace(lab, sort_column="gone")) == "all, sorted by margin"
+
+
+def test_pairs_and_parts_select_the_failures_they_count(
+    workspace: Workspace, findings: Findings, lab: LabState
+) -> None:
+    task = findings.task
+    for one in breakdown.confusions(findings.outcomes, task.query_labels, task.gallery_labels):
+        selection = state.select_pair(findings, lab, one.place, one.answered)
+        assert selection is not None
+        assert selection.rows.tolist() == one.queries.tolist()
+        assert selection.label == f"{one.place:04d} taken for {one.answered:04d}"
+    assert state.select_pair(findings, lab, 1, 999) is None
+    blamed = [state.select_part(findings, part) for part in range(len(workspace.part_names))]
+    assert [len(selection.rows) for selection in blamed] == breakdown.blame(findings.outcomes).tolist()
+    assert sorted(row for selection in blamed for row in selection.rows) == failures(findings)
+
+
+def test_another_task_begins_with_all_its_queries(lab: LabState) -> None:
+    busy = replace(
+        lab, filter="rank > 1", selections=(Selection("a", "x", np.zeros(0, int)),), page=4, tab="maps", tall=True
+    )
+    other = state.for_task(busy, "satellite-to-drone")
+    assert (other.filter, other.selections, other.page) == ("", (), 0)
+    assert (other.tab, other.tall) == ("maps", True)
+    assert state.for_task(busy, TASK) is busy
