@@ -1,3 +1,5 @@
-"""Pictures and sentences made of results: overlays, figures, charts, and verdicts in words.
+"""Drawings and sentences made of results, for the app, the reports, and the command line.
 
-It imports `analysis` and the packages below it. The app and the reports draw with it."""
+`overlays` draws on pictures, `captions` writes text on them, `charts` makes inline SVG, `verdicts` makes sentences, and
+`theme` has the colours. The package imports `analysis` and the packages below it.
+"""

@@ -1,4 +1,4 @@
-"""Matplotlib without a window, and its figures as PNG files."""
+"""Matplotlib figures as PNG files, drawn without a window."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, cast
 
 
 def pyplot() -> Any:
-    """Matplotlib's pyplot, drawing into memory."""
+    """Return Matplotlib's pyplot with the backend that draws into memory."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -17,7 +17,7 @@ def pyplot() -> Any:
 
 
 def png(figure: Any, dpi: int) -> bytes:
-    """A figure as a PNG file, the same for the same figure; the figure is closed."""
+    """Encode a figure as a PNG file, and close it. Equal figures give equal files."""
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=dpi, metadata={"Software": None})
     pyplot().close(figure)

@@ -1,4 +1,4 @@
-"""What a report says of one query, computed; nothing here is html."""
+"""The analysis of one query for a report, without its HTML."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from lpn.retrieval import DescribedPicture, Match, Ranking
 
 @dataclass(frozen=True)
 class Options:
-    """What a report shows.
+    """The contents of a report.
 
     Attributes:
-        matches: tiles listed for each query, 1 or more.
-        profile: whether each query is turned once around; one forward pass for each step.
+        matches: number of tiles listed for each query, 1 or more.
+        profile: rotate each query once around; each step takes one forward pass.
         step: degrees between two steps.
-        change: what is done to each query first.
+        change: applied to each query first.
         against: gallery position of a tile to compare in place of the top match.
-        chosen: how the queries were chosen, in words.
+        chosen: a description of how the queries were chosen.
     """
 
     matches: int = 5
@@ -47,13 +47,7 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The query with one tile.
-
-    Attributes:
-        match: the tile in the ranking.
-        picture: the tile as its parts are cut from it.
-        evidence: None without a network.
-    """
+    """The query with one tile: its match, its picture as the model partitions it, and evidence if there is a network."""
 
     match: Match
     picture: UInt8Array
@@ -65,21 +59,19 @@ class Case:
     """One query.
 
     Attributes:
-        name: of the query.
-        known: whether its place is known, though the gallery may have no tile of it.
-        facts: name and value of each thing known of its picture.
-        picture: the query as its parts are cut from it.
-        ranking: the whole gallery.
-        matches: the nearest tiles, and after them the nearest true one where it is not among them.
-        metres: from what the query shows to each of the matches; None where that is not known.
-        positive: the nearest true match; None where there is none or it is not known.
-        hardest_negative: None where truth is not known or all tiles are true.
+        known: True if the query's place is known, even where the gallery has no tile of it.
+        facts: names and values of the metadata of its picture.
+        picture: the query as the model partitions it.
+        matches: the nearest tiles, then the positive if it is not among them.
+        errors_m: metres from what the query shows to each of the matches; None where positions are unknown.
+        positive: the nearest true match; None where there is none, or it is unknown.
+        hardest_negative: the nearest wrong tile; None where all tiles are true, or the truth is unknown.
         pairs: the chosen tile, then the positive, or the hardest negative where the chosen tile is a true match.
-        margin: of the pairs' true tile over the other one; None where there are not both.
-        without: ranks of the positive without each part; None where there is none.
+        margin: of the true tile of `pairs` over the wrong one; None unless there are both.
+        without: ranks of the positive without each part; None without a positive.
         change: the smallest change of part weights that puts a positive first; None where there is none, or it is first.
-        effect: what that change does to all queries of the task.
-        profile: over the circle; None where it was not asked for.
+        effect: effect of that change on all queries of the task.
+        profile: of the rotation; None unless it was requested.
     """
 
     name: str
@@ -88,7 +80,7 @@ class Case:
     picture: UInt8Array
     ranking: Ranking
     matches: list[Match]
-    metres: list[float] | None
+    errors_m: list[float] | None
     positive: Match | None
     hardest_negative: Match | None
     pairs: tuple[Pair, ...]
@@ -100,12 +92,12 @@ class Case:
 
     @property
     def verdict(self) -> bool | None:
-        """Whether the top match is true; None where that is not known."""
+        """True if the top match is true; None where that is unknown."""
         return self.matches[0].true if self.known else None
 
 
 class Cases:
-    """Makes the cases of one report, keeping what they share."""
+    """Makes the cases of one report, and caches the tiles that several of them compare."""
 
     def __init__(self, task: Task, options: Options) -> None:
         if options.against is not None and not 0 <= options.against < len(task.gallery):
@@ -118,9 +110,8 @@ class Cases:
                 "and changes out."
             )
         self._task, self._options = task, options
-        tiles = lru_cache(maxsize=64)(lambda index: describe_tile(task, index, task.model))
-        self._analyser = QueryAnalyser(task.model, lambda _, index: tiles(index))
-        self._tile = tiles
+        self._tile = lru_cache(maxsize=64)(lambda index: describe_tile(task, index, task.model))
+        self._analyser = QueryAnalyser(task.model, lambda _, index: self._tile(index))
         turns = sweeps.changes_over("rotation", options.step) if options.profile else []
         self.turns = sweeps.around("rotation", options.change, turns) if turns else []
 
@@ -141,15 +132,15 @@ class Cases:
             true, wrong = (chosen, other) if chosen.true else (other, chosen)
             margin = counterfactual.margin(ranking, true.index, wrong.index)
         change = None if positive is None or positive.rank == 1 else counterfactual.smallest_change(ranking)
-        metres = analysis.errors_m
+        errors_m = analysis.errors_m
         case = Case(
             name=analysis.name,
             known=index is not None,
             facts=self._facts(index),
-            picture=self._cut(analysis.query.picture, 0),
+            picture=self._partitioned(analysis.query.picture, 0),
             ranking=ranking,
             matches=matches,
-            metres=None if metres is None else [float(metres[match.index]) for match in matches],
+            errors_m=None if errors_m is None else [float(errors_m[match.index]) for match in matches],
             positive=positive,
             hardest_negative=hardest_negative,
             pairs=tuple(self._pair(analysis.query, match) for match in (chosen, other) if match is not None),
@@ -162,14 +153,14 @@ class Cases:
         tick()
         return case
 
-    def _cut(self, picture: UInt8Array, side: int) -> UInt8Array:
+    def _partitioned(self, picture: UInt8Array, side: int) -> UInt8Array:
         task = self._task
         return picture if task.model is None else task.model.as_partitioned(picture, task.views[side])
 
-    def _pair(self, seen: DescribedPicture, match: Match) -> Pair:
+    def _pair(self, query: DescribedPicture, match: Match) -> Pair:
         tile = self._tile(match.index)
-        found = pair_evidence(seen, tile, self._task.part_weights)
-        return Pair(match, self._cut(tile.picture, 1), None if found is None else found.evidence)
+        evidence = pair_evidence(query, tile, self._task.part_weights)
+        return Pair(match, self._partitioned(tile.picture, 1), None if evidence is None else evidence.evidence)
 
     def _facts(self, index: int | None) -> list[tuple[str, str]]:
         if index is None:
@@ -197,7 +188,7 @@ class Cases:
         )
 
     def _profile(
-        self, picture: UInt8Array, index: int | None, first: Match, tick: Callable[[], None]
+        self, picture: UInt8Array, index: int | None, chosen: Match, tick: Callable[[], None]
     ) -> Profile | None:
         task, options = self._task, self._options
         if not self.turns or task.model is None:
@@ -205,7 +196,7 @@ class Cases:
         change = options.change
         entry = task.queries[index or 0]
         turns = [turn.for_picture(entry) for turn in self.turns]
-        follow = first.index if index is None else None
+        follow = chosen.index if index is None else None
         points = []
         for point in sweeps.profile(
             task.model,

@@ -152,4 +152,4 @@ def _decisive(case: Case, task: Task) -> str | None:
     if case.margin is None:
         return None
     steps = case.margin.parts
-    return task.part_names[int(steps.argmax() if steps.sum() >= 0 else steps.argmin())]
+    return task.part_names[int(steps.argmax() if case.margin.total >= 0 else steps.argmin())]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -12,8 +11,10 @@ from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.arrays import FloatingArray, UInt8Array
 from lpn.drawing import charts, overlays, verdicts
+from lpn.explain import Evidence
 from lpn.report._rendering import render, thumbnail
-from lpn.report.cases import Case, Pair
+from lpn.report.cases import Case
+from lpn.retrieval import Match
 
 # Widths of pictures in pixels; panoramas, which are stacked, are twice as wide.
 _LARGE, _MAP = 280, 220
@@ -23,90 +24,36 @@ _CHART_WIDTH = 940
 
 
 @dataclass(frozen=True)
-class _Tile:
-    """One of the two tiles that the query is compared with."""
-
-    verdict: bool | None
-    role: str
-    name: str
-    rank: int
-    distance2: float
-    picture: str
-
-
-@dataclass(frozen=True)
-class _Match:
-    """One line of the nearest tiles; `gap` where ranks are left out above it."""
-
-    verdict: bool | None
-    rank: int
-    name: str
-    thumbnail: str
-    shares: Markup
-    distance2: float
-    gap: bool
-
-
-@dataclass(frozen=True)
 class _PairEvidence:
-    """The evidence of one pair: both maps with their labels, and each part's bar and contribution."""
+    """The evidence of a pair: a sentence, the maps of query and tile, and a bar for each part."""
 
-    score: float
+    values: Evidence
     sentence: str
-    maps: list[tuple[str, str]]
-    bars: list[tuple[Markup, float]]
-
-
-@dataclass(frozen=True)
-class _Evidence:
-    """The evidence of all pairs to one scale: `limit` is the largest value of a cell."""
-
-    pairs: list[tuple[_Tile, _PairEvidence]]
-    limit: float
-    scale: str
-
-
-@dataclass(frozen=True)
-class _Step:
-    """One part's line of the margin; `ranks` of the positive without the part and by it alone."""
-
-    cosines: tuple[float, float]
-    step: Markup
-    ranks: tuple[int | str | None, int | str | None]
-
-
-@dataclass(frozen=True)
-class _Margin:
-    """The margin of the positive over the negative; `ranked` where its ranks without parts are known."""
-
-    names: tuple[str, str]
-    rows: list[_Step]
-    ranked: bool
+    maps: tuple[str, str]
+    bars: list[Markup]
 
 
 def section(case: Case, task: Task, number: int) -> Markup:
     """Render everything about one query."""
-    tiles = [_tile(case, pair, task) for pair in case.pairs]
     headline, reason = summary(case, task)
+    followed = case.profile and case.profile.points[0]
     return render(
         "query.html.j2",
         number=number,
-        name=case.name,
-        verdict=case.verdict,
+        case=case,
+        task=task,
         headline=headline,
         sentences=[reason, *_sentences(case, task)],
-        facts=case.facts,
-        views=task.views,
-        part_names=task.part_names,
         wide=_is_panorama(task),
         picture=_with_parts(case.picture, task, 0),
-        tiles=tiles,
+        tiles=[(pair.match, _role(case, pair.match), _with_parts(pair.picture, task, 1)) for pair in case.pairs],
         matches=_matches(case, task),
-        metres=case.metres,
-        evidence=_evidence(case, tiles, task) if all(pair.evidence for pair in case.pairs) else None,
-        margin=_margin(case, task),
+        evidence=_evidence(case, task),
+        limit=_limit(case),
+        scale=overlays.data_uri(overlays.evidence_scale(240, 20), 90),
+        steps=charts.waterfall(case.margin.parts) if case.margin else [],
         profile=case.profile and charts.profile_charts(case.profile, task.part_names, _CHART_WIDTH),
-        followed=case.profile and _followed(case.profile.points[0].tile, case.profile.points[0].true, task),
+        followed=followed and ("the true tile" if followed.true else f"tile {task.gallery[followed.tile].name}"),
     )
 
 
@@ -116,8 +63,8 @@ def summary(case: Case, task: Task) -> tuple[str, str]:
         gap = case.matches[0].gap
         apart = "there is no other tile" if gap is None else f"the next tile is {gap:.3f} further away (d²)"
         return "Nearest tile", f"Its true place is not known here; {apart}."
-    metres = None if case.metres is None else case.metres[0]
-    return verdicts.verdict(case.matches[0], case.positive, case.hardest_negative, task.part_names, metres)[1:]
+    error_m = case.errors_m[0] if case.errors_m else None
+    return verdicts.verdict(case.matches[0], case.positive, case.hardest_negative, task.part_names, error_m)[1:]
 
 
 def _sentences(case: Case, task: Task) -> list[str]:
@@ -131,89 +78,53 @@ def _sentences(case: Case, task: Task) -> list[str]:
     return sentences
 
 
-def _followed(tile: int, true: bool | None, task: Task) -> str:
-    return "the true tile" if true else f"tile {task.gallery[tile].name}"
-
-
-def _tile(case: Case, pair: Pair, task: Task) -> _Tile:
-    match = pair.match
-    picture = _with_parts(pair.picture, task, 1)
-    name = task.gallery[match.index].name
-    return _Tile(match.true, _role(case, pair), name, match.rank, match.distance2, picture)
-
-
-def _role(case: Case, pair: Pair) -> str:
-    """Name the part that a tile plays in the comparison."""
-    match = pair.match
+def _role(case: Case, match: Match) -> str:
+    """Name the role of a tile in the comparison."""
     if match.rank == 1:
         return {True: "Top match, the true tile", False: "Top match, wrong", None: "Top match"}[match.true]
     if match.true is None:
         return "Tile looked at"
     if match.true:
-        return (
-            "The true tile" if case.positive is not None and match.index == case.positive.index else "Another true tile"
-        )
-    return (
-        "Best wrong tile"
-        if case.hardest_negative is not None and match.index == case.hardest_negative.index
-        else "A wrong tile"
-    )
+        return "The true tile" if case.positive and match.index == case.positive.index else "Another true tile"
+    negative = case.hardest_negative
+    return "Best wrong tile" if negative and match.index == negative.index else "A wrong tile"
 
 
-def _matches(case: Case, task: Task) -> list[_Match]:
-    """Make a line for each of the nearest tiles, with bars to one scale."""
+def _matches(case: Case, task: Task) -> list[tuple[Match, str, Markup, bool]]:
+    """List the nearest tiles: match, thumbnail, bar to a common scale, and whether ranks are left out above it."""
     full = max(match.distance2 for match in case.matches)
-    above = [case.matches[0].rank - 1, *(match.rank for match in case.matches)]
+    ranks_above = [case.matches[0].rank - 1, *(match.rank for match in case.matches)]
     return [
-        _Match(
-            match.true,
-            match.rank,
-            task.gallery[match.index].name,
+        (
+            match,
             thumbnail(images.load_picture(task.gallery[match.index].path)),
             charts.share_bar(match.shares, full, task.part_names),
-            match.distance2,
-            match.rank > last + 1,
+            match.rank > above + 1,
         )
-        for last, match in zip(above, case.matches, strict=False)
+        for above, match in zip(ranks_above, case.matches, strict=False)
     ]
 
 
-def _evidence(case: Case, tiles: Sequence[_Tile], task: Task) -> _Evidence:
-    found = [pair.evidence for pair in case.pairs if pair.evidence is not None]
-    maps = [one.cell_maps() for one in found]
-    limit = overlays.evidence_limit(*chain(*maps))
-    span = charts.evidence_span(found)
-
-    pairs = []
-    for tile, pair, one, cells in zip(tiles, case.pairs, found, maps, strict=True):
-        drawn = [
-            (_with_evidence(case.picture, cells[0], limit, task, 0), "query"),
-            (_with_evidence(pair.picture, cells[1], limit, task, 1), f"tile {tile.name}"),
-        ]
-        bars = list(zip(charts.evidence_bars(one, span), one.contributions.tolist(), strict=True))
-        sentence = verdicts.describe_evidence(one, task.part_names, *task.views)
-        pairs.append((tile, _PairEvidence(one.score, sentence, drawn, bars)))
-    return _Evidence(pairs, limit, overlays.data_uri(overlays.evidence_scale(240, 20), 90))
+def _limit(case: Case) -> float:
+    """Return the end of the colour scale that the maps of all pairs share; 0 without a network."""
+    maps = list(chain(*(pair.evidence.cell_maps() for pair in case.pairs if pair.evidence)))
+    return overlays.evidence_limit(*maps) if maps else 0.0
 
 
-def _margin(case: Case, task: Task) -> _Margin | None:
-    """Make a line for each part of the margin, and one for their sum."""
-    if case.margin is None:
-        return None
-    pair = case.margin.positive, case.margin.negative
-    cosines, scores = case.ranking.cosines, case.ranking.scores
-    steps = charts.waterfall(case.margin.parts)
-    rows = []
-    for part in range(len(task.part_names)):
-        ranks: tuple[int | None, int | None] = (None, None)
-        if case.without is not None:
-            without, alone = case.without.without[part], case.without.alone[part]
-            ranks = without.rank if without else None, alone.rank if alone else None
-        rows.append(_Step((cosines[pair[0]][part], cosines[pair[1]][part]), steps[part], ranks))
-    now = case.without.now.rank if case.without is not None else None
-    rows.append(_Step((scores[pair[0]], scores[pair[1]]), steps[-1], (now, "")))
-    names = task.gallery[pair[0]].name, task.gallery[pair[1]].name
-    return _Margin(names, rows, case.without is not None)
+def _evidence(case: Case, task: Task) -> list[_PairEvidence]:
+    """Draw the evidence of each pair; the list is empty without a network."""
+    limit, span = _limit(case), charts.evidence_span([pair.evidence for pair in case.pairs if pair.evidence])
+    drawn = []
+    for pair in case.pairs:
+        if pair.evidence is not None:
+            query_cells, tile_cells = pair.evidence.cell_maps()
+            maps = (
+                _with_evidence(case.picture, query_cells, limit, task, 0),
+                _with_evidence(pair.picture, tile_cells, limit, task, 1),
+            )
+            sentence = verdicts.describe_evidence(pair.evidence, task.part_names, *task.views)
+            drawn.append(_PairEvidence(pair.evidence, sentence, maps, charts.evidence_bars(pair.evidence, span)))
+    return drawn
 
 
 def _with_parts(picture: UInt8Array, task: Task, side: int) -> str:
