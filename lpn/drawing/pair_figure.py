@@ -18,7 +18,9 @@ from lpn.models.spec import ModelSpec
 _WIDTH, _MARGIN, _ROW = 1200, 24, 46
 _COLOURS = {"cells for": FOR, "cells against": AGAINST, "constant": DIM}
 EXACT_NOTE = "Exact: it accounts for the score; it does not say what the score would be were a cell not there."
-OCCLUSION_NOTE = "Approximate: what the score loses where a square of the query is blurred, measured; the bars are exact."
+OCCLUSION_NOTE = (
+    "Approximate: what the score loses where a square of the query is blurred, measured; the bars are exact."
+)
 
 
 def draw(
