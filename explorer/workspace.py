@@ -1,4 +1,4 @@
-"""What all browsers look at and none can change: the model, the data set, its descriptors and results."""
+"""The workspace that all browsers share: a model, a data set, and its tasks; and the analysis of one browser's states."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from lpn.models.base import Model
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import DescribedPicture
 
+# Cached described tiles; with their feature maps, those of a large network take 4 MB each.
 TILES = 48
-"""Described tiles that are kept: with their feature maps, a large network's are 4 MB each."""
+# Cached cards, 0.15 MB each.
 CARDS = 256
-"""Small pictures of tiles that are kept, 0.15 MB each."""
 
 
 class Workspace:
     """A model and a data set, opened once for all browsers; see `explorer.opening`.
 
     Args:
-        model_name, data_name: how they are called in the page.
+        model_name, data_name: names for people.
         rankings: the ranking of each task, at least one.
-        spec: how the descriptors' parts divide a picture.
-        map_sizes: (h, w) of the feature map that is divided, for each view.
-        model: None where descriptors were saved by another program: then queries are seen as they were saved only. Otherwise
-            all of its passes go through one queue; `inference.RequestContext` gives each browser its own way in.
+        spec: how parts divide a picture.
+        map_sizes: (h, w) of the feature map of each view.
+        model: None where another program computed the descriptors, so that queries cannot be changed. Otherwise all of its
+            forward passes go through one queue; `RequestContext` gives each browser its own access.
         city: the 3-D model for the map.
         root: the data set's folder.
     """
@@ -68,8 +68,8 @@ class Workspace:
         self.model: QueuedModel | None = own
         self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else model.describe()
         self.first = 0
+        # Another model on the same data, to compare with.
         self.beside: Workspace | None = None
-        """Another model on the same data, to compare with."""
         self.part_names = self._part_names()
         self._tiles: SingleFlightCache[tuple[str, int], DescribedPicture] = SingleFlightCache(TILES)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
@@ -81,14 +81,14 @@ class Workspace:
         self.load_picture = lru_cache(maxsize=64)(images.load_picture)
 
     def open_with(self, query: str | None) -> None:
-        """Choose the query of the first task that a browser shows first, by its name; InputError when there is none."""
+        """Choose by name the query of the first task that a browser shows first; InputError when there is none."""
         names = next(iter(self.tasks.values())).query_names
         if query is not None and query not in names:
             raise InputError(f"{self.data_name} has no query {query}; its names are such as {names[0]}.")
         self.first = 0 if query is None else names.index(query)
 
     def possible(self, state: SessionState) -> SessionState:
-        """The state without what needs a network, where there is none: turning, heatmaps, and pictures of one's own."""
+        """The state; without a network, upright and without heatmaps, evidence, and pictures of one's own."""
         return (
             state
             if self.model is not None
@@ -96,31 +96,31 @@ class Workspace:
         )
 
     def tile(self, task: Task, index: int, model: QueuedModel | None = None) -> DescribedPicture:
-        """A gallery picture as the network sees it; kept, because many queries share their tiles.
+        """A described gallery picture, cached because many queries share their tiles.
 
         Args:
-            model: what is asked where it is not kept; by default the workspace's.
+            model: describes the tile where it is not cached; by default the workspace's.
         """
         return self._tiles.get((task.name, index), lambda: describe_tile(task, index, model or self.model))
 
     def thumbnail(self, path: Path) -> str:
-        """A 64-pixel JPEG of a picture file as an html address."""
+        """A 64-pixel JPEG of a picture file as a data URI."""
         return self._thumbnail(path)
 
     def cut(self, picture: UInt8Array, view: View) -> UInt8Array:
-        """A picture as its parts are cut from it: unrolled where the network sees it so (SAFA), else as it is."""
+        """A picture in the shape that parts divide: unrolled for SAFA, else unchanged."""
         return picture if self.model is None else self.model.as_partitioned(picture, view)
 
     def card(self, task: Task, index: int) -> UInt8Array:
-        """A gallery picture as small as a card shows it, its parts not drawn; not to be changed."""
+        """A gallery picture at a card's size, without its parts; read only."""
         return self._card(task.name, index)
 
     def _make_masks(self, view: View) -> Int64Array:
-        """The part of each pixel of a large picture."""
+        """The part of each pixel of a stage picture."""
         return overlays.part_masks(self.spec.partition(view), self.map_sizes[view], self.layout.pixels)
 
     def mosaic(self, task: Task) -> UInt8Array:
-        """The task's tiles at their places as one picture, made once for all browsers; the task must have places."""
+        """The task's tiles at their positions as one picture, drawn once; the task must have a geometry."""
         assert task.geometry is not None
         with self._mosaic_lock:
             if task.name not in self._mosaics:
@@ -128,7 +128,7 @@ class Workspace:
             return self._mosaics[task.name]
 
     def _part_names(self) -> list[str]:
-        """Each part's name, with that of the other views after it where they cut differently (CVUSA)."""
+        """Each part's name; where the views divide differently (CVUSA), the names in all views."""
         names = [self.spec.partition(view).names() for view in self.spec.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
 

@@ -107,7 +107,7 @@ def _losses(
 
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("Covering", total=occlusion.SQUARES**2)
-        for found in occlusion.covered(model, query.picture, view, tile.descriptor):
+        for found in occlusion.occlude(model, query.picture, view, tile.descriptor):
             bar.update(task, completed=found[0])
     return found[1]
 

@@ -1,4 +1,4 @@
-"""The reasons for a rank: exact evidence, counterfactuals, occlusion, and sweeps over turn, shift, and zoom.
+"""Explanations of a rank: exact evidence, counterfactuals, occlusion, and sweeps over turn, shift, and zoom.
 
 It imports `retrieval` and the packages below it.
 """

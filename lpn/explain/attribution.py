@@ -1,4 +1,4 @@
-"""Why a tile is where it is in the ranking: each part's exact share, and which cells of either picture it comes from.
+"""Exact evidence: each part's share of a pair's score, and the cells of either picture that it comes from.
 
 With parts q_i, g_i of norm 1/sqrt(n) and part weights w_i that sum to one, cos_i = n q_i . g_i and
 
@@ -10,9 +10,9 @@ norm one,
 
     cos_i = sum_x <sum_p a_pi(x) A_i F_p(x), u_i> / |e_i|  +  <c_i, u_i> / |e_i|,
 
-a signed map and one constant; and the same on the tile's side. Where a head ends in a LeakyReLU its slopes, and with SAFA the
-weights of the cells, are held as they are for this picture. It accounts for the score; it does not say what the score would be
-were a cell not there, which `lpn.explain.occlusion` measures.
+a signed map and one constant; and the same on the tile's side. The slopes of a final LeakyReLU, and SAFA's cell weights, are
+held fixed at their values for this picture. Evidence accounts for the score; it does not predict the score without a cell,
+which `lpn.explain.occlusion` measures.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class SideEvidence:
 
     Attributes:
         cells: signed share of each cell in each part's cosine, (n, h, w); 0 where a cell does not belong to the part.
-        constants: what comes from no cell, (n,).
+        constants: the share of no cell in each part's cosine, (n,).
     """
 
     cells: Float64Array
@@ -49,7 +49,7 @@ class SideEvidence:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The score of a pair, accounted for on the side of the query and on that of the tile.
+    """The evidence for a pair's score, on the query's and on the tile's side.
 
     Attributes:
         cosines: of each part, (n,).
@@ -63,14 +63,14 @@ class Evidence:
 
     @property
     def contributions(self) -> Float64Array:
-        """What each part adds to the score, (n,)."""
+        """Each part's weighted cosine; their sum is the score, (n,)."""
         return self.cosines * self.weights
 
     @property
     def sums(self) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """What each part's cells add to the score, what they take from it, and its constant, on the query's side: (n,) each."""
+        """Each part's positive cells, negative cells, and constant in the score, on the query's side: (n,) each."""
         cells = self.query.cells
-        gains, losses = (side(cells, 0.0).sum(axis=(1, 2)) * self.weights for side in (np.maximum, np.minimum))
+        gains, losses = (clip(cells, 0.0).sum(axis=(1, 2)) * self.weights for clip in (np.maximum, np.minimum))
         return gains, losses, self.query.constants * self.weights
 
     @property
@@ -91,10 +91,10 @@ class Evidence:
         return weight * self.query.cells[part], weight * self.tile.cells[part]
 
     def to_dict(self, names: Sequence[str]) -> dict[str, Any]:
-        """Everything, as a JSON file has it, so that anyone can add it up.
+        """The values of the JSON file.
 
-        A part's `contribution` is its weight times its cosine, and their sum the score; the `cells`, row by row, and the
-        `constant` add up to the cosine, on the query's side and, under `match`, on the tile's.
+        A part's `contribution` is its weight times its cosine; contributions add up to the score. The `cells`, row by row, and
+        the `constant` add up to the cosine, on the query's side and, under `match`, on the tile's.
         """
         parts = [
             {
@@ -112,7 +112,7 @@ class Evidence:
 
 
 def side_evidence(trace: Trace, other: FloatingArray) -> SideEvidence:
-    """A picture's cells, each with its share in the cosines with another picture's descriptor or embedding (n, D)."""
+    """The evidence of one picture's cells for its cosines with another picture's descriptor or embedding (n, D)."""
     units = other / np.maximum(np.linalg.norm(other, axis=1, keepdims=True), 1e-12)
     norms = np.maximum(np.linalg.norm(trace.embedding.astype(np.float64), axis=1), 1e-12)
     cells, constants = trace.along(units)
@@ -126,7 +126,7 @@ def evidence(query: Trace, tile: Trace, weights: Float32Array | None = None) -> 
         weights: part weights that sum to one, see `part_weights`; equal by default.
 
     Raises:
-        InputError: when the two are not of one model.
+        InputError: when the two were not described by one model.
     """
     if query.embedding.shape != tile.embedding.shape:
         raise InputError(
@@ -145,9 +145,9 @@ def evidence(query: Trace, tile: Trace, weights: Float32Array | None = None) -> 
 
 
 def cell_similarities(query: Trace, tile: Trace, part: int) -> Float32Array:
-    """How much of a part's cosine each cell of the query shares with each of the tile: (h w, h' w'), both row by row.
+    """The share of each pair of cells in a part's cosine: (h w, h' w'), the query's cells and the tile's row by row.
 
-    A row's sum, and what the query's cell shares with the tile's constant, is that cell's share in `Evidence.query`.
+    A row's sum plus the query cell's share with the tile's constant is the cell's share in `Evidence.query`.
     """
     norms = float(np.linalg.norm(query.embedding[part]) * np.linalg.norm(tile.embedding[part]))
     return cast(Float32Array, query.vectors(part) @ tile.vectors(part).T / np.float32(max(norms, 1e-12)))
@@ -155,11 +155,11 @@ def cell_similarities(query: Trace, tile: Trace, part: int) -> Float32Array:
 
 @dataclass(frozen=True, eq=False)
 class Correspondences:
-    """For each cell of one picture, row by row, the cell of the other that it shares most of the score with.
+    """For each cell of one picture, row by row, the cell of the other with which it shares most of the score.
 
     Attributes:
-        cells: the other picture's cell, (h w,); -1 for a cell that belongs to no part that counts.
-        shares: what the two add to the score together, (h w,).
+        cells: the other picture's cell, (h w,); -1 for a cell of no part with a weight.
+        shares: the pair's share of the score, (h w,).
     """
 
     cells: Int64Array
@@ -167,32 +167,32 @@ class Correspondences:
 
 
 def correspondences(query: Trace, tile: Trace, weights: Float32Array) -> tuple[Correspondences, Correspondences]:
-    """The correspondences of the query's cells and those of the tile's, among cells of the same part.
+    """The correspondences of the query's cells and of the tile's, among cells of the same part.
 
     Args:
         weights: part weights that sum to one, (n,); a part of weight 0 does not count.
     """
-    found = [_no_correspondences(trace) for trace in (query, tile)]
+    of_query, of_tile = (
+        Correspondences(np.full(cells, -1, np.int64), np.zeros(cells, np.float32))
+        for cells in (trace.size[0] * trace.size[1] for trace in (query, tile))
+    )
     for part in np.flatnonzero(weights):
-        inside = [_within(trace, int(part)) for trace in (query, tile)]
-        shared = cell_similarities(query, tile, int(part)) * weights[part]
-        for correspondences, values, own, other in (
-            (found[0], shared, *inside),
-            (found[1], shared.T, *reversed(inside)),
-        ):
-            candidates = np.where(other, values, -np.inf)
-            best = candidates.argmax(axis=1)
-            shares = candidates[np.arange(len(best)), best]
-            # A cell of several parts has its correspondence in the one where they share most.
-            better = own & ((correspondences.cells < 0) | (shares > correspondences.shares))
-            correspondences.cells[better], correspondences.shares[better] = best[better], shares[better]
-    return found[0], found[1]
+        query_cells, tile_cells = (_part_cells(trace, int(part)) for trace in (query, tile))
+        shares = cell_similarities(query, tile, int(part)) * weights[part]
+        _take_best(of_query, shares, query_cells, tile_cells)
+        _take_best(of_tile, shares.T, tile_cells, query_cells)
+    return of_query, of_tile
 
 
-def _no_correspondences(trace: Trace) -> Correspondences:
-    cells = trace.size[0] * trace.size[1]
-    return Correspondences(np.full(cells, -1, np.int64), np.zeros(cells, np.float32))
+def _take_best(found: Correspondences, shares: Float32Array, rows: BoolArray, columns: BoolArray) -> None:
+    """Update correspondences with one part's shares: a cell of several parts keeps its largest share."""
+    candidates = np.where(columns, shares, -np.inf)
+    best = candidates.argmax(axis=1)
+    largest = candidates[np.arange(len(best)), best]
+    better = rows & ((found.cells < 0) | (largest > found.shares))
+    found.cells[better], found.shares[better] = best[better], largest[better]
 
 
-def _within(trace: Trace, part: int) -> BoolArray:
+def _part_cells(trace: Trace, part: int) -> BoolArray:
+    """True for the cells of a part, (h w,)."""
     return cast(BoolArray, (trace.cells[:, part] != 0).any(axis=(0, 1)).reshape(-1))

@@ -1,7 +1,7 @@
-"""What the score of a pair would be were some of the picture not there: measured by covering it, and so approximate.
+"""Occlusion: the loss of a pair's score where a square of the picture is covered. It is measured, and so approximate.
 
-It needs only a model's descriptors, so it serves every model; `lpn.explain` accounts for the score exactly where the heads are
-affine. Covering makes a picture that no camera took, and cells answer to more of it than the square that is covered.
+Occlusion needs only a model's descriptors and serves every model; `lpn.explain.attribution` is exact where the heads are affine.
+A covered picture is one that no camera took, and the receptive fields of cells reach beyond the covered square.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from lpn.explain import Evidence
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 
+# Squares across and down that a picture is divided into.
 SQUARES = 8
-"""Squares across and down that a picture is divided into."""
-_AT_ONCE = 8
+_BATCH = 8
 
 
-def covered(
+def occlude(
     model: Model, picture: UInt8Array, view: View, other: Float32Array, rows: int = SQUARES, columns: int = SQUARES
 ) -> Iterator[tuple[int, Float32Array]]:
-    """Cover one square of a picture after the other, and measure what each part's cosine with another picture loses.
+    """Cover one square of a picture after the other, and measure the loss of each part's cosine with another picture.
 
     Args:
         picture: (H, W, 3) uint8.
         other: the other picture's descriptor, (n, D).
-        rows, columns: squares the picture is divided into, as the network gets it.
+        rows, columns: squares that the network's input is divided into.
 
     Yields:
-        How many squares are done, and the losses so far, (n, rows, columns), NaN where not known yet; a positive number says
-        that the square speaks for the pair. Stop whenever it has taken long enough.
+        The number of measured squares, and the losses so far, (n, rows, columns), NaN for the other squares; a square with a
+        positive loss speaks for the pair.
     """
     shaped = model.to_input_size(picture, view)
     whole = _cosines(model, [shaped], view, other)[0]
     blurred = blur(shaped)
     losses = np.full((model.n_parts, rows, columns), np.nan, np.float32)
     squares = [(row, column) for row in range(rows) for column in range(columns)]
-    for start in range(0, len(squares), _AT_ONCE):
-        some = squares[start : start + _AT_ONCE]
+    for start in range(0, len(squares), _BATCH):
+        some = squares[start : start + _BATCH]
         pictures = []
         for square in some:
             mask = np.zeros((rows, columns), bool)
@@ -56,7 +56,7 @@ def covered(
 
 
 def to_dict(found: Evidence, losses: Float32Array, names: Sequence[str]) -> dict[str, Any]:
-    """The losses (n, rows, columns) of a pair as a JSON file has them; they add up to nothing."""
+    """The values of the JSON file for a pair's losses (n, rows, columns), which have no meaningful sum."""
     parts = [
         {
             "name": name,
@@ -81,12 +81,12 @@ def curve(
     steps: int = 10,
     insert: bool = False,
 ) -> Float32Array:
-    """The score as more and more cells of a picture are blurred, or, with `insert`, as they come back in a blurred one.
+    """The score while more and more cells of a picture are blurred or, with `insert`, of a blurred picture restored.
 
     Args:
-        order: cells in the order they go or come, row by row numbers of `size`.
+        order: cells, numbered row by row, in the order in which they are blurred or restored.
         size: (h, w) cells that the picture is divided into.
-        steps: equal steps from the picture as it is, or wholly blurred, to the other end.
+        steps: number of equal steps from one end to the other.
 
     Returns:
         Scores, (steps + 1,).
@@ -94,30 +94,30 @@ def curve(
     shaped = model.to_input_size(picture, view)
     blurred, pictures = blur(shaped), []
     for step in range(steps + 1):
-        gone = np.zeros(size[0] * size[1], bool)
-        gone[list(order[: round(step * len(order) / steps)])] = True
-        pictures.append(mixed(shaped, blurred, (~gone if insert else gone).reshape(size)))
+        chosen = np.zeros(size[0] * size[1], bool)
+        chosen[list(order[: round(step * len(order) / steps)])] = True
+        pictures.append(mixed(shaped, blurred, (~chosen if insert else chosen).reshape(size)))
     return cast(Float32Array, _cosines(model, pictures, view, other) @ weights)
 
 
 def centre_first(size: tuple[int, int]) -> list[int]:
-    """Cells from the middle of a picture outwards: what guessing alone would say of a picture centred on its target."""
+    """Cells from the middle of a picture outwards: the baseline that supposes a centred target."""
     down, across = (np.abs((np.arange(length) + 0.5) / length - 0.5) for length in size)
     return [int(cell) for cell in np.argsort(np.hypot(down[:, None], across).reshape(-1), kind="stable")]
 
 
 def blur(picture: UInt8Array) -> UInt8Array:
-    """A picture without its detail: blurred over an eighth of its shorter side."""
+    """Blur a picture with a standard deviation of an eighth of its shorter side."""
     return cast(UInt8Array, cv2.GaussianBlur(picture, (0, 0), min(picture.shape[:2]) / 8))
 
 
-def mixed(picture: UInt8Array, blurred: UInt8Array, gone: BoolArray) -> UInt8Array:
-    """A picture with its squares (rows, columns) that are gone taken from the blurred one.
+def mixed(picture: UInt8Array, blurred: UInt8Array, covered: BoolArray) -> UInt8Array:
+    """Blend a picture with its blurred copy, which shows in the squares of `covered`, (rows, columns).
 
-    One fades into the other between the middles of neighbours: sharp borders would be something new to see.
+    The blend is linear between the middles of neighbouring squares, since sharp borders would be new features.
     """
     height, width = picture.shape[:2]
-    share = cv2.resize(gone.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)[..., None]
+    share = cv2.resize(covered.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)[..., None]
     return np.asarray(np.round(picture * (1 - share) + blurred * share), np.uint8)
 
 

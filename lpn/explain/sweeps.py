@@ -1,10 +1,10 @@
-"""What happens to one query when it is turned, shifted, or zoomed: score, rank, and part cosines over the change.
+"""Sweeps: score, rank, and part cosines of one query while it is turned, shifted, or zoomed.
 
-LPN cuts square rings around the middle of a picture, so it withstands a turn in part, and assumes that the target is
-centred: a shift moves it from ring to ring.
+LPN divides a picture into square rings around its middle, so that it is partly invariant to a turn and assumes a centred
+target: a shift moves the target from ring to ring.
 
-Heading. A picture whose top points h degrees clockwise from north is north-up, like a satellite tile, after a turn by h
-degrees clockwise. `Change.rotate` counts counter-clockwise, so the best angle r estimates the heading h = -r (mod 360).
+Heading: a picture whose top points h degrees clockwise from north is north-up, like a satellite tile, after a turn by h
+degrees clockwise. `Change.rotate` counts counter-clockwise, so that the best angle r estimates the heading h = -r (mod 360).
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 
+# The swept property: degrees counter-clockwise, pixels of the network's input to the right or down, or a factor.
 Over = Literal["rotation", "shift", "shift-down", "zoom"]
-"""What is changed: degrees counter-clockwise, pixels of the network's input to the right or down, or a factor."""
 UNITS: dict[Over, str] = {"rotation": "°", "shift": " px", "shift-down": " px", "zoom": " x"}
+# The field of `Change` that each sweep varies.
 FIELD: dict[Over, str] = {"rotation": "rotate", "shift": "shift", "shift-down": "down", "zoom": "scale"}
-"""The number of a `Change` that each sweep changes."""
 MAX_POINTS = 3600
 
 
@@ -40,15 +40,13 @@ class Point:
     """One query under one change.
 
     Attributes:
-        change: what was done to it.
-        tile: gallery position of what is followed: the nearest true match, a chosen tile, or where neither is known the top
-            match.
-        true: whether that tile shows the query's place; None when that is not known.
-        score: of that tile, the weighted mean cosine, -1 .. 1.
-        rank: of that tile, 1 for the nearest.
-        cosines: of each part with that tile, (n,).
+        tile: gallery position of the followed tile: the nearest positive, a chosen tile, or else the top match.
+        true: True when the followed tile shows the query's place; None when that is not known.
+        score: weighted mean cosine of the followed tile, -1 .. 1.
+        rank: of the followed tile, 1 for the nearest.
+        cosines: of the parts with the followed tile, (n,).
         top: gallery position of the nearest tile.
-        top_score: its score.
+        top_score: score of the nearest tile.
     """
 
     change: Change
@@ -73,15 +71,15 @@ def profile(
     truth: Truth | None = None,
     follow: int | None = None,
 ) -> Iterator[Point]:
-    """Describe a query under each change in turn and rank the gallery; to stop, take no further point.
+    """Describe a query under each change in turn and rank the gallery; lazily, so that a sweep can be stopped.
 
     Args:
         picture: the query, (H, W, 3) uint8.
         gallery: descriptors, (G, n, D).
         weights: part weights that sum to one, (n,).
-        changes: in the order in which they are computed, see `changes_over`.
-        labels, label, truth: what is a true match, as for `retrieval.rank`.
-        follow: gallery position to follow in place of the nearest true match.
+        changes: see `changes_over`.
+        labels, label, truth: true matches, as for `retrieval.rank`.
+        follow: gallery position to follow in place of the nearest positive.
 
     Raises:
         InputError: when the model has no such view, `follow` is not ranked, no tile is, or a change leaves nothing.
@@ -102,12 +100,12 @@ def profile(
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The points of a sweep, complete or so far, in the order of the change.
+    """The points of a sweep, which need not be complete.
 
     Attributes:
-        over: what is changed.
-        points: at least one, sorted by it.
-        base: what is done to the query as it is, which the sweep goes away from.
+        over: the swept property.
+        points: at least one, sorted by the swept property.
+        base: the change of the query from which the sweep departs.
     """
 
     over: Over
@@ -122,41 +120,41 @@ class Profile:
 
     @property
     def best(self) -> Point:
-        """Where what is followed has its highest score, the least change of equals: what the truth would choose."""
+        """The point of the followed tile's highest score; of equals the one of the least change."""
         return self._highest([point.score for point in self.points])
 
     @property
     def best_blind(self) -> Point:
-        """Where any tile has the highest score, the least change of equals: what can be chosen without knowing the truth."""
+        """The point of any tile's highest score, which needs no ground truth; of equals the one of the least change."""
         return self._highest([point.top_score for point in self.points])
 
     @property
     def best_rank(self) -> Point:
-        """Where what is followed has its best rank; of equals, where its score is highest."""
+        """The point of the followed tile's best rank; of equals the one of the highest score."""
         # Scores differ by at most 2, so a rank counts for more.
         return self._highest([4.0 * -point.rank + point.score for point in self.points])
 
     @property
     def unchanged(self) -> Point | None:
-        """The query as it is; None where it is not among the points (yet)."""
+        """The point of the base change; None while it is not among the points."""
         return next((point for point in self.points if point.change == self.base), None)
 
     def gain(self, point: Point) -> tuple[int, float] | None:
-        """What a change gains what is followed: ranks that it rises, and score; None before the query as it is is known."""
+        """Ranks and score that the followed tile gains over the base change; None while that is not among the points."""
         before = self.unchanged
         return None if before is None else (before.rank - point.rank, point.score - before.score)
 
     def heading(self) -> float | None:
-        """Estimate of the direction of the picture's top in degrees clockwise from north, 0 .. 360, without knowing the
-        truth; None for other sweeps than rotation. It supposes a north-up gallery and is of the precision of the steps.
+        """Estimate the direction of the picture's top in degrees clockwise from north, 0 .. 360, without ground truth.
 
-        A guess: on the demo, in steps of 15 degrees, the median error is 12 degrees for pictures from straight above, of which
-        one in ten is taken for its opposite, and 33 for tilted ones, of which four in ten are; by chance it would be 90.
+        None for other sweeps than rotation. The estimate supposes a north-up gallery and is as precise as the steps. On the demo,
+        in steps of 15 degrees, the median error is 12 degrees for pictures from straight above, one in ten of which is taken for
+        its opposite, and 33 for tilted ones, four in ten of which are; by chance it would be 90.
         """
         return -self.best_blind.change.rotate % 360 if self.over == "rotation" else None
 
     def rows(self) -> list[dict[str, Any]]:
-        """One row of plain values for each point, with a column for each part's cosine."""
+        """The values of the CSV file, a row per point."""
         return [
             {
                 self.over: value(self.over, point.change),
@@ -172,7 +170,7 @@ class Profile:
         ]
 
     def to_csv(self) -> bytes:
-        """`rows` as a file of comma-separated values."""
+        """`rows` as comma-separated values in UTF-8."""
         text = io.StringIO()
         writer = csv.DictWriter(text, list(self.rows()[0]))
         writer.writeheader()
@@ -185,7 +183,7 @@ class Profile:
 
 
 def value(over: Over, change: Change) -> float:
-    """The number that a sweep changes: degrees 0 .. 360, pixels, or a factor."""
+    """The swept property of a change: degrees 0 .. 360, pixels, or a factor."""
     number = float(getattr(change, FIELD[over]))
     return number % 360 if over == "rotation" else number
 
@@ -197,14 +195,14 @@ def signed_value(over: Over, change: Change) -> float:
 
 
 def changes_over(over: Over, step: float | None = None, reach: float | None = None, side: int = 256) -> list[Change]:
-    """The changes of a sweep, the query as it is first and then always the one farthest from all before.
+    """The changes of a sweep: the unchanged query first, then always the change farthest from all before.
 
-    So few points show the shape: a rotation goes 0, 180, 90, 270, 45, ...
+    Few points then show the shape: a rotation goes 0, 180, 90, 270, 45, ...
 
     Args:
-        over: rotation goes once around; shifts go to both sides, zooms by equal factors in and out.
+        over: a rotation goes once around, shifts go to both sides, and zooms go in and out by equal factors.
         step: degrees (15), pixels of the network's input (a 32nd of its side), or the factor between zooms (1.1).
-        reach: how far to go: pixels (a quarter of the side) or the largest factor (2); not for rotation.
+        reach: largest shift in pixels (a quarter of the side) or largest factor (2); not for a rotation.
         side: the network's input along the shift in pixels.
 
     Raises:
@@ -236,8 +234,7 @@ def changes_over(over: Over, step: float | None = None, reach: float | None = No
 
 
 def around(over: Over, base: Change, changes: Iterable[Change]) -> list[Change]:
-    """A sweep's changes of a query to which something is done already: that first, then each with its one value in place of
-    the base's."""
+    """Apply a sweep's changes on top of a base change: the base first, then the base with each swept value."""
     name = FIELD[over]
     swept = [replace(base, **{name: getattr(change, name)}) for change in changes]
     return [base, *(change for change in swept if value(over, change) != value(over, base))]
@@ -249,21 +246,20 @@ def _both_sides(count: int) -> list[int]:
 
 
 def _coarse_first(values: Sequence[float], circle: float | None = None) -> list[int]:
-    """Positions of values such that each is as far as can be from all before, beginning with the first; of equals the
-    first."""
+    """Positions of values, each as far as possible from all before, beginning with the first; of equals the first."""
     places = np.asarray(values, dtype=np.float64)
     order, nearest = [0], np.full(len(places), np.inf)
     while len(order) < len(places):
         apart = np.abs(places - places[order[-1]])
         nearest = np.minimum(nearest, apart if circle is None else np.minimum(apart, circle - apart))
         nearest[order[-1]] = -1
-        # Steps such as 0.1 are not exact; without the rounding, equals would come in an odd order.
+        # Steps such as 0.1 are not exact; rounding keeps the order of equals.
         order.append(int(np.argmax(np.round(nearest, 9))))
     return order
 
 
 def _size(over: Over, change: Change) -> float:
-    """How large a change is."""
+    """The size of a change."""
     number = value(over, change)
     if over == "rotation":
         return min(number, 360 - number)

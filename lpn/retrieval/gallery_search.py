@@ -1,4 +1,4 @@
-"""One query against a gallery: describe the picture, compare part by part, rank under any part weights."""
+"""Search a gallery with one query: describe the picture, compare part by part, and rank under any part weights."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from lpn.retrieval.metrics import JUNK
 
 @dataclass(frozen=True)
 class DescribedPicture:
-    """A picture as the network sees it.
+    """A picture with its descriptor.
 
     Attributes:
-        picture: the picture turned, zoomed, and shifted, at its own resolution, (H, W, 3) uint8; a view that is unrolled
-            (SAFA) is shifted only after that, which is not shown.
+        picture: after its change, at its own resolution, (H, W, 3) uint8. A view that is unrolled (SAFA) is shifted only after
+            that, which is not shown.
         descriptor: parts of norm 1/sqrt(n), (n, D).
-        activation: channel sum of the last feature map, (h, w), 0 .. 1; None where no network was at hand.
-        trace: what accounts for the descriptor cell by cell; None where no network was at hand.
+        activation: channel sum of the last feature map, (h, w), 0 .. 1; None without a network.
+        trace: explains the descriptor cell by cell; None without a network.
     """
 
     picture: UInt8Array
@@ -44,10 +44,10 @@ class Match:
         index: position in the gallery.
         score: weighted mean cosine, -1 .. 1.
         distance2: squared distance 2 - 2 score.
-        gap: how much further the next tile is (squared distance), None for the last one.
+        gap: squared distance of the next tile less that of this one; None for the last tile.
         cosines: of each part, (n,).
         shares: each part's exact contribution to distance2, (n,).
-        true: whether it shows the query's place; None when that is not known.
+        true: True for a tile of the query's place; None when that is not known.
     """
 
     rank: int
@@ -62,16 +62,16 @@ class Match:
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """A whole gallery in the order of its distance to one query, under one set of part weights.
+    """A gallery in the order of its distance to one query, under one set of part weights.
 
     Attributes:
         cosines: each part's cosine with the query, (G, n).
         weights: the part weights, summing to one, (n,).
         scores: weighted mean cosines, (G,).
         order: gallery positions from nearest to farthest, without junk, at most (G,).
-        relevant: which gallery pictures show the query's place, (G,) bool; None when that is not known.
-        lengths: of the query's parts where it is not whole, see `lpn.retrieval.scoring.contributions`; the cosines are then inner
-            products, n times.
+        relevant: True for gallery pictures of the query's place, (G,); None when that is not known.
+        lengths: n |q_i|^2 of each part of a query that is restricted to a region, (n,), see `scoring.contributions`; the
+            cosines are then n times inner products.
     """
 
     cosines: Float32Array
@@ -101,7 +101,7 @@ class Ranking:
         return [self.match(position) for position in range(min(k, len(self.order)))]
 
     def holds(self, index: int) -> bool:
-        """Whether gallery picture `index` is ranked, that is, not junk."""
+        """Return True when gallery picture `index` is ranked, that is, no junk."""
         return bool((self.order == index).any())
 
     def find(self, index: int) -> Match:
@@ -117,7 +117,7 @@ class Ranking:
         return self.match(int(ranks[0])) if len(ranks) else None
 
     def positive(self) -> Match | None:
-        """The nearest true match; None when there is none or it is not known."""
+        """The nearest positive; None when there is none or it is not known."""
         if self.relevant is None or not self.relevant.any():
             return None
         return self.match(int(np.argmax(self.relevant[self.order])))
@@ -129,10 +129,10 @@ def describe_picture(
     """Change a picture and describe it, with its mirror in one batch of two.
 
     Args:
-        change: what is done to it first; a number is degrees counter-clockwise that it is turned.
+        change: applied first; a number turns the picture by that many degrees counter-clockwise.
 
     Raises:
-        InputError: when the change would leave nothing of the picture.
+        InputError: when the change leaves nothing of the picture.
     """
     change = change if isinstance(change, Change) else Change(rotate=change)
     turned = change.apply(picture)
@@ -154,11 +154,11 @@ def rank(
     """Rank a gallery by weighted part cosines; ties keep gallery order, and junk is left out.
 
     Args:
-        cosines: of every gallery picture's parts with the query's, (G, n), see `scoring.part_cosines`.
+        cosines: part cosines of the gallery with the query, (G, n), see `scoring.part_cosines`.
         weights: part weights that sum to one, (n,).
-        labels: the place each gallery picture shows, (G,), -1 for junk; needed with `label`.
-        label: the place the query shows, or None when unknown.
-        truth: the query's true matches and junk where labels do not say them.
+        labels: the place of each gallery picture, (G,), -1 for junk; needed with `label`.
+        label: the query's place; None when unknown.
+        truth: the query's true matches and junk, in place of labels.
         lengths: see `Ranking`.
     """
     scores = cosines @ weights

@@ -39,18 +39,15 @@ def contributions(cosines: Float32Array, weights: Float32Array, lengths: Float32
     """Each part's exact share 2 w_i (1 - cos_i) of the squared distance: (..., n), summing to it.
 
     Args:
-        lengths: n |q_i|^2 of each part of a query that is not whole, see `Trace.region`, (n,); 1 by default. Then a share is
-            w_i (1 + n |q_i|^2 - 2 n q_i . g_i), with n q_i . g_i in place of the cosine.
+        lengths: n |q_i|^2 of each part of a query that is restricted to a region, see `Trace.region`, (n,); 1 by default. The
+            share is then w_i (1 + n |q_i|^2 - 2 n q_i . g_i), with n q_i . g_i in place of the cosine.
     """
-    own = np.float32(1) if lengths is None else lengths
-    return cast(Float32Array, weights * (1.0 + own - 2.0 * cosines))
+    query_lengths = np.float32(1) if lengths is None else lengths
+    return cast(Float32Array, weights * (1.0 + query_lengths - 2.0 * cosines))
 
 
 def activation(features: Float32Array) -> Float32Array:
-    """What the network responds to: channel sum of a feature map (C, h, w), scaled to 0 .. 1 (Figure 7).
-
-    It belongs to one picture and is not specific to a pair.
-    """
+    """The channel sum of a feature map (C, h, w), scaled to 0 .. 1 (Figure 7); it depends on one picture, not on a pair."""
     total = features.sum(axis=0)
     low, high = float(total.min()), float(total.max())
     return cast(Float32Array, ((total - low) / max(high - low, 1e-12)).astype(np.float32))

@@ -20,7 +20,7 @@ def test_a_square_s_loss_is_what_its_blurring_costs(model_file: Path) -> None:
     model = load(model_file)
     picture = small_worlds.place(3)
     other = retrieval.describe_picture(model, small_worlds.from_drone(small_worlds.place(3), 1), "satellite").descriptor
-    steps = list(occlusion.covered(model, picture, "drone", other, rows=3, columns=4))
+    steps = list(occlusion.occlude(model, picture, "drone", other, rows=3, columns=4))
     assert [done for done, _ in steps] == [8, 12]
     losses = steps[-1][1]
     assert losses.shape == (4, 3, 4)
@@ -41,7 +41,7 @@ def test_a_square_s_loss_is_what_its_blurring_costs(model_file: Path) -> None:
 def test_covering_can_be_stopped_and_shows_what_it_has(model_file: Path) -> None:
     model = load(model_file)
     other = model.descriptors(images.prepare(small_worlds.place(1), model.input_size)[None], "satellite")[0]
-    done, losses = next(occlusion.covered(model, small_worlds.place(2), "drone", other))
+    done, losses = next(occlusion.occlude(model, small_worlds.place(2), "drone", other))
     assert done == 8
     assert np.isnan(losses).sum() == 4 * (64 - 8)
 
