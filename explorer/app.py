@@ -1,4 +1,4 @@
-"""Starts the server and gives every browser its own session, worker, stage, and panels."""
+"""The server, and the functions that run it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _CLOSE_TIMEOUT = 1.5
 
 
 class App:
-    """The running server.
+    """A running server with one `ClientSession` per browser.
 
     Args:
         access: the access rules; by default a random token, and none on a loopback address.
@@ -55,9 +55,9 @@ class App:
         self.gateway = Gateway(self.authenticator)
         viser_compat.use_thread_safe_buffers()
         make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
-        with redirect_stdout(io.StringIO()):  # viser announces itself; people need one address, once
+        with redirect_stdout(io.StringIO()):  # viser prints an address without the token
             self.server = self.gateway.protect(make)
-        # Any page could otherwise ask for a public tunnel to this machine.
+        # Otherwise any page could open a public tunnel to this machine.
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False
         self._sessions: dict[int, ClientSession] = {}
@@ -66,13 +66,13 @@ class App:
         self.server.on_client_disconnect(self._disconnected)
 
     def close(self) -> None:
-        """Stop every worker and the server, and let files that are being written be finished: 1.5 seconds at most."""
+        """Stop all sessions and the server, and wait for files that are being written, 1.5 seconds at most."""
         until = time.monotonic() + _CLOSE_TIMEOUT
         for session in list(self._sessions.values()):
             session.leave()
-        # viser waits for its connections, for up to six seconds.
+        # viser waits for its connections, up to six seconds.
         stopping = threading.Thread(target=self.server.stop, name="explorer-stop", daemon=True)
-        with redirect_stdout(io.StringIO()):  # it announces its end, too
+        with redirect_stdout(io.StringIO()):
             stopping.start()
             stopping.join(_CLOSE_TIMEOUT)
         if not writes_finished(max(until - time.monotonic(), 0)):
@@ -83,7 +83,7 @@ class App:
     ) -> None:
         log.info("Browser %d connected", client.client_id)
         self._sessions[client.client_id] = ClientSession(client, workspace, failure_lab, url_state)
-        if client.client_id not in self.server.get_clients():  # gone while its page was being built
+        if client.client_id not in self.server.get_clients():  # it left while its session was being built
             self._disconnected(client)
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
@@ -92,7 +92,7 @@ class App:
             log.info("Browser %d left", client.client_id)
             session.leave()
             del session
-            # Its views and what they call hold one another, pictures included, and Python would look for that in minutes only.
+            # Collect the session's reference cycles, pictures included, now; it would take Python minutes.
             gc.collect()
             return_memory()
 
@@ -106,10 +106,10 @@ def run(
     beside: Path | None = None,
     access: Authenticator | None = None,
 ) -> None:
-    """Open a model and a data set, serve the explorer, and print its address, until KeyboardInterrupt.
+    """Open a model and a data set, print the address of the explorer, and serve it until KeyboardInterrupt.
 
     Args:
-        beside: another model to compare it with.
+        beside: a second model for comparisons.
         access: the access rules; by default those of `App`.
 
     Raises:
@@ -127,23 +127,23 @@ def run_saved(
     port: int = 8080,
     access: Authenticator | None = None,
 ) -> None:
-    """The same for a saved `pytorch_result.mat` of descriptors of `n_parts` parts, and the pictures it is of."""
+    """Serve the pictures and descriptors of a `pytorch_result.mat`, whose descriptors have `n_parts` parts, like `run`."""
     _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port, access)
 
 
-def _serve(opened: Callable[[], Workspace], host: str, port: int, access: Authenticator | None) -> None:
+def _serve(open_workspace: Callable[[], Workspace], host: str, port: int, access: Authenticator | None) -> None:
     host = host or "0.0.0.0"
     _check_free(host, port)
     limit_malloc_arenas()
     images.use_all_cores()
-    app = App(opened(), host, port, access)
+    app = App(open_workspace(), host, port, access)
     gc.collect()
-    gc.freeze()  # what is there from the start stays, and need not be looked through whenever a browser leaves
+    gc.freeze()  # keeps the collection after each disconnect short
     port = app.server.get_port()
     if not is_loopback(host):
         print(
-            f"Listening on {host}: who reaches port {port} and has the token can use this. What is sent is not encrypted: "
-            "docs/serving.md says how to have it so.",
+            f"Listening on {host}: anyone who reaches port {port} and has the token can use this. The connection is not "
+            "encrypted; docs/serving.md says how to change that.",
             flush=True,
         )
     print(f"LPN Explorer is ready: {app.authenticator.link(port)}  (stop with Ctrl-C)", flush=True)
@@ -155,9 +155,9 @@ def _serve(opened: Callable[[], Workspace], host: str, port: int, access: Authen
 
 
 def _check_free(host: str, port: int) -> None:
-    """viser would silently take the next free port, and nobody would find the page."""
-    if taken := port_error(host, port):
-        raise InputError(f"{taken}; give another with --port or --host.")
+    """Raise InputError if the port is taken; viser would silently use the next one."""
+    if problem := port_error(host, port):
+        raise InputError(f"{problem}; give another with --port or --host.")
 
 
 def _refuse_share(*_: Any, **__: Any) -> None:

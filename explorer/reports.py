@@ -1,4 +1,4 @@
-"""Reports of what a browser shows, as `lpn report` writes them."""
+"""Downloads of reports, which are the same as those of `lpn report`."""
 
 from __future__ import annotations
 
@@ -16,19 +16,12 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
 from lpn.models.base import Model
 
+# Makes a report with a model; returns the file's name and contents.
 Work = Callable[[ReportProgress, Model | None], tuple[str, bytes]]
-"""Makes a report with a model: its file's name and contents."""
 
 
 def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Task:
-    """A task under the given part weights, with the tags and notes beside the data.
-
-    Args:
-        model: the queued model for this report; None where the workspace has none.
-
-    Raises:
-        LPNError: when the notes cannot be read.
-    """
+    """Return the task under part weights, with its notes; LPNError when they cannot be read."""
     return replace(task, model=model, weights=weights, notes=notes.read_notes(workspace.root / notes.NAME))
 
 
@@ -38,7 +31,7 @@ def of_analysis(
     progress: Callable[[int, int], None] | None = None,
     model: Model | None = None,
 ) -> tuple[str, bytes]:
-    """A file's name and contents: the query as it is shown, against the tile that it is compared with.
+    """Report on the shown query and the tile that it is compared with; returns the file's name and contents.
 
     Raises:
         LPNError: when a file of the data set cannot be read.
@@ -58,10 +51,13 @@ def of_selection(
     progress: Callable[[int, int], None] | None = None,
     model: Model | None = None,
 ) -> tuple[str, bytes]:
-    """The same for several queries of a task as they are; `chosen` says in words which they are.
+    """Report on several queries of a task; returns the file's name and contents.
+
+    Args:
+        chosen: a description of the selection.
 
     Raises:
-        LPNError: when there are too many, or a file of the data set cannot be read.
+        LPNError: when there are too many queries, or a file of the data set cannot be read.
     """
     options = report.Options(chosen=chosen)
     return f"{_plain(task.name)}.html", report.build(
@@ -70,15 +66,15 @@ def of_selection(
 
 
 def _plain(name: str) -> str:
-    """A name that is one on any system."""
+    """Return a file name that is valid on any system."""
     return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name)[:60] or "report"
 
 
 class Reporter:
-    """Makes one browser's reports on a thread, says how far it is in a notification, and hands the file over.
+    """Makes one browser's reports in the background, one at a time; a notification shows the progress.
 
     Args:
-        model: the browser's way to the network for long work.
+        model: the queued model for background work.
     """
 
     def __init__(self, client: viser.ClientHandle, model: Model | None) -> None:
@@ -86,39 +82,39 @@ class Reporter:
         self._job: BackgroundJob[None] | None = None
 
     def make(self, work: Work) -> None:
-        """Make a report, or give up the one that is being made."""
+        """Start a report, or cancel the one in progress."""
         if self._left:
             return
         job = self._job
         if job is not None and not job.wait(0):
             job.leave(self)
             return
-        self._job = BackgroundJob(lambda progress: self._made(work, progress), self)
+        self._job = BackgroundJob(lambda progress: self._run(work, progress), self)
 
     def leave(self) -> None:
-        """The browser is gone."""
+        """Cancel the report in progress; the browser has disconnected."""
         self._left = True
         if self._job is not None:
             self._job.leave(self)
 
-    def _made(self, work: Work, progress: ReportProgress) -> None:
-        shown = self._client.add_notification(
+    def _run(self, work: Work, progress: ReportProgress) -> None:
+        notification = self._client.add_notification(
             "Making a report", "Ask again to cancel.", loading=True, auto_close_seconds=None
         )
 
-        def told(done: int, total: int) -> None:
+        def on_progress(done: int, total: int) -> None:
             progress(done, total)
-            shown.body = f"{done} of {total} done; ask again to cancel."
+            notification.body = f"{done} of {total} done; ask again to cancel."
 
         try:
-            name, contents = work(told, self._model)
+            name, contents = work(on_progress, self._model)
         except Exception as error:
             text = f"{type(error).__name__}: the details are in the server's log."
             if isinstance(error, WorkCancelledError):
                 text = "It was cancelled."
             elif isinstance(error, LPNError):
                 text = str(error)
-            shown.title, shown.body, shown.loading = "No report", text, False
+            notification.title, notification.body, notification.loading = "No report", text, False
             raise
-        shown.remove()
+        notification.remove()
         self._client.send_file_download(name, contents, save_immediately=True)

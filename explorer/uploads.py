@@ -1,4 +1,4 @@
-"""A picture that somebody sends: what is taken, and how it is read within bounds of bytes, pixels, time, and memory."""
+"""Reads uploaded pictures within limits of bytes, pixels, time, and memory."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
 
-LARGEST_SIDE = 1600
-"""Uploads are shrunk to this many pixels a side, so that turning them stays quick."""
-LONGEST_NAME = 80
-MOST_SCANS = 100
-"""Passes a JPEG may be written in; usual are 1 and 10. Each costs the time of the whole picture, and next to no bytes."""
+# Uploads are shrunk to this many pixels a side, so that rotating them stays quick.
+_MAX_SIDE = 1600
+_MAX_NAME = 80
+# Scans of a progressive JPEG; usual are 1 and 10. A scan needs few bytes but the time of a whole picture.
+_MAX_SCANS = 100
 
+# Limits the memory of decoding for all browsers: the largest picture takes 430 MB and up to 5 s of a core.
 _READING = threading.BoundedSemaphore(2)
-"""Of all browsers' pictures, so many are decoded at a time: the largest takes 430 MB meanwhile, and up to 5 s of a processor."""
 
 
 def read(name: str, content: bytes) -> OwnPicture:
-    """The picture of an uploaded file, which is not written anywhere.
+    """Decode an uploaded file; nothing is written to disk.
 
     Args:
-        name: as the browser says, so anything; what is kept of it is shown only.
+        name: the untrusted file name; its last part is shown in the page.
 
     Raises:
-        PictureError: when it is no JPEG, PNG, or WebP, or too large a one.
+        PictureError: when the file is not a JPEG, PNG, or WebP, or is too large.
     """
-    name = printable(name.replace("\\", "/").rsplit("/", 1)[-1][:LONGEST_NAME]) or "your picture"
+    name = printable(name.replace("\\", "/").rsplit("/", 1)[-1][:_MAX_NAME]) or "your picture"
     if not content or len(content) > MAX_UPLOAD:
-        found = "is empty, or too large" if not content else f"has {len(content) / 1e6:.0f} MB"
-        raise PictureError(f"{name} {found}; up to 30 MB are taken, so make it smaller.")
+        problem = f"has {len(content) / 1e6:.0f} MB" if content else "is empty, or too large"
+        raise PictureError(f"{name} {problem}; up to 30 MB are taken, so make it smaller.")
     if not (
         content.startswith((b"\xff\xd8", b"\x89PNG\r\n\x1a\n")) or (content[:4], content[8:12]) == (b"RIFF", b"WEBP")
     ):
         raise PictureError(f"{name} is not a picture that can be read; expected a JPEG, PNG, or WebP file.")
-    if content.startswith(b"\xff\xd8") and (scans := content.count(b"\xff\xda")) > MOST_SCANS:
-        raise PictureError(f"{name} is written in {scans:,} passes; expected at most {MOST_SCANS}, so save it anew.")
+    if content.startswith(b"\xff\xd8") and (scans := content.count(b"\xff\xda")) > _MAX_SCANS:
+        raise PictureError(f"{name} is written in {scans:,} passes; expected at most {_MAX_SCANS}, so save it anew.")
     with _READING:
-        return OwnPicture(name, images.shrink(images.decode_picture(content, name), LARGEST_SIDE))
+        return OwnPicture(name, images.shrink(images.decode_picture(content, name), _MAX_SIDE))

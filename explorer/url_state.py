@@ -1,4 +1,4 @@
-"""A browser's choices as the query of the page's address, and back. Pure functions of names and numbers; no viser."""
+"""Converts a session state to the query string of the page's address and back; no viser here."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from explorer.session_state import POSITIVE, SessionState, with_field
 from explorer.workspace import Workspace
 from lpn.core.files import printable
 
-LONGEST = 20_000
-"""Characters of a query that is read: a painted region of a large feature map fits."""
+# Characters of a query string; the region of a large feature map fits.
+_MAX_LENGTH = 20_000
+# The value of `query` for a picture of the user's own, which an address cannot contain.
 OWN = "own"
-"""Stands for a picture of the user's own, which no address can carry."""
 _NUMBER = re.compile(r"-?\d{1,9}(\.\d{1,12})?(e-\d{1,2})?")
 
 
 class UnusableError(Exception):
-    """A value of an address that says nothing here; its text says what is wrong with it."""
+    """An invalid value in an address; the message says what was expected."""
 
 
 @dataclass(frozen=True)
-class _Kind:
-    """One key of the query: how its value is written, None for what needs no mention, and what a value changes."""
+class _Parameter:
+    """One parameter of the query string: its value for a state (None: left out), and the state for a value."""
 
     key: str
     write: Callable[[SessionState], str | None]
@@ -34,27 +34,27 @@ class _Kind:
 
 
 class UrlState:
-    """Writes and reads the addresses of one workspace; made once for all browsers."""
+    """Writes and reads the addresses of one workspace, for all browsers."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
         self._first = {
-            (name, side): _first_of(entry.name for entry in entries)
+            (name, side): _first_positions(entry.name for entry in entries)
             for name, task in workspace.tasks.items()
             for side, entries in (("query", task.queries), ("gallery", task.gallery))
         }
         reach = workspace.spec.input_size[1] // 2, workspace.spec.input_size[0] // 2
-        self._kinds = (
-            _Kind("task", lambda s: s.task, self._task),
-            _Kind("query", self._written_query, self._query),
-            _Kind("with", self._written_tile, self._tile),
+        self._parameters = (
+            _Parameter("task", lambda s: s.task, self._read_task),
+            _Parameter("query", self._write_query, self._read_query),
+            _Parameter("with", self._write_tile, self._read_tile),
             _number("angle", -180, 180),
             _number("shift", -reach[0], reach[0], whole=True),
             _number("down", -reach[1], reach[1], whole=True),
             _number("zoom", 1 / session_state.MAX_ZOOM, session_state.MAX_ZOOM),
-            _Kind("weights", _written_weights, _weights),
-            _Kind("off", _written_off, _off),
-            _Kind("region", lambda s: ranges(s.region) or None, self._region),
+            _Parameter("weights", _write_weights, _read_weights),
+            _Parameter("off", _write_off, _read_off),
+            _Parameter("region", lambda s: ranges(s.region) or None, self._read_region),
             _switch("map"),
             _switch("city"),
             _switch("why"),
@@ -63,49 +63,51 @@ class UrlState:
             _switch("rings"),
             _switch("heat"),
             _choice("heat_kind", {"activation": "activation", "evidence": "evidence"}, "shows"),
-            _Kind("part", lambda s: None if s.heat_part is None else str(s.heat_part + 1), _heat_part),
+            _Parameter("part", lambda s: None if s.heat_part is None else str(s.heat_part + 1), _read_heat_part),
             _number("opacity", 0, 1),
             _choice("dark", {"light": False, "dark": True}, "theme"),
         )
-        self.keys = tuple(kind.key for kind in self._kinds)
+        self.keys = tuple(parameter.key for parameter in self._parameters)
 
     def write(self, state: SessionState) -> str:
-        """The query (without "?") that brings the state back; what is as it always is is left out."""
-        pairs = [(kind.key, value) for kind in self._kinds if (value := kind.write(state)) is not None]
+        """Return the query string of a state, without "?" and without defaults."""
+        pairs = [
+            (parameter.key, value) for parameter in self._parameters if (value := parameter.write(state)) is not None
+        ]
         return urlencode(pairs, quote_via=quote, safe="/,~")
 
     def read(self, text: str, state: SessionState) -> tuple[SessionState, list[str]]:
-        """The state with all choices of a query made that can be, and a sentence about each that cannot.
+        """Return the state that a query string describes, and a sentence about each value that is invalid.
 
         Args:
-            text: from an address, so anything; keys of no meaning here are somebody else's.
-            state: what a page without a query shows.
+            text: untrusted; unknown keys are ignored.
+            state: supplies what the query string leaves out.
         """
         try:
-            given = dict(parse_qsl(text[:LONGEST].removeprefix("?"), True, max_num_fields=200))
+            given = dict(parse_qsl(text[:_MAX_LENGTH].removeprefix("?"), True, max_num_fields=200))
         except ValueError:
             return state, ["It is too long."]
-        said = []
-        for kind in self._kinds:  # in their own order: the task first, then its query, then what is done to it
-            if (value := given.get(kind.key)) is None:
+        problems = []
+        for parameter in self._parameters:  # in this order: the query depends on the task
+            if (value := given.get(parameter.key)) is None:
                 continue
             try:
-                state = kind.read(state, value)
+                state = parameter.read(state, value)
             except UnusableError as problem:
-                said.append(f"{kind.key}={printable(value[:60])}: {problem}")
-        return state, said
+                problems.append(f"{kind.key}={printable(value[:60])}: {problem}")
+        return state, problems
 
-    def _task(self, state: SessionState, value: str) -> SessionState:
+    def _read_task(self, state: SessionState, value: str) -> SessionState:
         if value not in self._workspace.tasks:
             raise UnusableError(f"this data set offers {', '.join(self._workspace.tasks)}.")
         return state if value == state.task else replace(state, task=value, query=0)
 
-    def _written_query(self, state: SessionState) -> str:
+    def _write_query(self, state: SessionState) -> str:
         if state.upload is not None:
             return OWN
         return self._name(state, "query", self._workspace.tasks[state.task].queries, state.query)
 
-    def _query(self, state: SessionState, value: str) -> SessionState:
+    def _read_query(self, state: SessionState, value: str) -> SessionState:
         task = self._workspace.tasks[state.task]
         query = self._position(state, "query", len(task.queries), value)
         if query is None and value == OWN:
@@ -114,12 +116,12 @@ class UrlState:
             raise UnusableError(f"there is no such query; names are such as {task.queries[0].name}.")
         return replace(state, query=query)
 
-    def _written_tile(self, state: SessionState) -> str | None:
+    def _write_tile(self, state: SessionState) -> str | None:
         if state.selected is None or state.selected == POSITIVE:
             return state.selected
         return self._name(state, "gallery", self._workspace.tasks[state.task].gallery, state.selected)
 
-    def _tile(self, state: SessionState, value: str) -> SessionState:
+    def _read_tile(self, state: SessionState, value: str) -> SessionState:
         gallery = self._workspace.tasks[state.task].gallery
         tile = self._position(state, "gallery", len(gallery), value)
         if tile is not None:
@@ -129,7 +131,7 @@ class UrlState:
         raise UnusableError(f"there is no such tile; names are such as {gallery[0].name}.")
 
     def _name(self, state: SessionState, side: str, entries: Sequence[Any], index: int) -> str:
-        """A picture's name, or its position where the name alone would be taken for something else."""
+        """Return a picture's name, or "~" and its position where the name is ambiguous."""
         name = str(entries[index].name)
         plain = name == printable(name) and name not in (OWN, POSITIVE) and name[:1] != "~"
         return name if plain and self._first[state.task, side][name] == index else f"~{index}"
@@ -139,16 +141,15 @@ class UrlState:
             return int(value[1:]) if int(value[1:]) < count else None
         return None if value in (OWN, POSITIVE) else self._first[state.task, side].get(value)
 
-    def _region(self, state: SessionState, value: str) -> SessionState:
+    def _read_region(self, state: SessionState, value: str) -> SessionState:
         rows, columns = self._workspace.map_sizes[self._workspace.tasks[state.task].query_view]
         return replace(state, region=cells(value, rows * columns))
 
 
 def ranges(numbers: Sequence[int]) -> str:
-    """Whole numbers as "3-5,8"."""
-    left = sorted(set(numbers))
+    """Format integers as "3-5,8"."""
     runs: list[list[int]] = []
-    for number in left:
+    for number in sorted(set(numbers)):
         if runs and number == runs[-1][1] + 1:
             runs[-1][1] = number
         else:
@@ -157,29 +158,29 @@ def ranges(numbers: Sequence[int]) -> str:
 
 
 def cells(text: str, count: int) -> tuple[int, ...]:
-    """The numbers of "3-5,8", all below `count`; UnusableError otherwise."""
-    found: set[int] = set()
+    """Parse "3-5,8" as integers below `count`, sorted; UnusableError for anything else."""
+    numbers: set[int] = set()
     for piece in text.split(","):
         match = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", piece)
         low, high = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if not low <= high < count:
             raise UnusableError(f"expected cells 0 to {count - 1}, such as 3-5,8.")
-        found.update(range(low, high + 1))
-    return tuple(sorted(found))
+        numbers.update(range(low, high + 1))
+    return tuple(sorted(numbers))
 
 
-def _first_of(names: Iterable[str]) -> dict[str, int]:
+def _first_positions(names: Iterable[str]) -> dict[str, int]:
     first: dict[str, int] = {}
     for index, name in enumerate(names):
         first.setdefault(name, index)
     return first
 
 
-def _shown(value: float) -> str:
+def _format(value: float) -> str:
     return f"{value:.10g}"
 
 
-def _parsed(text: str, low: float, high: float) -> float:
+def _parse(text: str, low: float, high: float) -> float:
     value = float(text) if _NUMBER.fullmatch(text) else low - 1
     if not low <= value <= high:
         raise UnusableError(f"expected a number from {low:g} to {high:g}.")
@@ -190,15 +191,15 @@ def _default(name: str) -> Any:
     return SessionState.__dataclass_fields__[name].default
 
 
-def _number(name: str, low: float, high: float, whole: bool = False) -> _Kind:
+def _number(name: str, low: float, high: float, whole: bool = False) -> _Parameter:
     def read(state: SessionState, text: str) -> SessionState:
-        value = _parsed(text, low, high)
+        value = _parse(text, low, high)
         return with_field(state, name, round(value) if whole else value)
 
-    return _Kind(name, lambda s: None if getattr(s, name) == _default(name) else _shown(getattr(s, name)), read)
+    return _Parameter(name, lambda s: None if getattr(s, name) == _default(name) else _format(getattr(s, name)), read)
 
 
-def _choice(name: str, values: dict[str, Any], key: str | None = None) -> _Kind:
+def _choice(name: str, values: dict[str, Any], key: str | None = None) -> _Parameter:
     def write(state: SessionState) -> str | None:
         chosen = getattr(state, name)
         return None if chosen == _default(name) else next(text for text, value in values.items() if value == chosen)
@@ -208,32 +209,32 @@ def _choice(name: str, values: dict[str, Any], key: str | None = None) -> _Kind:
             raise UnusableError(f"expected {' or '.join(values)}.")
         return with_field(state, name, values[text])
 
-    return _Kind(key or name, write, read)
+    return _Parameter(key or name, write, read)
 
 
-def _switch(name: str, key: str | None = None) -> _Kind:
+def _switch(name: str, key: str | None = None) -> _Parameter:
     return _choice(name, {"0": False, "1": True}, key)
 
 
-def _written_weights(state: SessionState) -> str | None:
-    return None if set(state.weights) == {1.0} else ",".join(map(_shown, state.weights))
+def _write_weights(state: SessionState) -> str | None:
+    return None if set(state.weights) == {1.0} else ",".join(map(_format, state.weights))
 
 
-def _weights(state: SessionState, text: str) -> SessionState:
+def _read_weights(state: SessionState, text: str) -> SessionState:
     pieces = text.split(",")
     if len(pieces) != state.n_parts:
         raise UnusableError(f"expected {state.n_parts} weights, one for each part.")
-    return replace(state, weights=tuple(_parsed(piece, 0, session_state.MAX_WEIGHT) for piece in pieces))
+    return replace(state, weights=tuple(_parse(piece, 0, session_state.MAX_WEIGHT) for piece in pieces))
 
 
-def _written_off(state: SessionState) -> str | None:
+def _write_off(state: SessionState) -> str | None:
     return ",".join(str(part + 1) for part, on in enumerate(state.enabled) if not on) or None
 
 
-def _off(state: SessionState, text: str) -> SessionState:
-    parts = {round(_parsed(piece, 1, state.n_parts)) for piece in text.split(",")}
+def _read_off(state: SessionState, text: str) -> SessionState:
+    parts = {round(_parse(piece, 1, state.n_parts)) for piece in text.split(",")}
     return replace(state, enabled=tuple(part + 1 not in parts for part in range(state.n_parts)))
 
 
-def _heat_part(state: SessionState, text: str) -> SessionState:
-    return replace(state, heat_part=round(_parsed(text, 1, state.n_parts)) - 1)
+def _read_heat_part(state: SessionState, text: str) -> SessionState:
+    return replace(state, heat_part=round(_parse(text, 1, state.n_parts)) - 1)

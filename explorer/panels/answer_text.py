@@ -1,22 +1,19 @@
-"""The sentences the app says about an answer."""
+"""The sentences about an analysis."""
 
 from __future__ import annotations
 
 from explorer.workspace import StateAnalysis
 from lpn.drawing import verdicts
-from lpn.drawing.verdicts import ordinal
-
-__all__ = ["ordinal", "verdict"]
 
 
 def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None, str, str]:
-    """Whether the top match is true, a headline, and one sentence that says why; see `lpn.drawing.verdicts.verdict`."""
+    """Return whether the top match is right (None: unknown), a headline, and the reason; see `lpn.drawing.verdicts`."""
     first = analysis.matches[0]
     if analysis.state.upload is not None:
-        gap = (
-            f"the next tile is {first.gap:.3f} further away (d²)" if first.gap is not None else "there is no other tile"
-        )
+        gap = "there is no other tile"
+        if first.gap is not None:
+            gap = f"the next tile is {first.gap:.3f} further away (d²)"
         return None, "Your picture: nearest tile", f"Its true place is not known here; {gap}."
-    rival = next((match for match in analysis.matches if not match.true), None)
-    metres = None if analysis.errors_m is None else float(analysis.errors_m[first.index])
-    return verdicts.verdict(first, analysis.positive, rival, part_names, metres)
+    hardest_negative = next((match for match in analysis.matches if not match.true), None)
+    error_m = None if analysis.errors_m is None else float(analysis.errors_m[first.index])
+    return verdicts.verdict(first, analysis.positive, hardest_negative, part_names, error_m)

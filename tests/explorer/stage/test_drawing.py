@@ -13,7 +13,7 @@ from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import DataError, InputError
-from lpn.drawing import captions, overlays, theme
+from lpn.drawing import captions, overlays, theme, verdicts
 from lpn.models.partition import Partition
 from tools.fixtures import small_worlds
 
@@ -81,10 +81,10 @@ def test_words_name_the_part_that_decides(workspace: Workspace) -> None:
         assert any(f"part {name}" in reason for name in workspace.part_names)
         seen.add(true)
         if not true:
-            assert answer_text.ordinal(int(workspace.rankings[task.name].ranks[query]) + 1) in headline
+            assert verdicts.ordinal(int(workspace.rankings[task.name].ranks[query]) + 1) in headline
     own = analyser.analyse(SessionState(task.name, 4, upload=OwnPicture("own", small_worlds.place(50))), 10)
     assert answer_text.verdict(own, workspace.part_names)[0] is None
-    assert [answer_text.ordinal(i) for i in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
+    assert [verdicts.ordinal(i) for i in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
         *("1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "111th")
     ]
 
