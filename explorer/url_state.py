@@ -94,7 +94,7 @@ class UrlState:
             try:
                 state = parameter.read(state, value)
             except UnusableError as problem:
-                problems.append(f"{kind.key}={printable(value[:60])}: {problem}")
+                problems.append(f"{parameter.key}={printable(value[:60])}: {problem}")
         return state, problems
 
     def _read_task(self, state: SessionState, value: str) -> SessionState:

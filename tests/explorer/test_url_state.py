@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from explorer import session_state, url_state
+from explorer.compute.ranking_job import RankingJob
 from explorer.opening import open_model
 from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
@@ -28,7 +29,8 @@ def links(workspace: Workspace) -> UrlState:
 
 def any_state(workspace: Workspace, rng: Random) -> SessionState:
     task = workspace.tasks[rng.choice(list(workspace.tasks))]
-    count = workspace.sizes(task)[0] * workspace.sizes(task)[1]
+    rows, columns = workspace.map_sizes[task.query_view]
+    count = rows * columns
     chance = [True, False]
     return SessionState(
         task.name,
@@ -80,9 +82,8 @@ def test_names_that_are_shared_or_mean_something_else_are_called_by_position(wor
     task = workspace.tasks["drone-to-satellite"]
     names = ["own", "twin", "twin", "~2", "a&b=c#d%20e", "häuser", "bad\udcff"]
     queries = [replace(task.queries[0], name=name) for name in names]
-    fake = Workspace(
-        "m", "d", [replace(task, queries=queries)], workspace.spec, workspace.map_sizes, None, None, workspace.root
-    )
+    ranking = RankingJob(replace(task, queries=queries))
+    fake = Workspace("m", "d", [ranking], workspace.spec, workspace.map_sizes, None, None, workspace.root)
     own = UrlState(fake)
     state = SessionState(task.name, 4)
     for query in range(len(names)):
