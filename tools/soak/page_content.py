@@ -91,7 +91,7 @@ class _MatchParser(HTMLParser):
         super().__init__()
         self.rows: list[MatchRow] = []
         self.table: list[list[str]] = []
-        self._below = False
+        self._below = self._in_chart = False
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         given = dict(attrs)
@@ -99,15 +99,22 @@ class _MatchParser(HTMLParser):
         self._below |= given.get("id") == "lpn-truth"
         if "row" in classes:
             self.rows.append(MatchRow(int(given.get("data-index") or -1), "chosen" in classes, self._below))
-        elif tag == "i" and self.rows and (found := _SHARE.search(given.get("title") or "")):
-            self.rows[-1].shares.append(float(found[1]))
+        elif tag == "svg":
+            self._in_chart = True
         elif tag == "tr":
             self.table.append([])
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag == "svg":
+            self._in_chart = False
 
     def handle_data(self, data: str) -> None:
         if not data.strip():
             return
-        if self.table:
+        if self._in_chart:  # a bar's tooltip, such as "part 1 centre: 0.1234", or its label
+            if self.rows and (share := _SHARE.search(data.strip())):
+                self.rows[-1].shares.append(float(share[1]))
+        elif self.table:
             self.table[-1].append(data.strip())
         elif self.rows and not self._begins_truth(data):
             self.rows[-1].texts.append(data.strip())
