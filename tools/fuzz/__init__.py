@@ -1,1 +1,1 @@
-"""Damaged and hostile input for everything that is read from files or from an address: `python -m tools.fuzz.readers`."""
+"""Fuzzing of everything that is read from files or from a URL: `python -m tools.fuzz.readers`."""

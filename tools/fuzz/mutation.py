@@ -1,4 +1,4 @@
-"""Small changes of real files, the same for the same seed."""
+"""Deterministic random damage to real files."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ _NUMBER = re.compile(rb"-?\d+(\.\d+)?(e-?\d+)?")
 
 
 def mutated(seeds: Sequence[bytes], rng: Random) -> bytes:
-    """One of the seeds with one to eight changes."""
+    """Damage one of the seed files with one to eight changes."""
     data = bytearray(rng.choice(seeds))
     for _ in range(rng.choice((1, 1, 1, 2, 2, 3, 5, 8))):
         rng.choice(_CHANGES)(data, rng, seeds)
@@ -78,7 +78,7 @@ def mutated(seeds: Sequence[bytes], rng: Random) -> bytes:
 
 
 def _at(data: bytearray, rng: Random) -> int:
-    """A position, often near an end, where formats keep what matters."""
+    """A random position, often near an end, where formats keep headers and indexes."""
     size = len(data)
     low, high = rng.choice(((0, size), (0, min(size, 256)), (max(size - 256, 0), size)))
     return rng.randint(low, max(high - 1, low))

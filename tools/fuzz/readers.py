@@ -1,7 +1,7 @@
-"""Damaged input for every reader, each in a process of its own that is watched: `python -m tools.fuzz.readers --inputs 10000`.
+"""Give damaged input to every reader in a watched process: `python -m tools.fuzz.readers --inputs 10000`.
 
-What is reported: an exception other than LPNError, a process that ended, an input that took more than two seconds of processor
-time, or that came to no end, or that took far more memory than a real file. Each is kept and can be read again with --again.
+A finding is an exception other than LPNError, a crash, an endless read, more than two seconds of processor time, or far more
+memory than a real file takes. Inputs of findings are kept; --again reads one of them again.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from tools.fuzz import targets
 from tools.fuzz.mutation import mutated
 from tools.fuzz.targets import TARGETS, FuzzCase, complaint, described
 
-# Seconds of processor time that an input may take.
+# Allowed seconds of processor time for an input.
 SLOW = 2.0
-# Megabytes that an input may take on top of all before it; a picture of 50 megapixels takes 150 and its copy as many.
+# Allowed growth of peak memory for an input, in megabytes; a picture of 50 megapixels and its copy take 150 each.
 LARGE = 400
-# Seconds after which it is taken to come to no end; other processes may take most of them.
-STUCK = 20.0
-# Bytes of address space that a reader gets on top of what it has at its start: so none takes the machine with it.
+# Seconds after which a read counts as endless; on a busy machine most of them belong to other processes.
+STUCK = 120.0
+# Bytes of address space for a reader, above its size at the start; it protects the machine.
 MEMORY = 3 << 30
 _MOST = 20
 
 
 @dataclass(frozen=True)
 class FuzzFinding:
-    """An input that a reader did not bear."""
+    """An input with which a reader failed."""
 
     reader: str
     number: int
@@ -46,7 +46,7 @@ class FuzzFinding:
 
 
 def an_input(name: str, cases: Sequence[FuzzCase], number: int, seed: int = 0) -> tuple[FuzzCase, bytes]:
-    """The damaged file of a number, and what reads it."""
+    """The damaged file with a number, and the case that reads it."""
     rng = Random(f"{name} {seed} {number}")
     case = cases[number % len(cases)]
     return case, mutated(case.seeds, rng)
@@ -55,14 +55,14 @@ def an_input(name: str, cases: Sequence[FuzzCase], number: int, seed: int = 0) -
 def run(
     name: str, inputs: int, seed: int = 0, keep: Path | None = None, stuck: float = STUCK
 ) -> tuple[int, list[FuzzFinding]]:
-    """Give a reader damaged inputs in processes that are watched.
+    """Give damaged inputs to a reader in watched processes.
 
     Args:
-        keep: folder for inputs that were not borne.
-        stuck: seconds after which an input is taken to come to no end.
+        keep: folder for the inputs of findings.
+        stuck: seconds after which a read counts as endless.
 
     Returns:
-        How many inputs were read, and what was found; after 20 findings it is given up.
+        Number of inputs read, and the findings; it stops after 20 of them.
     """
     found: list[FuzzFinding] = []
     first = 0
@@ -72,7 +72,7 @@ def run(
 
 
 def _watched(name: str, numbers: range, seed: int, keep: Path | None, found: list[FuzzFinding], stuck: float) -> int:
-    """One process, until it is done or must be ended; the number of the next input."""
+    """Run one process until it ends or is killed; returns the number of the next input."""
     context = multiprocessing.get_context("spawn")
     current = context.Value("q", -1, lock=False)
     began = context.Value("d", 0.0, lock=False)
@@ -88,7 +88,7 @@ def _watched(name: str, numbers: range, seed: int, keep: Path | None, found: lis
         except EOFError:
             break
         if current.value >= 0 and time.monotonic() - began.value > stuck:
-            said = f"came to no end in {stuck:g} s"
+            said = f"did not end in {stuck:g} s"
             process.kill()
             break
         if len(found) >= _MOST:
@@ -108,7 +108,7 @@ def _work(name: str, numbers: range, seed: int, keep: Path | None, to: Connectio
     with tempfile.TemporaryDirectory(prefix="lpn-fuzz-") as folder:
         cases = getattr(targets, name)(Path(folder))
         _bound_memory()
-        # Libraries remark on what is damaged.
+        # Libraries warn about damaged files.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         for number in numbers:
@@ -142,21 +142,21 @@ def again(name: str, number: int, seed: int = 0) -> None:
     with tempfile.TemporaryDirectory(prefix="lpn-fuzz-") as folder:
         case, data = an_input(name, TARGETS[name](Path(folder)), number, seed)
         print(f"{len(data)} bytes, beginning with {data[:80]!r}")
-        watchdog = threading.Timer(STUCK, lambda: print("It comes to no end.", flush=True))
+        watchdog = threading.Timer(STUCK, lambda: print("The read does not end.", flush=True))
         watchdog.daemon = True
         watchdog.start()
         case.read(data)
 
 
 def main() -> int:
-    """Run readers and say what was found."""
+    """Run the readers and print the findings."""
     parser = argparse.ArgumentParser(
         prog="python -m tools.fuzz.readers", description="Damaged input for everything that is read."
     )
     parser.add_argument("--inputs", type=int, default=10_000, help="for each reader")
     parser.add_argument("--reader", action="append", choices=[*TARGETS], help="this one alone; may be repeated")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, default=Path("runs/fuzz"), help="folder for inputs that were not borne")
+    parser.add_argument("--keep", type=Path, default=Path("runs/fuzz"), help="folder for the inputs of findings")
     parser.add_argument(
         "--again", type=int, help="read the input of this number of one --reader again, with its traceback"
     )
