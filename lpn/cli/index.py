@@ -54,7 +54,7 @@ class IndexCommand:
             Progress(*columns) as bar,
         ):
             task = bar.add_task("Indexing", total=tiles.count)
-            for lot in tiles.lots:
+            for lot in tiles.chunks:
                 some = np.arange(len(lot.names))
                 if not self.replace:
                     some = some[~index.holds(lot.names)]

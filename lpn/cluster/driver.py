@@ -6,8 +6,8 @@ to the next run. A partition whose pictures were added, changed, or removed is r
 a folder outgrows its partitions, their number is doubled: new partitions copy their rows from the shard that had them, and
 that shard is rewritten without them last.
 
-A run writes its id into the plan first. If two runs write to one place, the later one wins: the workers of the earlier one
-stop, and a run checks all shards before it reports success.
+A run marks the plan as unfinished first, and checks all shards before it marks it as finished. Two runs at once into one
+folder are refused; in object storage, a run fails if another one has changed its shards.
 
 Broken pictures do not stop a run, unlike on one machine: among millions there are always some. They are listed in
 `broken.csv`, recorded in the shards, and counted at the end.
@@ -18,7 +18,6 @@ from __future__ import annotations
 import csv
 import io
 import time
-import uuid
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -36,7 +35,6 @@ from lpn.cluster.shards import (
     ShardMetadata,
     contents,
     digest,
-    overtaken,
     packed,
     read_notes,
 )
@@ -199,7 +197,7 @@ def _run(
     ended = not todo and plan.finished and plan.contents == contents(notes)
     if not ended:
         # Until the end, the shards may be of different states of the pictures.
-        plan = replace(plan, finished=False, contents=None, run=uuid.uuid4().hex)
+        plan = replace(plan, finished=False, contents=None)
         target.write(PLAN, plan.to_json())
         if todo:
             sources = [_source(p, held) for p in range(plan.partitions)]
@@ -290,7 +288,6 @@ def _unsettled(notes: ShardMetadata) -> set[ShardItem]:
 def _settled(target: Storage, plan: Plan, partitions: list[list[ShardItem]], digests: list[str]) -> list[ShardMetadata]:
     """Read the notes of all shards; StoreError if they are not what this run leaves there."""
     notes = [one for one in read_notes(target, plan, range(plan.partitions)) if one is not None]
-    plan.check_own(target)
     if unseen := plan.partitions - len(notes):
         raise StoreError(
             f"{unseen} of {plan.partitions} shards in {target.where} are not visible from this machine; on a cluster give a "
@@ -300,7 +297,9 @@ def _settled(target: Storage, plan: Plan, partitions: list[list[ShardItem]], dig
         if unsettled := _unsettled(one):
             whole = digest([item for item in items if item not in unsettled])
         if (one.partitions, one.digest) != (plan.partitions, whole) or not unsettled <= set(items):
-            raise StoreError(overtaken(target))
+            raise StoreError(
+                f"Another run of lpn describe wrote to {target.where} meanwhile; run this again when it has ended."
+            )
     return notes
 
 

@@ -1,7 +1,7 @@
 """Shards of descriptors: a folder or a prefix of Parquet files that many workers write. Needs the extra `ray`.
 
-    plan.json         format, model fingerprint, view, n and D, precision, the number of partitions, pictures of a shard, a
-                      random id of the last run, whether it finished, and a digest of all shards
+    plan.json         format, model fingerprint, view, n and D, precision, the number of partitions, pictures of a shard,
+                      whether the last run finished, and a digest of all shards
     000000.parquet    one file for each partition, which has the pictures whose names hash to it:
                       file, size, time_ns, box (or null), latitude, longitude (or null), descriptor (n D numbers in a row)
     broken.csv        pictures that could not be described, and why
@@ -98,7 +98,6 @@ class Plan:
         partitions: number of shards of the complete folder.
         finished: the last run finished, so all shards are of one state of the pictures.
         contents: see the function `contents`; None until a run finishes.
-        run: a random id of the last run, by which a run notices another one.
         shard: average number of pictures of a shard, at most.
     """
 
@@ -111,7 +110,6 @@ class Plan:
     format: str = FORMAT
     finished: bool = field(default=False, compare=False)
     contents: str | None = field(default=None, compare=False)
-    run: str | None = field(default=None, compare=False)
     shard: _Positive | None = field(default=None, compare=False)
 
     @classmethod
@@ -137,17 +135,6 @@ class Plan:
     def comparable(self, other: Plan) -> bool:
         """Return whether shards of the other plan can be compared with these."""
         return _kind(self) == _kind(other)
-
-    def check_own(self, storage: Storage) -> None:
-        """Raise StoreError if another run began there."""
-        held = Plan.read(storage)
-        if held is not None and held.run != self.run:
-            raise StoreError(overtaken(storage))
-
-
-def overtaken(storage: Storage) -> str:
-    """Return the message about a place that two runs wrote to."""
-    return f"Another run of lpn describe wrote to {storage.where} meanwhile; run this again when it has ended."
 
 
 def digest(items: Sequence[ShardItem]) -> str:
@@ -275,7 +262,7 @@ def notes_of(schema: pa.Schema, plan: Plan, partition: int) -> ShardMetadata | N
 
 def _noted(plan: Plan) -> dict[str, Any]:
     """The entries of a plan that every shard repeats."""
-    return {name: value for name, value in asdict(plan).items() if name not in ("finished", "contents", "run", "shard")}
+    return {name: value for name, value in asdict(plan).items() if name not in ("finished", "contents", "shard")}
 
 
 def _kind(plan: Plan) -> tuple[object, ...]:

@@ -81,9 +81,6 @@ class DescribeWorker:
 
         Returns:
             The numbers of pictures that were computed, are described, and are broken.
-
-        Raises:
-            StoreError: when another run has begun there; nothing is written then.
         """
         plan = self.task.plan
         before = read_shard(self.out, plan, source)
@@ -103,7 +100,6 @@ class DescribeWorker:
         numbers = np.zeros((len(kept), plan.n_parts, plan.embedding), np.float32)
         for i, item in enumerate(kept):
             numbers[i] = rows[item.row]
-        plan.check_own(self.out)
         write_shard(self.out, plan, partition, kept, numbers, broken)
         return computed, len(kept), len(broken)
 

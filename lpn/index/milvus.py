@@ -1,19 +1,18 @@
-"""Milvus (the extra `milvus`): one collection on a server or a cluster, through the same protocol.
+"""Milvus (the extra `milvus`): an index in a collection on a server or a cluster.
 
-A collection has the fields id (128 bits of the digest of the tile's name, in hexadecimal digits: its primary key, of which no
-sign can be mistaken in an expression), name, vector (n D numbers, inner product), latitude, and longitude, and says in its
-description what it holds. Every call sees what this index wrote, and whatever was written before the index was opened; searches
-may miss what others wrote in the last five seconds ("bounded" consistency), as waiting for that ("strong") takes Milvus 0.4 to
-0.8 s a search. What `add` returned from is in the server's log: a server that is killed has it again when it is back. A lost
-connection is tried anew for a while; `add` writes over what an interrupted attempt left, so that nothing is lost and nothing
-is twice.
+A collection has the fields id (primary key: a 128-bit hash of the tile's name in hexadecimal, which needs no escaping in
+expressions), name, vector (n D numbers, inner product), latitude, and longitude. Its description holds the format.
 
-Every structure gives as many tiles as were asked for, or all that there are. Milvus itself gives fewer where the lists that
-it looks through hold too few, as they may for many tiles or in a box: all lists are looked through then. Of a segment that
-still grows Milvus looks through lists of its own choice (16 of 128); where that leaves an answer short, tiles are read and
-scored here.
+Every call sees the writes of this index, and those of others before it was opened. Searches may miss what others wrote in the
+last five seconds ("bounded" consistency); "strong" consistency takes Milvus 0.4 to 0.8 s a search. When `add` returns, the
+tiles are in the server's log and survive its death. A lost connection is retried for a while; `add` is an upsert, so a
+repeated attempt loses and duplicates nothing.
 
-Milvus keeps no order among equal scores; those that come back are ordered by name.
+Every structure returns as many tiles as requested, if there are as many. Milvus itself returns fewer if the visited lists hold
+too few, for large k or in a box; then all lists are visited. In growing segments Milvus visits lists of its own choice (16 of
+128); if that leaves a result short, tiles are read and scored here.
+
+Milvus returns ties in any order; they are sorted by name.
 """
 
 from __future__ import annotations
@@ -56,19 +55,19 @@ FORMAT = "lpn-milvus/1"
 SCHEME = "milvus"
 Structure = Literal["flat", "ivf", "hnsw"]
 
+# Latitude and longitude of a tile without a position: Milvus 2.3 has no null, and no box reaches so far.
 _NOWHERE = 1000.0
-"""Latitude and longitude of a tile that has none: 2.3 knows no null, and no box reaches so far."""
 _NAME_BYTES = 4 * ID_LENGTH
+# Maximum size of a message's vectors, far below a server's limit of 64 MB (`proxy.grpc.serverMaxSendSize`).
 _BYTES = 8 << 20
-"""Of one message's vectors, far below the 64 MB that a server takes or gives (`proxy.grpc.serverMaxSendSize`)."""
 _ROWS = 1000
 _CALL = 30.0
+# Seconds after which a bounded search certainly sees a write; Milvus's own bound is five.
 _RECENT = 10.0
-"""Seconds after which a bounded search sees a write for certain; Milvus's own bound is five."""
+# Maximum number of lists of a segment; smaller segments have one for 39 tiles.
 _LISTS = 1024
-"""Of each segment that has an index, at most: smaller ones have one for 39 tiles."""
+# Up to so many tiles in a box are all compared, whatever the effort; one segment holds about as many.
 _FEW = 50_000
-"""Tiles in a box up to which all of them are compared, whatever the effort: as many as one segment holds."""
 _MOST_EFFORT = 32768
 _PAUSES = (0.2, 0.5, 1.0, 2.0)
 _BUILD: dict[Structure, dict[str, Any]] = {
@@ -76,13 +75,13 @@ _BUILD: dict[Structure, dict[str, Any]] = {
     "ivf": {"index_type": "IVF_FLAT", "params": {"nlist": _LISTS}},
     "hnsw": {"index_type": "HNSW", "params": {"M": 32, "efConstruction": 200}},
 }
+# Milvus's codes of permanent errors: a missing collection, or an invalid parameter.
 _REFUSED = {65, 100, 1100, 1101}
-"""Milvus's codes for what no trying again mends: a collection that is gone, or a wrong parameter."""
+# Codes of a collection that is not loaded.
 _RELEASED = {101, 103}
-"""Of a collection that somebody has let go of, or that is being loaded."""
 _FORBIDDEN = {1400, 1401, 1800}
+# The names of the gRPC errors that 2.3 sends in place of these codes.
 _FORBIDDEN_NAMES = {"PERMISSION_DENIED", "UNAUTHENTICATED"}
-"""What 2.3 says through gRPC in place of these codes."""
 _COLLECTION = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
 _FIELDS = ("name", "vector", "latitude", "longitude")
 _Level = Literal["Strong", "Bounded"]
@@ -94,14 +93,14 @@ class MilvusIndex(Index):
 
     Args:
         url: milvus://host:port/collection, or milvus://user:password@host:port/collection.
-        patience: seconds for which a server that does not answer is tried again.
-        effort: 1 to 32,768 lists of each segment's 1,024 (ivf) or neighbours (hnsw) looked through; more miss fewer tiles
-            and take longer. With a box, ivf looks through so many lists that it compares as many tiles as without one,
-            or all in the box: always all where these are 50,000 or fewer. Milvus does so once it has built its index.
+        patience: seconds for which an unreachable server is retried.
+        effort: lists of each segment's 1,024 (ivf) or neighbours (hnsw) to visit, 1 to 32,768; more miss fewer tiles and take
+            longer. With a box, ivf visits enough lists to compare as many tiles as without one, or all in the box, if these
+            are 50,000 or fewer. The effort applies once Milvus has built its index.
 
     Raises:
-        StoreError: when there is no such server or collection, or it is not one of ours.
-        InputError: when the address is none, or the effort is not as expected.
+        StoreError: when there is no such server or collection, or lpn did not make it.
+        InputError: when the address is malformed, or the effort is out of range.
         ModuleNotFoundError: when pymilvus is not installed.
     """
 
@@ -123,10 +122,10 @@ class MilvusIndex(Index):
     def create(
         cls, url: str, kind: Kind, structure: Structure = "flat", patience: float = 60.0, effort: int = 128
     ) -> MilvusIndex:
-        """Make an empty collection, or open the one of the same kind that is there.
+        """Make an empty collection, or open an existing one of the same kind.
 
         Args:
-            structure: flat compares every vector and misses nothing; ivf and hnsw are quicker among many tiles.
+            structure: flat compares every vector and misses nothing; ivf and hnsw are faster for many tiles.
 
         Raises:
             StoreError: when there is no server, or the collection holds something else.
@@ -141,10 +140,10 @@ class MilvusIndex(Index):
             made.close()
         index = cls(url, patience, effort)
         if (index.kind, index.structure) != (kind, structure):
-            one = f"{_said(index.kind)} ({index.structure})"
+            one = f"{_describe(index.kind)} ({index.structure})"
             index.close()
             raise StoreError(
-                f"{index._shown} holds {one}, and this would be {_said(kind)} ({structure}); choose another collection."
+                f"{index._shown} holds {one}, and this would be {_describe(kind)} ({structure}); choose another collection."
             )
         return index
 
@@ -154,7 +153,7 @@ class MilvusIndex(Index):
         descriptors: npt.ArrayLike,
         positions: Sequence[Sequence[float]] | Float64Array | None = None,
     ) -> None:
-        """See `Index.add`; in messages that are each whole, so that after an error some of the tiles can be there."""
+        """See `Index.add`; each message is atomic, so some of the tiles may be there after an error."""
         vectors = self.kind.checked(descriptors)
         names = check_names(ids, len(vectors))
         places = check_positions(positions, len(vectors))
@@ -176,7 +175,7 @@ class MilvusIndex(Index):
     def search(
         self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
     ) -> SearchResult:
-        """See `Index.search`; at most 16,384 tiles; equal scores by name."""
+        """See `Index.search`; at most 16,384 tiles; ties are sorted by name."""
         wanted = self.kind.rescaled(query, weights)
         k, box = check_count(k), check_box(box)
         if k > self.most:
@@ -197,7 +196,7 @@ class MilvusIndex(Index):
         """See `Index.holds`."""
         there: set[str] = set()
         keys = [key_of(name) for name in ids]
-        for some in _lots(keys, _ROWS):
+        for some in _chunks(keys, _ROWS):
             found = self._call(partial(self._there, some))
             there.update(str(row["id"]) for row in found)
         return np.array([key in there for key in keys], np.bool_)
@@ -208,7 +207,7 @@ class MilvusIndex(Index):
 
     def close(self) -> None:
         """See `Index.close`."""
-        self._let_go()
+        self._disconnect()
 
     def _open(self, url: str, patience: float, effort: int) -> None:
         if int(effort) != effort or not 1 <= effort <= _MOST_EFFORT:
@@ -216,7 +215,7 @@ class MilvusIndex(Index):
                 f"The effort is {effort}; expected 1 to {_MOST_EFFORT} lists or neighbours to look through."
             )
         self._milvus = cast(Any, import_module("pymilvus"))
-        # It prints a traceback for each attempt; what cannot be mended is said once, in a sentence.
+        # pymilvus logs a traceback of each attempt; we report a permanent error once.
         logging.getLogger("pymilvus").setLevel(logging.CRITICAL + 1)
         self._address, self._token, self._name = parse_url(url)
         self._shown = f"{SCHEME}://{self._address}/{self._name}"
@@ -238,16 +237,13 @@ class MilvusIndex(Index):
         return self._call(described)
 
     def _make(self, kind: Kind, structure: Structure) -> None:
-        """The collection, with the description that tells it from others, and then its index.
-
-        Where an attempt ended in between, the next one makes the index.
-        """
+        """Create the collection, with the description that identifies it, and then its index if it is missing."""
 
         def make(client: Any) -> None:
             types = self._milvus.DataType
             if not client.has_collection(self._name, timeout=_CALL):
-                said = json.dumps({"format": FORMAT, **vars(kind), "structure": structure})
-                schema = client.create_schema(auto_id=False, enable_dynamic_field=False, description=said)
+                description = json.dumps({"format": FORMAT, **vars(kind), "structure": structure})
+                schema = client.create_schema(auto_id=False, enable_dynamic_field=False, description=description)
                 schema.add_field("id", types.VARCHAR, is_primary=True, max_length=32)
                 schema.add_field("name", types.VARCHAR, max_length=_NAME_BYTES)
                 schema.add_field("vector", types.FLOAT_VECTOR, dim=kind.numbers)
@@ -264,7 +260,7 @@ class MilvusIndex(Index):
 
     def _load(self, client: Any) -> None:
         client.load_collection(self._name)
-        self._written = time.monotonic()  # others may have, before this, which can take longer than a write is recent
+        self._written = time.monotonic()  # others may have written while the collection was loading
 
     def _upsert(self, rows: list[dict[str, Any]], client: Any) -> None:
         client.upsert(self._name, rows, timeout=_CALL)
@@ -278,7 +274,7 @@ class MilvusIndex(Index):
         return int(found[0]["count(*)"])
 
     def _found(self, wanted: Float64Array, k: int, box: Box | None, client: Any) -> list[dict[str, Any]]:
-        """The fields of k tiles or more, fewer only where there are fewer."""
+        """Return the fields of k tiles or more, fewer only if there are fewer."""
         level: _Level = "Strong" if time.monotonic() - self._written < _RECENT else "Bounded"
         within = "" if box is None else expression(box)
         lists = self._lists(client, within)
@@ -290,7 +286,7 @@ class MilvusIndex(Index):
         return found
 
     def _lists(self, client: Any, within: str) -> int:
-        """How many lists of each segment to look through; what is counted for that may be seconds old."""
+        """Return the number of lists to visit in each segment; its counts may be seconds old."""
         lists = min(self._effort, _LISTS)
         if not within or self.structure != "ivf":
             return lists
@@ -317,16 +313,16 @@ class MilvusIndex(Index):
         if whole:
             return [dict(hit["entity"]) for hit in found[0]]
         keys = [str(hit["id"]) for hit in found[0]]
-        return [row for some in _lots(keys, self._step) for row in self._read(client, some, level)]
+        return [row for some in _chunks(keys, self._step) for row in self._read(client, some, level)]
 
     def _read(self, client: Any, keys: list[str], level: _Level) -> list[dict[str, Any]]:
         found = client.query(self._name, ids=keys, output_fields=list(_FIELDS), **_now(level))
         return [dict(row) for row in found]
 
     def _all(self, client: Any, wanted: Float64Array, k: int, within: str, level: _Level) -> list[dict[str, Any]]:
-        """The k best of all tiles within, each of them read: for as few as an index does not find k of."""
+        """Read all tiles within the filter and return the k best, for the few that an index finds too few of."""
         keys: list[str] = []
-        while True:  # a page begins where the one before ended: an offset reaches 16,384 at most
+        while True:  # page by key, because offsets are limited to 16,384
             after = f'id > "{keys[-1] if keys else ""}"'
             page = client.query(
                 self._name,
@@ -335,11 +331,11 @@ class MilvusIndex(Index):
                 output_fields=["id"],
                 **_now(level),
             )
-            if not page:  # a short one may only have held a key twice
+            if not page:  # a short page may only have had a duplicate key
                 break
             keys += sorted({str(row["id"]) for row in page})
         kept: list[dict[str, Any]] = []
-        for some in _lots(keys, self._step):
+        for some in _chunks(keys, self._step):
             kept += self._read(client, some, level)
             scores = scores_of(np.array([row["vector"] for row in kept], np.float32), wanted)
             by_name = np.argsort(np.argsort([row["name"] for row in kept]))
@@ -347,13 +343,13 @@ class MilvusIndex(Index):
         return kept
 
     def _call(self, task: Callable[[Any], _T]) -> _T:
-        """What a task gives with a client that is connected; a server that does not answer is tried again for a while."""
+        """Run a task with a connected client, retrying for a while if the server does not answer."""
         until = time.monotonic() + self._patience
         released = False
         for pause in _pauses():
             try:
                 if self._client is None:
-                    self._written = time.monotonic()  # by others, perhaps
+                    self._written = time.monotonic()  # others may have written
                     self._client = self._milvus.MilvusClient(
                         uri=f"http://{self._address}", token=self._token, timeout=_CALL
                     )
@@ -362,27 +358,27 @@ class MilvusIndex(Index):
                 return task(self._client)
             except (StoreError, InputError):
                 raise
-            except Exception as error:  # pymilvus lets errors of grpc and of its own through
-                if (said := _denied(error)) is not None:
+            except Exception as error:  # pymilvus raises its own errors and those of grpc
+                if (message := _denied(error)) is not None:
                     raise StoreError(
-                        f"{self._shown} does not allow this ({said}); give a name and a password that may "
-                        f"({SCHEME}://user:password@host:port/collection), or have them granted the right."
+                        f"{self._shown} denies access ({message}); give a user with the right to do this "
+                        f"({SCHEME}://user:password@host:port/collection)."
                     ) from error
-                if not self._passing(error):
+                if not self._is_temporary(error):
                     raise StoreError(f"{self._shown} refuses: {_short(error)}.") from error
                 released = getattr(error, "code", None) in _RELEASED
                 if not released:
-                    self._let_go()
+                    self._disconnect()
                 if time.monotonic() + pause > until:
                     raise StoreError(
-                        f"{self._shown} does not answer, tried for {self._patience:g} s ({_short(error)}); start the server, "
+                        f"{self._shown} does not answer after {self._patience:g} s ({_short(error)}); start the server, "
                         "or check the address."
                     ) from error
                 time.sleep(pause)
         raise AssertionError
 
-    def _passing(self, error: Exception) -> bool:
-        """Whether what failed may do so no more in a moment, as it is while a server starts or is gone."""
+    def _is_temporary(self, error: Exception) -> bool:
+        """Return whether an error may be temporary, as while a server starts."""
         errors = import_module("pymilvus.exceptions")
         refused = isinstance(error, (errors.ParamError, errors.DataNotMatchException)) or getattr(
             error, "is_input_error", False
@@ -390,15 +386,15 @@ class MilvusIndex(Index):
         mine = isinstance(error, (TypeError, KeyError, AttributeError))
         return not refused and not mine and getattr(error, "code", None) not in _REFUSED
 
-    def _let_go(self) -> None:
+    def _disconnect(self) -> None:
         if self._client is not None:
-            with suppress(Exception):  # of a connection that is lost already
+            with suppress(Exception):  # the connection may be lost already
                 self._client.close()
             self._client = None
 
 
 def parse_url(url: str) -> tuple[str, str, str]:
-    """The address host:port, the token user:password or "", and the collection's name of milvus://...; InputError else."""
+    """Split milvus://... into host:port, the token user:password or "", and the collection's name; InputError if malformed."""
     try:
         parts = urlsplit(url)
         port = parts.port
@@ -407,7 +403,7 @@ def parse_url(url: str) -> tuple[str, str, str]:
     name = parts.path.strip("/")
     if parts.scheme != SCHEME or not parts.hostname or not port or not _COLLECTION.fullmatch(name):
         raise InputError(
-            f"{url.rpartition('@')[2]} is no address of a Milvus collection; expected milvus://host:port/collection, its name of "
+            f"{url.rpartition('@')[2]} is not the address of a Milvus collection; expected milvus://host:port/collection, its name of "
             "letters, digits, and underscores."
         )
     host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
@@ -416,15 +412,15 @@ def parse_url(url: str) -> tuple[str, str, str]:
 
 
 def key_of(name: str) -> str:
-    """What stands for a tile's name as the primary key."""
+    """Return the primary key of a tile's name."""
     return hashlib.blake2b(name.encode(), digest_size=16).hexdigest()
 
 
 def expression(box: Box) -> str:
-    """A box as Milvus filters by it."""
+    """Format a box as a filter expression."""
     south, west, north, east = box
     both = "and" if west <= east else "or"
-    # Twice around the antimeridian, a tile that is nowhere must be kept out by itself.
+    # Across the antimeridian, the "or" would include tiles without a position.
     return (
         f"latitude >= {south!r} and latitude <= {north!r} and longitude <= 180.0 and "
         f"(longitude >= {west!r} {both} longitude <= {east!r})"
@@ -445,12 +441,12 @@ def _read(description: str, shown: str) -> tuple[Kind, Structure]:
         ) from error
 
 
-def _said(kind: Kind) -> str:
+def _describe(kind: Kind) -> str:
     return f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}"
 
 
 def _now(consistency: _Level = "Strong") -> dict[str, Any]:
-    """What makes an answer count everything that was written before it, or until a few seconds before it."""
+    """Options of a call that sees all writes before it, or all but those of the last seconds."""
     return {"consistency_level": consistency, "timeout": _CALL}
 
 
@@ -458,14 +454,14 @@ def _pauses() -> Iterator[float]:
     return chain(_PAUSES, repeat(_PAUSES[-1]))
 
 
-def _lots(keys: list[str], size: int) -> Iterator[list[str]]:
+def _chunks(keys: list[str], size: int) -> Iterator[list[str]]:
     return (keys[start : start + size] for start in range(0, len(keys), size))
 
 
 def _denied(error: Exception) -> str | None:
-    """What a server says that does not let this user in, or not do this; None of any other error.
+    """Return the server's message if it denies the user access or a right; None for any other error.
 
-    pymilvus tells of a wrong password as of a server that is not there, and has what the server said among the causes.
+    pymilvus reports a wrong password as an unreachable server, with the server's message among the causes.
     """
     seen: list[BaseException] = []
     cause: BaseException | None = error
@@ -481,7 +477,7 @@ def _denied(error: Exception) -> str | None:
 
 
 def _short(error: BaseException) -> str:
-    details = getattr(error, "details", None)  # of gRPC's, whose text is of many lines
-    said = details() if callable(details) else getattr(error, "message", "")
-    text = str(said or error or type(error).__name__)
+    details = getattr(error, "details", None)  # the text of gRPC's errors has many lines
+    message = details() if callable(details) else getattr(error, "message", "")
+    text = str(message or error or type(error).__name__)
     return printable(" ".join(text.split())[:160]).rstrip(".")

@@ -16,7 +16,7 @@ from lpn.datasets import geo
 from lpn.index.base import Kind, check_names
 
 # Size of the descriptors that are added at once; a killed run repeats at most so much.
-_LOT_BYTES = 64 << 20
+_CHUNK_BYTES = 64 << 20
 # The name in `lpn.cluster.shards`, which needs an extra and is imported for shards only.
 _PLAN = "plan.json"
 
@@ -43,13 +43,13 @@ class TileSource:
     Attributes:
         kind: of the descriptors.
         count: number of tiles.
-        lots: all tiles in order, in chunks; raises StoreError if a shard is damaged or was rewritten meanwhile.
+        chunks: all tiles in order, in chunks; raises StoreError if a shard is damaged or was rewritten meanwhile.
         broken: number of pictures that could not be described, which are not among the tiles.
     """
 
     kind: Kind
     count: int
-    lots: Iterator[TileChunk]
+    chunks: Iterator[TileChunk]
     broken: int = 0
 
 
@@ -81,11 +81,11 @@ def _of_store(folder: Path, data: Path | None) -> TileSource:
     positions = None if data is None else _positions(data, names)
     step = _step(kind)
 
-    def lot(start: int) -> TileChunk:
+    def chunk(start: int) -> TileChunk:
         some = slice(start, start + step)
         return TileChunk(names[some], None if positions is None else positions[some], lambda at: store.rows(start + at))
 
-    return TileSource(kind, len(names), map(lot, range(0, len(names), step)))
+    return TileSource(kind, len(names), map(chunk, range(0, len(names), step)))
 
 
 def _of_shards(where: str, data: Path | None) -> TileSource:
@@ -103,19 +103,19 @@ def _of_shards(where: str, data: Path | None) -> TileSource:
     partitions = range(shards.plan.partitions)
     positions: Float64Array | None = None
     if data is None:
-        seen = list(each(lambda partition: _told(checked(partition)), partitions))
+        seen = list(each(lambda partition: _identity(checked(partition)), partitions))
     else:
         # The paths of geo.csv are matched against all names at once.
         parts = list(each(checked, partitions))
-        seen = [_told(names) for names in parts]
+        seen = [_identity(names) for names in parts]
         positions = _positions(data, [name for names in parts for name in names])
     starts = np.cumsum([0, *(count for count, _ in seen)])
 
-    def lot(group: range) -> TileChunk:
+    def chunk(group: range) -> TileChunk:
         tiles = list(each(shards.tiles, group))
         for partition, part in zip(group, tiles, strict=True):
             # A shard of the same digest may have other broken pictures by now.
-            if _told(part.names) != seen[partition]:
+            if _identity(part.names) != seen[partition]:
                 raise shards.written_anew(partition)
         names = [name for part in tiles for name in part.names]
         first = starts[group.start]
@@ -138,16 +138,16 @@ def _of_shards(where: str, data: Path | None) -> TileSource:
         if groups and starts[partition + 1] - starts[groups[-1].start] <= _step(kind):
             start = groups.pop().start
         groups.append(range(start, partition + 1))
-    return TileSource(kind, int(starts[-1]), map(lot, groups), len(shards.broken))
+    return TileSource(kind, int(starts[-1]), map(chunk, groups), len(shards.broken))
 
 
-def _told(names: list[str]) -> tuple[int, int]:
+def _identity(names: list[str]) -> tuple[int, int]:
     """Identify the tiles of a shard in little memory."""
     return len(names), hash(tuple(names))
 
 
 def _step(kind: Kind) -> int:
-    return max(1, _LOT_BYTES // (4 * kind.numbers))
+    return max(1, _CHUNK_BYTES // (4 * kind.numbers))
 
 
 def _positions(root: Path, names: list[str]) -> Float64Array:

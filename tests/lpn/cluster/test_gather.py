@@ -145,7 +145,7 @@ def test_an_index_is_made_of_one_state_as_far_as_it_goes(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("lpn.index.tiles._LOT_BYTES", 1)  # a lot for each partition
+    monkeypatch.setattr("lpn.index.tiles._CHUNK_BYTES", 1)  # a chunk for each partition
     given = ["index", "--descriptors", str(folder), "--out", str(tmp_path / "index")]
 
     def check(items: Sequence[ShardItem]) -> None:

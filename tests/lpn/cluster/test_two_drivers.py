@@ -18,7 +18,7 @@ from lpn.cli import main
 from lpn.cluster import driver
 from lpn.cluster.driver import Summary
 from lpn.cluster.gather import open_shards, to_store
-from lpn.cluster.shards import PLAN, Plan, ShardItem, read_notes, shard_name, write_shard
+from lpn.cluster.shards import PLAN, Plan, ShardItem, shard_name, write_shard
 from lpn.cluster.storage import Storage
 from lpn.cluster.worker import DescribeWorker, PartitionTask, _UnreadError
 from lpn.core.arrays import Float32Array
@@ -158,7 +158,7 @@ class Place:
         return held
 
     def states(self) -> dict[str, tuple[int, int]]:
-        """What tells whether a file was written anew, by its name."""
+        """Identify the version of each file, by its name."""
         return {path.name: (path.stat().st_mtime_ns, path.stat().st_ino) for path in self.folder.glob("*.*")}
 
     def _describe_each(self, _: object, items: Sequence[ShardItem], *__: object) -> Iterator[DescribedRow]:
@@ -202,41 +202,6 @@ def test_a_kill_at_any_shard_of_one_doubling_or_two_costs_nothing(
         place.run(pictures(20), 4)
         assert sorted(place.computed) == [item.row.file for item in pictures(20)]
         place.check(pictures(20))
-
-
-@pytest.mark.parametrize("shards", [0, 3])
-@pytest.mark.parametrize("late", [False, True])
-def test_of_two_drivers_the_earlier_one_stops(
-    late: bool, shards: int, place: Place, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The later one begins between two shards of the earlier one, or after its last, and is killed after so many of its own."""
-    place.run(pictures(12), 6)
-    changed = [ShardItem(replace(item.row, size=11), item.position) for item in pictures(12)]
-    left: list[dict[str, tuple[int, int]]] = []
-    real = read_notes
-
-    def later() -> None:
-        monkeypatch.setattr(driver, "read_notes", real)
-        assert place.killed(pictures(20), 6, shards)
-        left.append(place.states())
-
-    def between(_: int, begun: int) -> None:
-        if begun == 1 and not late:
-            later()
-
-    def after(storage: Storage, plan: Plan, partitions: Sequence[int]) -> object:
-        if late and not plan.finished:
-            later()
-        return real(storage, plan, partitions)
-
-    monkeypatch.setattr(driver, "read_notes", after)
-    with pytest.raises(StoreError, match=ANOTHER):
-        place.run(changed, 6, between)
-    assert left == [place.states()]
-    with pytest.raises(StoreError, match=f"{NOT_ENDED}|missing or damaged"):
-        open_shards(place.folder)
-    place.run(pictures(20), 6)
-    place.check(pictures(20))
 
 
 @pytest.mark.parametrize("what", LATE)

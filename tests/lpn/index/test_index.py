@@ -559,7 +559,7 @@ def test_a_store_is_indexed_and_a_picture_found(
 def test_names_are_checked_before_anything_is_added(
     described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lpn.index.tiles._LOT_BYTES", 1)  # a lot for each tile
+    monkeypatch.setattr("lpn.index.tiles._CHUNK_BYTES", 1)  # a chunk for each tile
     for name, said in (("\udcff.png", "is not UTF-8"), ("x" * 513, "1 to 512 characters")):
         store = Path(shutil.copytree(described.store, tmp_path / f"store{len(name)}"))
         manifest = json.loads((store / "manifest.json").read_text())

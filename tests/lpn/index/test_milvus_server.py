@@ -231,7 +231,7 @@ def test_who_may_not_is_told_at_once(server: MilvusServer) -> None:
         ("bob:Password1", "permission deny to bob"),
     ):
         for using in (open_index, lambda url: create_index(url, KIND)):
-            with pytest.raises(StoreError, match=f"does not allow this .*{said}.*; give a name and a password") as told:
+            with pytest.raises(StoreError, match=f"denies access .*{said}.*; give a user") as told:
                 using(f"{server.url_of(token)}/forbidden")
             assert "Password1" not in str(told.value)
     assert time.monotonic() - started < 240, "six refusals, none of which is tried again for 60 s"
