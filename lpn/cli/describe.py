@@ -1,4 +1,4 @@
-"""Commands that describe pictures: describe, on one machine or on many, and gather."""
+"""The commands describe and gather."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ class DescribeCommand:
     precision: Literal["float32", "float16", "int8"] = "float32"
     """Numbers on disk; float16 halves the store, int8 quarters it (not with --engine ray)."""
     engine: Literal["local", "ray"] = "local"
-    """local describes on this machine, and refuses broken pictures before anything is computed. ray describes with many workers
-    and stops at no broken picture: it names them in broken.csv and ends with status 1 where there are any."""
+    """local describes on this machine, and refuses broken pictures before anything is computed. ray describes with many workers,
+    lists broken pictures in broken.csv, and ends with status 1 if there are any."""
     address: str | None = None
-    """With --engine ray: the cluster, auto on one of its machines; by default workers are started on this machine."""
+    """With --engine ray: address of the cluster, auto on one of its machines; by default workers run on this machine."""
     workers: int | None = None
-    """With --engine ray: how many; by default as many as there are cores for."""
+    """With --engine ray: number of workers; by default as many as the cores allow."""
     threads: int | None = None
-    """With --engine ray: cores of one worker, 1 by default; each worker holds the model once, so more take less memory."""
+    """With --engine ray: cores of one worker, 1 by default; each worker holds the model once, so more cores save memory."""
     shard: int | None = None
-    """With --engine ray: pictures of one shard, on average at most; about what a killed worker costs. By default what the last
-    run was told, else 256. Where there are more by now, shards are split, and no picture is computed for that."""
+    """With --engine ray: pictures of one shard, on average at most, which a killed worker loses; by default that of the last run,
+    else 256. If there are more pictures now, shards are split without computing any picture again."""
     positions: str | None = None
-    """With --engine ray: file in the format of geo.csv to take positions from, its paths below --images or further up; by default
+    """With --engine ray: file of positions in the format of geo.csv, with paths relative to --images or a folder above; by default
     geo.csv among the pictures, if any."""
 
     def run(self) -> int:
         return self._shards() if self.engine == "ray" else self._store()
 
     def resume_hint(self) -> str:
-        """What to do after a stop."""
+        """Return how to resume after a stop."""
         return f"What {self.out} has by now is kept; the same command goes on."
 
     def _store(self) -> int:
@@ -112,5 +112,5 @@ class GatherCommand:
             print(f"{len(shards.broken):,} pictures are broken and not in it; {BROKEN} in {self.shards} names them.")
 
     def resume_hint(self) -> str:
-        """What to do after a stop."""
+        """Return how to resume after a stop."""
         return f"What {self.out} has by now is kept; the same command goes on."

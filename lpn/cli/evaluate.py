@@ -1,4 +1,4 @@
-"""The command that measures retrieval on a test split: evaluate."""
+"""The command evaluate: retrieval on a test split."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lpn.retrieval.published_results import check_n_parts
 
 @dataclass
 class EvaluateCommand:
-    """Recall and AP on the test split, by the published protocol, or of a saved result."""
+    """Measure recall and AP on the test split by the published protocol, or of a saved result."""
 
     data: Path | None = None
     """Data set; see docs/evaluation.md for the kinds."""
@@ -29,15 +29,15 @@ class EvaluateCommand:
     saved: Path | None = None
     """Result of the published test code, pytorch_result.mat, in place of --data and --model."""
     n_parts: int | None = None
-    """Parts that the descriptors in --saved consist of; needed with --parts and --average-queries, else 1 will do."""
+    """Number of parts of the descriptors in --saved; needed with --parts and --average-queries."""
     task: TaskName | None = None
-    """Which view is the query and which the gallery; by default the first that the data set offers."""
+    """Views of query and gallery; by default the first task of the data set."""
     rotate: float = 0.0
-    """Degrees counter-clockwise each query is turned first (Table IV)."""
+    """Degrees counter-clockwise by which each query is rotated first (Table IV)."""
     shift: int = 0
-    """Pixels of the network's input each query is moved to the right, black at its left; negative: to the left."""
+    """Pixels of the network's input by which each query is shifted right, with black at its left; negative: left."""
     scale: float = 1.0
-    """Factor each query is zoomed by about its centre; below 1 with black around it."""
+    """Zoom factor of each query about its centre; below 1 with a black border."""
     parts: str | None = None
     """Parts to use, from 1, such as 1,2 (Table V); all by default."""
     branch: View | None = None
@@ -45,7 +45,7 @@ class EvaluateCommand:
     average_queries: bool = False
     """Average all query pictures of a place into one query."""
     whole: bool = False
-    """Describe queries whole where the data set marks a part of them (Oxford5k, Paris6k)."""
+    """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
     json: Path | None = None
     """File to write the figures to."""
 
@@ -101,7 +101,7 @@ class EvaluateCommand:
 
 
 def _print_result(title: str, result: Result) -> None:
-    """A table of the figures, and under it how they were measured."""
+    """Print a table of the figures, and the protocol below it."""
     from rich.console import Console
     from rich.table import Table
 

@@ -1,4 +1,4 @@
-"""Commands that say why: explain."""
+"""The command explain: exact evidence for one pair of pictures."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ if TYPE_CHECKING:
 
 @dataclass
 class ExplainCommand:
-    """Account for the score of one pair of pictures, cell by cell, exactly; from the .onnx alone."""
+    """Split the score of a pair of pictures exactly into its cells; works from the .onnx alone."""
 
     model: Path
     """Trained LPN: .onnx (needs no torch), .safetensors, or .pth."""
     query: Path
     """Picture file of the query."""
     match: Path
-    """Picture file of the tile it is compared with."""
+    """Picture file of the tile to compare with."""
     view_query: View = "drone"
-    """What the query shows: the branch that describes it."""
+    """View of the query: the branch that describes it."""
     view_match: View = "satellite"
-    """What the tile shows."""
+    """View of the tile."""
     rotate: float = 0.0
-    """Degrees counter-clockwise the query is turned first."""
+    """Degrees counter-clockwise by which the query is rotated first."""
     weights: str | None = None
-    """Weight of each part, such as 1,1,0,1; all alike by default."""
+    """Weight of each part, such as 1,1,0,1; equal by default."""
     covering: bool = False
-    """Measure instead what the score loses where a square of the query is blurred: approximate, and serves every model."""
+    """Measure instead the loss of score when a square of the query is blurred (occlusion): approximate, for every model."""
     json: Path | None = None
     """File to write score, parts, and every cell to."""
     png: Path | None = None
@@ -88,7 +88,7 @@ class ExplainCommand:
 
 
 def part_values(text: str | None) -> list[float] | None:
-    """Part weights as they are typed, "1,1,0,1"; InputError when they are no numbers."""
+    """Parse part weights such as "1,1,0,1"; InputError if they are not numbers."""
     if text is None:
         return None
     try:
@@ -100,7 +100,7 @@ def part_values(text: str | None) -> list[float] | None:
 def _losses(
     model: Model, query: DescribedPicture, view: View, tile: DescribedPicture, console: Console
 ) -> Float32Array:
-    """What each part's cosine loses where a square is covered, measured to the end."""
+    """Return the loss of each part's cosine for each covered square."""
     from rich.progress import Progress
 
     from lpn.explain import occlusion
@@ -126,5 +126,5 @@ def _show(console: Console, found: Evidence, names: Sequence[str]) -> None:
 
 
 def _short(path: Path) -> str:
-    """A picture's folder, which often names the place, and its name."""
+    """Return a picture's folder, which often names the place, and its name."""
     return printable("/".join(path.resolve().parts[-2:]))

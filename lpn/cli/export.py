@@ -1,4 +1,4 @@
-"""Commands that write a model for deployment: export, quantize."""
+"""The commands export and quantize, which write a model for deployment."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class ExportCommand:
     out: Path
     """File to write, ending in .onnx; views with weights of their own get files beside it."""
     storage: Literal["float32", "float16", "int8"] = "float32"
-    """Of the weights in the file: float16 halves it, int8 takes it to about a third; all compute in float32."""
+    """Precision of the weights in the file: float16 halves it, int8 reduces it to about a third; all compute in float32."""
 
     def run(self) -> None:
         files = import_module("lpn.models.export").export(self.model, self.out, self.storage)
@@ -26,7 +26,7 @@ class ExportCommand:
 
 @dataclass
 class QuantizeCommand:
-    """Write an exported model again so that it computes in 8-bit integers, calibrated on real pictures."""
+    """Quantize an exported model to 8-bit integers, calibrated on real pictures."""
 
     model: Path
     """Model exported with --storage float32 (.onnx)."""
@@ -35,7 +35,7 @@ class QuantizeCommand:
     out: Path
     """File to write, ending in .onnx; views with weights of their own get files beside it."""
     pictures: int = 128
-    """How many pictures, spread evenly over the training split, or over the test split where there is none."""
+    """Number of calibration pictures, spread evenly over the training split, or the test split if there is none."""
 
     def run(self) -> None:
         dataset = import_module("lpn.datasets").open_dataset(self.data)

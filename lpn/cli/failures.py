@@ -1,4 +1,4 @@
-"""The command that says where a model fails: failures."""
+"""The command failures: the queries on which a model fails."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ class FailuresCommand:
     model: Path
     """Trained LPN: .onnx, .safetensors, or .pth."""
     task: TaskName | None = None
-    """Which view is the query and which the gallery; by default the first that the data set offers and the model knows."""
+    """Views of query and gallery; by default the first task of the data set that the model supports."""
     where: str = ""
-    """Which queries, such as 'rank > 1 and margin < -0.1 and name ~ 0012'; all by default."""
+    """Filter of the queries, such as 'rank > 1 and margin < -0.1 and name ~ 0012'; all by default."""
     sort: str = "margin"
-    """Column that the queries are listed by, lowest first; by default what fails by most comes first."""
+    """Column to sort by, lowest first; by default the worst failures come first."""
     descending: bool = False
     """Highest first."""
     top: int = 20
-    """Queries listed, and lines of each other table, at most."""
+    """Maximum number of listed queries, and of lines of each other table."""
     notes: Path | None = None
     """File of tags and notes; by default notes.csv in the data set's folder."""
     csv: Path | None = None
-    """File to write all queries chosen by --where to, with all columns, tags, and notes."""
+    """File to write all queries that match --where to, with all columns, tags, and notes."""
 
     def run(self) -> None:
         from rich.console import Console
@@ -87,7 +87,7 @@ def _print(console: Console, table: Table, rows: Int64Array, names: list[str], t
 
 
 def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -> None:
-    """What the failures among some rows have in common."""
+    """Print the common properties of the failures among some rows."""
     from lpn.analysis import breakdown
     from lpn.analysis.query_outcomes import described_by
 

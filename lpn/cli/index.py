@@ -1,4 +1,4 @@
-"""Commands that make and search indexes of tiles: index, search."""
+"""The commands index and search."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ class IndexCommand:
     """Put the descriptors of a store into an index that lpn search searches; resumable."""
 
     descriptors: str
-    """Store of the tiles that lpn describe wrote, or folder or address of the shards that describe --engine ray wrote."""
+    """Store of tiles written by lpn describe, or folder or address of shards written by describe --engine ray."""
     out: str
-    """Folder of the index, or milvus://host:port/collection; what is there already is added to."""
+    """Folder of the index, or milvus://host:port/collection; tiles are added to an existing index."""
     data: Path | None = None
-    """Folder whose geo.csv gives the tiles' positions, in place of those in shards; the described pictures lie in it."""
+    """Folder whose geo.csv has the tiles' positions, instead of those in shards; the described pictures lie in it."""
     engine: Literal["exact", "faiss", "milvus"] | None = None
-    """exact misses nothing; faiss is for millions of tiles on one machine, milvus for a server. By default what --out is."""
+    """exact finds every match; faiss is for millions of tiles on one machine, milvus for a server; by default that of --out."""
     precision: Literal["float32", "float16", "int8"] = "float32"
-    """Of the copy that exact scans: float16 and int8 take more disk and are searched faster, with the same answers."""
+    """Precision of the copy that exact scans: float16 and int8 take more disk and search faster, with equal results."""
     codes: Literal["flat", "sq8", "pq"] | None = None
-    """For faiss: pq, by default, keeps a byte for 32 numbers, sq8 one for each, slower; flat compares every vector."""
+    """For faiss: pq (default) stores a byte for 32 numbers; sq8 stores one for each and is slower; flat compares every vector."""
     structure: Literal["flat", "ivf", "hnsw"] | None = None
-    """For milvus: flat, by default, compares every vector; the others look at some, quicker among many, and miss a few."""
+    """For milvus: flat (default) compares every vector; ivf and hnsw are approximate, and faster on many tiles."""
     replace: bool = False
-    """Add all tiles anew, also those whose names are there, as after pictures or positions have changed."""
+    """Add all tiles again, also existing names, for example after pictures or positions have changed."""
 
     def run(self) -> None:
         import numpy as np
@@ -72,7 +72,7 @@ class IndexCommand:
             print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the shards names them.")
 
     def resume_hint(self) -> str:
-        """What to do after a stop."""
+        """Return how to resume after a stop."""
         return f"The tiles that {printable(_shown(self.out))} has by now are kept; the same command goes on."
 
 
@@ -87,20 +87,20 @@ class SearchCommand:
     picture: Path
     """Picture file to find."""
     view: View = "drone"
-    """What the picture shows: the branch that describes it."""
+    """View of the picture: the branch that describes it."""
     rotate: float = 0.0
-    """Degrees counter-clockwise it is turned first."""
+    """Degrees counter-clockwise by which it is rotated first."""
     weights: str | None = None
-    """Weight of each part, such as 1,1,0,1; all alike by default."""
+    """Weight of each part, such as 1,1,0,1; equal by default."""
     top: int = 10
-    """Tiles listed."""
+    """Number of listed tiles."""
     box: tuple[float, float, float, float] | None = None
-    """Only tiles within south, west, north, and east degrees; west beyond east is across the antimeridian."""
+    """South, west, north, and east bounds in degrees; west > east crosses the antimeridian."""
     effort: int | None = None
-    """Lists (faiss: 64 by default; milvus with ivf: 128) or neighbours (hnsw: 128) looked through; more miss fewer tiles
-    and take longer. Exact and flat indexes miss none and have none to choose."""
+    """Searched lists (faiss: 64 by default; milvus with ivf: 128) or neighbours (hnsw: 128); more increase recall and time.
+    Exact and flat indexes have no such setting."""
     depth: int | None = None
-    """How many times --top tiles faiss proposes, which are then scored by their vectors; 16 by default."""
+    """For faiss: candidates, in multiples of --top, that are scored again by their vectors; 16 by default."""
     json: Path | None = None
     """File to write the tiles to, with scores, parts, and positions."""
 
@@ -142,7 +142,7 @@ class SearchCommand:
 def _matches(
     found: SearchResult, query: Float32Array, weights: Float32Array, top: int, model: Model, view: View
 ) -> list[dict[str, Any]]:
-    """What is told of each tile."""
+    """Return the facts about each tile."""
     import numpy as np
 
     from lpn.retrieval import scoring
@@ -181,6 +181,6 @@ def _show(matches: list[dict[str, Any]], names: list[str]) -> None:
 
 
 def _shown(where: str) -> str:
-    """A place without the password that its address may hold."""
+    """Return an address without its password."""
     scheme, separator, rest = where.partition("://")
     return f"{scheme}://{rest.rpartition('@')[2]}" if separator else where

@@ -1,4 +1,4 @@
-"""The `lpn` command: finds the subcommand, parses its options, and turns errors into one sentence each."""
+"""The `lpn` command: finds the subcommand, parses its options, and reports each error in one sentence."""
 
 from __future__ import annotations
 
@@ -58,15 +58,18 @@ def commands() -> dict[str, type[Any]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status: 0, 1 where damage was found (doctor, verify, and
-    describe with Ray), 2 after an error the user can mend, or 128 and the signal's number where it was stopped."""
-    return _attend(arguments, lambda status: status)
+    """Run the command line, and return the exit status.
+
+    It is 0; 1 if doctor, verify, or describe with Ray found damage; 2 after an error of the user; or 128 plus the number of
+    the signal that stopped the command.
+    """
+    return _run_until_stopped(arguments, lambda status: status)
 
 
-def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> int:
-    """`main`; a command that a signal ended gives its status to `stopped`, while further signals are still heeded."""
+def _run_until_stopped(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> int:
+    """Run `main`; if a signal stopped it, call `stopped` with the status while signals are still handled."""
     for stream in (sys.stdout, sys.stderr):
-        # Arrows, degrees, and ticks end nothing on a terminal that has no sign for them.
+        # A terminal that cannot encode a character must not raise.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
@@ -90,10 +93,10 @@ def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> i
             return _run(given, parsed)
         except KeyboardInterrupt:
             pass
-        except BaseException:  # what a library makes of a signal
+        except BaseException:  # libraries may convert KeyboardInterrupt
             if not stop.signal:
                 raise
-        writes_finished(WRITING)  # what other threads write
+        writes_finished(WRITING)  # in other threads
         status = stop.end()
         if stop.signal:
             stopped(status)
@@ -101,7 +104,7 @@ def _attend(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> i
 
 
 def _run(given: list[str], parsed: list[Any]) -> int:
-    """Parse a command, put it into `parsed`, and run it."""
+    """Parse a command, append it to `parsed`, and run it."""
     try:
         parsed.append(_parse(commands()[given[0]], given[1:], f"lpn {given[0]}"))
         return int(parsed[0].run() or 0)
@@ -121,13 +124,13 @@ def _run(given: list[str], parsed: list[Any]) -> int:
 
 
 def _stopped(parsed: list[Any], number: int) -> int:
-    """Say that the command was stopped, and how to go on."""
+    """Report that the command was stopped, and how to resume."""
     command = parsed[0] if parsed else None
     serves = getattr(command, "SERVES", False)  # a server is ended by stopping it
     with suppress(OSError):  # a closed terminal
         if serves:
             print("Stopped.", flush=True)
-        elif os.environ.get("RANK", "0") == "0":  # of many processes of a training, one says it
+        elif os.environ.get("RANK", "0") == "0":  # only one process of a training reports it
             how = getattr(command, "resume_hint", lambda: _AGAIN)
             print(f"lpn: Stopped. {how()}", file=sys.stderr, flush=True)
     return 0 if serves else 128 + number
@@ -142,6 +145,7 @@ def _parse(command: Callable[..., Any], arguments: list[str], program: str) -> A
     )
 
 
+# The extra that installs each package beyond the base installation.
 _EXTRAS = {
     **dict.fromkeys(("torch", "onnx", "onnxscript", "safetensors", "yaml", "matplotlib", "tensorboardX"), "train"),
     "scipy": "data",
@@ -152,7 +156,6 @@ _EXTRAS = {
     **dict.fromkeys(("bpy", "mathutils"), "world"),
     **dict.fromkeys(("ray", "pyarrow", "fsspec"), "ray"),
 }
-"""The extra that brings each package that the base installation has not."""
 
 
 def _missing(error: ModuleNotFoundError) -> MissingPackageError:
@@ -173,14 +176,14 @@ def _help() -> str:
             *lines,
             "",
             "lpn COMMAND --help lists the options of a command; lpn --version prints the version.",
-            f"lpn {log.FLAG} debug COMMAND shows more of what goes on ({', '.join(log.LEVELS)}; or set {log.VARIABLE}).",
+            f"lpn {log.FLAG} debug COMMAND shows more messages ({', '.join(log.LEVELS)}; or set {log.VARIABLE}).",
         ]
     )
 
 
 def run() -> None:
     """The console script; after a stop it waits for no thread that still computes."""
-    sys.exit(_attend(None, exit_now))
+    sys.exit(_run_until_stopped(None, exit_now))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The command that writes a report: report."""
+"""The command report: an HTML report about some queries."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class ReportCommand:
-    """Write an HTML file about some queries, pictures inside: matches, parts, evidence, what would change them; it prints."""
+    """Write a printable, self-contained HTML report about some queries: matches, parts, evidence, counterfactuals."""
 
     data: Path
     """Data set in any layout of docs/data.md."""
@@ -29,23 +29,23 @@ class ReportCommand:
     out: Path
     """HTML file to write."""
     task: TaskName | None = None
-    """Which view is the query and which the gallery; by default the first that the data set offers and the model knows."""
+    """Views of query and gallery; by default the first task of the data set that the model supports."""
     query: tuple[str, ...] = ()
     """Names of queries, as the explorer's picker shows them, such as 0005/01."""
     failures: int | None = None
-    """The worst failures, at most so many: those whose true tile is farthest behind come first; 20 where no query is named."""
+    """Maximum number of failures, lowest margin first; 20 if no query is named."""
     where: str = ""
-    """Which queries, such as 'district = "Dock 3" and rank > 10'; with --failures the worst of them."""
+    """Filter of the queries, such as 'district = "Dock 3" and rank > 10'; with --failures the worst of them."""
     matches: int = 5
-    """Tiles listed for each query."""
+    """Number of listed tiles for each query."""
     profile: bool = False
-    """Also turn each query once around: 24 more forward passes each."""
+    """Also rotate each query once around: 24 more forward passes each."""
     step: float = 15.0
-    """Degrees between two of them."""
+    """Degrees between two of these rotations."""
     rotate: float = 0.0
-    """Degrees counter-clockwise each query is turned first."""
+    """Degrees counter-clockwise by which each query is rotated first."""
     weights: str | None = None
-    """Weight of each part, such as 1,1,0,1; all alike by default."""
+    """Weight of each part, such as 1,1,0,1; equal by default."""
     notes: Path | None = None
     """File of tags and notes; by default notes.csv in the data set's folder."""
 
@@ -116,7 +116,7 @@ class ReportCommand:
 
 
 def _named(names: Sequence[str], queries: Sequence[Picture], data: str) -> list[int]:
-    """Positions of queries by their names, each once."""
+    """Return the positions of queries by their names, each once."""
     places = {entry.name: place for place, entry in reversed(list(enumerate(queries)))}
     for name in names:
         if name not in places:

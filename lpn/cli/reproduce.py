@@ -1,4 +1,4 @@
-"""The command that makes the paper's tables and figures again: reproduce."""
+"""The command reproduce: the paper's tables and figures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lpn.core.errors import InputError
 
 @dataclass
 class ReproduceCommand:
-    """Make the paper's tables and figures again; resumable."""
+    """Reproduce the paper's tables and figures; resumable."""
 
     what: Annotated[tuple[str, ...], tyro.conf.Positional]
     """table1 to table6, figure5, figure7, figure8, or all."""
@@ -31,15 +31,15 @@ class ReproduceCommand:
     scale: Literal["auto", "paper", "reduced"] = "auto"
     """Size of networks and trainings; auto is reduced for a rendered world and the paper's for everything else."""
     seeds: tuple[int, ...] = (0,)
-    """A training is made with each, and the mean reported."""
+    """Random seeds: one training for each, and the mean is reported."""
     epochs: int | None = None
-    """Epochs of every training, where the scale's are not wanted."""
+    """Epochs of every training, instead of the scale's."""
     backbone: Literal["resnet18", "resnet50", "vgg16_bn"] | None = None
-    """Backbone of every training, where the scale's is not wanted."""
+    """Backbone of every training, instead of the scale's."""
     batch: int | None = None
-    """Places a step of every training, where the scale's are not wanted: more than there are to train on cannot be."""
+    """Places per step of every training, instead of the scale's; at most the number of training places."""
     train: bool = True
-    """Train what is missing; otherwise such rows are left out."""
+    """Train missing models; otherwise their rows are left out."""
     queries: tuple[str, ...] = ()
     """Queries shown in figures 7 and 8, by name."""
 
@@ -70,15 +70,15 @@ class ReproduceCommand:
         print(f"Wrote {', '.join(file.name for file in made)} to {self.out}.")
 
     def resume_hint(self) -> str:
-        """What to do after a stop."""
+        """Return how to resume after a stop."""
         return f"Whole epochs and measurements in {self.out} are kept; the same command goes on."
 
 
 def _by_name(given: Sequence[str]) -> dict[str, Path]:
-    """The files given with --model by the network they stand for.
+    """Return the files given with --model by the network they replace.
 
     Raises:
-        InputError: when two stand for one.
+        InputError: if two files replace the same network.
     """
     found: dict[str, Path] = {}
     for text in given:

@@ -1,4 +1,4 @@
-"""The command that turns, shifts, or zooms one query and says what becomes of its retrieval."""
+"""The command sweep: retrieval of one query over rotation, shift, or zoom."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BAR = 24
 
 @dataclass
 class SweepCommand:
-    """Turn, shift, or zoom one query step by step: score and rank of its true match, and each part's cosine."""
+    """Rotate, shift, or zoom one query step by step: score and rank of its true match, and each part's cosine."""
 
     data: Path
     """Data set in any layout of docs/data.md."""
@@ -33,13 +33,13 @@ class SweepCommand:
     query: str
     """Name of the query, as the explorer's picker shows it, such as 0005/01."""
     task: TaskName | None = None
-    """Which view is the query and which the gallery; by default the first that the data set offers."""
+    """Views of query and gallery; by default the first task of the data set."""
     over: Literal["rotation", "shift", "shift-down", "zoom"] = "rotation"
-    """What is changed: degrees counter-clockwise, pixels of the network's input to the right or down, or a factor."""
+    """Varied parameter: degrees counter-clockwise, pixels of the network's input to the right or down, or a zoom factor."""
     step: float | None = None
-    """Degrees (15), pixels (a 32nd of the input), or the factor between zooms (1.1)."""
+    """Step: degrees (15), pixels (a 32nd of the input), or the factor between zooms (1.1)."""
     reach: float | None = None
-    """How far to shift (a quarter of the input) or to zoom in and out (2); a rotation goes once around."""
+    """Largest shift (a quarter of the input) or zoom (2); a rotation goes once around."""
     weights: str | None = None
     """Weight of each part, such as 1,1,1,0; equal by default."""
     csv: Path | None = None
@@ -56,7 +56,7 @@ class SweepCommand:
         for file in filter(None, (self.csv, self.png)):
             check_writable(file)
         if self.png is not None:
-            import matplotlib  # noqa: F401 (found missing before the long part)
+            import matplotlib  # noqa: F401 (fail before the long computation)
         model, dataset = lpn.load(self.model), open_dataset(self.data)
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "none")
@@ -65,16 +65,16 @@ class SweepCommand:
                 f"The task is {task!r}; {dataset.root.name} offers {', '.join(tasks) or 'none'} in its test split."
             )
         console = Console(width=max(120, Console().width))
-        found = self._swept(model, dataset, task, console)
+        found = self._sweep(model, dataset, task, console)
         views = views_of(task)
         title = f"{self.query} ({task}, {model.describe()})"
         _print(found, title, views, console)
         if self.csv is not None:
             write_atomic(self.csv, found.to_csv())
         if self.png is not None:
-            write_atomic(self.png, _drawn(found, title))
+            write_atomic(self.png, _draw(found, title))
 
-    def _swept(self, model: Model, dataset: Dataset, task: str, console: Console) -> Profile:
+    def _sweep(self, model: Model, dataset: Dataset, task: str, console: Console) -> Profile:
         import numpy as np
         from rich.progress import track
 
@@ -106,13 +106,13 @@ class SweepCommand:
         return sweeps.Profile(self.over, tuple(seen))
 
 
-def _followed(profile: Profile) -> str:
-    """What scores and ranks are of."""
+def _subject(profile: Profile) -> str:
+    """Name the tile that scores and ranks refer to."""
     return "the nearest true match" if profile.points[0].true else "the top match, as there is no true match"
 
 
 def _print(profile: Profile, title: str, views: tuple[View, View], console: Console) -> None:
-    """A table with a row for each change and its score as a bar, and what the best change gains."""
+    """Print a row for each transform with its score as a bar, and the gain of the best one."""
     from rich.table import Table
 
     from lpn.explain.sweeps import UNITS, value
@@ -120,7 +120,7 @@ def _print(profile: Profile, title: str, views: tuple[View, View], console: Cons
     blocks = str(console.encoding).lower().startswith("utf")
     scores = [point.score for point in profile.points]
     low, span = min(scores), (max(scores) - min(scores)) or 1.0
-    table = Table(title=title, caption=f"Score and rank of {_followed(profile)}; * the highest score.")
+    table = Table(title=title, caption=f"Score and rank of {_subject(profile)}; * the highest score.")
     for name in (profile.over, "", "rank", "score"):
         table.add_column(name, justify="right")
     table.add_column(f"from {low:.3f} to {max(scores):.3f}", min_width=_BAR)
@@ -134,12 +134,12 @@ def _print(profile: Profile, title: str, views: tuple[View, View], console: Cons
         mark = "*" if point is profile.best else ""
         table.add_row(number, mark, str(point.rank), f"{point.score:.3f}", bar, *cosines, f"{point.top_score:.3f}")
     console.print(table)
-    for line in _said(profile, views):
+    for line in _sentences(profile, views):
         console.print(line, highlight=False, soft_wrap=True)
 
 
-def _said(profile: Profile, views: tuple[View, View]) -> list[str]:
-    """The best change in words, with and without knowledge of the truth."""
+def _sentences(profile: Profile, views: tuple[View, View]) -> list[str]:
+    """Describe the best transform in words, with and without knowledge of the true match."""
     from lpn.drawing import verdicts
 
     lines = []
@@ -165,8 +165,8 @@ def _sentence(begin: str, profile: Profile, point: Point) -> str:
     return f"{begin} {when}: {who} rank {point.rank} {before}, score {point.score:.3f} ({score:+.3f})."
 
 
-def _drawn(profile: Profile, title: str) -> bytes:
-    """Scores, part cosines, and rank over the change as a PNG file."""
+def _draw(profile: Profile, title: str) -> bytes:
+    """Draw scores, part cosines, and rank over the transform as a PNG file."""
     from lpn.drawing.plots import png, pyplot
     from lpn.explain.sweeps import UNITS, value
 
@@ -176,7 +176,7 @@ def _drawn(profile: Profile, title: str) -> bytes:
         above.plot(along, cosines, linewidth=1, label=f"cosine of part {part}")
     above.plot(along, [point.score for point in profile.points], color="black", linewidth=2.5, label="score")
     above.plot(along, [point.top_score for point in profile.points], color="grey", linestyle=":", label="top score")
-    above.set(title=title, ylabel=f"score of\n{_followed(profile)}")
+    above.set(title=title, ylabel=f"score of\n{_subject(profile)}")
     above.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1, 1))
     below.plot(along, [point.rank for point in profile.points], color="black", marker=".")
     below.set(ylabel="its rank", xlabel=f"{profile.over} ({UNITS[profile.over].strip()})")

@@ -1,4 +1,4 @@
-"""The command that trains: train."""
+"""The command train."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ MethodName = Literal[
 
 @dataclass
 class TrainCommand:
-    """Train an LPN by a named recipe, any number of which can be changed."""
+    """Train an LPN by a named recipe; every number of the recipe is a flag."""
 
     data: Path
     """Data set with pictures to train on, in any layout of docs/data.md."""
     out: Path
     """Folder of the run: last.safetensors, best.safetensors, log.csv, tensorboard, and what --resume needs."""
     recipe: Literal["university1652", "cvusa", "safa", "small", "world"] = "university1652"
-    """The paper's recipe for a data set, SAFA's, one for some hundred places, or the latter for pictures of all headings."""
+    """Recipe: the paper's for a data set, SAFA's, one for some hundred places (small), or that for all headings (world)."""
     method: MethodName | None = None
-    """One of the methods the paper compares, by default what the recipe says: lpn, the instance-loss baseline, the baseline
-    by another loss, strips, or SAFA."""
+    """One of the methods that the paper compares, by default the recipe's: lpn, the instance-loss baseline, the baseline with
+    another loss, strips, or SAFA."""
     init: Path | None = None
-    """Weights for the backbone (.safetensors or .pth, torchvision's names), loaded as far as they go."""
+    """Weights for the backbone (.safetensors or .pth, torchvision's names), loaded as far as they fit."""
     resume: bool = False
-    """Go on with the run in --out."""
+    """Resume the run in --out."""
     evaluate_every: int = 0
-    """Test every so many epochs, and keep the best; 0 for the end only."""
+    """Evaluate every so many epochs, and keep the best model; 0 for the end only."""
     validate: float = 0.0
-    """Share of the training places held out to choose the best epoch by; at 0 the test split chooses."""
+    """Share of the training places held out to select the best epoch; at 0 the test split selects it."""
     workers: int = 0
-    """Threads that prepare pictures; 0 for what suits the machine. They change no result."""
+    """Threads that prepare pictures; 0 chooses by the machine. They do not affect the result."""
     settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
 
     def run(self) -> None:
@@ -76,17 +76,17 @@ class TrainCommand:
             print(f"The model is in {model}.")
 
     def resume_hint(self) -> str:
-        """What to do after a stop."""
+        """Return how to resume after a stop."""
         if not (self.out / "state.pt").is_file():
             return "No epoch was whole yet, so nothing is kept; give the same command again."
         return f"The whole epochs in {self.out} are kept; go on with the same command{'' if self.resume else ' and --resume'}."
 
 
 def parse_train(arguments: list[str], program: str) -> TrainCommand:
-    """The options of a training; the recipe and the method named decide what the other flags default to.
+    """Parse the options of a training; recipe and method set the defaults of the other flags.
 
     Raises:
-        InputError: when there is no such recipe or method.
+        InputError: if the recipe or the method is unknown.
     """
     name, chosen = (_given(arguments, flag) for flag in ("--recipe", "--method"))
     if name is not None and name not in RECIPES:
@@ -101,7 +101,7 @@ def parse_train(arguments: list[str], program: str) -> TrainCommand:
 
 
 def _given(arguments: Sequence[str], flag: str) -> str | None:
-    """The value given to a flag, before the rest is parsed."""
+    """Return the value of a flag before the other flags are parsed."""
     value = None
     for position, argument in enumerate(arguments):
         if argument.startswith(f"{flag}="):

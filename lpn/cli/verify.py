@@ -1,4 +1,4 @@
-"""The command that compares files with their checksums: verify."""
+"""The command verify: comparison of files with their checksums."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import tyro
 
 @dataclass
 class VerifyCommand:
-    """Read stores, indexes, shards, models, and trainings in full against their checksums; ends with status 1 at damage."""
+    """Compare stores, indexes, shards, models, and trainings with their checksums; ends with status 1 if one is damaged."""
 
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
-    """Files and folders, searched with all folders below; by default the cache of descriptors."""
+    """Files and folders, searched recursively; by default the cache of descriptors."""
 
     def run(self) -> int:
         from lpn.core.files import printable

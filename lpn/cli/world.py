@@ -1,4 +1,4 @@
-"""The command that renders a world: world."""
+"""The command world."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class WorldCommand:
     out: Path
     """Folder to write, in University-1652's layout, with world.json and geo.csv."""
     seed: int = 0
-    """The city; the same seed and numbers give the same pictures."""
+    """Random seed of the city; equal options give equal pictures."""
     buildings: int = 460
-    """Places to take pictures of, about a third of them for testing."""
+    """Number of places, about a third of them for testing."""
     views: int = 12
     """Drone pictures of each place, the last from straight above."""
     pixels: int = 256
@@ -23,13 +23,13 @@ class WorldCommand:
     tile_pixels: int = 512
     """Side of a satellite tile, which shows 160 m."""
     samples: int = 4
-    """Light paths a pixel; more is slower and finer."""
+    """Light paths per pixel; more are slower and less noisy."""
     streets: int = 0
-    """Street-level pictures of each place; can be raised in a world that is there."""
+    """Street-level pictures of each place; can be increased in an existing world."""
     panoramas: int = 0
-    """Panoramas near each place, in cvusa/ with a tile around each; can be raised in a world that is there."""
+    """Panoramas near each place, in cvusa/ with a tile around each; can be increased in an existing world."""
     part: str = "1/1"
-    """Share of the work, as i/k: k processes with the same --out render one world."""
+    """Part i/k of the work: k processes with the same --out render one world."""
     threads: int = 0
     """Processor threads; 0 for all."""
 
@@ -51,5 +51,5 @@ class WorldCommand:
         print(f"{tally.describe()} The world is in {self.out}.")
 
     def resume_hint(self) -> str:
-        """What to do after a stop."""
+        """Return how to resume after a stop."""
         return f"The pictures in {self.out} are kept; the same command goes on."

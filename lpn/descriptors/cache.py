@@ -1,4 +1,4 @@
-"""Descriptors that are there already: in the user's cache, or brought along by the data set."""
+"""Descriptors that exist already: in the user's cache, or shipped with the data set."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.descriptors.writer import describe
 from lpn.models.base import Model
 
+# The folder of a data set that may hold stores of its test split: `query_drone`, `gallery_satellite`, ...
 STORES = "descriptors"
-"""Folder of a data set in which stores of its test split may come along: `query_drone`, `gallery_satellite`, ..."""
 
 Role = Literal["query", "gallery"]
+# A source of descriptors (N, n, D) of transformed pictures, such as `cached_descriptors`.
 Reader = Callable[[Model, Sequence[Picture], View, Change], Float32Array]
-"""Where descriptors (N, n, D) of changed pictures come from, such as `cached_descriptors`."""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredDescriptors:
-    """Descriptors (N, n, D) of one side of a test split, and a text that no other descriptors have."""
+    """Descriptors (N, n, D) of the queries or the gallery of a test split, and their digest."""
 
     descriptors: Float32Array
     identity: str
@@ -43,7 +43,7 @@ class StoredDescriptors:
 def cached_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED
 ) -> Float32Array:
-    """Descriptors (N, n, D) of pictures within their boxes, from the user's cache where they were described before.
+    """Return descriptors (N, n, D) of pictures within their boxes, from the user's cache if possible.
 
     The cache is `$LPN_CACHE`, else `lpn-explorer` in `$XDG_CACHE_HOME` or `~/.cache`; it may be deleted at any time.
     """
@@ -52,11 +52,10 @@ def cached_descriptors(
 
 def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> StoredDescriptors:
     files = _resolved(pictures)
-    # By their folder, not by their list: when a picture is added or mended, the others' rows are taken over.
+    # The key is the folder, not the list of files: if one picture changes, the others' rows are reused.
     common = os.path.commonpath({file.parent for file in files})
     boxes = [picture.box for picture in pictures]
     identity: list[Any] = [model.fingerprint, view, change.rotate, common]
-    # Only what differs from a picture as it is, so that caches from before there were such changes are still found.
     identity += [f"shift {change.shift}"] if change.shift else []
     identity += [f"scale {change.scale}"] if change.scale != 1 else []
     identity += [f"down {change.down}"] if change.down else []
@@ -65,8 +64,8 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
     folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
     title = ", ".join(filter(None, (f"Describing {view}", change.describe())))
     try:
-        if (held := _held(model, files, view, folder, change, boxes)) is not None:
-            return held
+        if (cached := _complete(model, files, view, folder, change, boxes)) is not None:
+            return cached
         store = describe(model, files, view, folder, change=change, boxes=boxes, title=title)
         return StoredDescriptors(store.float32, store.identity)
     except (StoreError, OutputError) as error:
@@ -77,7 +76,7 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
 
 
 def _resolved(pictures: Sequence[Picture]) -> list[Path]:
-    """The file behind each picture, links followed; a folder is followed once for all that is in it."""
+    """Return the file of each picture with links resolved; each folder is resolved once."""
     folders: dict[Path, Path] = {}
     files = []
     for picture in pictures:
@@ -85,7 +84,7 @@ def _resolved(pictures: Sequence[Picture]) -> list[Path]:
         if parent not in folders:
             folders[parent] = Path(os.path.realpath(parent))
         file = folders[parent] / picture.path.name
-        # Unlike resolve(), this raises nothing where links lead in a circle.
+        # Unlike resolve(), realpath does not raise on circular links.
         files.append(Path(os.path.realpath(file)) if file.is_symlink() else file)
     return files
 
@@ -93,12 +92,12 @@ def _resolved(pictures: Sequence[Picture]) -> list[Path]:
 def shipped_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False
 ) -> Float32Array | None:
-    """Descriptors (N, n, D) from a store that came with the pictures, or None where it is not of this model and these.
+    """Return descriptors (N, n, D) from a shipped store, or None if it is of another model or of other pictures.
 
-    Files are compared by name and size: a copy of a data set has other times than its original.
+    Files are compared by name and size, as copies have other modification times.
 
     Args:
-        exact: take it only where it is in float32.
+        exact: accept float32 only.
     """
     found = _shipped(model, pictures, view, store, exact)
     return None if found is None else found.descriptors
@@ -108,34 +107,34 @@ def _shipped(
     model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False
 ) -> StoredDescriptors | None:
     try:
-        held = open_store(store)
+        shipped = open_store(store)
     except StoreError:
         return None
-    manifest = held.manifest
+    manifest = shipped.manifest
     wanted = (model.fingerprint, view, UNCHANGED, model.n_parts, len(pictures))
     found = (manifest.fingerprint, manifest.view, manifest.change, manifest.n_parts, len(manifest.rows))
     if found != wanted or (exact and manifest.precision != "float32"):
         return None
     rows = [(printable(str(row.file)), row.size, row.box) for row in manifest.rows]
     these = [(f"{p.path.parent.name}/{p.path.name}", p.path.stat().st_size, p.box) for p in pictures]
-    return StoredDescriptors(held.float32, held.identity) if rows == these else None
+    return StoredDescriptors(shipped.float32, shipped.identity) if rows == these else None
 
 
 def stored_side(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> StoredDescriptors:
-    """One side of a test split: descriptors that came with the data set in `root`, else from the cache."""
+    """Return the descriptors of queries or gallery: those shipped with the data set in `root`, else from the cache."""
     found = _shipped(model, pictures, view, root / STORES / f"{role}_{view}")
     return _cached(model, pictures, view, UNCHANGED) if found is None else found
 
 
 def stored_descriptors(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> Float32Array:
-    """The descriptors (N, n, D) of `stored_side` alone."""
+    """Return the descriptors (N, n, D) of `stored_side` only."""
     return stored_side(model, pictures, view, root, role).descriptors
 
 
 def descriptor_reader(root: Path) -> Reader:
-    """Reads descriptors of the pictures of the data set in `root` from the stores that came with it, else from the cache.
+    """Return a reader of descriptors of the data set in `root`: from its shipped stores, else from the cache.
 
-    Only stores in float32 are taken, so that figures do not depend on how a data set was packed.
+    Only float32 stores are used, so that figures do not depend on the shipped precision.
     """
 
     def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> Float32Array:
@@ -151,27 +150,27 @@ def descriptor_reader(root: Path) -> Reader:
 def temporary_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED
 ) -> Float32Array:
-    """The same for a model that will soon be another, such as one in training: nothing is kept on disk."""
+    """Describe pictures without the cache, for a model that still changes, such as one in training."""
     files, boxes = [picture.path for picture in pictures], [picture.box for picture in pictures]
     with TemporaryDirectory(prefix="lpn-") as folder:
         store = describe(model, files, view, folder, change=change, boxes=boxes, title=f"Describing {view}")
         return np.array(store.descriptors)
 
 
-def _held(
+def _complete(
     model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[Box | None]
 ) -> StoredDescriptors | None:
-    """Descriptors of files that a store has, all or some, so that a part of a folder does not replace the whole."""
+    """Return descriptors of files that a complete store already holds, so that a subset does not replace it."""
     store = complete_store(folder)
     if store is None or len(store.manifest.rows) < len(files):
         return None
     if not Manifest.for_model(model, view, change, ()).comparable(store.manifest):
         return None
-    asked = tuple(row_of(file, None, box) for file, box in zip(files, boxes, strict=True))
-    if asked == store.manifest.rows:
+    wanted_rows = tuple(row_of(file, None, box) for file, box in zip(files, boxes, strict=True))
+    if wanted_rows == store.manifest.rows:
         return StoredDescriptors(store.float32, store.identity)
     rows = {row: position for position, row in enumerate(store.manifest.rows)}
-    wanted = [rows.get(row) for row in asked]
+    wanted = [rows.get(row) for row in wanted_rows]
     if None in wanted:
         return None
     some = np.array(wanted, np.int64)
@@ -179,10 +178,10 @@ def _held(
 
 
 def cache_folder() -> Path:
-    """Where descriptors are kept between runs.
+    """Return the folder of the user's cache.
 
     Raises:
-        OutputError: when nothing says where.
+        OutputError: if the user has no home folder and no variable names one.
     """
     if given := os.environ.get("LPN_CACHE"):
         return Path(given)

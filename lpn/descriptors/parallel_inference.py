@@ -1,9 +1,9 @@
-"""Descriptors of many pictures at the speed of the machine.
+"""Data-parallel inference: descriptors of many pictures, with a batch per thread.
 
-Several threads each take the next few pictures, read and prepare them, and have the network compute. A network on the CPU
-runs in all of them at once, one core to each: nothing is divided among cores and put together again at every layer, and no
-core waits for another. A network that is best used by one caller at a time (on a GPU, or in PyTorch) is used in turn, while
-the other threads prepare what comes next. Either way no more pictures are in memory than the threads have in hand.
+Each thread reads and prepares a batch and runs the network. On ONNX Runtime the network runs in all threads at once, one core
+each, without the synchronisation at every layer that intra-op parallelism needs. A network that must be called by one thread
+at a time (on a GPU, or in PyTorch) is locked, while the other threads prepare their batches. Memory holds only the batches in
+progress.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from lpn.models.base import Model
 
 T = TypeVar("T")
 
-_WORTH_OPENING = 32
-"""Pictures for each stream from which a network of its own for streams pays for being opened."""
+# Opening a single-threaded session pays off from so many pictures per thread.
+_MIN_PICTURES = 32
 
 
 class DescribedRow(NamedTuple):
-    """A few pictures.
+    """The descriptors of one batch.
 
     Attributes:
         items: positions of the pictures that were described, (B,).
-        descriptors: theirs, (B, n, D) float32.
-        broken: positions of pictures that could not be read, with what is wrong.
+        descriptors: their descriptors, (B, n, D) float32.
+        broken: positions of unreadable pictures, with the error.
     """
 
     items: list[int]
@@ -44,24 +44,24 @@ class DescribedRow(NamedTuple):
 
 
 def describe_each(
-    model: Model, items: Sequence[T], prepare: Callable[[T], Float32Array], view: View, streams: int | None = None
+    model: Model, items: Sequence[T], prepare: Callable[[T], Float32Array], view: View, threads: int | None = None
 ) -> Iterator[DescribedRow]:
-    """Descriptors of all items, mirror included, a few at a time, in the order in which they are done.
+    """Yield descriptors of all items, mirror included, batch by batch in order of completion.
 
-    After an error what is in hand is finished and given before it is raised, so that it need not be computed again.
+    After an error, batches in progress are completed and yielded before it is raised.
 
     Args:
-        items: whatever stands for a picture.
-        prepare: makes an item the network's input, (3, H, W) float32; called by several threads at once. Where it raises
-            PictureError, the others go on.
-        streams: threads; by default as many as there are cores.
+        items: one for each picture.
+        prepare: converts an item to the network input, (3, H, W) float32; called by several threads. An item for which it
+            raises PictureError is reported as broken.
+        threads: their number; default: all usable cores.
     """
-    streams = min(streams or usable_cores(), -(-len(items) // model.batch))
+    threads = min(threads or usable_cores(), -(-len(items) // model.batch))
     if not items:
         return
-    if streams > 1 and len(items) >= _WORTH_OPENING * streams:
+    if threads > 1 and len(items) >= _MIN_PICTURES * threads:
         model = model.for_parallel_inference()
-    turn = nullcontext() if model.parallel else threading.Lock()
+    lock = nullcontext() if model.parallel else threading.Lock()
     batches = iter([range(a, min(a + model.batch, len(items))) for a in range(0, len(items), model.batch)])
 
     def work(batch: range) -> DescribedRow:
@@ -75,14 +75,14 @@ def describe_each(
         if not inputs:
             return DescribedRow([], np.zeros((0, model.n_parts, model.spec.embedding), np.float32), broken)
         stacked = np.stack(inputs)
-        with turn:
+        with lock:
             return DescribedRow(described, model.descriptors(stacked, view), broken)
 
     failed: BaseException | None = None
-    pool = ThreadPoolExecutor(streams, "lpn-stream")
+    pool = ThreadPoolExecutor(threads, "lpn-inference")
     try:
-        # One more than there are threads, so that none waits for this one to wake up.
-        waiting: set[Future[DescribedRow]] = {pool.submit(work, batch) for batch in islice(batches, streams + 1)}
+        # One more batch than threads, so that no thread waits for this one.
+        waiting: set[Future[DescribedRow]] = {pool.submit(work, batch) for batch in islice(batches, threads + 1)}
         while waiting:
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             if failed is None:
