@@ -72,7 +72,7 @@ def _part_card(findings: Findings, lab: LabState) -> _Card:
             "lab-part",
             part,
             f"part {name} costs most" == chosen,
-            f"Part {name} costs the truth most in {count} of {failed} failures",
+            f"Part {name} lowers the margin most in {count} of {failed} failures",
             (part, name, 100 * count / most, count),
         )
         for part, (name, count) in enumerate(zip(findings.part_names, counts, strict=True))

@@ -17,10 +17,10 @@ from lpn.core.tables import Column
 from lpn.drawing import theme
 
 _HINTS = {
-    "rank": "Rank of the first true tile",
+    "rank": "Rank of the nearest true tile",
     "margin": "d² of the hardest negative minus that of the nearest true tile; negative where the query failed",
-    "part": "The part that decides: it costs the truth most in a failure, and gains it most in a success",
-    "answer": "The tile that came first",
+    "part": "The part that decides: it lowers the margin most in a failure, and raises it most in a success",
+    "answer": "The tile that was ranked first",
     "distance": "From what the query shows to the centre of the answer",
 }
 

@@ -229,7 +229,7 @@ def test_clicks_in_the_breakdown_choose_what_they_count(
     lab.page.locator(".card", has_text="Part that costs most").locator(".line").nth(int(counts.argmax())).click()
     expect(lab.count).to_contain_text(f"{counts.max()} of 40 queries")
     lab.choose("Table")
-    expect(lab.rows_of_table).to_have_count(min(counts.max(), size))
+    expect(lab.rows_of_table).to_have_count(min(int(counts.max()), size))
 
 
 def drag(lab: LabPage, start: tuple[float, float], end: tuple[float, float]) -> None:
