@@ -10,7 +10,7 @@ import pytest
 
 from tests.explorer.test_shutdown import Explorer
 from tools.fixtures import small_worlds
-from tools.fixtures.websocket_client import Talker
+from tools.fixtures.websocket_client import WebSocketClient
 
 TOKEN = "correct horse battery"
 
@@ -32,7 +32,7 @@ def test_requests_are_a_line_each_at_debug_and_no_token_is_in_them(
             connection.getresponse().read()
             connection.close()
         entered = f"{url}/?token=correct+horse+battery"
-        with Talker(entered) as one, Talker(entered) as other:
+        with WebSocketClient(entered) as one, WebSocketClient(entered) as other:
             one.greet("?query=0003")
             other.greet("?query=0004")
             other.set("Rotate", 30)

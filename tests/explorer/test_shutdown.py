@@ -16,7 +16,7 @@ from lpn.analysis.notes import read_notes
 from lpn.core.shutdown import GRACE
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import SOON, Process
-from tools.fixtures.websocket_client import Talker
+from tools.fixtures.websocket_client import WebSocketClient
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's")
 
@@ -86,11 +86,11 @@ class Explorer(Process):
         super().__init__(given, cache, before, **environment)
 
     @contextlib.contextmanager
-    def browsers(self, count: int) -> Iterator[list[Talker]]:
+    def browsers(self, count: int) -> Iterator[list[WebSocketClient]]:
         self.until(lambda: re.search(r"ready: http://", self.out))
         with contextlib.ExitStack() as all_of_them:
             yield [
-                all_of_them.enter_context(Talker(f"http://127.0.0.1:{self.port}").greet("?query=0003"))
+                all_of_them.enter_context(WebSocketClient(f"http://127.0.0.1:{self.port}").greet("?query=0003"))
                 for _ in range(count)
             ]
 

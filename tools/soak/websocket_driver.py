@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from websockets.exceptions import WebSocketException
 
-from tools.fixtures.websocket_client import CHUNK, Talker
+from tools.fixtures.websocket_client import CHUNK, WebSocketClient
 from tools.soak import page_content
 from tools.soak.client_state import ClientState, OwnPicture, PictureNames, shows_state, unexpected_links
 from tools.soak.page_content import PageContent
@@ -94,12 +94,12 @@ class WebSocketDriver:
 
     def __init__(self, url: str, names: PictureNames, stop: threading.Event) -> None:
         self._url, self._names, self._stop = url, names, stop
-        self._talker: Talker | None = None
+        self._talker: WebSocketClient | None = None
         self._changed = time.monotonic()
         self._before: list[ClientState] = []
 
     @property
-    def talker(self) -> Talker:
+    def talker(self) -> WebSocketClient:
         """The connection."""
         assert self._talker is not None
         return self._talker
@@ -108,7 +108,7 @@ class WebSocketDriver:
         """Connect, send a camera, and greet as the page does."""
         began = time.monotonic()
         try:
-            self._talker = Talker(self._url, origin=self._url, open_timeout=BOUND)
+            self._talker = WebSocketClient(self._url, origin=self._url, open_timeout=BOUND)
         except (OSError, WebSocketException) as error:
             raise FaultError("no connection", f"{type(error).__name__}: {error}") from error
         self.talker.camera()

@@ -49,13 +49,13 @@ from lpn.retrieval import scoring
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
-from tools.fixtures.websocket_client import CHUNK, Talker
+from tools.fixtures.websocket_client import CHUNK, WebSocketClient
 
 TASK = "drone-to-satellite"
 TIMEOUT = 120.0  # seconds for something that must happen
 # Classes of which each browser has its own instances.
 PER_BROWSER = (
-    ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, FailureLabWindow, RequestContext, OwnPicture, SweepRequest, MessageFilter, Talker, _Connection,
+    ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, FailureLabWindow, RequestContext, OwnPicture, SweepRequest, MessageFilter, WebSocketClient, _Connection,
     viser.ClientHandle, GuiApi, SceneApi, SendBuffer,
 )  # fmt: skip
 
@@ -129,7 +129,7 @@ def until(condition: Callable[[], bool], message: Callable[[], object] = lambda:
         time.sleep(0.02)
 
 
-class Browser(Talker):
+class Browser(WebSocketClient):
     """A page that records the states that it was shown, in order."""
 
     def __init__(self, url: str) -> None:
@@ -149,7 +149,7 @@ class Browser(Talker):
         self.wait(lambda: self.status("angle") == str(angle))
 
 
-def session_of(app: App, browser: Talker) -> ClientSession:
+def session_of(app: App, browser: WebSocketClient) -> ClientSession:
     """Return the server's side of a browser."""
     slider = browser.find("Rotate")
     return next(
@@ -166,7 +166,7 @@ class Direct:
         described = [retrieval.describe_picture(self.model, tile, "satellite").descriptor for tile in tiles]
         self.gallery = np.stack(described)
 
-    def check(self, browser: Talker) -> None:
+    def check(self, browser: WebSocketClient) -> None:
         """Check the top match that the page shows, and its score to three places."""
         query, angle, top = (float(browser.status(name) or "nan") for name in ("query", "angle", "top"))
         picture = images.load_picture(self.task.queries[int(query)].path)

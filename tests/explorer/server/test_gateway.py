@@ -35,7 +35,7 @@ from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import MissingPackageError
 from tools.fixtures import small_worlds
-from tools.fixtures.websocket_client import Talker
+from tools.fixtures.websocket_client import WebSocketClient
 
 TOKEN = "correct horse battery"
 
@@ -80,7 +80,7 @@ def locked(app: App) -> Iterator[App]:
 def refused(app: App, **options: object) -> int:
     """Return the status with which a connection is refused."""
     with pytest.raises(InvalidStatus) as raised:
-        Talker(url(app), **options)
+        WebSocketClient(url(app), **options)
     return raised.value.response.status_code
 
 
@@ -102,7 +102,7 @@ def test_another_site_reaches_neither_page_nor_websocket(app: App) -> None:
     assert get(app, "/?websocket=ws://evil.example")[0] == 403
     assert refused(app, origin="https://evil.example") == 403
     assert refused(app, origin="null") == 403
-    with Talker(url(app), origin=url(app)):
+    with WebSocketClient(url(app), origin=url(app)):
         pass
 
 
@@ -190,10 +190,10 @@ def test_page_and_websocket_need_the_token_or_its_cookie(locked: App) -> None:
     assert "correct" not in body
     held = headers["Set-Cookie"].partition(";")[0]
     assert get(locked, cookie=held)[0] == 200
-    with Talker(url(locked), additional_headers={"Cookie": held}, origin=url(locked)) as talker:
+    with WebSocketClient(url(locked), additional_headers={"Cookie": held}, origin=url(locked)) as talker:
         talker.greet()
         assert talker.status("seq")
-    with Talker(url(locked) + "/?token=correct+horse+battery"):
+    with WebSocketClient(url(locked) + "/?token=correct+horse+battery"):
         pass
 
 
@@ -233,9 +233,9 @@ def test_an_unsupported_viser_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.fixture
-def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[Talker]:
+def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[WebSocketClient]:
     """Another browser: its page must not change, and its next answer must equal a direct computation."""
-    with Talker(url(app), origin=url(app)) as talker:
+    with WebSocketClient(url(app), origin=url(app)) as talker:
         talker.greet("?query=0005")
         time.sleep(0.2)
         before, at = [talker.status(name) for name in ("seq", "name", "angle", "top")], len(talker.kinds)
@@ -258,26 +258,26 @@ def app_workspace(app: App) -> Workspace:
 
 
 @pytest.fixture
-def hostile(app: App, witness: Talker) -> Iterator[Talker]:  # noqa: ARG001
+def hostile(app: App, witness: WebSocketClient) -> Iterator[WebSocketClient]:  # noqa: ARG001
     """A client that completed the page's handshake."""
-    with Talker(url(app)) as talker:
+    with WebSocketClient(url(app)) as talker:
         yield talker.greet("?query=0004")
 
 
-def works(talker: Talker, angle: int = 45) -> None:
+def works(talker: WebSocketClient, angle: int = 45) -> None:
     """Check that the client still gets answers."""
     talker.set("Rotate", angle)
     talker.wait(lambda: talker.status("angle") == str(angle))
 
 
 @pytest.mark.parametrize(("sent", "shown"), [(99999, "180"), (-1e9, "-180"), (True, "1")])
-def test_values_are_clamped_to_their_range(hostile: Talker, sent: float, shown: str) -> None:
+def test_values_are_clamped_to_their_range(hostile: WebSocketClient, sent: float, shown: str) -> None:
     hostile.set("Rotate", sent)
     hostile.wait(lambda: hostile.status("angle") == shown)
     works(hostile)
 
 
-def test_values_of_wrong_types_are_dropped(hostile: Talker) -> None:
+def test_values_of_wrong_types_are_dropped(hostile: WebSocketClient) -> None:
     for value in ("abc", None, [1, 2], {"a": 1}, float("nan"), float("inf"), 1e300, b"x"):
         for label in ("Rotate", "Zoom", "Weight 1 centre", "Rings", "Opacity"):
             hostile.set(label, value)
@@ -285,7 +285,7 @@ def test_values_of_wrong_types_are_dropped(hostile: Talker) -> None:
     assert hostile.status("name") == "0004"
 
 
-def test_unknown_options_are_ignored(hostile: Talker) -> None:
+def test_unknown_options_are_ignored(hostile: WebSocketClient) -> None:
     for label in ("Task", "Heat of", "Shows", "Go to"):
         for option in ("../../etc", "", "<b>", "x" * 50_000, 7):
             hostile.set(label, option)
@@ -293,7 +293,7 @@ def test_unknown_options_are_ignored(hostile: Talker) -> None:
     assert hostile.status("name") == "0004"
 
 
-def test_long_texts_are_truncated_or_end_the_connection(hostile: Talker) -> None:
+def test_long_texts_are_truncated_or_end_the_connection(hostile: WebSocketClient) -> None:
     hostile.set("Find name", "x" * 59_000)
     hostile.set("page", "[" * 59_000)
     hostile.set("Find name", "y" * 500_000)
@@ -303,7 +303,7 @@ def test_long_texts_are_truncated_or_end_the_connection(hostile: Talker) -> None
     assert hostile.gone()
 
 
-def test_uploads_beyond_the_limits_are_not_stored(app: App, hostile: Talker) -> None:
+def test_uploads_beyond_the_limits_are_not_stored(app: App, hostile: WebSocketClient) -> None:
     client = max(app.server.get_clients().items())[1]
     hostile.upload("big.png", b"x" * 1000, size=10**11, transfer="huge")
     hostile.wait(lambda: "big.png is empty, or too large" in str(hostile.controls))
@@ -325,7 +325,9 @@ def test_uploads_beyond_the_limits_are_not_stored(app: App, hostile: Talker) -> 
     assert sum(len(piece) for state in states.values() for piece in state["parts"].values()) <= 1_000_000
 
 
-def test_files_for_other_controls_are_not_stored_and_incomplete_uploads_are_bounded(app: App, hostile: Talker) -> None:
+def test_files_for_other_controls_are_not_stored_and_incomplete_uploads_are_bounded(
+    app: App, hostile: WebSocketClient
+) -> None:
     client = max(app.server.get_clients().items())[1]
     button = hostile.find("Use my own picture")
     for label in ("Rotate", "Zoom", "Find name"):
@@ -345,7 +347,7 @@ def test_files_for_other_controls_are_not_stored_and_incomplete_uploads_are_boun
         assert not getattr(handle._impl.value, "content", b"")
 
 
-def test_an_uploads_name_is_shown_escaped_and_without_folders(hostile: Talker, tmp_path: Path) -> None:
+def test_an_uploads_name_is_shown_escaped_and_without_folders(hostile: WebSocketClient, tmp_path: Path) -> None:
     before = set(tmp_path.rglob("*"))
     hostile.upload('../../<img src=x onerror="alert(1)">.png', picture())
     hostile.wait(lambda: "onerror" in (hostile.status("name") or ""))
@@ -354,7 +356,7 @@ def test_an_uploads_name_is_shown_escaped_and_without_folders(hostile: Talker, t
     assert set(tmp_path.rglob("*")) == before
 
 
-def test_attributes_of_controls_cannot_be_set(app: App, hostile: Talker) -> None:
+def test_attributes_of_controls_cannot_be_set(app: App, hostile: WebSocketClient) -> None:
     client = max(app.server.get_clients().items())[1]
     before = {uuid: dict(vars(handle._impl)) for uuid, handle in client.gui._gui_input_handle_from_uuid.items()}
     for prop in (
@@ -378,7 +380,7 @@ def test_attributes_of_controls_cannot_be_set(app: App, hostile: Talker) -> None
         assert all(found[name] is before[uuid][name] for name in kept)
 
 
-def test_no_page_can_open_a_public_tunnel(app: App, hostile: Talker, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_page_can_open_a_public_tunnel(app: App, hostile: WebSocketClient, monkeypatch: pytest.MonkeyPatch) -> None:
     import viser._viser
 
     asked_for: list[object] = []
@@ -395,12 +397,12 @@ def test_no_page_can_open_a_public_tunnel(app: App, hostile: Talker, monkeypatch
 @pytest.mark.parametrize(
     "frame", ["text", b"", b"\xff" * 1000, os.urandom(4000), b"\x91" * 200_000, msgspec.msgpack.encode({"a": 1})]
 )
-def test_a_garbage_frame_ends_its_own_connection(hostile: Talker, frame: bytes | str) -> None:
+def test_a_garbage_frame_ends_its_own_connection(hostile: WebSocketClient, frame: bytes | str) -> None:
     hostile.raw(frame)
     assert hostile.gone()
 
 
-def test_messages_of_wrong_shapes_are_dropped(hostile: Talker) -> None:
+def test_messages_of_wrong_shapes_are_dropped(hostile: WebSocketClient) -> None:
     for kind in dir(viser_messages):
         if kind.endswith("Message") or kind.startswith(("File", "Share", "Gui")):
             hostile.send(kind)
@@ -411,7 +413,7 @@ def test_messages_of_wrong_shapes_are_dropped(hostile: Talker) -> None:
     works(hostile)
 
 
-def test_another_browsers_controls_cannot_be_changed(witness: Talker, hostile: Talker) -> None:
+def test_another_browsers_controls_cannot_be_changed(witness: WebSocketClient, hostile: WebSocketClient) -> None:
     for uuid in list(witness.controls):
         hostile.send("GuiUpdateMessage", uuid=uuid, updates={"value": 77})
         hostile.send("GuiUpdateMessage", uuid=uuid, updates={"value": "satellite-to-drone"})
@@ -421,7 +423,7 @@ def test_another_browsers_controls_cannot_be_changed(witness: Talker, hostile: T
     works(hostile)
 
 
-def test_messages_of_the_pages_script_may_contain_anything(app: App, hostile: Talker) -> None:
+def test_messages_of_the_pages_script_may_contain_anything(app: App, hostile: WebSocketClient) -> None:
     session = app._sessions[max(app._sessions)]
     odd = [
         None,
@@ -448,7 +450,7 @@ def test_messages_of_the_pages_script_may_contain_anything(app: App, hostile: Ta
 
 
 @pytest.mark.slow
-def test_a_flood_of_messages_delays_only_its_sender(hostile: Talker) -> None:
+def test_a_flood_of_messages_delays_only_its_sender(hostile: WebSocketClient) -> None:
     uuid = hostile.find("Rotate")
     for number in range(1500):
         hostile.send("GuiUpdateMessage", uuid=uuid, updates={"value": number % 180})
@@ -456,7 +458,7 @@ def test_a_flood_of_messages_delays_only_its_sender(hostile: Talker) -> None:
 
 
 @pytest.mark.parametrize("small", [b"\x89\x80" + bytes(4), b"\x00\x80" + bytes(4)])
-def test_a_flood_of_small_frames_ends_its_connection(hostile: Talker, small: bytes) -> None:
+def test_a_flood_of_small_frames_ends_its_connection(hostile: WebSocketClient, small: bytes) -> None:
     raw_socket = hostile._socket.socket
     with contextlib.suppress(OSError):
         raw_socket.sendall(b"\x02\x80" + bytes(4))  # the first piece of a message
@@ -467,7 +469,7 @@ def test_a_flood_of_small_frames_ends_its_connection(hostile: Talker, small: byt
 
 def test_an_upload_is_freed_when_its_browser_leaves(app: App) -> None:
     workers_before = threads_of("explorer-worker")
-    with Talker(url(app)) as talker:
+    with WebSocketClient(url(app)) as talker:
         talker.greet()
         session = weakref.ref(app._sessions[max(app._sessions)])
         handle = weakref.ref(session()._client)  # type: ignore[union-attr]

@@ -17,7 +17,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from explorer.server import viser_compat
 from explorer.server.message_filter import FIELDS
 from explorer.server.viser_compat import SendBuffer
-from tools.fixtures.websocket_client import Talker
+from tools.fixtures.websocket_client import WebSocketClient
 
 MESSAGES_PER_THREAD = 300
 TIMEOUT = 60.0  # seconds for a message that must arrive
@@ -45,7 +45,7 @@ def client(server: viser.ViserServer) -> Iterator[viser.ClientHandle]:
         arrived.set()
 
     server.on_client_connect(greet)
-    with Talker(f"http://127.0.0.1:{server.get_port()}") as talker:
+    with WebSocketClient(f"http://127.0.0.1:{server.get_port()}") as talker:
         talker.camera()
         assert arrived.wait(TIMEOUT)
         yield connected[0]
