@@ -26,14 +26,14 @@ def file(data: Path, model_file: Path, tmp_path: Path) -> Path:
 def test_a_report_needs_nothing_else_and_prints_two_pages_a_query(browser: Browser, file: Path) -> None:
     context = browser.new_context(viewport={"width": 1100, "height": 900}, color_scheme="dark")
     page = context.new_page()
-    asked, said = [], []
-    page.on("request", lambda request: asked.append(request.url))
-    page.on("console", lambda message: said.append(message.text))
+    requests, messages = [], []
+    page.on("request", lambda request: requests.append(request.url))
+    page.on("console", lambda message: messages.append(message.text))
     page.goto(file.as_uri())
     page.get_by_role("link", name="0012").click()
     assert page.url.endswith("#q2")
-    assert {url for url in asked if not url.startswith("data:")} == {file.as_uri()}
-    assert said == []
+    assert {url for url in requests if not url.startswith("data:")} == {file.as_uri()}
+    assert messages == []
     assert page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 0)")
     dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
     page.emulate_media(media="print")

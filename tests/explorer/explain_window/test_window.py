@@ -86,11 +86,11 @@ def test_a_comparison_is_between_the_positive_and_the_chosen_tile(workspace: Wor
     pair = compared(analysed(workspace, query=late))
     assert pair is not None
     assert (pair.followed.true, pair.other.rank) == (True, 1)
-    # Compared with the truth itself, its rival is the nearest wrong tile.
+    # A chosen positive is compared with the hardest negative.
     pair = compared(analysed(workspace, query=late, selected="truth"))
     assert pair is not None
     assert (pair.followed.true, pair.other.rank) == (True, 1)
-    # A picture of one's own has no truth: the compared tile is followed.
+    # An uploaded picture has no known positive, so the chosen tile is followed.
     own = analysed(workspace, upload=OwnPicture("own", small_worlds.place(50)), selected=3)
     pair = compared(own)
     assert pair is not None
@@ -98,7 +98,7 @@ def test_a_comparison_is_between_the_positive_and_the_chosen_tile(workspace: Wor
     assert pair.without is not None
 
 
-def test_the_waterfall_and_the_smallest_change_are_said(workspace: Workspace) -> None:
+def test_the_comparison_shows_the_margin_and_the_smallest_change(workspace: Workspace) -> None:
     ranks = workspace.rankings["drone-to-satellite"].ranks
     for query in np.flatnonzero(ranks > 0):
         analysis = analysed(workspace, query=int(query))
@@ -118,7 +118,7 @@ def test_the_waterfall_and_the_smallest_change_are_said(workspace: Workspace) ->
     assert "first already" in comparison.page(first, workspace, compared(first), None, False)
 
 
-def test_a_profile_is_drawn_from_its_first_point_on(workspace: Workspace) -> None:
+def test_a_profile_is_drawn_from_its_first_point(workspace: Workspace) -> None:
     assert workspace.model is not None
     analysis = analysed(workspace)
     task = analysis.task

@@ -1,3 +1,5 @@
+"""Tests of reports: content, numbers, escaping, and the command."""
+
 from __future__ import annotations
 
 import base64
@@ -24,8 +26,6 @@ from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.explain import counterfactual
-from lpn.explain.counterfactual import Effect, PositiveRank, Reweighting, Without
-from lpn.explain.sweeps import Point, Profile
 from lpn.report import Options, OwnPicture
 from lpn.retrieval import Ranking, scoring
 from tools.fixtures import small_worlds
@@ -35,7 +35,7 @@ SVG_VOID = VOID - {"meta", "img", "br"}
 
 
 class Page(HTMLParser):
-    """A page as a browser has it: elements, texts, and whether each that is opened is closed."""
+    """The elements and texts of a page; an element that is not closed fails the test."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__()
@@ -72,7 +72,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def task(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Task:
-    """The drawn places under the drawn model."""
+    """A task of the drawn data set under the small model."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("cache")))
         return open_task(lpn.load(model_file), "model.onnx", open_dataset(data))
@@ -83,11 +83,11 @@ def rank(task: Task, descriptor: Float32Array, query: int) -> Ranking:
 
 
 def worst(task: Task) -> int:
-    """The query whose truth is farthest behind."""
+    """Return the query with the lowest margin."""
     return int(np.argmin(task.outcomes.margin))
 
 
-def test_one_file_holds_everything_and_reaches_for_nothing(task: Task) -> None:
+def test_a_report_is_one_file_that_loads_nothing_else(task: Task) -> None:
     page = Page(report.build(task, [worst(task), 3], made=datetime(2031, 5, 6, tzinfo=UTC)))
     names = {tag for tag, _ in page.elements}
     assert not names & {"script", "link", "iframe", "object", "base", "form"}
@@ -106,11 +106,11 @@ def test_one_file_holds_everything_and_reaches_for_nothing(task: Task) -> None:
     assert [section["id"] for section in page.all("section")] == ["q1", "q2"]
     links = {link["href"] for link in page.all("a")}
     assert {"#q1", "#q2", "#top"} == links
-    for said in ("2031-05-06", task.model.fingerprint, "drone-to-satellite", "14 queries", "R@1", "Protocol"):  # type: ignore[union-attr]
-        assert said in page.text
+    for text in ("2031-05-06", task.model.fingerprint, "drone-to-satellite", "14 queries", "R@1", "Protocol"):  # type: ignore[union-attr]
+        assert text in page.text
 
 
-def test_the_numbers_are_those_of_the_outcomes_and_add_up(task: Task) -> None:
+def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
     query = worst(task)
     outcomes = task.outcomes
     text = Page(report.build(task, [query])).text
@@ -131,7 +131,7 @@ def test_the_numbers_are_those_of_the_outcomes_and_add_up(task: Task) -> None:
     assert verdicts.describe_ablation(without, task.part_names) in text
 
 
-def test_evidence_bars_add_up_to_each_parts_share(task: Task) -> None:
+def test_evidence_bars_add_up_to_the_score(task: Task) -> None:
     text = Page(report.build(task, [worst(task)])).text
     cells = [[float(v) for v in re.findall(rf"{name}: ([+-][\d.]+)", text)] for name in ("cells for", "cells against")]
     constants = [float(value) for value in re.findall(r"constant: ([+-][\d.]+)", text)]
@@ -140,7 +140,7 @@ def test_evidence_bars_add_up_to_each_parts_share(task: Task) -> None:
     np.testing.assert_allclose(sums.sum(axis=1), scores, atol=2e-3)
 
 
-def test_what_files_say_is_shown_and_never_obeyed(data: Path, model_file: Path, tmp_path: Path) -> None:
+def test_markup_in_names_notes_and_metadata_is_escaped(data: Path, model_file: Path, tmp_path: Path) -> None:
     evil = "<script>alert('x')</script>"
     root = shutil.copytree(data, tmp_path / "a<img src=x onerror=alert(1)>")
     path = next((root / "test" / "query_drone").rglob("*.png")).relative_to(root).as_posix()
@@ -152,11 +152,11 @@ def test_what_files_say_is_shown_and_never_obeyed(data: Path, model_file: Path, 
     assert b"<script" not in found
     assert not any(attributes.get("src") == "x" for attributes in page.all("img"))
     assert not page.all("i") or "<i>m</i>.onnx" in page.text
-    for said in (evil, f"{evil} & more", "mood & tone", "odd", "<u>mine</u>", root.name):
-        assert said in page.text
+    for text in (evil, f"{evil} & more", "mood & tone", "odd", "<u>mine</u>", root.name):
+        assert text in page.text
 
 
-def test_metres_are_said_where_the_map_is_known(data: Path, model_file: Path, tmp_path: Path) -> None:
+def test_errors_in_metres_are_shown_where_positions_are_known(data: Path, model_file: Path, tmp_path: Path) -> None:
     root = small_worlds.map_dataset(shutil.copytree(data, tmp_path / "places"))
     made = open_task(lpn.load(model_file), "model.onnx", open_dataset(root))
     text = Page(report.build(made, [worst(made)])).text
@@ -165,7 +165,7 @@ def test_metres_are_said_where_the_map_is_known(data: Path, model_file: Path, tm
     assert "off by" in text
 
 
-def test_a_picture_of_ones_own_has_no_verdict_and_a_chosen_tile_is_compared(task: Task) -> None:
+def test_an_own_picture_has_no_verdict_and_a_chosen_tile_is_compared(task: Task) -> None:
     picture = images.load_picture(task.queries[2].path)
     text = Page(report.build(task, [OwnPicture("mine.jpg", picture)], Options(against=5))).text
     assert "Its true place is not known here" in text
@@ -190,7 +190,7 @@ def test_saved_descriptors_are_reported_without_evidence(task: Task) -> None:
         report.build(saved, [OwnPicture("mine.jpg", images.load_picture(task.queries[2].path))])
 
 
-def test_a_profile_is_drawn_and_progress_tells_of_each_step(task: Task) -> None:
+def test_a_profile_is_drawn_and_progress_counts_each_step(task: Task) -> None:
     seen: list[tuple[int, int]] = []
     page = Page(report.build(task, [4, 1], Options(profile=True, step=90), lambda *done: seen.append(done)))
     assert seen == [(step, 10) for step in range(1, 11)]
@@ -199,7 +199,7 @@ def test_a_profile_is_drawn_and_progress_tells_of_each_step(task: Task) -> None:
     assert "The query turned once around" not in Page(report.build(task, [4])).text
 
 
-def test_what_progress_raises_ends_the_work(task: Task) -> None:
+def test_an_exception_of_progress_ends_the_work(task: Task) -> None:
     def stop(*_: int) -> None:
         raise KeyboardInterrupt
 
@@ -207,7 +207,7 @@ def test_what_progress_raises_ends_the_work(task: Task) -> None:
         report.build(task, [4, 1], progress=stop)
 
 
-def test_changed_queries_and_weights_are_said(task: Task) -> None:
+def test_changes_of_queries_and_part_weights_are_stated(task: Task) -> None:
     weighted = replace(task, weights=[0, 1, 1, 2])
     text = Page(report.build(weighted, [1], Options(change=Change(rotate=30)))).text
     assert "queries turned 30° first" in text
@@ -219,56 +219,9 @@ def test_changed_queries_and_weights_are_said(task: Task) -> None:
 
 
 @pytest.mark.parametrize("queries", [[], [99], [-1], [0] * 201])
-def test_a_selection_that_cannot_be_reported_is_refused(task: Task, queries: list[int]) -> None:
+def test_an_invalid_selection_of_queries_is_an_error(task: Task, queries: list[int]) -> None:
     with pytest.raises(InputError):
         report.build(task, queries)
-
-
-def standings(now: int, without: list[int | None], alone: list[int]) -> Without:
-    made = [None if rank is None else PositiveRank(rank, 0.1 if rank == 1 else -0.1) for rank in without]
-    return Without(PositiveRank(now, -0.1), tuple(made), tuple(PositiveRank(rank, 1 / rank) for rank in alone))
-
-
-@pytest.mark.parametrize(
-    ("found", "expected"),
-    [
-        (standings(3, [1, 4], [2, 2]), "Without part a the true tile would be first."),
-        (standings(9, [6, 4], [2, 2]), "without part b, the true tile would be 4th."),
-        (standings(2, [2, 3], [2, 1]), "no better without any one of them; part b alone puts it first."),
-        (standings(2, [None, None], [2, 2]), "No single part is to blame alone."),
-        (standings(1, [1, 1], [1, 1]), "No single part is needed"),
-        (standings(1, [1, 7], [1, 1]), "Without part b the true tile would fall to 7th."),
-        (standings(1, [2, 7], [1, 1]), "would fall to 7th (2 of 2 parts are needed)."),
-    ],
-)
-def test_words_on_parts_left_out(found: Without, expected: str) -> None:
-    assert expected in verdicts.describe_ablation(found, ["a", "b"])
-
-
-def test_words_on_other_weights() -> None:
-    change = Reweighting(np.array([0.7, 0.3], np.float32), np.array([0.2, -0.2], np.float32), 0.28, 3)
-    none = np.zeros(0, np.int64)
-    assert verdicts.describe_reweighting(None, None) == "No choice of part weights would put the true tile first."
-    helped = verdicts.describe_reweighting(change, Effect(50.0, 52.0, np.arange(3), np.arange(1), 100))
-    assert "70 : 30 %; over all 100 queries it helps: 3 gained, 1 lost, R@1 50.0 to 52.0 %." in helped
-    assert "it harms" in verdicts.describe_reweighting(change, Effect(50.0, 49.0, none, np.arange(1), 100))
-    assert "neither helps nor harms" in verdicts.describe_reweighting(change, Effect(50.0, 50.0, none, none, 100))
-
-
-def test_words_on_turning() -> None:
-    def point(angle: float, rank: int, score: float, top_score: float) -> Point:
-        return Point(Change(rotate=angle), 0, True, score, rank, np.zeros(4, np.float32), 1, top_score)
-
-    turned = verdicts.describe_rotation(
-        Profile("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite")
-    )
-    assert "turned 90°: 2nd instead of 5th" in turned
-    assert "highest at 0°: by that, the picture's top points 0° clockwise" in turned
-    same = verdicts.describe_rotation(
-        Profile("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone")
-    )
-    assert "ranks best with the query as it is (1st)" in same
-    assert "north" not in same
 
 
 def run(data: Path, model_file: Path, *more: object) -> int:
@@ -308,7 +261,7 @@ def test_the_worst_failures_come_first(
         (["--task", "street-to-satellite"], "offer drone-to-satellite"),
     ],
 )
-def test_mistakes_get_one_sentence_and_leave_no_file(
+def test_invalid_arguments_give_one_sentence_and_no_file(
     given: list[str],
     expected: str,
     data: Path,
@@ -320,9 +273,9 @@ def test_mistakes_get_one_sentence_and_leave_no_file(
     del task
     out = tmp_path / "report.html"
     assert run(data, model_file, *given, "--out", out) == 2
-    said = capsys.readouterr().err
-    assert expected in said
-    assert said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert expected in message
+    assert message.count("\n") == 1
     assert not out.exists()
     if "--where" not in given:
         assert not (tmp_path / "cache").exists()

@@ -1,0 +1,65 @@
+"""Tests of the sentences about explanations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lpn.descriptors.transforms import Change
+from lpn.drawing import verdicts
+from lpn.explain.counterfactual import Effect, PositiveRank, Reweighting, Without
+from lpn.explain.sweeps import Point, Profile
+
+
+def positive_ranks(now: int, without: list[int | None], alone: list[int]) -> Without:
+    without_each = [None if rank is None else PositiveRank(rank, 0.1 if rank == 1 else -0.1) for rank in without]
+    return Without(PositiveRank(now, -0.1), tuple(without_each), tuple(PositiveRank(rank, 1 / rank) for rank in alone))
+
+
+@pytest.mark.parametrize(
+    ("without", "expected"),
+    [
+        (positive_ranks(3, [1, 4], [2, 2]), "Without part a the true tile would be first."),
+        (positive_ranks(9, [6, 4], [2, 2]), "without part b, the true tile would be 4th."),
+        (positive_ranks(2, [2, 3], [2, 1]), "no better without any one of them; part b alone puts it first."),
+        (positive_ranks(2, [None, None], [2, 2]), "No single part is to blame alone."),
+        (positive_ranks(1, [1, 1], [1, 1]), "No single part is needed"),
+        (positive_ranks(1, [1, 7], [1, 1]), "Without part b the true tile would fall to 7th."),
+        (positive_ranks(1, [2, 7], [1, 1]), "would fall to 7th (2 of 2 parts are needed)."),
+    ],
+)
+def test_ablation_names_the_part_that_matters_most(without: Without, expected: str) -> None:
+    assert expected in verdicts.describe_ablation(without, ["a", "b"])
+
+
+def test_reweighting_states_its_effect_on_all_queries() -> None:
+    change = Reweighting(np.array([0.7, 0.3], np.float32), np.array([0.2, -0.2], np.float32), 0.28, 3)
+    none = np.zeros(0, np.int64)
+    assert verdicts.describe_reweighting(None, None) == "No choice of part weights would put the true tile first."
+    helped = verdicts.describe_reweighting(change, Effect(50.0, 52.0, np.arange(3), np.arange(1), 100))
+    assert "70 : 30 %; over all 100 queries it helps: 3 gained, 1 lost, R@1 50.0 to 52.0 %." in helped
+    assert "it harms" in verdicts.describe_reweighting(change, Effect(50.0, 49.0, none, np.arange(1), 100))
+    assert "neither helps nor harms" in verdicts.describe_reweighting(change, Effect(50.0, 50.0, none, none, 100))
+
+
+def test_rotation_names_the_best_angle_and_the_heading() -> None:
+    def point(angle: float, rank: int, score: float, top_score: float) -> Point:
+        return Point(Change(rotate=angle), 0, True, score, rank, np.zeros(4, np.float32), 1, top_score)
+
+    turned = verdicts.describe_rotation(
+        Profile("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite")
+    )
+    assert "turned 90°: 2nd instead of 5th" in turned
+    assert "highest at 0°: by that, the picture's top points 0° clockwise" in turned
+    same = verdicts.describe_rotation(
+        Profile("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone")
+    )
+    assert "ranks best with the query as it is (1st)" in same
+    assert "north" not in same
+
+
+def test_the_margin_names_the_decisive_part() -> None:
+    leads = verdicts.describe_margin(np.array([0.3, -0.1]), ["a", "b"])
+    assert leads == "The true tile leads by 0.200 (d²); part a does most of it (+0.300)."
+    trails = verdicts.describe_margin(np.array([0.1, -0.3]), ["a", "b"], "this tile")
+    assert trails == "This tile is 0.200 (d²) behind; part b costs it most (-0.300)."
