@@ -19,7 +19,7 @@ from explorer.client_session import ClientSession
 from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model, open_saved
 from explorer.server import viser_compat
-from explorer.server.auth import Authenticator, authenticator, is_loopback
+from explorer.server.auth import Authenticator, is_loopback, make_authenticator
 from explorer.server.gateway import Gateway
 from explorer.url_state import UrlState
 from explorer.workspace import Workspace
@@ -40,16 +40,16 @@ class App:
     """A running server with one `ClientSession` per browser.
 
     Args:
-        access: the access rules; by default a random token, and none on a loopback address.
+        authenticator: the access rules; by default a random token, and none on a loopback address.
 
     Raises:
         InputError: when the address or port cannot be listened on.
         MissingPackageError: when viser's page cannot be protected.
     """
 
-    def __init__(self, workspace: Workspace, host: str, port: int, access: Authenticator | None = None) -> None:
+    def __init__(self, workspace: Workspace, host: str, port: int, authenticator: Authenticator | None = None) -> None:
         _check_free(host, port)
-        self.authenticator = access or authenticator(host, None, False, ())
+        self.authenticator = authenticator or make_authenticator(host, None, False, ())
         conceal(self.authenticator.token)
         conceal(self.authenticator.cookie_value)
         self.gateway = Gateway(self.authenticator)
@@ -104,18 +104,18 @@ def run(
     host: str = "127.0.0.1",
     port: int = 8080,
     beside: Path | None = None,
-    access: Authenticator | None = None,
+    authenticator: Authenticator | None = None,
 ) -> None:
     """Open a model and a data set, print the address of the explorer, and serve it until KeyboardInterrupt.
 
     Args:
         beside: a second model for comparisons.
-        access: the access rules; by default those of `App`.
+        authenticator: the access rules; by default those of `App`.
 
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
-    _serve(lambda: open_model(data, model, query, beside), host, port, access)
+    _serve(lambda: open_model(data, model, query, beside), host, port, authenticator)
 
 
 def run_saved(
@@ -125,18 +125,18 @@ def run_saved(
     query: str | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
-    access: Authenticator | None = None,
+    authenticator: Authenticator | None = None,
 ) -> None:
     """Serve the pictures and descriptors of a `pytorch_result.mat`, whose descriptors have `n_parts` parts, like `run`."""
-    _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port, access)
+    _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port, authenticator)
 
 
-def _serve(open_workspace: Callable[[], Workspace], host: str, port: int, access: Authenticator | None) -> None:
+def _serve(open_workspace: Callable[[], Workspace], host: str, port: int, authenticator: Authenticator | None) -> None:
     host = host or "0.0.0.0"
     _check_free(host, port)
     limit_malloc_arenas()
     images.use_all_cores()
-    app = App(open_workspace(), host, port, access)
+    app = App(open_workspace(), host, port, authenticator)
     gc.collect()
     gc.freeze()  # keeps the collection after each disconnect short
     port = app.server.get_port()

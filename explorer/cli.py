@@ -41,16 +41,18 @@ class Explore:
 
     def run(self) -> None:
         from explorer.app import run, run_saved
-        from explorer.server.auth import authenticator
+        from explorer.server.auth import make_authenticator
         from lpn.retrieval.published_results import check_n_parts
 
-        access = authenticator(self.host or "0.0.0.0", self.token, self.ask_token, self.allow_host)
+        authenticator = make_authenticator(self.host or "0.0.0.0", self.token, self.ask_token, self.allow_host)
         if self.saved is not None:
             if self.data is None or self.model is not None or self.beside is not None:
                 raise InputError(
                     "A saved result is explored with its data set and without a model; give --saved and --data."
                 )
-            run_saved(self.data, self.saved, check_n_parts(self.n_parts), self.query, self.host, self.port, access)
+            run_saved(
+                self.data, self.saved, check_n_parts(self.n_parts), self.query, self.host, self.port, authenticator
+            )
             return
         if self.n_parts is not None:
             raise InputError("A model knows its number of parts; give --n-parts with --saved only.")
@@ -61,4 +63,4 @@ class Explore:
                 "The demo is not part of this installation; give a data set with --data and a model with --model."
             )
         query = DEMO_QUERY if self.data is None and self.query is None else self.query
-        run(self.data or DEMO, self.model or DEMO / "lpn.onnx", query, self.host, self.port, self.beside, access)
+        run(self.data or DEMO, self.model or DEMO / "lpn.onnx", query, self.host, self.port, self.beside, authenticator)

@@ -193,7 +193,7 @@ class Authenticator:
         return Refusal(401, "A token is needed", _HOW_TO_SIGN_IN, ask_token=True)
 
 
-def authenticator(
+def make_authenticator(
     host: str,
     token: str | None,
     ask_token: bool,

@@ -6,7 +6,15 @@ import socket
 
 import pytest
 
-from explorer.server.auth import Authenticator, HttpRequest, Redirect, Refusal, authenticator, is_loopback, same_origin
+from explorer.server.auth import (
+    Authenticator,
+    HttpRequest,
+    Redirect,
+    Refusal,
+    is_loopback,
+    make_authenticator,
+    same_origin,
+)
 from lpn.core.errors import InputError
 
 TOKEN = "correct horse battery"
@@ -97,34 +105,36 @@ def test_an_address_that_makes_the_page_use_another_server_is_refused() -> None:
 
 
 def test_every_address_but_loopback_needs_a_token() -> None:
-    assert authenticator("127.0.0.1", None, False, (), {}).token is None
-    assert authenticator("localhost", None, False, (), {}).token is None
-    assert len(authenticator("127.0.0.1", None, True, (), {}).token or "") >= 43
+    assert make_authenticator("127.0.0.1", None, False, (), {}).token is None
+    assert make_authenticator("localhost", None, False, (), {}).token is None
+    assert len(make_authenticator("127.0.0.1", None, True, (), {}).token or "") >= 43
     made = [
-        authenticator(host, None, False, (), {}).token or ""
+        make_authenticator(host, None, False, (), {}).token or ""
         for host in ("0.0.0.0", "192.168.1.5", "::", "maps.example.org")
     ]
     assert len(set(made)) == 4
     assert min(map(len, made)) >= 43
-    assert authenticator("127.0.0.1", None, False, (), {"LPN_TOKEN": TOKEN}).token == TOKEN
-    assert authenticator("0.0.0.0", "another one given", False, (), {"LPN_TOKEN": TOKEN}).token == "another one given"
+    assert make_authenticator("127.0.0.1", None, False, (), {"LPN_TOKEN": TOKEN}).token == TOKEN
+    assert (
+        make_authenticator("0.0.0.0", "another one given", False, (), {"LPN_TOKEN": TOKEN}).token == "another one given"
+    )
     for bad in ("", "short"):
         with pytest.raises(InputError):
-            authenticator("127.0.0.1", None, False, (), {"LPN_TOKEN": bad})
+            make_authenticator("127.0.0.1", None, False, (), {"LPN_TOKEN": bad})
     with pytest.raises(InputError, match="12"):
-        authenticator("0.0.0.0", "short", False, (), {})
+        make_authenticator("0.0.0.0", "short", False, (), {})
     assert not is_loopback("")
 
 
 def test_the_link_shows_a_random_token_but_not_a_chosen_one() -> None:
-    assert authenticator("127.0.0.1", None, False, (), {}).link(8080) == "http://127.0.0.1:8080"
-    assert authenticator("0.0.0.0", TOKEN, False, (), {}).link(8080).startswith("http://127.0.0.1:8080/")
-    assert authenticator("::", TOKEN, False, (), {}).link(8080).startswith("http://[::1]:8080/"), (
+    assert make_authenticator("127.0.0.1", None, False, (), {}).link(8080) == "http://127.0.0.1:8080"
+    assert make_authenticator("0.0.0.0", TOKEN, False, (), {}).link(8080).startswith("http://127.0.0.1:8080/")
+    assert make_authenticator("::", TOKEN, False, (), {}).link(8080).startswith("http://[::1]:8080/"), (
         "no IPv4 is listened on then"
     )
-    made = authenticator("::1", None, True, (), {})
+    made = make_authenticator("::1", None, True, (), {})
     assert made.link(8080) == f"http://[::1]:8080/?token={made.token}"
-    assert TOKEN.split()[0] not in authenticator("0.0.0.0", TOKEN, False, (), {}).link(8080)
+    assert TOKEN.split()[0] not in make_authenticator("0.0.0.0", TOKEN, False, (), {}).link(8080)
 
 
 def test_a_token_is_exchanged_for_a_cookie() -> None:
