@@ -1,4 +1,4 @@
-"""Where things are on the stage: side by side, or one below the other where the network sees wide pictures (panoramas)."""
+"""Positions on the stage: the pair side by side, or stacked where the network's input is a panorama."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Layout:
-    """Places and sizes on the stage, whose x runs from -4.15 to 4.15 and whose y from -3.69 to 4.41.
+    """Positions and sizes in stage units: x from -4.15 to 4.15, y from -3.69 to 4.41.
 
     Attributes:
-        stacked: the compared tile is below the query, rather than to its right.
+        stacked: True if the compared tile is below the query, False if it is to the right.
         picture: width and height of the query and of the compared tile.
-        pixels: rows and columns of their pictures.
-        query, tile: their centres.
-        captions: where their captions begin at the left, and the captions' height above the stage's middle line.
-        gutter: centre, then width and height, of what stands between them.
-        card: width of a ranked tile, height of its picture and of its label.
-        card_pixels: rows and columns of its picture; the label has as many columns and a half more.
-        columns: of cards.
+        pixels: rows and columns of their images.
+        query, tile: centres of the two pictures.
+        query_caption, tile_caption: centres of the captions.
+        gutter: centre, then width and height, of the part bars between the pictures.
+        card: width of a ranked tile's card, height of its picture, height of its label.
+        card_pixels: rows and columns of a card's image.
+        columns: cards in a row.
         cards_top: upper border of the first row of cards.
-        step: from card to card, across and down.
+        step: offset from one card to the next, across and down.
     """
 
     stacked: bool
@@ -40,14 +40,14 @@ class Layout:
     step: Point
 
     def card_centre(self, slot: int) -> Point:
-        """Centre of a card, its label included."""
+        """Return the centre of a card with its label."""
         row, column = divmod(slot, self.columns)
         x = (column - (self.columns - 1) / 2) * self.step[0]
         return x, self.cards_top - sum(self.card[1:]) / 2 - row * self.step[1]
 
 
+# Width and height of a caption.
 CAPTION: Point = (3.3, 0.36)
-"""Width and height of a caption."""
 
 _SQUARE = Layout(
     stacked=False,
@@ -67,7 +67,7 @@ _SQUARE = Layout(
 
 
 def layout_for(input_size: tuple[int, int]) -> Layout:
-    """The layout for what a network sees: pictures of (height, width) pixels."""
+    """Return the layout for a network's input of (height, width) pixels."""
     height, width = input_size
     aspect = width / height
     if aspect < 2:

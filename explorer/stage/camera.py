@@ -1,4 +1,4 @@
-"""From where the browser looks at the map, and how pictures that stand on it are turned towards it."""
+"""Camera views of the map, and the orientation of pictures that face the camera."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from explorer.stage.image_planes import Rotation
 from lpn.core.arrays import AnyArray, Float64Array
 
+# Centre of the map in stage units, so far from the compared pair that one is never seen with the other.
 AT = np.array([60.0, 0.0, 0.0])
-"""The map lies this far from the compared pair, in stage units, so that neither is in the other's picture."""
+# Longer side of the map, in stage units.
 SIDE = 8.0
-"""Stage units of the longer side of the map."""
+# Side of the sign's pictures over the whole map, in stage units.
 PICTURE = 2.1
-"""Side of the pictures on the sign of the whole map, in stage units."""
 
 _ABOVE_MAP = math.radians(38)
 _OVER_ROOFS = math.radians(52)
@@ -23,14 +23,14 @@ _OVER_ROOFS = math.radians(52)
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A view of a part of the map from the south.
+    """A view from the south of a square part of the map, with a sign that shows the query and the compared tile.
 
     Attributes:
-        middle: of the part, in stage units east and north of the map's middle.
-        side: how large it is, and with it all that stands on the map, in stage units.
-        depth: its extent from south to north.
-        tilt: radians from straight down.
-        floating: whether the sign hangs along the top of what is seen, or stands on the far edge of the part.
+        middle: centre of the part, in stage units east and north of the map's centre.
+        side: side of the part in stage units; everything on the map scales with it.
+        depth: extent of the part from south to north, in stage units.
+        tilt: angle of the view from straight down, in radians.
+        floating: True to hang the sign along the top of the view, False to stand it on the far edge of the part.
     """
 
     middle: tuple[float, float] = (0.0, 0.0)
@@ -41,22 +41,22 @@ class Viewpoint:
 
     @property
     def ratio(self) -> float:
-        """Size of things, 1 where the whole map is seen."""
+        """Scale of everything on the map; 1 for the whole map."""
         return self.side / SIDE
 
     @property
     def above(self) -> Float64Array:
-        """Unit vector of what is up in the browser's picture."""
+        """Unit vector that points up in the view, (3,)."""
         return np.array([0.0, math.cos(self.tilt), math.sin(self.tilt)])
 
     @property
     def towards(self) -> Rotation:
-        """Sets a scene image upright in that picture."""
+        """Rotation that sets a scene image upright in the view."""
         half = (self.tilt + math.pi) / 2
         return math.cos(half), math.sin(half), 0.0, 0.0
 
     def sign(self, x: float, aspect: float) -> Float64Array:
-        """Where the middle of a picture is that is `x` to the right on the sign, in units of the whole map."""
+        """Return the centre, (3,), of a picture that is `x` to the right on the sign, at the scale of the whole map."""
         if self.floating:
             start, up = self._target, self._height(aspect) - PICTURE / 2 - 0.1
         else:
@@ -64,7 +64,7 @@ class Viewpoint:
         return np.asarray(start + self.ratio * (np.array([x, 0.0, 0.0]) + up * self.above), np.float64)
 
     def camera(self, aspect: float, fov: float) -> tuple[AnyArray, AnyArray]:
-        """Where the browser's camera stands and looks to have the part and the sign in view."""
+        """Return the camera's position and target, (3,) each, to have the part and the sign in view."""
         distance = self.ratio * self._height(aspect) / math.tan(fov / 2)
         target = self._target
         return target + distance * np.array([0.0, -math.sin(self.tilt), math.cos(self.tilt)]), target
@@ -75,22 +75,23 @@ class Viewpoint:
 
     @property
     def _target(self) -> Float64Array:
-        """What the camera looks at: between the part and the sign above it."""
+        """The camera's target, between the part and the sign."""
         return np.asarray(self._ground + self.ratio * 0.5 * (PICTURE + 0.2) * self.above, np.float64)
 
     def _height(self, aspect: float) -> float:
-        """Half of what is seen from bottom to top, in units of the whole map."""
+        """Return half the height of the view, at the scale of the whole map."""
         return max((SIDE * math.cos(self.tilt) + PICTURE) / 2 + 1.0, 4.7 / aspect)
 
 
-def over(points: Float64Array, least: float) -> Viewpoint:
-    """An oblique view that has all of some points (n, 3) in it, in stage units from the map's middle.
+def over(points: Float64Array, min_side: float) -> Viewpoint:
+    """Return an oblique view of all points (n, 3), in stage units from the map's centre.
 
     Args:
-        least: its smallest side.
+        min_side: smallest side of the view.
     """
-    seen = points[:, :2] + np.outer(points[:, 2] * math.tan(_OVER_ROOFS), (0.0, 1.0))  # what is high is seen further up
+    # A high point appears further up.
+    seen = points[:, :2] + np.outer(points[:, 2] * math.tan(_OVER_ROOFS), (0.0, 1.0))
     low, high = seen.min(axis=0), seen.max(axis=0)
-    side = max(float((high - low).max()), least)
+    side = max(float((high - low).max()), min_side)
     x, y = (round(float(value), 4) for value in (low + high) / 2)
     return Viewpoint((x, y), round(side, 4), round(side, 4), _OVER_ROOFS, True)

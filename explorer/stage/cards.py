@@ -1,5 +1,7 @@
-"""The ranked tiles on the stage. A row's photographs are one picture and its labels another: a page draws few large pictures much
-sooner than many small ones."""
+"""The ranked tiles on the stage.
+
+Each row is two pictures, one of photographs and one of labels: a page draws a few large pictures faster than many small ones.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +20,20 @@ from lpn.drawing import captions, overlays, theme
 from lpn.drawing.theme import Colour, Palette
 from lpn.retrieval import Match
 
+# Number of ranked tiles on the stage.
 SHOWN = 10
-"""Ranked tiles on the stage."""
-
+# Height of a label in pixels.
 _LABEL = 58
+# Width of the marker's line, in stage units.
 _MARGIN = 0.04
 
 
 class Cards:
-    """One browser's ranked tiles; `on_select` is called with the state shown and the gallery position of a clicked one."""
+    """One browser's ranked tiles.
+
+    Args:
+        on_select: called with the shown state and the gallery position of a clicked tile.
+    """
 
     def __init__(
         self, scene: viser.SceneApi, workspace: Workspace, on_select: Callable[[SessionState, int], None]
@@ -47,7 +54,7 @@ class Cards:
         self._targets = [self._target(scene, slot) for slot in range(SHOWN)]
 
     def _target(self, scene: viser.SceneApi, slot: int) -> viser.ImageHandle:
-        """What is clicked for a card: a plane before it that cannot be seen."""
+        """Add an invisible plane in front of a card, which receives its clicks."""
         x, y = self._layout.card_centre(slot)
         handle = scene.add_image(
             f"/card{slot}",
@@ -64,7 +71,7 @@ class Cards:
         return handle
 
     def show(self, analysis: StateAnalysis) -> None:
-        """Draw an answer's matches."""
+        """Draw the matches of an analysis."""
         self._shown = analysis
         state, layout, matches = analysis.state, self._layout, analysis.matches
         ground = state.palette.background
@@ -86,7 +93,7 @@ class Cards:
                 )
 
     def _mark(self, analysis: StateAnalysis) -> None:
-        """Frame the card that is compared, where it is among those shown."""
+        """Frame the compared card if it is shown."""
         slots = [slot for slot, match in enumerate(analysis.matches) if match.index == analysis.chosen.index]
         self._marker.handle.visible = bool(slots)
         if slots:
@@ -115,7 +122,7 @@ class Cards:
 
 
 def _beside(pictures: Sequence[UInt8Array], columns: int, gap: float, ground: Colour) -> UInt8Array:
-    """Pictures of one size in a row with room for `columns` of them, `gap` of a picture's width between two."""
+    """Put pictures of one size in a row that has room for `columns`; `gap` is relative to a picture's width."""
     height, width = pictures[0].shape[:2]
     step = width * (1 + gap)
     row = np.full((height, round((columns - 1) * step) + width, 3), ground, np.uint8)
@@ -126,7 +133,7 @@ def _beside(pictures: Sequence[UInt8Array], columns: int, gap: float, ground: Co
 
 
 def _frame(layout: Layout, colour: Colour) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """A frame around a card, see-through inside."""
+    """Draw a frame around a card, transparent inside."""
     width, height = layout.card[0] + 2 * _MARGIN, sum(layout.card[1:]) + 2 * _MARGIN
     drawn = np.zeros((round(100 * height), round(100 * width), 4), np.uint8)
     drawn[..., :3], line = colour, round(100 * _MARGIN)

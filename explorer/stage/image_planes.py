@@ -11,13 +11,14 @@ from lpn.core.arrays import UInt8Array
 from lpn.drawing import captions, theme
 from lpn.drawing.theme import Palette
 
+# A quaternion (w, x, y, z).
 Rotation = tuple[float, float, float, float]
+# Scene images have y down and face away from +z; half a turn about x sets them upright, facing the camera.
 UPRIGHT: Rotation = (0.0, 1.0, 0.0, 0.0)
-"""Scene images have y down and face +z away; half a turn about x sets them upright, facing the camera."""
 
 
 class Plane:
-    """A picture on the stage that is sent again only when its pixels changed; as "png" it may be see-through."""
+    """A picture on the stage, sent again only when its pixels change; the encoding "png" supports transparency."""
 
     def __init__(
         self,
@@ -51,7 +52,7 @@ class Plane:
 
 
 def title(headline: str, text: str, true: bool | None, palette: Palette, distance2: float | None = None) -> UInt8Array:
-    """A caption: headline, sign, a text shortened to fit, and on the right a distance."""
+    """Draw a caption: headline, sign, a text shortened to fit, and on the right a distance d²."""
     image, draw = captions.caption(528, 58, palette)
     draw.text((2, 29), headline, palette.text, captions.font(26), anchor="lm")
     x = 2 + draw.textlength(headline, font=captions.font(26)) + 14

@@ -1,4 +1,4 @@
-"""The gallery as a map: tiles at their places, the query's camera over them, and where the model puts it."""
+"""The gallery as a map: the tiles at their positions, the query's camera, and the compared tile."""
 
 from __future__ import annotations
 
@@ -18,17 +18,26 @@ from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
 from lpn.datasets import geo
 from lpn.drawing import captions, overlays, theme
 
-_LINES = 0.2
-_WORDS = SIDE - 2 * PICTURE
-_ROOFS = 42.0  # metres above the ground at which tiles and lines are drawn over the city
-_NEAR = 520.0  # metres of ground that are seen of it at least
-_FAR = 5000.0  # metres from the compared tile within which the camera is kept in view
-_UPRIGHT: Rotation = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
-"""Turns glTF's y up into the stage's z up."""
+# Height of lines over the mosaic, in stage units.
+_LINE_HEIGHT = 0.2
+_CAPTION_WIDTH = SIDE - 2 * PICTURE
+# Height of tiles and lines over the city, in metres.
+_ROOFS = 42.0
+# Smallest side of a view of the city, in metres.
+_MIN_VIEW = 520.0
+# Distance from the compared tile within which the query's camera is kept in view, in metres.
+_MAX_CAMERA_DISTANCE = 5000.0
+# Turns glTF's y up into the stage's z up.
+_Z_UP: Rotation = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 
 class GalleryMap:
-    """One browser's map, built when it is first shown. `on_select` is told the state shown and a clicked tile."""
+    """One browser's map.
+
+    Args:
+        shown: number of ranked tiles.
+        on_select: called with the shown state and the gallery position of a clicked tile.
+    """
 
     def __init__(
         self,
@@ -44,7 +53,7 @@ class GalleryMap:
         self._scene = scene = client.scene
         self._city: viser.GlbHandle | None = None
         self._ground = Plane(scene, "/map/ground", 1.0, 1.0, _point(0, 0, 0))
-        self._caption = Plane(scene, "/map/caption", _WORDS, PICTURE, _point(0, 0, 0))
+        self._caption = Plane(scene, "/map/caption", _CAPTION_WIDTH, PICTURE, _point(0, 0, 0))
         self._query = Plane(scene, "/map/query", PICTURE, PICTURE, _point(0, 0, 0))
         self._tile = Plane(scene, "/map/tile", PICTURE, PICTURE, _point(0, 0, 0))
         self._lines = scene.add_line_segments(
@@ -77,11 +86,11 @@ class GalleryMap:
         city = self._show_city(analysis, places)
         self._show_tiles(analysis, places, city, _ROOFS * self._scale if city else 0.03)
         camera = self._show_camera(analysis, places)
-        self._show_lines(analysis, places, camera, _ROOFS * self._scale if city else _LINES)
+        self._show_lines(analysis, places, camera, _ROOFS * self._scale if city else _LINE_HEIGHT)
         self._lines.thickness = 5.0 if city else 3.0
         viewpoint = self._over_city(analysis, places, camera) if city else self._whole(places)
         self._camera.scale = 0.5 * viewpoint.ratio
-        self._caption.show(self._words(analysis))
+        self._caption.show(self._draw_caption(analysis))
         palette = analysis.state.palette
         self._camera.color = palette.text
         self._query.show(overlays.framed(overlays.square(analysis.query.picture, 256), palette.text, 4))
@@ -98,7 +107,7 @@ class GalleryMap:
         self._task = analysis.task.name
 
     def _show_city(self, analysis: StateAnalysis, places: GalleryGeometry) -> bool:
-        """Put the city in the ground's place, or take it away; it is sent when it is first shown."""
+        """Show either the city, which is sent once, or the mosaic of tiles; return True for the city."""
         model = self._workspace.city
         shown = analysis.state.city and model is not None
         self._ground.handle.visible = not shown
@@ -106,7 +115,7 @@ class GalleryMap:
             self._ground.show(self._workspace.mosaic(analysis.task))
         if shown and model is not None:
             self._city = self._city or self._scene.add_glb(
-                "/map/city", model.data, wxyz=_UPRIGHT, cast_shadow=False, receive_shadow=False
+                "/map/city", model.data, wxyz=_Z_UP, cast_shadow=False, receive_shadow=False
             )
             self._city.scale = self._scale
             self._city.position = self._place(geo.on_plane([model.origin], places.origin)[0], 0.0)
@@ -119,21 +128,21 @@ class GalleryMap:
         return Viewpoint(depth=(north - south) * self._scale)
 
     def _over_city(self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None) -> Viewpoint:
-        """A view in which the drone, the compared tile, and the true one are."""
+        """Return a view of the camera, the compared tile, and the positive."""
         half = 0.6 * places.width
         tiles = [analysis.chosen.index, *([analysis.positive.index] if analysis.positive is not None else [])]
         around = [places.ground[tile] + np.array(off) * half for tile in tiles for off in ((-1, -1), (1, 1))]
         points = [self._place(point, 0.0) for point in around]
-        if camera is not None and float(np.abs(camera - points[0]).max()) < _FAR * self._scale:
+        if camera is not None and float(np.abs(camera - points[0]).max()) < _MAX_CAMERA_DISTANCE * self._scale:
             points.append(camera)
-        return over(np.array(points) - AT, _NEAR * self._scale)
+        return over(np.array(points) - AT, _MIN_VIEW * self._scale)
 
     def put_sign(self, viewpoint: Viewpoint, aspect: float) -> None:
-        """Put query, words, and tile where they are seen from there in a window of that aspect, along the top."""
+        """Arrange query, caption, and tile along the top of a view in a window of the given aspect."""
         edge = (SIDE - PICTURE) / 2
         for plane, x, width in (
             (self._query, -edge, PICTURE),
-            (self._caption, 0.0, _WORDS),
+            (self._caption, 0.0, _CAPTION_WIDTH),
             (self._tile, edge, PICTURE),
         ):
             plane.handle.render_width, plane.handle.render_height = width * viewpoint.ratio, PICTURE * viewpoint.ratio
@@ -141,12 +150,12 @@ class GalleryMap:
             plane.handle.wxyz = viewpoint.towards
 
     def _place(self, ground: Float64Array, up: float, lift: float = 0.0) -> Float64Array:
-        """A place (east, north) and height in metres on the stage, raised by some stage units more."""
+        """Convert a position (east, north) and height in metres to the stage, raised by `lift` stage units."""
         x, y = (ground - self._middle) * self._scale
         return np.asarray(AT + np.array([x, y, up * self._scale + lift]), np.float64)
 
     def _show_tiles(self, analysis: StateAnalysis, places: GalleryGeometry, city: bool, lift: float) -> None:
-        """The ranked tiles as pictures on the ground, or as frames above the roofs."""
+        """Draw the ranked tiles as pictures on the ground, or as frames above the roofs."""
         side = max(places.width * self._scale, 0.12)
         for slot, plane in enumerate(self._tiles):
             plane.handle.visible = slot < len(analysis.matches)
@@ -167,7 +176,7 @@ class GalleryMap:
             plane.handle.position = self._place(places.ground[match.index], 0.0, lift + height)
 
     def _show_camera(self, analysis: StateAnalysis, places: GalleryGeometry) -> Float64Array | None:
-        """The frustum at the query's pose; None when it is not known."""
+        """Show the frustum at the query's pose and return its position; None when the pose is not known."""
         place = None if analysis.state.upload else places.queries[analysis.state.query]
         stands = None if place is None else geo.camera(place, places.origin)
         self._camera.visible = stands is not None
@@ -188,7 +197,7 @@ class GalleryMap:
     def _show_lines(
         self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None, lift: float
     ) -> None:
-        """From the camera, or from the true place, to the compared tile; a frame around the true tile."""
+        """Draw lines from the camera, or else from the positive, to the compared tile, and a frame around the positive."""
         segments: list[tuple[AnyArray, AnyArray, theme.Colour]] = []
         chosen = self._place(places.ground[analysis.chosen.index], 0.0, lift)
         truth = None
@@ -208,8 +217,8 @@ class GalleryMap:
             self._lines.points = np.array([(a, b) for a, b, _ in segments], np.float32)
             self._lines.colors = np.array([(c, c) for *_, c in segments], np.uint8)
 
-    def _words(self, analysis: StateAnalysis) -> UInt8Array:
-        """What the two pictures above the map are, and how far apart they lie."""
+    def _draw_caption(self, analysis: StateAnalysis) -> UInt8Array:
+        """Draw the names of the query and the compared tile, and the error in metres."""
         chosen = analysis.chosen
         name = analysis.task.gallery[chosen.index].name
         palette = analysis.state.palette
@@ -251,7 +260,7 @@ def _point(x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 def _quaternion(rotation: Float64Array) -> Rotation:
-    """(w, x, y, z) of a rotation matrix (3, 3)."""
+    """Convert a rotation matrix (3, 3) to a quaternion."""
     w = math.sqrt(max(0.0, 1.0 + float(np.trace(rotation)))) / 2
     x, y, z = (
         math.copysign(
