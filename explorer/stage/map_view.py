@@ -77,7 +77,7 @@ class GalleryMap:
         )
 
     def show(self, analysis: StateAnalysis) -> Viewpoint:
-        """Draw an answer whose task has places; returns from where to look at it."""
+        """Draw an analysis whose task has positions, and return the view of it."""
         places = analysis.task.geometry
         assert places is not None
         self._analysis = analysis

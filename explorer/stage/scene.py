@@ -1,4 +1,4 @@
-"""The 3-D stage: the query and the compared tile with their rings, the links between them, and the ranked tiles."""
+"""The 3-D stage: the query and the compared tile, the lines between their parts, and the ranked tiles."""
 
 from __future__ import annotations
 
@@ -25,19 +25,21 @@ from lpn.drawing.theme import Palette
 from lpn.explain import Evidence
 from lpn.retrieval import DescribedPicture, Match
 
+# Distances between the parts of an exploded picture, in stage units: side by side, and stacked.
 _LIFT = 0.5
 _STEP = 0.12
+# How far an exploded picture moves towards the other, in stage units.
 _INWARD = 0.3
 _FOV = 0.45
 _HEIGHT = 8.1
 _WIDTH = 8.3
 _MIDDLE = (0.0, 0.36)
+# The area of the stage that is always in view, in stage units.
 SCENE = {"width": _WIDTH, "height": _HEIGHT, "middle": _MIDDLE}
-"""What of the stage is in view at least, and its middle, in stage units."""
 
 
 class StagePicture:
-    """One large picture: flat, with a caption, or taken apart into its rings along the axis."""
+    """One large picture with a caption, either flat or exploded into its parts."""
 
     def __init__(
         self, client: viser.ClientHandle, workspace: Workspace, name: str, centre: Point, caption: Point, n_parts: int
@@ -64,10 +66,10 @@ class StagePicture:
             self._layers.append(layer)
 
     def show(self, picture: UInt8Array, caption: UInt8Array, view: View, exploded: bool, towards: float) -> None:
-        """Draw the picture; `towards` is the side, -1 or 1, an exploded stack opens to."""
+        """Draw the picture; an exploded picture opens to the side `towards`, -1 or 1."""
         self._caption.show(caption)
         self._flat.handle.visible = not exploded
-        # Wide pictures lean back and their parts step forward one by one; others turn, and open to the side.
+        # An exploded picture turns to the side; a panorama leans back.
         angle = math.radians(self._angle) if exploded else 0.0
         self._group.wxyz = _about_x(-angle) if self._layout.stacked else _about_y(towards * angle)
         inward = towards * _INWARD if exploded and not self._layout.stacked else 0.0
@@ -84,7 +86,7 @@ class StagePicture:
             layer.visible = exploded
 
     def depth(self, part: int, exploded: bool, view: View) -> float:
-        """How far a part stands off the picture's plane, towards the camera: the centre furthest."""
+        """Return the distance of a part from the picture's plane; the centre is closest to the camera."""
         if not exploded:
             return 0.0
         order = part if self._workspace.spec.partition(view).outside_in else self._n - 1 - part
@@ -92,12 +94,15 @@ class StagePicture:
 
     @property
     def _angle(self) -> float:
-        """Degrees that a picture taken apart is turned by."""
+        """Rotation of the exploded picture in degrees."""
         return 32.0 if self._layout.stacked else 38.0
 
     def anchor(self, part: int, along: float, side: float, exploded: bool, view: View) -> tuple[float, float, float]:
-        """Where a link leaves a part: on its left (-1) or right (1) border at the height `along`, in stage coordinates; on
-        its lower (-1) or upper (1) border at the middle of the part where pictures are stacked."""
+        """Return the point of a part's border, in stage coordinates, where its line begins.
+
+        Side by side, `side` is the left (-1) or right (1) border and `along` the height; stacked, `side` is the lower (-1) or
+        upper (1) border, and the line begins in its middle.
+        """
         left, top, right, bottom = self._workspace.spec.partition(view).boxes(*self._workspace.map_sizes[view])[part]
         width, height = self._layout.picture
         z = self.depth(part, exploded, view) + 0.01
@@ -114,7 +119,11 @@ class StagePicture:
 
 
 class Stage:
-    """One browser's 3-D view. `on_select` is called with the state shown and the gallery position of a clicked tile."""
+    """One browser's 3-D view.
+
+    Args:
+        on_select: called with the shown state and the gallery position of a clicked tile.
+    """
 
     def __init__(
         self, client: viser.ClientHandle, workspace: Workspace, on_select: Callable[[SessionState, int], None]
@@ -145,15 +154,15 @@ class Stage:
         self.fit()
 
     def fit(self) -> None:
-        """Frame the content, whatever the width the panels leave; a person's own orbit is kept until it changes."""
-        with self._framing:  # a window that is being resized calls from several threads, and the last aspect must win
+        """Frame the content again when the window's aspect changes; until then the user's orbit stays."""
+        with self._framing:  # resizing calls this from several threads, and the last aspect must win
             aspect = self._client.camera.aspect
             if math.isfinite(aspect) and aspect > 0 and abs(aspect - self._aspect) >= 0.01:
                 self._aspect = aspect
                 self._aim()
 
     def _aim(self) -> None:
-        """Point the camera at the pair and its matches, or at the map."""
+        """Point the camera at the pair and the ranked tiles, or at the map."""
         if not self._aspect:
             return
         camera, viewpoint = self._client.camera, self._viewpoint
@@ -170,7 +179,7 @@ class Stage:
             camera.look_at = target
 
     def show(self, analysis: StateAnalysis) -> None:
-        """Draw an answer."""
+        """Draw an analysis."""
         state, task = analysis.state, analysis.task
         viewpoint = None
         if state.map and task.geometry is not None:
@@ -196,7 +205,7 @@ class Stage:
             self._cards.show(analysis)
 
     def _decorated(self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View) -> UInt8Array:
-        """A side's large picture under its heatmap and rings, drawn again only when one of them changed."""
+        """Return a large picture with heatmap and rings; it is drawn again only when one of them changes."""
         state = analysis.state
         evidence = (
             analysis.pair_evidence.evidence
@@ -239,7 +248,7 @@ class Stage:
         return title(f"RANK {chosen.rank}", text, chosen.true, palette, chosen.distance2)
 
     def _gutter_picture(self, chosen: Match, palette: Palette) -> UInt8Array:
-        """For each part: its name, cosine, and share of the distance as a bar."""
+        """Draw the part bars in a column, between pictures side by side."""
         image, draw = captions.caption(260, 660, palette)
         rows = _row_heights(self._layout, self._n)
         size = 30 if self._n <= 6 else 22
@@ -249,7 +258,7 @@ class Stage:
         return np.asarray(image)
 
     def _gutter_row(self, chosen: Match, palette: Palette) -> UInt8Array:
-        """The same one beside the other, each below the query's strip and above the tile's."""
+        """Draw the part bars in a row, between stacked pictures."""
         width, height = self._layout.gutter[1]
         image, draw = captions.caption(1280, round(1280 * height / width), palette)
         room = 1280 / self._n
@@ -269,7 +278,7 @@ class Stage:
         y: float,
         sizes: tuple[int, int],
     ) -> None:
-        """A part's share of the distance as a bar from the height `y` down, its name above, cosine and share below."""
+        """Draw a part's share of the distance as a bar at the height `y`, its name above, cosine and share below."""
         left, right = sides
         (size, small), middle = sizes, (left + right) / 2
         colour = theme.part_colour(part)
@@ -289,7 +298,7 @@ class Stage:
             captions.draw_squared(draw, right, below, f"{chosen.shares[part]:.3f}", small, palette.dim)
 
     def _link_points(self, analysis: StateAnalysis) -> Float32Array:
-        """Two segments per part: query ring to its place in the gutter, and from there to the tile's ring."""
+        """Return two segments per part, from the query's ring to its bar and on to the tile's ring: (2n, 2, 3)."""
         state, task = analysis.state, analysis.task
         points = np.zeros((2 * self._n, 2, 3), np.float32)
         (x, y), (width, height) = self._layout.gutter
@@ -306,12 +315,12 @@ class Stage:
 
 
 def _row_heights(layout: Layout, n: int) -> list[float]:
-    """Where each part's row stands in the gutter, from the top, relative to the pictures' centre."""
+    """Return the height of each part's bar relative to the pictures' centre, from the top."""
     return [(0.5 - (part + 0.5) / n) * layout.picture[1] for part in range(n)]
 
 
 def _link_colours(weights: AnyArray, palette: Palette) -> UInt8Array:
-    """Each part's links in its colour, nearly that of the ground where the part counts nothing."""
+    """Return the colour of each segment's ends, (2n, 2, 3): the part's, or nearly the background's at weight 0."""
     colours = [theme.part_colour(part) if weight > 0 else palette.off for part, weight in enumerate(weights)]
     return np.repeat(np.array(colours, np.uint8), 2, axis=0)[:, None].repeat(2, axis=1)
 
