@@ -17,7 +17,7 @@ from lpn.core.files import printable
 from lpn.datasets import open_dataset
 from lpn.datasets.city_model import CityModel, city_model
 from lpn.models.spec import Layout, ModelSpec
-from lpn.retrieval.published_results import Saved
+from lpn.retrieval.published_results import PublishedResult
 
 log = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ def open_model(data: Path, model: Path, query: str | None = None, beside: Path |
     return workspace
 
 
-def open_saved(data: Path, saved: Saved, query: str | None = None) -> Workspace:
+def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> Workspace:
     """Open a published result on its pictures, without a network.
 
     Rings are drawn as University-1652's LPN divides them, and for panoramas as the published CVUSA models do.

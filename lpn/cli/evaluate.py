@@ -113,7 +113,7 @@ def _print_result(title: str, result: Result) -> None:
     table.add_row(*facts.values(), *(f"{value:.2f}" for value in figures.values()))
     console = Console(width=max(120, Console().width))
     console.print(table)
-    console.print(result.said)
+    console.print(result.sentence)
     if near := result.distances():
         shares = ", ".join(f"{value:.1f} % {key}" for key, value in near.items() if key.startswith("within"))
         console.print(f"Error of the top match: median {near['median error m']:.1f} m; {shares} (geo.csv).")

@@ -37,7 +37,7 @@ def draw(
         pictures: query and tile as the model partitions them.
         titles: captions of query and tile.
         views: the branches that described query and tile.
-        losses: of `lpn.explain.occlusion.covered`; they are drawn on the query in place of the evidence, and the tile has none.
+        losses: of `lpn.explain.occlusion.occlude`; they are drawn on the query in place of the evidence, and the tile has none.
     """
     width = (_WIDTH - 3 * _MARGIN) // 2
     height = round(width * spec.input_size[0] / spec.input_size[1])

@@ -72,7 +72,7 @@ class MeasurementStore:
         if key not in self._figures:
             results = _measure(row, measure, model, data)
             values = [value for result in results for value in _values(result, measure)]
-            self._figures[key] = MeasuredFigures(tuple(values), results[0].said)
+            self._figures[key] = MeasuredFigures(tuple(values), results[0].sentence)
             figures = msgspec.to_builtins(self._figures)
             file = _File(FORMAT, crc_of_values(figures), self._figures)
             write_atomic(self.path, msgspec.json.format(msgspec.json.encode(file), indent=1) + b"\n")

@@ -20,31 +20,30 @@ from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
 from lpn.retrieval import metrics
 from lpn.retrieval.protocol import Protocol, averaged, sentence
-from lpn.retrieval.published_results import Saved
+from lpn.retrieval.published_results import PublishedResult
 
 log = logging.getLogger(__name__)
 
+# Distances in metres within which an answer counts as near.
 WITHIN = (25, 50, 100)
-"""Distances in metres within which an answer counts as near."""
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Figures of one task, in percent, and what they were measured on.
+    """The figures of one task in percent, and how they were measured.
 
     Attributes:
         recall: Recall@K for "1", "5", "10", and "1%".
         ap: mean average precision.
-        queries, gallery: numbers of queries (places, where their pictures are averaged) and of gallery pictures.
+        queries, gallery: numbers of queries (of places, where queries are averaged) and of gallery pictures.
         task: such as "drone-to-satellite".
-        protocol: how they were measured.
         parts: the parts used, 1-based.
-        cropped: whether queries were cropped to what the data set marks in them.
-        listed: whether true matches and junk come from the data set's lists rather than from labels.
-        said: the protocol in one sentence.
-        seconds: wall-clock time, descriptors included (none for those taken from the cache).
-        errors: metres from what each query shows to the centre of its top match, (Q,); None without positions, and where
-            queries are averaged, which have none.
+        cropped: True where queries were cropped to their boxes.
+        listed: True where true matches and junk come from lists rather than from labels.
+        sentence: the protocol in one sentence.
+        seconds: wall-clock time, including that of descriptors that were not cached.
+        errors: metres from each query's place to the centre of its top match, (Q,); None without positions, and for averaged
+            queries, which have none.
     """
 
     recall: dict[str, float]
@@ -56,16 +55,16 @@ class Result:
     parts: tuple[int, ...]
     cropped: bool
     listed: bool
-    said: str
+    sentence: str
     seconds: float
     errors: Float64Array | None = None
 
     def distances(self) -> dict[str, float]:
-        """See `error_shares`; empty without positions."""
+        """The error shares, see `error_shares`; empty without positions."""
         return {} if self.errors is None else error_shares(self.errors)
 
     def to_dict(self) -> dict[str, Any]:
-        """The keys of the JSON file."""
+        """The values of the JSON file."""
         change = self.protocol.change
         return {
             **{f"recall@{k}": value for k, value in self.recall.items()},
@@ -82,13 +81,13 @@ class Result:
             "averaged": self.protocol.average,
             "cropped": self.cropped,
             "junk": "lists" if self.listed else "label -1",
-            "protocol": self.said,
+            "protocol": self.sentence,
             "seconds": self.seconds,
         }
 
 
 def error_shares(errors: Float64Array) -> dict[str, float]:
-    """`median error m` of errors in metres, and the percentage `within 25 m`, `within 50 m`, `within 100 m`."""
+    """The keys `median error m` and, in percent, `within 25 m`, `within 50 m`, `within 100 m` of errors in metres (Q,)."""
     within = {f"within {limit} m": 100.0 * float(np.mean(errors <= limit)) for limit in WITHIN}
     return {"median error m": float(np.median(errors)), **within}
 
@@ -103,8 +102,8 @@ def evaluate(
     """Evaluate one task, such as "drone-to-satellite".
 
     Args:
-        protocol: how it is measured, the published protocol by default.
-        read: where descriptors come from, by default the user's cache, which new ones are left in.
+        protocol: the published protocol by default.
+        read: returns descriptors; by default from the user's cache, which receives new ones.
 
     Raises:
         InputError: when the data set lacks the task, the model a view, or a part does not exist.
@@ -134,29 +133,29 @@ def evaluate(
             f"Each query of {dataset.root.name} has its own list of true matches; only queries of places with labels can be "
             "averaged, so leave --average-queries out."
         )
-    # Before the long part, so that a gap in it costs nothing.
-    where = None if protocol.average else geo.positions(dataset.root)
-    places = None if where is None else (where.of(queries), where.of(gallery))
+    # Read positions before the descriptors, so that a gap in them is found at once.
+    known = None if protocol.average else geo.positions(dataset.root)
+    positions = None if known is None else (known.of(queries), known.of(gallery))
     change = protocol.change.for_picture(queries[0])
     query = read(model, queries, query_branch, change)
     tiles = read(model, gallery, gallery_branch, UNCHANGED)
     cropped = any(picture.box for picture in queries)
-    said = _described(model, protocol, cropped, change)
+    clauses = _clauses(model, protocol, cropped, change)
     labels = [np.array([picture.label for picture in pictures], np.int64) for pictures in (queries, gallery)]
-    result, found = _measure(query, labels[0], tiles, labels[1], truth, task, protocol, said)
+    result, retrieval = _measure(query, labels[0], tiles, labels[1], truth, task, protocol, clauses)
     errors = None
-    if places is not None:
-        metres = geo.metres(places[0], [places[1][index] for index in found.best])
-        errors = np.where(found.best < 0, np.inf, metres)
+    if positions is not None:
+        metres = geo.metres(positions[0], [positions[1][index] for index in retrieval.best])
+        errors = np.where(retrieval.best < 0, np.inf, metres)
     return replace(result, cropped=cropped, seconds=time.perf_counter() - started, errors=errors)
 
 
 def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
-    """Find out before long work what would stop an evaluation at its end.
+    """Check a test split before long work, so that an evaluation cannot fail at its end.
 
     Raises:
         InputError: when the data set does not offer one of the tasks.
-        PictureError: when a picture of theirs is broken.
+        PictureError: when a picture of the split is damaged.
         DataError: when the test split is incomplete, or its `geo.csv` does not cover it.
     """
     missing = [task for task in tasks if task not in dataset.tasks()]
@@ -167,14 +166,14 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
     lists = lists_of(dataset, tasks)
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
     check_whole(files, f"test pictures of {dataset.root.name}", dataset.root)
-    where = geo.positions(dataset.root)
-    if where is not None:
+    positions = geo.positions(dataset.root)
+    if positions is not None:
         for pictures in lists.values():
-            where.of(pictures)
+            positions.of(pictures)
 
 
 def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]:
-    """The pictures behind some tasks, each list once: "query drone", "gallery satellite", ..."""
+    """The pictures of some tasks, each list once, by "query drone", "gallery satellite", ..."""
     queries = dict.fromkeys(views_of(task)[0] for task in tasks)
     galleries = dict.fromkeys(views_of(task)[1] for task in tasks)
     return {f"query {view}": dataset.queries(view) for view in queries} | {
@@ -182,11 +181,11 @@ def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]
     }
 
 
-def evaluate_saved(saved: Saved, protocol: Protocol | None = None) -> Result:
-    """Evaluate descriptors that another program saved, see `lpn.retrieval.published_results`.
+def evaluate_saved(saved: PublishedResult, protocol: Protocol | None = None) -> Result:
+    """Evaluate the descriptors of a published result, see `lpn.retrieval.published_results`.
 
     Raises:
-        InputError: when a part does not exist, or the protocol changes pictures: there are none to describe again.
+        InputError: when a part does not exist, or the protocol needs pictures to be described again.
     """
     started = time.perf_counter()
     protocol = protocol or Protocol()
@@ -195,9 +194,9 @@ def evaluate_saved(saved: Saved, protocol: Protocol | None = None) -> Result:
             f"{saved.name} holds descriptors, not pictures: rotation, shift, scale, branch, and whole queries need --model and "
             "--data; leave them out."
         )
-    said = ["descriptors as saved"]
+    clauses = ["descriptors as saved"]
     result, _ = _measure(
-        saved.query, saved.query_labels, saved.gallery, saved.gallery_labels, None, saved.task, protocol, said
+        saved.query, saved.query_labels, saved.gallery, saved.gallery_labels, None, saved.task, protocol, clauses
     )
     return replace(result, seconds=time.perf_counter() - started)
 
@@ -210,15 +209,15 @@ def _measure(
     truth: Sequence[Truth] | None,
     task: str,
     protocol: Protocol,
-    said: list[str],
+    clauses: list[str],
 ) -> tuple[Result, metrics.Retrieval]:
-    """Average and select as the protocol says, and rank."""
+    """Average queries and select parts as the protocol demands, and rank."""
     n, pictures = query.shape[1], len(query)
     chosen = protocol.chosen(n)
     if protocol.average:
         query, query_labels = averaged(query, query_labels)
-    found = metrics.retrieve(protocol.select(query), query_labels, protocol.select(gallery), gallery_labels, truth)
-    figures = found.figures()
+    retrieval = metrics.retrieve(protocol.select(query), query_labels, protocol.select(gallery), gallery_labels, truth)
+    figures = retrieval.figures()
     result = Result(
         recall={key.removeprefix("recall@"): value for key, value in figures.items() if key.startswith("recall@")},
         ap=figures["ap"],
@@ -229,10 +228,10 @@ def _measure(
         parts=chosen,
         cropped=False,
         listed=truth is not None,
-        said=sentence(said, chosen, n, pictures if protocol.average else None, truth is not None),
+        sentence=sentence(clauses, chosen, n, pictures if protocol.average else None, truth is not None),
         seconds=0.0,
     )
-    return result, found
+    return result, retrieval
 
 
 def _check_branch(model: Model, branch: View, protocol: Protocol) -> None:
@@ -244,11 +243,11 @@ def _check_branch(model: Model, branch: View, protocol: Protocol) -> None:
     model.check_view(branch)
 
 
-def _described(model: Model, protocol: Protocol, cropped: bool, change: Change) -> list[str]:
-    """How descriptors were made, in clauses."""
+def _clauses(model: Model, protocol: Protocol, cropped: bool, change: Change) -> list[str]:
+    """The clauses about the descriptors in the protocol's sentence."""
     mirrored = "descriptors of picture and mirror added, " if model.spec.mirrored else ""
-    said = [f"{mirrored}each part normalised"]
-    said += ["queries cropped to the part that is meant"] if cropped else []
-    said += [f"queries {change.describe()}"] if change else []
-    said += [f"both sides described by the {protocol.branch} branch"] if protocol.branch else []
-    return said
+    clauses = [f"{mirrored}each part normalised"]
+    clauses += ["queries cropped to the part that is meant"] if cropped else []
+    clauses += [f"queries {change.describe()}"] if change else []
+    clauses += [f"both sides described by the {protocol.branch} branch"] if protocol.branch else []
+    return clauses

@@ -1,4 +1,4 @@
-"""How a retrieval is measured: what is done to the queries, what is compared, and the sentence that says so."""
+"""Evaluation protocols: changes of the queries, the parts that are compared, and the sentence that reports both."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from lpn.models.base import normalise
 
 @dataclass(frozen=True)
 class Protocol:
-    """How a retrieval is measured; the default is the published protocol of University-1652.
+    """An evaluation protocol; the default is the published one of University-1652.
 
     Attributes:
-        change: what is done to each query first.
+        change: applied to each query first.
         parts: 1-based parts to use, None for all (Table V).
         branch: the branch that describes both sides, None for each view's own (Table VI).
-        average: whether the queries of one place are averaged into one.
-        whole: whether queries are described whole where the data set marks a part of them (Oxford5k, Paris6k).
+        average: average the queries of one place into one.
+        whole: ignore the boxes of queries (Oxford5k, Paris6k).
     """
 
     change: Change = UNCHANGED
@@ -33,10 +33,10 @@ class Protocol:
     whole: bool = False
 
     def chosen(self, n_parts: int) -> tuple[int, ...]:
-        """The parts used of n, 1-based, each once, in the order given.
+        """The 1-based parts used of n, without duplicates, in the given order.
 
         Raises:
-            InputError: when one does not exist, or there is none.
+            InputError: when a part does not exist, or there is none.
         """
         chosen = tuple(range(1, n_parts + 1)) if self.parts is None else tuple(dict.fromkeys(self.parts))
         if not chosen or any(not 1 <= part <= n_parts for part in chosen):
@@ -44,7 +44,7 @@ class Protocol:
         return chosen
 
     def select(self, descriptors: Float32Array) -> Float32Array:
-        """The parts used of descriptors (N, n, D): (N, m, D); as given when all are used."""
+        """The used parts of descriptors (N, n, D): (N, m, D)."""
         chosen = self.chosen(descriptors.shape[1])
         if chosen == tuple(range(1, descriptors.shape[1] + 1)):
             return descriptors
@@ -52,14 +52,10 @@ class Protocol:
 
 
 def averaged(descriptors: Float32Array, labels: Int64Array) -> tuple[Float32Array, Int64Array]:
-    """One query per place: the descriptors of its pictures summed and each part normalised.
-
-    Args:
-        descriptors: (Q, n, D).
-        labels: the place of each, (Q,).
+    """Sum the descriptors (Q, n, D) of each place's queries and normalise each part.
 
     Returns:
-        (P, n, D) and (P,), in ascending order of the places.
+        Descriptors (P, n, D) and the places' labels (P,), ascending.
     """
     order = np.argsort(labels, kind="stable")
     places, starts = np.unique(labels[order], return_index=True)
@@ -68,7 +64,7 @@ def averaged(descriptors: Float32Array, labels: Int64Array) -> tuple[Float32Arra
 
 
 def sentence(
-    said: Sequence[str],
+    clauses: Sequence[str],
     parts: tuple[int, ...],
     n_parts: int,
     averaged_from: int | None = None,
@@ -77,12 +73,12 @@ def sentence(
     """The protocol in words.
 
     Args:
-        said: how descriptors were made and what was done to the queries, each a clause.
+        clauses: about the descriptors and the changes of the queries.
         parts: the parts used, 1-based.
-        averaged_from: number of pictures behind the averaged queries, None where they are not averaged.
-        listed: whether true matches and junk come from lists rather than labels.
+        averaged_from: number of pictures behind the averaged queries; None for queries that are not averaged.
+        listed: True where true matches and junk come from lists rather than from labels.
     """
-    clauses = [*said]
+    clauses = [*clauses]
     if parts != tuple(range(1, n_parts + 1)):
         clauses.append(f"part{'s' if len(parts) > 1 else ''} {', '.join(map(str, parts))} of {n_parts} only")
     if averaged_from is not None:

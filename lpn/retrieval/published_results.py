@@ -24,7 +24,7 @@ _NORM_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Saved:
+class PublishedResult:
     """A retrieval that another program computed.
 
     Attributes:
@@ -108,7 +108,7 @@ def check_n_parts(n_parts: int | None) -> int:
     return n_parts or 1
 
 
-def load_saved(path: str | Path, n_parts: int = 1) -> Saved:
+def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
     """Read a `pytorch_result.mat`; needs the extra `data`.
 
     Args:
@@ -135,7 +135,7 @@ def load_saved(path: str | Path, n_parts: int = 1) -> Saved:
             f"{name} has query descriptors of {query[0].size} numbers and gallery descriptors of {gallery[0].size}; expected "
             "equal numbers, so save both with the same model."
         )
-    saved = Saved(
+    saved = PublishedResult(
         name,
         query,
         _labels(values["query_label"], len(query), "query", name),

@@ -74,7 +74,7 @@ class TestSplit:
                 )
             row |= {f"recall@1 {task}": recall["1"], f"ap {task}": result.ap}
         if console is not None:
-            console.print(result.said)
+            console.print(result.sentence)
         return row
 
 

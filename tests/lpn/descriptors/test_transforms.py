@@ -139,4 +139,4 @@ def test_stores_of_turned_panoramas_are_told_from_those_of_turned_pictures(tmp_p
     again = descriptors.cached_descriptors(model, queries, "street", Change(rotate=90, around=True))
     np.testing.assert_array_equal(found[True], again)
     protocol = Protocol(Change(rotate=90))
-    assert "columns moved around" in evaluate(model, dataset, "street-to-satellite", protocol).said
+    assert "columns moved around" in evaluate(model, dataset, "street-to-satellite", protocol).sentence

@@ -84,10 +84,10 @@ def test_queries_are_scaled_before_the_resize_and_shifted_after_it(data: Path, m
     query = model.descriptors(np.stack(made), "drone")
     expected = metrics.evaluate(query, labels(queries), described(model, gallery, "satellite"), labels(gallery))
     assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
-    assert "queries turned 20°, scaled by 0.8, shifted 7 px to the left" in found.said
+    assert "queries turned 20°, scaled by 0.8, shifted 7 px to the left" in found.sentence
     unchanged = evaluate(model, dataset, "drone-to-satellite")
     assert unchanged.ap != found.ap
-    assert "turned" not in unchanged.said
+    assert "turned" not in unchanged.sentence
 
 
 def test_averaged_queries_are_one_per_place(tmp_path: Path, model_file: Path) -> None:
@@ -105,7 +105,7 @@ def test_averaged_queries_are_one_per_place(tmp_path: Path, model_file: Path) ->
     expected = metrics.evaluate(mean, labels(queries)[::3], described(model, gallery, "satellite"), labels(gallery))
     assert (len(queries), found.queries) == (18, 6)
     assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
-    assert "the 18 query pictures averaged to one query per place" in found.said
+    assert "the 18 query pictures averaged to one query per place" in found.sentence
 
 
 def test_one_branch_can_describe_both_sides(data: Path, tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def test_one_branch_can_describe_both_sides(data: Path, tmp_path: Path) -> None:
         found[branch] = evaluate(model, dataset, "drone-to-satellite", Protocol(branch=branch))  # type: ignore[arg-type]
         sides = described(model, queries, branch), labels(queries), described(model, gallery, branch), labels(gallery)
         assert found[branch].ap == pytest.approx(metrics.evaluate(*sides)["ap"])
-        assert f"both sides described by the {branch} branch" in found[branch].said
+        assert f"both sides described by the {branch} branch" in found[branch].sentence
     assert found["satellite"].ap != found["drone"].ap
     with pytest.raises(InputError, match="no 'street' view"):
         evaluate(model, dataset, "drone-to-satellite", Protocol(branch="street"))
@@ -156,8 +156,8 @@ def test_landmarks_are_cropped_and_ranked_by_lists(data: Path, model_file: Path)
         found = evaluate(model, dataset, "street-to-street", Protocol(branch="drone", whole=whole))
         assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
         assert (found.to_dict()["cropped"], found.to_dict()["junk"]) == (not whole, "lists")
-        assert "junk taken out of the ranking" in found.said
-        assert ("cropped" in found.said) is not whole
+        assert "junk taken out of the ranking" in found.sentence
+        assert ("cropped" in found.sentence) is not whole
         figures[whole] = found.ap
     assert figures[True] != figures[False]
     with pytest.raises(InputError, match="--branch"):

@@ -44,7 +44,7 @@ def test_a_saved_result_gives_the_figures_of_its_model(data: Path, model_file: P
         found, expected = evaluate_saved(saved, protocol), evaluate(model, dataset, "drone-to-satellite", protocol)
         assert (found.recall, found.task, found.queries) == (expected.recall, "drone-to-satellite", 14)
         assert found.ap == pytest.approx(expected.ap, abs=1e-9)
-        assert "descriptors as saved" in found.said
+        assert "descriptors as saved" in found.sentence
 
 
 def test_the_command_reads_it_without_model_and_data(data: Path, model_file: Path, tmp_path: Path) -> None:
