@@ -41,6 +41,6 @@ class QuantizeCommand:
         dataset = import_module("lpn.datasets").open_dataset(self.data)
         files, agreement = import_module("lpn.models.quantize").quantize(self.model, dataset, self.out, self.pictures)
         print(f"Wrote {', '.join(file.name for file in files)} to {self.out.parent}.")
-        said = ", ".join(f"{view} {cosine:.4f}" for view, cosine in agreement.items())
-        print(f"Mean cosine with the float32 descriptors of calibration pictures: {said}.")
+        cosines = ", ".join(f"{view} {cosine:.4f}" for view, cosine in agreement.items())
+        print(f"Mean cosine with the float32 descriptors of calibration pictures: {cosines}.")
         print("Measure what it costs on your data: lpn evaluate with either model.")

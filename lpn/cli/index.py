@@ -54,15 +54,15 @@ class IndexCommand:
             Progress(*columns) as bar,
         ):
             task = bar.add_task("Indexing", total=tiles.count)
-            for lot in tiles.chunks:
-                some = np.arange(len(lot.names))
+            for chunk in tiles.chunks:
+                some = np.arange(len(chunk.names))
                 if not self.replace:
-                    some = some[~index.holds(lot.names)]
+                    some = some[~index.holds(chunk.names)]
                 if len(some):
-                    chosen = [lot.names[i] for i in some.tolist()]
-                    index.add(chosen, lot.rows(some), None if lot.positions is None else lot.positions[some])
+                    chosen = [chunk.names[i] for i in some.tolist()]
+                    index.add(chosen, chunk.rows(some), None if chunk.positions is None else chunk.positions[some])
                     added += len(some)
-                bar.advance(task, len(lot.names))
+                bar.advance(task, len(chunk.names))
             print(f"{printable(_shown(self.out))} holds {index.count()} tiles, {added} of them added now.")
         if there := tiles.count - added:
             print(
@@ -124,19 +124,19 @@ class SearchCommand:
                 model, images.load_picture(self.picture), self.view, self.rotate
             ).descriptor
             # One more than is listed, for the gap after the last, where the index gives so many.
-            asked_for = self.top + (index.most is None or self.top < index.most)
-            found = index.search(query, weights, asked_for, self.box)
+            wanted = self.top + (index.most is None or self.top < index.most)
+            found = index.search(query, weights, wanted, self.box)
         matches = _matches(found, query, weights, self.top, model, self.view)
         _show(matches, model.spec.partition(self.view).names())
         if self.json is not None:
-            asked: dict[str, Any] = {
+            request: dict[str, Any] = {
                 "index": _shown(self.index),
                 "model": model.fingerprint,
                 "picture": str(self.picture),
             }
-            asked |= {"view": self.view, "rotate": self.rotate, "weights": weights.tolist(), "box": self.box}
-            asked |= {"effort": self.effort, "depth": self.depth}
-            write_atomic(self.json, (json.dumps(asked | {"matches": matches}, indent=1) + "\n").encode())
+            request |= {"view": self.view, "rotate": self.rotate, "weights": weights.tolist(), "box": self.box}
+            request |= {"effort": self.effort, "depth": self.depth}
+            write_atomic(self.json, (json.dumps(request | {"matches": matches}, indent=1) + "\n").encode())
 
 
 def _matches(

@@ -80,8 +80,8 @@ class ReportCommand:
             part_values(self.weights),
             read_notes(self.notes) if self.notes else None,
         )
-        chosen, said = (named, "chosen by name") if named else self._chosen(task)
-        options = report.Options(self.matches, self.profile, self.step, Change(rotate=self.rotate), chosen=said)
+        chosen, selection = (named, "chosen by name") if named else self._chosen(task)
+        options = report.Options(self.matches, self.profile, self.step, Change(rotate=self.rotate), chosen=selection)
         console = Console()
         with Progress(console=console, transient=True) as bar:
             shown = bar.add_task("Reporting", total=None)

@@ -157,12 +157,12 @@ def _sentences(profile: Profile, views: tuple[View, View]) -> list[str]:
 def _sentence(begin: str, profile: Profile, point: Point) -> str:
     gain, changed = profile.gain(point), point.change.describe()
     when = f"when {changed}" if changed else "with the query as it is"
-    who = "the true match has" if point.true else "the top match has"
+    subject = "the true match has" if point.true else "the top match has"
     if gain is None or not changed:
-        return f"{begin} {when}: {who} rank {point.rank}, score {point.score:.3f}."
+        return f"{begin} {when}: {subject} rank {point.rank}, score {point.score:.3f}."
     ranks, score = gain
     before = f"instead of {point.rank + ranks}" if ranks else "as before"
-    return f"{begin} {when}: {who} rank {point.rank} {before}, score {point.score:.3f} ({score:+.3f})."
+    return f"{begin} {when}: {subject} rank {point.rank} {before}, score {point.score:.3f} ({score:+.3f})."
 
 
 def _draw(profile: Profile, title: str) -> bytes:

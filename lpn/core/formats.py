@@ -54,8 +54,8 @@ def decode_json(data: bytes, record: type[_Record], what: object, ours: str, err
         error: the class of the error about a later version.
 
     Raises:
-        LPNError: an `error` when a later version of lpn wrote the file.
-        ValueError, RecursionError: when the file is damaged or has another format.
+        LPNError: an `error` if a later version of lpn wrote the file.
+        ValueError, RecursionError: if the file is damaged or has another format.
     """
     found = format_of(data)
     if is_newer(found, ours):

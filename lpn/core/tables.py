@@ -70,7 +70,7 @@ class Column:
 
     @cached_property
     def known(self) -> BoolArray:
-        """Which values are known, (N,)."""
+        """A mask of the known values, (N,)."""
         return np.asarray(~np.isnan(self.values) if self.kind == "number" else self.values != "", bool)
 
     @cached_property

@@ -100,7 +100,7 @@ class Manifest:
 
     @property
     def cropped(self) -> bool:
-        """Whether any picture was cropped to a box."""
+        """True if any picture was cropped to a box."""
         return any(row.box is not None for row in self.rows)
 
     def to_json(self) -> bytes:
@@ -116,7 +116,7 @@ class Manifest:
 
     @property
     def damaged(self) -> bool:
-        """Whether the manifest differs from its own checksum."""
+        """True if the manifest differs from its own checksum."""
         return self.checksums is not None and self.checksums.manifest != crc_of_values(self._values())
 
     def _values(self) -> dict[str, Any]:
@@ -152,7 +152,7 @@ class Manifest:
             ) from error
 
     def comparable(self, other: Manifest) -> bool:
-        """Whether rows of the same file can be copied from another store."""
+        """Return whether rows of the same file can be copied from another store."""
         return self._kind == other._kind
 
     @property

@@ -110,7 +110,7 @@ class DataSetReport:
 
     @property
     def healthy(self) -> bool:
-        """Whether nothing is broken; a subset, duplicates, and damage of the published data set do not count."""
+        """True if nothing is broken; a subset, duplicates, and damage of the published data set do not count."""
         missing = [item for item in self.left_out if not item.published]
         return not (self.broken or missing or self.lacking or self.shared or self.gap)
 
@@ -226,9 +226,9 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
         if known is None:
             return None, None
         tasks = [views_of(task) for task in dataset.tasks()]
-        asked = [picture for view in {query for query, _ in tasks} for picture in dataset.queries(view)]
-        shown = [picture for view in {gallery for _, gallery in tasks} for picture in dataset.gallery(view)]
-        pictures = list({picture.path: picture for picture in asked + shown}.values())
+        queries = [picture for view in {query for query, _ in tasks} for picture in dataset.queries(view)]
+        tiles = [picture for view in {gallery for _, gallery in tasks} for picture in dataset.gallery(view)]
+        pictures = list({picture.path: picture for picture in queries + tiles}.values())
         known.of(pictures)
     except DataError as error:
         return geo.NAME, str(error)
@@ -320,8 +320,8 @@ def _of(found: int, full: int | None) -> str:
     return f"{found:,}" if full is None else f"{found:,} of {full:,}"
 
 
-def _some(said: str, names: Sequence[str]) -> list[str]:
+def _some(what: str, names: Sequence[str]) -> list[str]:
     if not names:
         return []
     more = f", and {len(names) - 5} more" if len(names) > 5 else ""
-    return [f"{len(names)} {said}: {', '.join(names[:5])}{more}."]
+    return [f"{len(names)} {what}: {', '.join(names[:5])}{more}."]

@@ -67,7 +67,6 @@ def check_environment(demo: Path) -> Iterator[Finding]:
     """
     checks: dict[str, Callable[[], Iterator[Finding]]] = {
         "Python and packages": _python_and_packages,
-        "ONNX Runtime": _onnxruntime,
         "PyTorch": _torch,
         "machine": _machine,
         "cache": _cache,
@@ -173,21 +172,6 @@ def _extra(extra: str, packages: tuple[requirements.Package, ...]) -> Finding:
         "not installed" if missing else ", ".join(f"{package.name} {_version_error(package)}" for package in wrong)
     )
     return Finding(name, "note", message, f"for {use}: {_install(f'{requirements.NAME}[{extra}]')}")
-
-
-def _onnxruntime() -> Iterator[Finding]:
-    if find_spec("onnxruntime") is None:
-        return  # reported among the packages
-    with _silenced():
-        ort: Any = importlib.import_module("onnxruntime")
-    providers = [name.removesuffix("ExecutionProvider") for name in ort.get_available_providers()]
-    message = f"{ort.__version__} computes on {ort.get_device()}; providers: {', '.join(providers)}"
-    if "CPU" in providers:
-        yield Finding("ONNX Runtime", "OK", message)
-    else:
-        yield Finding(
-            "ONNX Runtime", "problem", message, "pip install --force-reinstall onnxruntime, which has the CPU's"
-        )
 
 
 def _torch() -> Iterator[Finding]:

@@ -130,7 +130,7 @@ class ModelSpec:
 
     @property
     def mirrored(self) -> bool:
-        """Whether a descriptor adds the mirrored picture's, as published for LPN; SAFA distinguishes left from right."""
+        """True if a descriptor adds the mirrored picture's, as published for LPN; SAFA distinguishes left from right."""
         return self.pooling == "average"
 
     def unrolled(self, view: View) -> bool:
