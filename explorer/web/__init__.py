@@ -1,1 +1,4 @@
-"""HTML, CSS, and JavaScript of the page, and the messages that the page sends back."""
+"""HTML templates, CSS, and JavaScript of the page, and the bridge to that script.
+
+Every view of the explorer may import this package; it imports only `explorer.server` and `lpn`.
+"""

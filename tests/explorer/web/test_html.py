@@ -1,4 +1,4 @@
-"""Html that several threads show something in."""
+"""HTML elements that several threads write to."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from explorer.web.html import Html
 
 
 class Handle:
-    """Stands for viser's handle: a text is on its way until it may arrive."""
+    """Stands for viser's handle; setting the text "one" blocks until `arrive` is set."""
 
     def __init__(self) -> None:
         self.shown, self.begun, self.arrive = "", threading.Event(), threading.Event()
@@ -29,7 +29,7 @@ class Handle:
         self.shown = text
 
 
-def test_what_is_shown_last_stays() -> None:
+def test_the_last_text_stays() -> None:
     handle = Handle()
     gui: Any = SimpleNamespace(add_html=lambda _: handle)
     html = Html(cast(viser.GuiApi, gui))
