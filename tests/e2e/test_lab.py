@@ -36,10 +36,10 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def lab_app(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApp]:
+def lab_app(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApp]:
     """The app on those places."""
     folder = tmp_path_factory.mktemp("run")
-    with started(places, small_worlds.make_model(folder), folder / "cache") as running:
+    with started(places, model_file, folder / "cache") as running:
         yield running
 
 

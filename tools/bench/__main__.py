@@ -1,4 +1,4 @@
-"""Every bench in one table: `python -m tools.bench [NAME ...]`.
+"""Run all benchmarks, in one table: `python -m tools.bench [NAME ...]`.
 
 Names are query, search, evaluate, describe, page, large, and train; without one, all are run, each in a process of its own. The
 page is measured on the demo.
@@ -19,7 +19,7 @@ NAMES = ("query", "search", "evaluate", "describe", "page", "large", "train")
 
 
 def measured(name: str) -> list[Figure]:
-    """The figures of one bench, from a process of its own."""
+    """Run one benchmark in a process, and return its figures."""
     print(f"Measuring {name} ...", file=sys.stderr, flush=True)
     done = subprocess.run([sys.executable, "-m", "tools.bench", "--json", name], stdout=subprocess.PIPE, text=True)
     if done.returncode:

@@ -68,7 +68,7 @@ class Files(Dataset[torch.Tensor]):
 
 
 def published(network: TorchModel, files: Sequence[Path], workers: int) -> Float32Array:
-    """The published loop's descriptors, (N, n D)."""
+    """Descriptors by the published loop, (N, n D)."""
     rows = []
     with torch.inference_mode():
         for batch in DataLoader(Files(files, SPEC.input_size), BATCH, num_workers=workers):
@@ -81,21 +81,21 @@ def published(network: TorchModel, files: Sequence[Path], workers: int) -> Float
 
 
 def ours(model: Model, files: Sequence[Path], root: Path) -> Float32Array:
-    """A store's descriptors, made anew, (N, n D)."""
+    """Descriptors from a new store, (N, n D)."""
     with tempfile.TemporaryDirectory() as out, redirect_stdout(io.StringIO()):
         store = descriptors.describe(model, files, "drone", out, root=root)
         return np.array(store.descriptors, np.float32).reshape(len(files), -1)
 
 
 def bare(engine: Engine, passes: int) -> None:
-    """Forward passes alone, on every core one after the other; the engine computes each on one thread."""
+    """Run forward passes alone, on all cores in turn; each uses one thread."""
     single = np.zeros((1, 3, *engine.input_size), np.float32)
     with ThreadPoolExecutor(usable_cores()) as pool:
         list(pool.map(lambda _: engine.run(single, "drone"), range(passes)))
 
 
 def with_ray(model: Path, files: Sequence[Path], root: Path, folder: Path) -> list[Figure]:
-    """Ray's pictures a second; none without the extra, or where its times do not tell."""
+    """Measure Ray's pictures per second; empty without the extra, or when the times are too close."""
     few = min(len(files) // 2, 2 * SHARD * usable_cores())
     if find_spec("ray") is None or not few:
         return []
@@ -124,7 +124,7 @@ def agreement(a: Float32Array, b: Float32Array) -> float:
 
 
 def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
-    """The figures of a folder of pictures, at most `count` of them."""
+    """Measure at most `count` pictures of a folder."""
     torch.manual_seed(0)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

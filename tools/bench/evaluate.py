@@ -29,7 +29,7 @@ KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
 
 @dataclass(frozen=True)
 class GallerySize:
-    """Queries, gallery pictures, and how many of these one place has."""
+    """Numbers of queries, gallery pictures, and gallery pictures per place."""
 
     name: str
     queries: int
@@ -41,7 +41,7 @@ SIZES = (GallerySize("drone to satellite", 37_855, 951, 1), GallerySize("satelli
 
 
 def draw(size: GallerySize, share: float) -> tuple[Float32Array, Int64Array, Float32Array, Int64Array]:
-    """Descriptors and labels of both sides."""
+    """Draw descriptors and labels of queries and gallery."""
     rng = np.random.default_rng(0)
     count, tiles = (max(round(share * number), 20) for number in (size.queries, size.gallery))
     labels = np.arange(tiles) // size.each
@@ -66,7 +66,7 @@ def draw(size: GallerySize, share: float) -> tuple[Float32Array, Int64Array, Flo
 def published(
     query: Float32Array, query_labels: Int64Array, gallery: Float32Array, labels: Int64Array
 ) -> dict[str, float]:
-    """The figures as the published evaluation comes to them."""
+    """Compute the metrics as the published evaluation does."""
     curve, total = np.zeros(len(gallery)), 0.0
     for descriptor, label in zip(query, query_labels, strict=True):
         ranking = np.argsort(gallery @ descriptor)[::-1]
@@ -84,7 +84,7 @@ def published(
 
 
 def ours(size: GallerySize, share: float) -> None:
-    """Measure in this process, and print figures, seconds of both, and the memory that was the most, as JSON."""
+    """Measure in this process; print metrics, times, and peak memory as JSON."""
     query, query_labels, gallery, labels = draw(size, share)
     _ = query[:256] @ gallery[:256].T  # the first product starts the threads
     started = time.perf_counter()

@@ -1,4 +1,4 @@
-"""What a measurement gives, and the one table that all of them are shown in."""
+"""A measured figure, and the table of all figures."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ class Figure:
 
     @property
     def gain(self) -> float | None:
-        """How many times better than the peer."""
+        """Ratio by which the figure beats the peer."""
         if self.peer is None:
             return None
         return self.ours / self.peer if self.more else self.peer / self.ours
 
     @property
     def excess(self) -> float | None:
-        """How many times the limit."""
+        """Ratio of the figure to the limit."""
         if self.limit is None:
             return None
         return self.limit / self.ours if self.more else self.ours / self.limit
@@ -63,7 +63,7 @@ class Figure:
 def against_peer(
     what: str, ours: float, peer: float, times: float, unit: str = "ms", **further: float | bool
 ) -> Figure:
-    """A figure that is to be so many times better than the peer's."""
+    """A figure with a target relative to the peer."""
     figure = Figure(what, ours, unit, peer, target=f"{times:g} x peer", **further)  # type: ignore[arg-type]
     gain = figure.gain
     assert gain is not None
@@ -71,17 +71,17 @@ def against_peer(
 
 
 def within(what: str, ours: float, limit: float, times: float, unit: str = "ms", peer: float | None = None) -> Figure:
-    """A figure that is to stay within so many times the limit."""
+    """A figure with a target relative to the limit."""
     return Figure(what, ours, unit, peer, limit, f"{times:g} x limit", ours <= times * limit)
 
 
 def below(what: str, ours: float, most: float, unit: str = "ms", peer: float | None = None) -> Figure:
-    """A figure that is to stay below a number."""
+    """A figure with an absolute target."""
     return Figure(what, ours, unit, peer, None, f"{most:g} {unit}", ours <= most)
 
 
 def take_turns(tasks: Mapping[str, Callable[[], object]], rounds: int, warm: int = 1) -> dict[str, list[float]]:
-    """Seconds of each task in each round, all taking turns so that a busy moment hits them alike; `warm` rounds go before."""
+    """Seconds of each task in each round. Tasks take turns, so that a busy moment affects all of them; `warm` rounds go first."""
     times: dict[str, list[float]] = {name: [] for name in tasks}
     last = dict.fromkeys(tasks, QUICK)
     for round_ in range(rounds + warm):
@@ -122,7 +122,7 @@ def show(title: str, figures: Iterable[Figure]) -> None:
 
 
 def machine() -> str:
-    """What this runs on, such as "2 cores, AMD EPYC"."""
+    """The machine, such as "2 cores, AMD EPYC"."""
     name = platform.processor() or platform.machine()
     if (info := Path("/proc/cpuinfo")).is_file():
         named = [

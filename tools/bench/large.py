@@ -50,7 +50,7 @@ SHOWN = """
 
 
 def make(folder: Path, share: float) -> tuple[Path, Path]:
-    """The data set and its model, made where they are not there yet."""
+    """Make the data set and its model, unless they exist."""
     from tools.fixtures import small_worlds
 
     data, model = folder / f"large-{round(share * TILES)}", folder / "model.onnx"
@@ -85,7 +85,7 @@ def make(folder: Path, share: float) -> tuple[Path, Path]:
 
 
 def _keep(data: Path, role: str, view: View, model: Model, values: np.ndarray) -> None:
-    """The descriptors as a store that comes along."""
+    """Save descriptors as a store inside the data set."""
     dataset = datasets.open_dataset(data)
     listed = dataset.queries(view) if role == "query" else dataset.gallery(view)
     rows = tuple(Row("/".join(p.path.parts[-2:]), p.path.stat().st_size, 0, None) for p in listed)
@@ -96,7 +96,7 @@ def _keep(data: Path, role: str, view: View, model: Model, values: np.ndarray) -
 
 
 def seconds_until(page: Page, selector: str, act: str) -> float:
-    """From an act in the page, as JavaScript, to two frames after an element has changed."""
+    """Seconds from an act, given as JavaScript, to two frames after an element has changed."""
     before = page.evaluate("s => document.querySelector(s)?.outerHTML ?? ''", selector)
     page.evaluate(act)
     seconds = float(page.evaluate(SHOWN, [selector, before])) / 1000
@@ -106,7 +106,7 @@ def seconds_until(page: Page, selector: str, act: str) -> float:
 
 
 def turns(page: Page) -> float:
-    """Median time from a press on "later" to the next page of pictures."""
+    """Median seconds from a click on "later" to the next page of pictures."""
     times = []
     for _ in range(TURNS):
         times.append(
@@ -117,7 +117,7 @@ def turns(page: Page) -> float:
 
 
 def picks(page: Page) -> float:
-    """Median time from a press on a picture to its answer."""
+    """Median seconds from a click on a picture to its answer."""
     times = []
     for number in range(TURNS):
         act = f"document.querySelectorAll('#lpn-picker .thumb:not(.chosen)')[{number % 4}].click()"
@@ -127,14 +127,14 @@ def picks(page: Page) -> float:
 
 
 def memory(process: int) -> tuple[float, float]:
-    """Bytes of a process that are resident, and those of them that are of no file."""
+    """Resident memory of a process in bytes: in all, and without mapped files."""
     status = Path(f"/proc/{process}/status").read_text()
     found = dict(re.findall(r"^(VmRSS|RssAnon):\s+(\d+) kB", status, re.MULTILINE))
     return 1024.0 * int(found["VmRSS"]), 1024.0 * int(found["RssAnon"])
 
 
 def measure(app: ServerProcess) -> list[Figure]:
-    """The figures of a running app."""
+    """Measure a running app."""
     with sync_playwright() as playwright:
         browser = launch(playwright)
         page_seconds(browser, app.url)[1].context.close()  # the browser's own start is nobody's
@@ -167,7 +167,7 @@ def measure(app: ServerProcess) -> list[Figure]:
 
 
 def figures(share: float = 1.0, kept: Path | None = None) -> list[Figure]:
-    """The figures of such a data set, made in `kept` where it is not there yet."""
+    """Measure such a data set, which is kept in a folder where one is given."""
     with ExitStack() as stack:
         folder = kept or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         data, model = make(folder, share)

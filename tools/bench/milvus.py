@@ -70,12 +70,12 @@ FOLDERS = {
 
 
 def places(count: int) -> Any:
-    """Positions of the tiles, (count, 2): anywhere on the equator."""
+    """Random positions on the equator, (count, 2)."""
     return np.stack([np.zeros(count), np.random.default_rng(3).uniform(-180, 180, count)], axis=1)
 
 
 def on_disk(place: Path) -> dict[str, float]:
-    """MB of a server's data, by what they are."""
+    """Megabytes of a server's data, by kind."""
     sizes: Counter[str] = Counter()
     for file in (place / "data").rglob("*"):
         if file.is_file():
@@ -84,7 +84,7 @@ def on_disk(place: Path) -> dict[str, float]:
 
 
 def measure(structure: Structure, count: int, place: Path, rounds: int) -> tuple[list[str], list[list[str]]]:
-    """One structure's costs, and its searches by effort, on a server of its own."""
+    """Measure one structure on a server of its own: its costs, and its searches by effort."""
     asked, at = queries(next(drawn(count))[1]), places(count)
     truths = {box: nearest(count, asked, K, None if box is None else abs(at[:, 1]) <= BOX[3]) for box in (None, BOX)}
     with MilvusServer(milvus_python(), place) as server:
@@ -122,7 +122,7 @@ def measure(structure: Structure, count: int, place: Path, rounds: int) -> tuple
 def searched(
     index: MilvusIndex, effort: int, asked: Float32Array, truths: dict[Box | None, list[set[str]]], rounds: int
 ) -> list[str]:
-    """Effort, and of all tiles and in the box the recall and the median milliseconds."""
+    """Effort, then recall and median milliseconds for all tiles and within the box."""
     index._effort = effort
     row = [str(effort)]
     for box, truth in truths.items():
@@ -135,7 +135,7 @@ def searched(
 
 
 def after_writes(index: MilvusIndex, asked: Float32Array, block: Float32Array, at: Any) -> float:
-    """Median milliseconds of a search that a write of one tile went before, in place of itself."""
+    """Median milliseconds of a search right after one tile was written again."""
     times = []
     for query in asked[:WRITES]:
         index.add([f"{0:07d}"], block[:1], at)

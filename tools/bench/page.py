@@ -1,4 +1,4 @@
-"""From command to page, and from a control to the changed picture: `python -m tools.bench.page [DATA MODEL]`.
+"""Times from command to page, and from a control to the changed picture: `python -m tools.bench.page [DATA MODEL]`.
 
 Starts the real app as a process, opens it in headless Chromium, and turns, picks, and drags as a person does. Without DATA and
 MODEL it draws a small data set and an untrained network. Two floors are measured in the same run: a bare viser page with as many
@@ -132,7 +132,7 @@ async (box, events) => {
 
 
 class ServerProcess:
-    """A server process, for a `with` block, and how long it took to print its address."""
+    """A server process as a context manager, with the seconds until it printed its address."""
 
     def __init__(self, arguments: list[str], environment: dict[str, str]) -> None:
         self._arguments, self._environment = arguments, environment
@@ -201,7 +201,7 @@ def pick_seconds(page: Page) -> float:
 
 
 def drag(page: Page) -> tuple[int, bool]:
-    """Fifty changed angles within a second: how many answers were computed and never shown, and whether the last is shown."""
+    """Change the angle fifty times within a second: the number of answers never shown, and True if the last one is shown."""
     box = (
         page.locator('label:text-is("Rotate")')
         .locator("xpath=ancestor::div[contains(@class,'Flex')][1]")
@@ -224,7 +224,7 @@ def resident(process: ServerProcess) -> float:
 
 
 def forward_ms(model: Path, data: Path) -> float:
-    """Median milliseconds of the forward passes that an answer needs: the picture and its mirror as one batch."""
+    """Median milliseconds of an answer's forward pass: the picture and its mirror as one batch."""
     opened = load(model)
     view = opened.views[-1]
     picture = images.load_picture(datasets.open_dataset(data).queries(view)[0].path)

@@ -44,7 +44,7 @@ _MEAN, _STD = (np.array(values, np.float32) for values in ([0.485, 0.456, 0.406]
 
 
 class Published:
-    """The published way from a file's bytes to a descriptor."""
+    """The published pipeline from a file's bytes to a descriptor."""
 
     def __init__(self, model: TorchModel) -> None:
         self._network, self._size = model, model.input_size
@@ -58,7 +58,7 @@ class Published:
 
 
 def bare(file: Path) -> ort.InferenceSession:
-    """A graph on ONNX Runtime and nothing else."""
+    """Open a graph with ONNX Runtime alone."""
     options = ort.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads, options.log_severity_level = (
         torch.get_num_threads(),
@@ -69,12 +69,12 @@ def bare(file: Path) -> ort.InferenceSession:
 
 
 def describe(engine: Engine, data: bytes) -> object:
-    """Our way from a file's bytes to a descriptor."""
+    """Our pipeline from a file's bytes to a descriptor."""
     return retrieval.describe_picture(engine, images.decode_picture(data, ""), "drone")
 
 
 def measure(name: str, spec: ModelSpec, dataset: Dataset, folder: Path) -> list[Figure]:
-    """The figures of one network."""
+    """Measure one network."""
     save(LPN(spec), folder / "model.safetensors")
     export(folder / "model.safetensors", folder / "model.onnx")
     quantize(folder / "model.onnx", dataset, folder / "int8.onnx", 32)
@@ -108,7 +108,7 @@ def measure(name: str, spec: ModelSpec, dataset: Dataset, folder: Path) -> list[
 
 
 def figures(root: Path | None = None) -> list[Figure]:
-    """The figures of both networks."""
+    """Measure both networks."""
     torch.set_num_threads(usable_cores())
     images.use_all_cores()  # as the explorer does
     torch.manual_seed(0)

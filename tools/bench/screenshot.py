@@ -1,4 +1,4 @@
-"""Makes the pictures of docs/stories.md: `python -m tools.bench.screenshot docs BASELINE.onnx [FILE ...]`.
+"""Make the pictures of docs/stories.md: `python -m tools.bench.screenshot docs BASELINE.onnx [FILE ...]`.
 
 BASELINE is the demo's network with n = 1; without it, the pictures that need it are left as they are.
 """

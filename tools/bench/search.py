@@ -60,7 +60,7 @@ Task = Callable[[int], object]
 
 
 def drawn(count: int, seed: int = 0) -> Iterator[tuple[int, Float32Array]]:
-    """Descriptors in blocks, each with the number of its first: 20 tiles about each centre, and centres about one mean."""
+    """Draw descriptors in blocks, with the index of each block's first: 20 tiles around each centre, centres around one mean."""
     for start in range(0, count, BLOCK):
         rng = np.random.default_rng([seed, start])
         size = min(BLOCK, count - start)
@@ -71,12 +71,12 @@ def drawn(count: int, seed: int = 0) -> Iterator[tuple[int, Float32Array]]:
 
 
 def places(start: int, count: int) -> Float64Array:
-    """Positions of the tiles of a block, (count, 2)."""
+    """Random positions of a block's tiles, (count, 2)."""
     return np.random.default_rng([2, start]).uniform(*CORNERS, (count, 2))
 
 
 def queries(gallery: Float32Array) -> Float32Array:
-    """Tiles seen otherwise: some of them with noise of their own, (Q, n, D)."""
+    """Queries: random tiles with noise, (Q, n, D)."""
     rng = np.random.default_rng(1)
     chosen = gallery[rng.integers(0, len(gallery), QUERIES)]
     noise = rng.standard_normal(chosen.shape, np.float32) / np.float32(KIND.numbers**0.5)
@@ -94,7 +94,7 @@ def medians(tasks: dict[str, Task], rounds: int) -> dict[str, float]:
 
 
 def readers(rows: Float32Array) -> dict[str, Task]:
-    """Ways to read every number once, shared by threads."""
+    """Tasks that read every number once, divided among threads."""
     # As integers, of which a sum waits for none before it.
     numbers = rows.reshape(-1).view(np.int32)
     shares = np.array_split(numbers, THREADS)
@@ -146,14 +146,14 @@ def peers(gallery: Float32Array, asked: Float32Array, weights: Float32Array) -> 
 
 
 def filled(index: Any, count: int) -> Any:
-    """An index with a gallery added in blocks."""
+    """Add a drawn gallery to an index."""
     for start, block in drawn(count):
         index.add([f"{start + i:07d}" for i in range(len(block))], block, places(start, len(block)))
     return index
 
 
 def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
-    """The figures of one gallery."""
+    """Measure one gallery."""
     gallery = np.concatenate([block for _, block in drawn(count)])
     asked = queries(gallery)
     equal, other = scoring.part_weights(KIND.n_parts), scoring.part_weights(KIND.n_parts, OTHER)
@@ -189,7 +189,7 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
 
 
 def grow(counts: list[int], folder: Path, rounds: int, console: Console) -> None:
-    """Time, disk, and memory against the size of the gallery; a process for each row, and one index on disk at a time."""
+    """Print time, disk, and memory by size of the gallery, with a process for each row and one index on disk at a time."""
     table = Table(title=f"growth, top {TOP} with vectors, {machine()}, medians of {rounds}")
     for column in (
         "tiles",
@@ -213,7 +213,7 @@ def grow(counts: list[int], folder: Path, rounds: int, console: Console) -> None
 
 
 def row(count: int, name: Any, folder: Path, rounds: int) -> list[str]:
-    """One row of the growth table, in this process."""
+    """Measure one row of that table in this process."""
     with tempfile.TemporaryDirectory(dir=folder) as place:
         with ProcessPoolExecutor(1) as another:  # whose memory is not counted
             added = another.submit(added_seconds, count, name, Path(place) / "index").result()
@@ -239,7 +239,7 @@ def row(count: int, name: Any, folder: Path, rounds: int) -> list[str]:
 
 
 def added_seconds(count: int, name: Any, folder: Path) -> float:
-    """Make an index of a drawn gallery; the seconds without those of drawing."""
+    """Make an index of a drawn gallery, and return the seconds without drawing."""
     index, seconds = ExactIndex.create(folder, KIND, name), 0.0
     for start, block in drawn(count):
         names = [f"{start + i:07d}" for i in range(len(block))]
@@ -258,12 +258,12 @@ def resident(process: int | str = "self") -> dict[str, float]:
 
 
 def anonymous() -> float:
-    """Resident memory of this process that is of no file, in MB."""
+    """Resident memory of this process without mapped files, in MB."""
     return resident()["anonymous"]
 
 
 class Peak(AbstractContextManager["Peak"]):
-    """The most that `anonymous` is while it is open, looked at about every half millisecond."""
+    """Records the peak of `anonymous`, sampled about every half millisecond."""
 
     def __init__(self) -> None:
         self.most = anonymous()
@@ -284,7 +284,7 @@ class Peak(AbstractContextManager["Peak"]):
 
 
 def nearest(count: int, asked: Float32Array, k: int, among: Any = None) -> list[set[str]]:
-    """The true k nearest of each query, by drawing the gallery once more; of the tiles `among` them, (count,), k or more."""
+    """True k nearest tiles of each query, from the gallery drawn again; `among`, (count,) bool, selects tiles."""
     vectors = np.stack([KIND.rescaled(query, None).astype(np.float32) for query in asked])
     best = np.full((len(asked), k), -np.inf, np.float32)
     names = np.zeros((len(asked), k), np.int64)
@@ -300,7 +300,7 @@ def nearest(count: int, asked: Float32Array, k: int, among: Any = None) -> list[
 
 
 def recall(count: int, folder: Path, rounds: int, every: Sequence[Any], console: Console) -> None:
-    """Recall at 10 against time of faiss's inverted lists, by how many are looked through; a table for each of the codes."""
+    """Print recall at 10 and time of faiss's inverted lists by number of probed lists, a table per code."""
     asked = queries(next(drawn(count))[1])
     truth = nearest(count, asked, 10)
     for codes in every:
@@ -310,7 +310,7 @@ def recall(count: int, folder: Path, rounds: int, every: Sequence[Any], console:
 def recall_of(
     codes: Any, count: int, asked: Float32Array, truth: list[set[str]], folder: Path, rounds: int, console: Console
 ) -> None:
-    """One of these tables."""
+    """Print one of these tables."""
     from lpn.index.faiss import FaissIndex
 
     table = Table(title=f"faiss {codes} on {count} tiles x {KIND.numbers}, top 10, {machine()}, medians of {rounds}")
@@ -331,7 +331,7 @@ def recall_of(
 
 
 def figures(counts: Sequence[int] = TILES, folder: Path | None = None, rounds: int = 20) -> list[Figure]:
-    """The figures of some galleries."""
+    """Measure some galleries."""
     with tempfile.TemporaryDirectory(dir=folder) as place:
         return [figure for count in counts for figure in compare(count, Path(place), rounds)]
 

@@ -46,7 +46,7 @@ TARGET = 1.3
 
 
 class PlainLoop:
-    """The published training loop in a few lines; it prepares, computes, and prepares again."""
+    """The published training loop, which prepares and computes in turn."""
 
     def __init__(self, network: LPN, places: TrainingSet, recipe: Recipe) -> None:
         self.network, self.places, self.recipe = network.train(), places, recipe
@@ -94,14 +94,14 @@ class PlainLoop:
 
 
 class Unkept(TrainingSet):
-    """Places whose pictures are decoded every time, as in a training's first pass."""
+    """A training set that decodes pictures every time, as in the first pass."""
 
     def picture(self, path: Path) -> UInt8Array:
         return images.load_picture(path)
 
 
 def ours(trainer: Trainer) -> Callable[[], None]:
-    """Some steps of our trainer. Nothing is prepared before or after, so what workers do is all in the time."""
+    """Steps of our trainer; the time includes all work of its threads."""
     trainer.network.train()
 
     def steps() -> None:
@@ -114,7 +114,7 @@ def ours(trainer: Trainer) -> Callable[[], None]:
 
 
 def measure(data: Path, recipe: Recipe, folder: Path) -> dict[str, tuple[float, float]]:
-    """Medians for each way to train: images per second, and their ratio to the plain loop's."""
+    """Median images per second of each loop, and their ratio to the plain loop."""
     quiet = Console(quiet=True)
 
     def trainer(name: str, **changes: object) -> Trainer:
@@ -144,7 +144,7 @@ def measure(data: Path, recipe: Recipe, folder: Path) -> dict[str, tuple[float, 
 
 
 def figures(root: Path | None = None, resnet50: bool = False) -> list[Figure]:
-    """The figures of each network; those of ours that find pictures kept have a target."""
+    """Measure each network; only our loop with cached pictures has a target."""
     networks = {"ResNet-18 to layer3": {"backbone": "resnet18", "last_layer": "layer3"}}
     if resnet50:
         networks["ResNet-50"] = {"backbone": "resnet50", "last_layer": "layer4"}
