@@ -14,30 +14,30 @@ from lpn.core.errors import InputError
 class Explore:
     """Open the explorer in a browser."""
 
+    # The command runs until it is stopped, so a stop is no failure.
     SERVES: ClassVar[bool] = True
-    """The command runs until it is stopped, so that a stop is no failure."""
     data: Path | None = None
     """Data set in any layout of docs/data.md, of which the test split is shown; by default the demo."""
     model: Path | None = None
     """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth; by default the demo's, for the demo."""
     beside: Path | None = None
-    """Another trained LPN, to compare with on every query (Y, then Two models): of other parts, or before more training."""
+    """Second trained LPN to compare on every query (key Y, tab Two models), such as one with other parts."""
     saved: Path | None = None
-    """Result of the published test code, pytorch_result.mat, to explore in place of a model's; needs --data."""
+    """Result of the published test code, pytorch_result.mat, to explore in place of a model; needs --data."""
     n_parts: int | None = None
-    """Parts that the descriptors in --saved consist of; 1 by default."""
+    """Number of parts of the descriptors in --saved; 1 by default."""
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
     host: str = "127.0.0.1"
-    """Address to listen on; any other than 127.0.0.1 lets other machines in, who need the token in the link that is printed."""
+    """Address to listen on; on any other than 127.0.0.1, other machines can connect with the token in the printed link."""
     port: int = 8080
     """Port to listen on."""
     token: str | None = None
-    """Token to ask for, of 12 characters or more; others see it in the list of processes, so better set LPN_TOKEN to it."""
+    """Token to ask for, at least 12 characters; other users see it in the list of processes, so better set LPN_TOKEN."""
     ask_token: bool = False
-    """Ask for a token on 127.0.0.1 too, where other users of this machine could come in otherwise."""
+    """Ask for a token on 127.0.0.1 too; otherwise other users of this machine can connect without one."""
     allow_host: tuple[str, ...] = ()
-    """Further names the page is opened by, such as that of a reverse proxy (docs/serving.md)."""
+    """Further host names of the page, such as that of a reverse proxy (docs/serving.md)."""
 
     def run(self) -> None:
         from explorer.app import run, run_saved
