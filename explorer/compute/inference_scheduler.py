@@ -3,7 +3,7 @@
 A thread waits for its request, so it has at most one in the queue, and first-in, first-out order is fair: nobody waits longer
 than one request of everybody else. Background work (sweeps, reports, a second model) queues apart, and interactive requests
 go first; every fourth batch goes to background work, so that it cannot starve. The interactive queue is bounded
-(back-pressure): further requests raise `BusyError`, and who was refused is admitted before newcomers. A superseded request
+(back-pressure): further requests raise `BusyError`, and refused browsers are admitted before new ones. A superseded request
 gives its place to the next request of its browser.
 """
 

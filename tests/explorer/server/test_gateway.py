@@ -47,7 +47,7 @@ def picture(size: int = 48) -> bytes:
 @pytest.fixture(scope="module")
 def app(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Iterator[App]:
     """The app on synthetic places, in this process."""
-    folder = tmp_path_factory.mktemp("guard")
+    folder = tmp_path_factory.mktemp("gateway")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(folder / "cache"))
         data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=8))
@@ -237,7 +237,7 @@ def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[WebSocketCl
     """Another browser: its page must not change, and its next answer must equal a direct computation."""
     with WebSocketClient(url(app), origin=url(app)) as talker:
         talker.greet("?query=0005")
-        time.sleep(0.2)
+        talker.wait(lambda: talker.link is not None)  # the last message of an answer
         before, at = [talker.status(name) for name in ("seq", "name", "angle", "top")], len(talker.kinds)
         yield talker
         shown = [kind for kind in talker.kinds[at:] if not kind.startswith(("Gui", "Set"))]
