@@ -1,4 +1,4 @@
-"""Where a task fails: places taken for each other, parts to blame, and failure rates against anything known of a query."""
+"""Failures of a task: confused places, deciding parts, and failure rates by metadata."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column
 
+# The two-sided 95 % quantile of the normal distribution.
 _NORMAL_95 = 1.959963984540054
-"""Two-sided 95 % of the normal distribution."""
 
 
 @dataclass(frozen=True, eq=False)
 class Confusion:
-    """One place taken for another.
+    """Queries of one place that were answered with another.
 
     Attributes:
-        place, answered: the two places, by label.
-        queries: the queries of `place` that were answered so, (C,).
-        tile: gallery position of the answer that came first for the first of them.
+        place, answered: labels of the two places.
+        queries: the confused queries, (C,).
+        tile: gallery position of the first query's answer.
     """
 
     place: int
@@ -32,19 +32,19 @@ class Confusion:
 
     @property
     def count(self) -> int:
-        """How many queries."""
+        """The number of confused queries."""
         return len(self.queries)
 
 
 @dataclass(frozen=True)
 class Rate:
-    """How often queries of one kind fail.
+    """The failure rate of the queries in one bin.
 
     Attributes:
-        name: what they have in common, in words.
-        low, high: smallest and largest value among them; NaN for texts.
-        queries, failures: how many there are, and fail.
-        known: False for those whose value is not known.
+        name: the bin in words.
+        low, high: smallest and largest value in the bin; NaN for texts.
+        queries, failures: their numbers.
+        known: False for the bin of unknown values.
     """
 
     name: str
@@ -68,11 +68,11 @@ class Rate:
 def confusions(
     outcomes: Outcomes, query_labels: Int64Array, labels: Int64Array, rows: Int64Array | None = None
 ) -> list[Confusion]:
-    """Which places are taken for which, most often first; equals in order of their labels.
+    """Confused pairs of places, the most frequent first; equals in order of their labels.
 
     Args:
         query_labels, labels: the place of each query and tile, (Q,) and (G,).
-        rows: the queries looked at, all by default. Queries of which nothing came first are left out.
+        rows: the queries to count, all by default. Queries without an answer are left out.
     """
     rows = _rows(outcomes, rows)
     rows = rows[outcomes.failed[rows] & (outcomes.first[rows] >= 0)]
@@ -87,7 +87,7 @@ def confusions(
 
 
 def blame(outcomes: Outcomes, rows: Int64Array | None = None) -> Int64Array:
-    """How many failures each part decided, (n,); those without a margin count for none."""
+    """The number of failures that each part decided, (n,); failures without a margin count for no part."""
     rows = _rows(outcomes, rows)
     decided = outcomes.decides[rows][outcomes.failed[rows]]
     return np.bincount(decided[decided >= 0], minlength=outcomes.parts.shape[1]).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Descriptors as points in the plane, to be looked at and selected from: PCA at once, UMAP as an extra."""
+"""Maps of descriptors in the plane: PCA, and UMAP where the extra is installed."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.errors import InputError, MissingPackageError
 from lpn.retrieval.metrics import flat_sides
 
+# Pictures from which the axes are computed, at most.
 SAMPLE = 2000
-"""Pictures that the axes are found from, at most."""
 _BLOCK = 4096
 
 
@@ -23,7 +23,7 @@ class Projection:
 
     Attributes:
         queries, tiles: (Q, 2) and (G, 2) float64.
-        variance: share of the variance that each axis shows, 0 .. 1, (2,); None where that means nothing (UMAP).
+        variance: each axis' share of the variance, 0 .. 1, (2,); None for UMAP.
     """
 
     queries: Float64Array

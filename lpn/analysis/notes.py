@@ -1,10 +1,10 @@
-"""A person's own tags and notes on queries, kept in `notes.csv` in the data set's folder, or in another file.
+"""A person's tags and notes on queries, in `notes.csv` in the data set's folder or in another file.
 
     path,tags,note
     test/query_drone/0005/image-01.jpeg,night blur,"Looks like the twin next door."
 
-`path` is the query's picture, relative to the data set's folder; tags are words with a space between them. The file may be
-edited by hand, and by several programs at once, each of which changes one line.
+`path` is the query's picture, relative to the data set's folder; spaces separate tags. The file may be edited by hand, and by
+several programs at once, since each change replaces one line under a lock.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _BYTES = 50_000_000
 
 @dataclass(frozen=True)
 class Note:
-    """What a person said of one query.
+    """The annotation of one query.
 
     Attributes:
         tags: short words, each once, in the order given.
@@ -64,7 +64,7 @@ def read_notes(file: Path) -> dict[str, Note]:
 
 
 def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dict[str, Note]:
-    """Set what is said of one query, and keep what others said of others meanwhile; nothing said takes its line away.
+    """Replace one query's annotation on disk and keep all others; an empty annotation removes its line.
 
     Args:
         file: the notes, usually `notes.csv` in the data set's folder.

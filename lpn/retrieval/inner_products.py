@@ -21,10 +21,10 @@ from lpn.core.arrays import AnyArray, Float32Array, Float64Array, Int64Array
 
 _BLOCK_BYTES = 160_000_000
 _ROWS = 1024
+# Tiles multiplied at a time, so that partial sums stay in the processor's cache.
 _COLUMNS = 4096
-"""Tiles multiplied at a time, so that what is added to their products is still in the processor's cache."""
+# Numbers of a descriptor that are summed in one chunk: shorter chunks give a tighter bound and cost more additions.
 _CHUNK = 512
-"""Numbers of a descriptor that are summed in one go: the shorter, the tighter the bound, and the more there is to add."""
 _UNIT = 2.0**-24
 _PAIRS = 1024
 
@@ -33,8 +33,8 @@ class Scores:
     """Inner products of queries (Q, F) with tiles (G, F), any floats, none of them held in double precision.
 
     Args:
-        norms: of the queries (Q,) and of the tiles (G,), see `norms`.
-        factors: what each number of a query is multiplied by first, (F,).
+        norms: bounds for the queries (Q,) and for the tiles (G,), see `norms`.
+        factors: multiply each number of a query first, (F,).
     """
 
     def __init__(
@@ -52,13 +52,13 @@ class Scores:
         longest = float(norms[1].max(initial=0.0))
         with np.errstate(over="ignore", invalid="ignore"):
             self._errors = 1.02 * terms * _UNIT * reach * longest
-            # What numbers near zero lose that have no 24 digits.
+            # The loss of subnormal numbers, which have fewer than 24 digits.
             self._errors += length * 2.0**-120 * (1 + reach) * (1 + longest)
             self._errors[~(reach * longest < 1e37)] = np.inf
 
     def blocks(self) -> Iterator[tuple[slice, Float32Array, Float64Array]]:
-        """Block after block of queries, each of 160 MB at most: its rows, their products (B, G), which are the caller's to
-        change, and the most that those of each row can be off, (B,); infinite where they mean nothing."""
+        """Yield the queries in blocks of at most 160 MB: the rows, their products (B, G), which the caller may change, and the
+        error bound of each row, (B,), infinite on overflow."""
         block = max(1, min(_ROWS, _BLOCK_BYTES // (4 * max(len(self._tiles), 1))))
         for start in range(0, len(self._queries), block):
             rows = slice(start, min(start + block, len(self._queries)))

@@ -1,7 +1,6 @@
 """Recall@K, Recall@Top1% and AP by the published protocols, from ranks of the true matches alone.
 
-What is a true match of a query is decided by labels (University-1652, CVUSA) or by a list (Oxford5k, Paris6k); both go the
-same way, in one pass over the queries.
+Labels (University-1652, CVUSA) or lists (Oxford5k, Paris6k) give a query's true matches; both take one pass over the queries.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ __all__ = ["JUNK", "Retrieval", "check_truth", "checked_labels", "evaluate", "fl
 
 @dataclass(frozen=True, eq=False)
 class Retrieval(Ranked):
-    """What one pass of the queries over the gallery found, (Q,) each.
+    """The rankings of all queries, (Q,) each.
 
     `gallery` is the number of gallery pictures, junk included; for the rest see `lpn.retrieval.ranks.Ranked`.
     """
@@ -97,8 +96,8 @@ def retrieve(
     computed in. Memory: blocks of 160 MB beside the descriptors, whatever the number of queries.
 
     Args:
-        factors: what each number of a query is multiplied by first, (F,).
-        progress: told after each block how many queries are done, and of how many; what it raises ends the work.
+        factors: multiply each number of a query first, (F,).
+        progress: called after each block with the numbers of ranked and of all queries; an exception stops the work.
     """
     (queries, tiles), lengths = _sides(query, gallery)
     if truth is None:
@@ -116,7 +115,7 @@ def retrieve(
 
 
 def joined(parts: Sequence[Ranked], gallery: int) -> Retrieval:
-    """What was found for some queries after the other, as one; `gallery` is the number of tiles, junk included."""
+    """Join the rankings of consecutive queries; `gallery` is the number of tiles, junk included."""
     first, true, false, precision = (
         np.concatenate([getattr(part, name) for part in parts]) for name in ("first", "true", "false", "precision")
     )
@@ -140,7 +139,7 @@ def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
 
 
 def flat_sides(query: npt.ArrayLike, gallery: npt.ArrayLike) -> tuple[AnyArray, AnyArray]:
-    """Descriptors of both sides as (Q, F) and (G, F); InputError when they are not what `evaluate` takes."""
+    """Descriptors of both sides as (Q, F) and (G, F); InputError when `evaluate` would not take them."""
     return _sides(query, gallery)[0]
 
 
@@ -174,7 +173,7 @@ def _flat(values: Any, side: str) -> tuple[AnyArray, Float64Array]:
 
 
 def checked_labels(values: Any, rows: AnyArray, side: str) -> Int64Array:
-    """Labels as int64, one for each row of descriptors; InputError when they are something else."""
+    """Labels as int64, one per row of descriptors; InputError when they are not whole numbers, or not as many."""
     labels = as_array(values)
     if labels.shape != (len(rows),) or not np.issubdtype(labels.dtype, np.integer):
         raise InputError(

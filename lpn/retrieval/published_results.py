@@ -25,10 +25,10 @@ _NORM_TOLERANCE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class PublishedResult:
-    """A retrieval that another program computed.
+    """The descriptors of a retrieval that another program computed.
 
     Attributes:
-        name: of the file, for people.
+        name: the file's name.
         query, gallery: descriptors, (Q, n, D) and (G, n, D).
         query_labels, gallery_labels: the place of each, (Q,) and (G,).
         query_paths, gallery_paths: the picture of each, as the other program named it; None where the file has no paths.
@@ -69,10 +69,10 @@ class PublishedResult:
                 )
 
     def pictures(self, dataset: Dataset) -> tuple[tuple[View, View], list[Picture], list[Picture]]:
-        """The pictures of a data set's test split behind the rows, and their views.
+        """Find the pictures of the rows, and their views, in a data set's test split.
 
-        They are found by the last two parts of their paths (place and file), or, where the file has no paths, by the order of
-        the rows, when the labels agree.
+        Pictures are matched by the last two parts of their paths (place and file); without paths, by the order of the rows, when
+        the labels agree.
 
         Raises:
             DataError: when no task of the test split has them all.

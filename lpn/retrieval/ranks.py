@@ -21,8 +21,8 @@ JUNK = -1
 """Label of gallery pictures that are ignored."""
 
 _NONE = np.zeros(0, np.int64)
+# Tiles of one query that are compared in double precision one by one; in large galleries, this share of the gallery.
 _FEW = 256
-"""Tiles of one query that may be compared in double precision one by one; of large galleries, this share of it."""
 _SHARE = 1 / 16
 
 
@@ -52,7 +52,7 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """What counts for each query: its true tiles, its junk, and what is junk to all."""
+    """The true tiles and the junk of each query, and the junk of all queries."""
 
     true: Lists
     junk: Lists
@@ -60,7 +60,7 @@ class Marks:
 
     @classmethod
     def by_labels(cls, of_query: Int64Array, of_tile: Int64Array) -> Marks:
-        """True are the tiles of a query's label, unless that is junk's."""
+        """True tiles by label; a query labelled as junk has none."""
         by_label = np.argsort(of_tile, kind="stable")
         in_order = of_tile[by_label]
         begin, end = (np.searchsorted(in_order, of_query, side).astype(np.int64) for side in ("left", "right"))
@@ -70,13 +70,13 @@ class Marks:
 
     @classmethod
     def by_lists(cls, truth: Sequence[Truth]) -> Marks:
-        """As the data set's lists say."""
+        """True tiles and junk by the data set's lists."""
         return cls(Lists.of([of.good for of in truth]), Lists.of([of.junk for of in truth]), _NONE)
 
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
-    """What became of some queries; -1 where there is no such rank or tile.
+    """The rankings of some queries; -1 where there is no such rank or tile.
 
     Attributes:
         first: 0-based rank of each query's first true match, (B,).
@@ -221,7 +221,7 @@ class _Block:
 
 
 def average_precision(ranks: Int64Array) -> float:
-    """Of the 0-based ranks of all true matches, ascending, at least one: trapezoids under the precision-recall curve."""
+    """Average precision from the 0-based ranks of all true matches, ascending, at least one: the trapezoid rule."""
     hits = np.arange(len(ranks))
     after = (hits + 1) / (ranks + 1)
     before = np.where(ranks == 0, 1.0, hits / np.maximum(ranks, 1))
@@ -229,7 +229,7 @@ def average_precision(ranks: Int64Array) -> float:
 
 
 def _ahead(score: float | Float64Array, tile: int | Int64Array, others: Float64Array, tiles: Int64Array) -> BoolArray:
-    """Which of some tiles come before one, equal scores in gallery order."""
+    """True for the tiles that rank before one tile; equal scores rank in gallery order."""
     return np.asarray((others > score) | ((others == score) & (tiles < tile)))
 
 
@@ -240,7 +240,7 @@ def _count(mask: BoolArray) -> Int64Array:
 
 
 def _below(values: Float64Array) -> Float32Array:
-    """The same in single precision, or a little less."""
+    """Round down to single precision."""
     return np.nextafter(values.astype(np.float32), np.float32(-np.inf))
 
 
