@@ -146,11 +146,11 @@ def _items(source: Storage, positions: str | Path | None, boxes: Mapping[str, Bo
     found = _positions(source, positions)
     if found is None:
         return [ShardItem(row) for row in rows]
-    names, said = [row.file for row in rows], str(positions or geo.NAME)
+    names, source_name = [row.file for row in rows], str(positions or geo.NAME)
     if positions is not None:
-        matched = zip(names, geo.match(found, names, said), strict=True)
+        matched = zip(names, geo.match(found, names, source_name), strict=True)
         found = {name: place for name, place in matched if place is not None}
-    places = geo.find_positions(found, names, said)
+    places = geo.find_positions(found, names, source_name)
     return [ShardItem(row, (at.latitude, at.longitude)) for row, at in zip(rows, places, strict=True)]
 
 
@@ -202,9 +202,10 @@ def _run(
         if todo:
             sources = [_source(p, held) for p in range(plan.partitions)]
             # Write the new shards before the shards they take rows from, so that a kill in between loses nothing.
-            lots = [[p for p in todo if sources[p] != p], [p for p in todo if sources[p] == p]]
+            phases = [[p for p in todo if sources[p] != p], [p for p in todo if sources[p] == p]]
             rows = [
-                [{"partition": p, "source": sources[p], "items": packed(partitions[p])} for p in lot] for lot in lots
+                [{"partition": p, "source": sources[p], "items": packed(partitions[p])} for p in phase]
+                for phase in phases
             ]
             task = PartitionTask(source.where, target.where, plan, model, threads)
             with started(address, workers, threads) as (data, count, put):
@@ -222,7 +223,7 @@ def _run(
 
 def _hand_out(
     data: Any,
-    lots: list[list[dict[str, Any]]],
+    phases: list[list[dict[str, Any]]],
     worker: type[DescribeWorker],
     task: PartitionTask,
     files: Any,
@@ -230,7 +231,7 @@ def _hand_out(
     progress: _Progress,
 ) -> None:
     """Have workers do the partitions of each list, one list after the other; StoreError when a worker cannot."""
-    for rows in filter(None, lots):
+    for rows in filter(None, phases):
         handed_out = data.from_items(rows, override_num_blocks=min(len(rows), _MAX_BLOCKS))
         with warnings.catch_warnings():
             # Ray 2.60 warns of a new way to limit retries, which does not exist yet.

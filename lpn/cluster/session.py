@@ -70,9 +70,9 @@ def started(address: str | None, workers: int | None, threads: int) -> Iterator[
                         **quiet,
                     )
             except Exception as error:  # Ray raises plain ones, too
-                said = (str(error).strip().splitlines() or [type(error).__name__])[0]
+                message = (str(error).strip().splitlines() or [type(error).__name__])[0]
                 raise StoreError(
-                    f"Ray does not start on this machine ({said[:200]}); check memory, processes, and space in "
+                    f"Ray does not start on this machine ({message[:200]}); check memory, processes, and space in "
                     f"{parent}, or describe without --engine ray."
                 ) from error
         else:
@@ -121,14 +121,14 @@ def _check_address(address: str) -> None:
 @contextmanager
 def _silent() -> Iterator[None]:
     """Discard what Ray's native code prints to stderr while it starts."""
-    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    stderr, devnull = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nothing, 2)
+        os.dup2(devnull, 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nothing)
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(devnull)
 
 
 def _data() -> Any:

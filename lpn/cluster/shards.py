@@ -276,8 +276,8 @@ def _plain(item: ShardItem) -> list[Any]:
 
 def _item(values: Sequence[Any]) -> ShardItem:
     file, size, time_ns, box, latitude, longitude = values
-    kept = None if box is None else cast("tuple[float, float, float, float]", tuple(float(side) for side in box))
-    return ShardItem(Row(file, size, time_ns, kept), None if latitude is None else (latitude, longitude))
+    box_sides = None if box is None else cast("tuple[float, float, float, float]", tuple(float(side) for side in box))
+    return ShardItem(Row(file, size, time_ns, box_sides), None if latitude is None else (latitude, longitude))
 
 
 def packed(items: Sequence[ShardItem]) -> str:

@@ -96,12 +96,12 @@ class DescribeWorker:
                 rows[missing[i].row] = row
             for i, error in some.broken:
                 broken.append(BrokenPicture(missing[i], str(error), not isinstance(error, _UnreadError)))
-        kept = [item for item in items if item.row in rows]
-        numbers = np.zeros((len(kept), plan.n_parts, plan.embedding), np.float32)
-        for i, item in enumerate(kept):
+        described = [item for item in items if item.row in rows]
+        numbers = np.zeros((len(described), plan.n_parts, plan.embedding), np.float32)
+        for i, item in enumerate(described):
             numbers[i] = rows[item.row]
-        write_shard(self.out, plan, partition, kept, numbers, broken)
-        return computed, len(kept), len(broken)
+        write_shard(self.out, plan, partition, described, numbers, broken)
+        return computed, len(described), len(broken)
 
     def _prepare(self, item: ShardItem) -> Float32Array:
         try:

@@ -87,15 +87,15 @@ def create_index(
         raise InputError(
             f"The engine {engine} does not go with this place; milvus takes milvus://host:port/collection, others a folder."
         )
-    asked = (
+    options = (
         ("exact", "precision", None if precision == "float32" else precision),
         ("faiss", "codes", codes),
         ("milvus", "structure", structure),
     )
-    for owner, what, value in asked:
-        if value is not None and engine != owner:
+    for option_engine, what, value in options:
+        if value is not None and engine != option_engine:
             raise InputError(
-                f"The engine {engine} has no {what} to choose; leave {value} out, or use the engine {owner}."
+                f"The engine {engine} has no {what} to choose; leave {value} out, or use the engine {option_engine}."
             )
     if engine == "exact":
         return ExactIndex.create(where, kind, precision)

@@ -190,15 +190,15 @@ class FaissIndex(FolderIndex):
         self._opened = opened | {this: index}
         return index
 
-    def _gathered(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:
+    def _plan_merge(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:
         plain = len(sizes)
         while plain and sizes[plain - 1] <= self.plain:
             plain -= 1
         last = sum(sizes[plain:])
         if last + rows <= self.plain:
-            kept, rows = super()._gathered(sizes[plain:], rows)
-            return plain + kept, rows
-        return super()._gathered(sizes[:plain], last + rows)
+            unmerged, rows = super()._plan_merge(sizes[plain:], rows)
+            return plain + unmerged, rows
+        return super()._plan_merge(sizes[:plain], last + rows)
 
     def _finish(self, folder: Path, rows: int) -> None:
         """Train lists and codes on a sample of a segment's vectors, and write the faiss index."""

@@ -331,10 +331,10 @@ class FolderIndex(Index):
         sizes = [
             segment.rows if mask is None else int(mask.sum()) for segment, mask in zip(segments, masks, strict=True)
         ]
-        kept, rows_new = self._gathered(sizes, len(batch.names))
+        unmerged, rows_new = self._plan_merge(sizes, len(batch.names))
         entries: list[ManifestEntry] = []
         number = self._free(manifest.next)
-        for entry, segment, mask, size in zip(manifest.segments[:kept], segments, masks, sizes, strict=False):
+        for entry, segment, mask, size in zip(manifest.segments[:unmerged], segments, masks, sizes, strict=False):
             if 2 * size < segment.rows:
                 if size:
                     entries.append(self._segment(number, segment.batches(mask), size))
@@ -349,24 +349,24 @@ class FolderIndex(Index):
                 entries.append(entry)
 
         def gathered() -> Iterator[TileBatch]:
-            for segment, mask in zip(segments[kept:], masks[kept:], strict=True):
+            for segment, mask in zip(segments[unmerged:], masks[unmerged:], strict=True):
                 yield from segment.batches(mask)
             yield batch
 
         entries.append(self._segment(number, gathered(), rows_new))
         return replace(manifest, segments=tuple(entries), next=number + 1)
 
-    def _gathered(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:
+    def _plan_merge(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:
         """Choose the segments that an add of so many tiles merges.
 
         Returns:
             The number of older segments that stay as they are, and the size of the merged one.
         """
-        kept = len(sizes)
-        while kept and sizes[kept - 1] <= 2 * rows and self._bytes(rows + sizes[kept - 1]) <= self.largest:
-            kept -= 1
-            rows += sizes[kept]
-        return kept, rows
+        unmerged = len(sizes)
+        while unmerged and sizes[unmerged - 1] <= 2 * rows and self._bytes(rows + sizes[unmerged - 1]) <= self.largest:
+            unmerged -= 1
+            rows += sizes[unmerged]
+        return unmerged, rows
 
     def _segment(self, number: int, batches: Iterator[TileBatch], rows: int) -> ManifestEntry:
         name = f"{number:07d}"
@@ -463,13 +463,13 @@ def _same(folder: Path, there: IndexManifest, wanted: IndexManifest) -> IndexMan
 
 def _said(manifest: IndexManifest, what: str) -> str:
     kind = manifest.kind
-    said = {
+    texts = {
         "engine": f"the engine {manifest.engine}",
         "kind": f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}",
         "precision": manifest.precision,
         "settings": f"settings {manifest.settings}",
     }
-    return said[what]
+    return texts[what]
 
 
 def _unwritable(folder: Path, error: OSError | OutputError) -> StoreError:

@@ -334,13 +334,13 @@ class MilvusIndex(Index):
             if not page:  # a short page may only have had a duplicate key
                 break
             keys += sorted({str(row["id"]) for row in page})
-        kept: list[dict[str, Any]] = []
+        nearest: list[dict[str, Any]] = []
         for some in _chunks(keys, self._step):
-            kept += self._read(client, some, level)
-            scores = scores_of(np.array([row["vector"] for row in kept], np.float32), wanted)
-            by_name = np.argsort(np.argsort([row["name"] for row in kept]))
-            kept = [kept[i] for i in best(scores, by_name, k)]
-        return kept
+            nearest += self._read(client, some, level)
+            scores = scores_of(np.array([row["vector"] for row in nearest], np.float32), wanted)
+            by_name = np.argsort(np.argsort([row["name"] for row in nearest]))
+            nearest = [nearest[i] for i in best(scores, by_name, k)]
+        return nearest
 
     def _call(self, task: Callable[[Any], _T]) -> _T:
         """Run a task with a connected client, retrying for a while if the server does not answer."""

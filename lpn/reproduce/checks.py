@@ -21,12 +21,12 @@ class NetworkUse:
 
     Attributes:
         training: the network.
-        said: the row or figure.
+        used_by: the row or figure.
         views: the views that the network must describe.
     """
 
     training: Training
-    said: str
+    used_by: str
     views: frozenset[View]
 
     @staticmethod
@@ -40,11 +40,11 @@ class NetworkUse:
         """Make the use of a figure."""
         return NetworkUse(training, key, frozenset(("drone", "satellite")))
 
-    def check_views(self, there: Collection[View], said: str) -> None:
-        """Raise InputError if a needed view is missing from those of `said`."""
-        lacking = sorted(self.views - set(there))
+    def check_views(self, available: Collection[View], source: str) -> None:
+        """Raise InputError if a needed view is missing from those of `source`."""
+        lacking = sorted(self.views - set(available))
         if lacking:
-            raise InputError(f"{self.said} needs the view {lacking[0]}; {said} has {', '.join(there)}.")
+            raise InputError(f"{self.used_by} needs the view {lacking[0]}; {source} has {', '.join(available)}.")
 
 
 def check_fits(model: Model, file: Path, use: NetworkUse, recipe: Recipe) -> None:
@@ -64,7 +64,7 @@ def check_fits(model: Model, file: Path, use: NetworkUse, recipe: Recipe) -> Non
             read = what == "input size" and file.suffix == ".pth" and not file.with_name("opts.yaml").is_file()
             hint = " (no opts.yaml is beside it, and without one a .pth is read as 256 x 256)" if read else ""
             raise InputError(
-                f"{file.name} has {what} {found}{hint}, and {name} needs {what} {expected} in {use.said}; give it "
+                f"{file.name} has {what} {found}{hint}, and {name} needs {what} {expected} in {use.used_by}; give it "
                 "under the name of a network of its own kind, or leave it out."
             )
 

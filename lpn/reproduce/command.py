@@ -202,8 +202,8 @@ class Reproduction:
                 protocols[row.label] = next(iter(found.values())).protocol
         if table.measure != "landmarks":
             table = replace(table, title=f"{table.title}, on {data[0].kind}")
-        said = [footnotes.protocol(protocols), *footnotes.about(table, data), *self._of_networks(table)]
-        return report.write(table, measured, self._columns(table), said, self.out)
+        notes = [footnotes.protocol(protocols), *footnotes.about(table, data), *self._of_networks(table)]
+        return report.write(table, measured, self._columns(table), notes, self.out)
 
     def _columns(self, table: PaperTable) -> list[MeasuredColumn]:
         """What is measured, and which of the paper's columns stands beside it."""
@@ -219,13 +219,13 @@ class Reproduction:
         """Describe where the table's networks come from."""
         names = {row.training.name for row in table.rows if row.training}
         given = [f"{n} = {self.models[n]} ({self._given[n].describe()})" for n in sorted(names & set(self._given))]
-        said = [f"Networks given: {', '.join(given)}."] if given else []
+        notes = [f"Networks given: {', '.join(given)}."] if given else []
         own = [job for job in self._jobs if job.training.name in names]
-        said += footnotes.networks(own, self.scale, self.changes, self.seeds)
+        notes += footnotes.networks(own, self.scale, self.changes, self.seeds)
         own_lpn = table.measure == "both ways" and "lpn" in names and "lpn" not in self._given
         if own_lpn and not self._sources.role("places").has_google:
-            said.append("There is no train/google, so LPN is trained without it.")
-        return said
+            notes.append("There is no train/google, so LPN is trained without it.")
+        return notes
 
     def _figure(self, key: str) -> Path | None:
         """Draw a figure with the available networks, and return its file; None without any."""

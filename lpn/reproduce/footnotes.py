@@ -48,33 +48,33 @@ def _rows(labels: Sequence[str], every: Sequence[str]) -> str:
 
 def about(table: PaperTable, data: Sequence[Source]) -> list[str]:
     """Describe a table and the pictures it was measured on."""
-    said = [*_APART.get(table.key, ())]
+    notes = [*_APART.get(table.key, ())]
     if any(source.rendered for source in data):
-        said.append(
+        notes.append(
             "**Data: the rendered world, not the paper's data sets**; its figures compare with one another only."
         )
     else:
-        said.append(f"Data: {', '.join(f'{source.name} ({source.dataset.kind})' for source in data)}.")
-    said.append(f"Measured on {'; '.join(f'{source.name}: {source.sizes(table.measure)}' for source in data)}.")
-    return said
+        notes.append(f"Data: {', '.join(f'{source.name} ({source.dataset.kind})' for source in data)}.")
+    notes.append(f"Measured on {'; '.join(f'{source.name}: {source.sizes(table.measure)}' for source in data)}.")
+    return notes
 
 
 def networks(own: Sequence[TrainingJob], scale: Scale, changes: Mapping[str, Any], seeds: Sequence[int]) -> list[str]:
     """Describe the trainings of the networks that were not given."""
-    said: list[str] = []
+    notes: list[str] = []
     done = [job for job in own if job.done]
     if done:
-        said += [scale.said, f"Trained on {_places(done)}."]
+        notes += [scale.note, f"Trained on {_places(done)}."]
         of = {job.recipe.backbone: job.start for job in done}
         begin = [f"{name} from {start.name if start else 'random weights'}" for name, start in of.items()]
-        said.append(f"Before training: {', '.join(begin)}.")
+        notes.append(f"Before training: {', '.join(begin)}.")
         if changes:
-            said.append(f"Changed: {', '.join(f'{name} = {value}' for name, value in changes.items())}.")
+            notes.append(f"Changed: {', '.join(f'{name} = {value}' for name, value in changes.items())}.")
         if len(seeds) > 1:
-            said.append("Mean of the seeds trained so far, ± half of the distance between the lowest and the highest.")
+            notes.append("Mean of the seeds trained so far, ± half of the distance between the lowest and the highest.")
     if lost := [job.name for job in own if job.diverged]:
-        said.append(f"Diverged, and given up: {', '.join(lost)}.")
-    return said
+        notes.append(f"Diverged, and given up: {', '.join(lost)}.")
+    return notes
 
 
 def _places(jobs: Sequence[TrainingJob]) -> str:
@@ -84,4 +84,4 @@ def _places(jobs: Sequence[TrainingJob]) -> str:
         full = job.source.dataset.full.get("train/satellite")
         count = counted(len(job.source.places(job.recipe.google)), full.places if full else None)
         of.setdefault(f"{count} places", {})[job.training.name] = None
-    return "; ".join(f"{said} ({', '.join(names)})" if len(of) > 1 else said for said, names in of.items())
+    return "; ".join(f"{places} ({', '.join(names)})" if len(of) > 1 else places for places, names in of.items())

@@ -65,12 +65,16 @@ def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 
     """
     chosen = named(dataset, names)
     labels = {picture.label for picture in chosen}
-    asked: list[tuple[Picture, View, View]] = [(picture, "drone", "satellite") for picture in chosen]
-    asked += [(p, "satellite", "drone") for p in dataset.queries("satellite") if p.label in labels]
+    shown_queries: list[tuple[Picture, View, View]] = [(picture, "drone", "satellite") for picture in chosen]
+    shown_queries += [(p, "satellite", "drone") for p in dataset.queries("satellite") if p.label in labels]
     shown, axes = pyplot().subplots(
-        len(asked), 1 + top, figsize=(1.7 * (1 + top), 1.85 * len(asked)), layout="constrained", squeeze=False
+        len(shown_queries),
+        1 + top,
+        figsize=(1.7 * (1 + top), 1.85 * len(shown_queries)),
+        layout="constrained",
+        squeeze=False,
     )
-    for row, (query, view, other) in zip(axes, asked, strict=True):
+    for row, (query, view, other) in zip(axes, shown_queries, strict=True):
         gallery = dataset.gallery(other)
         described = descriptors.cached_descriptors(model, gallery, other)
         found = retrieval.describe_picture(model, images.load_picture(query.path), view)

@@ -69,13 +69,13 @@ def markdown(table: PaperTable, measured: Measured, columns: Sequence[MeasuredCo
     lines = [f"### {table.title}", "", "| | " + " | ".join(titles) + " |", "|---|" + "---:|" * len(titles)]
     for row in table.rows:
         values = by_column(list(measured[row.label].values())) if row.label in measured else None
-        said = []
+        texts = []
         for here, index in cells:
             if here:
-                said.append("not run" if values is None else _said(*values[index]))
+                texts.append("not run" if values is None else _format(*values[index]))
             else:
-                said.append(f"{row.paper[index]:.2f}" if index < len(row.paper) else "")
-        lines.append(f"| {row.label} | " + " | ".join(said) + " |")
+                texts.append(f"{row.paper[index]:.2f}" if index < len(row.paper) else "")
+        lines.append(f"| {row.label} | " + " | ".join(texts) + " |")
     lines += ["", *(f"{sentence}  " for sentence in foot)]
     claims = verdicts(table, measured, columns)
     if claims:
@@ -102,22 +102,20 @@ def _verdict(claim: Claim, measured: Measured, columns: Sequence[MeasuredColumn]
     networks = (
         "" if not once else "; one network each" if len(once) == len(labels) else f"; one network of {', '.join(once)}"
     )
-    said = f"{columns[index].title} {best:.1f} against {figures}{networks}"
+    comparison = f"{columns[index].title} {best:.1f} against {figures}{networks}"
     if claim.keeps:
         worst = max(gaps.values())
         verdict = "held" if worst <= claim.keeps else f"did not hold, {worst:.1f} points are lost"
-        return f"{claim.text} (within {claim.keeps:g} points): **{verdict}** ({said})."
+        return f"{claim.text} (within {claim.keeps:g} points): **{verdict}** ({comparison})."
     if min(gaps.values()) <= 0:
-        return f"{claim.text}: **did not hold** ({said})."
+        return f"{claim.text}: **did not hold** ({comparison})."
     close = [label for label in claim.worse if gaps[label] <= own + mean[label][1]]
     if close:
-        return (
-            f"{claim.text}: **held in the mean, but within the spread of the seeds** for {', '.join(close)} ({said})."
-        )
-    return f"{claim.text}: **held** ({said})."
+        return f"{claim.text}: **held in the mean, but within the spread of the seeds** for {', '.join(close)} ({comparison})."
+    return f"{claim.text}: **held** ({comparison})."
 
 
-def _said(mean: float, spread: float) -> str:
+def _format(mean: float, spread: float) -> str:
     return f"{mean:.2f} ± {spread:.2f}" if spread else f"{mean:.2f}"
 
 
@@ -188,6 +186,6 @@ def _draw(
     at = [place + (index - (of - 1) / 2) * height for place in places]
     axes.barh(at, means, height * 0.9, xerr=spreads if any(spreads) else None, color=colour, label=column)
     if paper:
-        said = {"label": "the paper"} if index == of - 1 else {}
+        label = {"label": "the paper"} if index == of - 1 else {}
         where = [place + (index - (of - 1) / 2) * height for place, _ in paper]
-        axes.plot([value for _, value in paper], where, "D", color="black", fillstyle="none", markersize=4, **said)
+        axes.plot([value for _, value in paper], where, "D", color="black", fillstyle="none", markersize=4, **label)

@@ -65,7 +65,7 @@ class Source:
 
     def sizes(self, measure: Measure) -> str:
         """Count queries and gallery pictures of each task, with the counts of the complete data set where they are known."""
-        said = []
+        counts_by_task = []
         for task in TASKS[measure]:
             query, gallery = views_of(task)
             lists = {"query": (query, self.dataset.queries(query)), "gallery": (gallery, self.dataset.gallery(gallery))}
@@ -73,8 +73,8 @@ class Source:
             for role, (view, pictures) in lists.items():
                 full = self.dataset.full.get(f"test/{role}_{view}") or self.dataset.full.get(f"test/{view}")
                 counts.append(counted(len(pictures), full.pictures if full else None))
-            said.append(f"{task} {counts[0]} queries, {counts[1]} pictures in the gallery")
-        return ", ".join(said)
+            counts_by_task.append(f"{task} {counts[0]} queries, {counts[1]} pictures in the gallery")
+        return ", ".join(counts_by_task)
 
     def training_digest(self, google: bool) -> str:
         """Hash the list of training pictures; a trained network is reused for the same list only."""

@@ -85,7 +85,7 @@ class Scale:
         places, panoramas: the recipe of each role, before a method's changes.
         safa: SAFA's own recipe, if it has one.
         sizes: input size used for each of Table III's.
-        said: one sentence for the table's notes.
+        note: one sentence for the table's notes.
     """
 
     name: str
@@ -93,7 +93,7 @@ class Scale:
     panoramas: Recipe
     safa: Recipe | None
     sizes: Mapping[int, int]
-    said: str
+    note: str
 
     def recipe(self, training: Training, seed: int, changes: Mapping[str, Any]) -> Recipe:
         """Return the recipe of a training; `changes` are the user's and are applied last."""
