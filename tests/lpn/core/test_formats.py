@@ -160,7 +160,7 @@ def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path
         file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
         found = [verdict for verdict in verify(index.parent) if not verdict.whole]
         assert len(found) == 1, file
-        assert "make" in found[0].said
+        assert "make" in found[0].message
         file.write_bytes(whole)
     missing = next(index.glob("0*")) / "keys.npy"
     missing.unlink()
