@@ -20,14 +20,13 @@ from explorer.panels.viewport import EDGE, Viewport
 from explorer.reports import Reporter
 from explorer.session_state import SessionState, StateChange
 from explorer.web.html import Html
-from explorer.web.render import send
+from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Ranking
 
-CLOSE = f"<div class='lpn'><a class='close' {send('close')} title='Close (Y)'>✕</a></div>"
 _MAX_SIZE = (1000, 900)
 # Seconds between two drawings of a sweep in progress.
 _DRAW_INTERVAL = 0.15
@@ -68,13 +67,13 @@ class WindowContent:
 class _Tab:
     """One tab, drawn by one thread at a time, so that the newest content is the last to be drawn."""
 
-    def __init__(self, gui: viser.GuiApi, render: Callable[[], str | None]) -> None:
-        gui.add_html(CLOSE)
-        self._html, self._render, self._lock = Html(gui), render, Lock()
+    def __init__(self, gui: viser.GuiApi, content: Callable[[], str | None]) -> None:
+        gui.add_html(render("explain/close"))
+        self._html, self._content, self._lock = Html(gui), content, Lock()
 
     def draw(self) -> None:
         with self._lock:
-            html = self._render()
+            html = self._content()
             if html is not None:
                 self._html.show(html)
 

@@ -22,7 +22,7 @@ MOST = 200
 
 
 @dataclass(frozen=True)
-class _Tile:
+class _ContentsTile:
     """A tile named in the table of contents."""
 
     verdict: bool | None
@@ -31,14 +31,14 @@ class _Tile:
 
 
 @dataclass(frozen=True)
-class _Line:
+class _ContentsLine:
     """One query in the table of contents: its tiles, the rank of the positive, the margin, and the decisive part."""
 
     verdict: bool | None
     thumbnail: str
     name: str
     headline: str
-    tiles: list[_Tile]
+    tiles: list[_ContentsTile]
     rank: int | None
     margin: float | None
     decisive: str | None
@@ -128,17 +128,17 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     return [*facts, ("Made", f"{made:%Y-%m-%d %H:%M %Z} by LPN Explorer {lpn.__version__}")]
 
 
-def _line(case: Case, task: Task, query: int | OwnPicture) -> _Line:
+def _line(case: Case, task: Task, query: int | OwnPicture) -> _ContentsLine:
     picture = query.picture if isinstance(query, OwnPicture) else load_cropped(task.queries[query])
     first, truth = case.matches[0], case.positive
     tiles = [first] if truth is None or truth.rank == 1 else [first, truth]
-    return _Line(
+    return _ContentsLine(
         case.verdict,
         thumbnail(picture),
         case.name,
         summary(case, task)[0],
         [
-            _Tile(match.true, thumbnail(images.load_picture(entry.path)), entry.name)
+            _ContentsTile(match.true, thumbnail(images.load_picture(entry.path)), entry.name)
             for match, entry in ((match, task.gallery[match.index]) for match in tiles)
         ],
         None if truth is None else truth.rank,
