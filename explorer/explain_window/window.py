@@ -119,9 +119,9 @@ class ExplainWindow:
             tabs.append(("Two models", viser.Icon.COLUMNS_2, self._models_html))
         self._panel = client.gui.add_panel(visible=False)
         self._tabs: list[_Tab] = []
-        for name, icon, render in tabs:
+        for name, icon, content in tabs:
             with self._panel.add_tab(name, icon):
-                self._tabs.append(_Tab(client.gui, self._renderer(render)))
+                self._tabs.append(_Tab(client.gui, self._renderer(content)))
         self._comparison_tab, self._sweep_tab = self._tabs[1:3]
         self._worker = Worker(self._compute, on_error)
         # The second model describes the query on a thread of its own, so that the first model's answer need not wait.
