@@ -80,18 +80,13 @@ def part_colour(part: int) -> str:
 
 def share_bar(shares: FloatingArray, full: float, names: Sequence[str]) -> Markup:
     """Draw the parts' shares of a squared distance, (n,), side by side; `full` is the distance that fills the bar."""
-    edges = 100 * np.cumsum([0.0, *np.maximum(shares, 0)]) / max(full, 1e-9)
-    widths = np.diff(edges)
-    bars = [
-        _Bar(
-            round(edges[part], 2),
-            round(widths[part], 2),
-            part_colour(part),
-            f"part {name}: {shares[part]:.4f}",
-            f"{shares[part]:.2f}" if widths[part] > _LABELLED else "",
-        )
-        for part, name in enumerate(names)
-    ]
+    # Python numbers, because rounding and formatting numpy's is slow and a page draws many bars for each query.
+    bars, start = [], 0.0
+    for part, (name, share) in enumerate(zip(names, shares.tolist(), strict=True)):
+        width = 100 * max(share, 0.0) / max(full, 1e-9)
+        label = f"{share:.2f}" if width > _LABELLED else ""
+        bars.append(_Bar(round(start, 2), round(width, 2), part_colour(part), f"part {name}: {share:.4f}", label))
+        start += width
     return _draw("bars", "shares of the squared distance", "shares", bars)
 
 
