@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, BrowserContext, Error, Locator, Page, s
 
 from tools.fixtures.chromium import launch
 from tools.soak import page_content
-from tools.soak.client_state import ClientState, OwnPicture, PictureNames, shows_state, unexpected_links
+from tools.soak.client_state import ClientState, PictureNames, UploadedPicture, shows_state, unexpected_links
 from tools.soak.websocket_driver import BOUND, RATE, FaultError, SettledPage, StoppedError
 
 T = TypeVar("T")
@@ -159,7 +159,7 @@ class BrowserDriver:
 
         self._changing(chosen)
 
-    def send(self, own_picture: OwnPicture) -> None:
+    def send(self, own_picture: UploadedPicture) -> None:
         """Upload a picture."""
         file = {"name": own_picture.name, "mimeType": "image/jpeg", "buffer": own_picture.content}
         self._changing(lambda: self.page.locator("input[type=file]").set_input_files(file))  # type: ignore[arg-type]

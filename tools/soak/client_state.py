@@ -9,7 +9,7 @@ from urllib.parse import parse_qsl
 
 
 @dataclass(frozen=True, eq=False)
-class OwnPicture:
+class UploadedPicture:
     """An uploaded picture: a unique file name and the file's bytes."""
 
     name: str
@@ -36,7 +36,7 @@ class ClientState:
     query: int
     weights: tuple[float, ...]
     on: tuple[bool, ...]
-    own_picture: OwnPicture | None = None
+    own_picture: UploadedPicture | None = None
     angle: float = 0.0
     right: int = 0
     down: int = 0
@@ -49,7 +49,7 @@ class ClientState:
         """Choose a query, without any transform."""
         return replace(self.upright(), query=query, own_picture=None, tile=None)
 
-    def sent(self, own_picture: OwnPicture) -> ClientState:
+    def sent(self, own_picture: UploadedPicture) -> ClientState:
         """Show an uploaded picture, without any transform."""
         return replace(self.upright(), own_picture=own_picture, tile=None)
 

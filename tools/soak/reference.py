@@ -21,7 +21,7 @@ from lpn.core.views import View, views_of
 from lpn.datasets import Picture, Truth, open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.retrieval import Match, Ranking, scoring
-from tools.soak.client_state import ClientState, OwnPicture
+from tools.soak.client_state import ClientState, UploadedPicture
 from tools.soak.page_content import MatchRow, PageContent
 
 # Number of ranked tiles on a page.
@@ -119,7 +119,7 @@ class Reference:
             text["with"] = state.tile if state.tile == "truth" else _called(side.gallery, state.tile)
         return text
 
-    def own_picture(self, rng: Random, name: str) -> OwnPicture:
+    def own_picture(self, rng: Random, name: str) -> UploadedPicture:
         """A rotated crop of a query as a JPEG file."""
         side = self.sides[rng.choice(list(self.sides))]
         picture = images.load_picture(rng.choice(side.queries).path)
@@ -127,7 +127,7 @@ class Reference:
         piece = images.shrink(images.rotate(picture[:height, :width], rng.uniform(-180, 180)), _SIDE)
         done, content = cv2.imencode(".jpg", piece[..., ::-1])
         assert done
-        return OwnPicture(f"{name}.jpg", content.tobytes())
+        return UploadedPicture(f"{name}.jpg", content.tobytes())
 
     def ranking(self, state: ClientState) -> Ranking:
         """The ranking of the whole gallery for a state."""

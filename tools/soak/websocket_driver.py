@@ -12,7 +12,7 @@ from websockets.exceptions import WebSocketException
 
 from tools.fixtures.websocket_client import CHUNK, WebSocketClient
 from tools.soak import page_content
-from tools.soak.client_state import ClientState, OwnPicture, PictureNames, shows_state, unexpected_links
+from tools.soak.client_state import ClientState, PictureNames, UploadedPicture, shows_state, unexpected_links
 from tools.soak.page_content import PageContent
 
 # Longest time to any answer in seconds, with all clients at work.
@@ -69,7 +69,7 @@ class PageDriver(Protocol):
     def choose(self, label: str, option: str) -> None:
         """Choose an option."""
 
-    def send(self, own_picture: OwnPicture) -> None:
+    def send(self, own_picture: UploadedPicture) -> None:
         """Upload a picture."""
 
     def settle(self, state: ClientState, path: Iterable[ClientState] = ()) -> SettledPage:
@@ -149,7 +149,7 @@ class WebSocketDriver:
         """Send a message of the page's own script."""
         self._sending(lambda: self.talker.tell(kind, value))
 
-    def send(self, own_picture: OwnPicture) -> None:
+    def send(self, own_picture: UploadedPicture) -> None:
         """Upload a picture."""
         self._sending(lambda: self.talker.upload(own_picture.name, own_picture.content, transfer=own_picture.name))
 
