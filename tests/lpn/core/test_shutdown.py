@@ -25,8 +25,8 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are POS
 
 SLOW_DESCRIBING = """
 import time, lpn.descriptors.writer as d
-prepared = d.prepared
-d.prepared = lambda *a: (time.sleep(0.15), prepared(*a))[1]
+prepare_row = d.prepare_row
+d.prepare_row = lambda *a: (time.sleep(0.15), prepare_row(*a))[1]
 """
 SLOW_INDEX = """
 import time, lpn.index.folder as f
