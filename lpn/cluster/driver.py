@@ -28,7 +28,7 @@ from lpn.cluster.session import started
 from lpn.cluster.shards import (
     BROKEN,
     PLAN,
-    BrokenPicture,
+    FailedPicture,
     Plan,
     Precision,
     ShardItem,
@@ -71,7 +71,7 @@ class Summary:
 
     pictures: int
     computed: int
-    broken: list[BrokenPicture]
+    broken: list[FailedPicture]
 
 
 def describe_shards(
@@ -192,7 +192,7 @@ def _run(
         for p, notes in enumerate(held)
         if notes is None or (notes.partitions, notes.digest) != (plan.partitions, digests[p]) or _unsettled(notes)
     ]
-    progress = _Progress(len(items), sum(len(partitions[p]) for p in todo), say)
+    progress = _DriverProgress(len(items), sum(len(partitions[p]) for p in todo), say)
     notes = [one for one in held if one is not None]
     ended = not todo and plan.finished and plan.contents == contents(notes)
     if not ended:
@@ -228,7 +228,7 @@ def _hand_out(
     task: PartitionTask,
     files: Any,
     count: int,
-    progress: _Progress,
+    progress: _DriverProgress,
 ) -> None:
     """Have workers do the partitions of each list, one list after the other; StoreError when a worker cannot."""
     for rows in filter(None, phases):
@@ -304,7 +304,7 @@ def _settled(target: Storage, plan: Plan, partitions: list[list[ShardItem]], dig
     return notes
 
 
-def _write_broken(target: Storage, broken: list[BrokenPicture]) -> None:
+def _write_broken(target: Storage, broken: list[FailedPicture]) -> None:
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     lines.writerow(("name", "reason"))
@@ -312,7 +312,7 @@ def _write_broken(target: Storage, broken: list[BrokenPicture]) -> None:
     target.write(BROKEN, text.getvalue().encode())
 
 
-class _Progress:
+class _DriverProgress:
     """Prints lines of progress at intervals."""
 
     def __init__(self, pictures: int, todo: int, say: Callable[[str], None]) -> None:

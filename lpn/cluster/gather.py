@@ -16,7 +16,7 @@ from lpn.cluster.shards import (
     DAMAGED,
     ITEM,
     PLAN,
-    BrokenPicture,
+    FailedPicture,
     Plan,
     ShardContents,
     ShardItem,
@@ -64,7 +64,7 @@ class Shards:
 
     storage: Storage
     plan: Plan
-    broken: list[BrokenPicture]
+    broken: list[FailedPicture]
     digests: list[str]
 
     def tiles(self, partition: int) -> ShardTiles:

@@ -69,7 +69,7 @@ class ShardItem(NamedTuple):
     position: Position = None
 
 
-class BrokenPicture(NamedTuple):
+class FailedPicture(NamedTuple):
     """A picture that could not be described.
 
     Attributes:
@@ -153,7 +153,7 @@ def write_shard(
     partition: int,
     items: Sequence[ShardItem],
     descriptors: Float32Array,
-    broken: Sequence[BrokenPicture] = (),
+    broken: Sequence[FailedPicture] = (),
 ) -> None:
     """Write a partition: described items with descriptors (B, n, D) float32, and broken pictures.
 
@@ -221,7 +221,7 @@ class ShardMetadata(NamedTuple):
     """
 
     digest: str
-    broken: list[BrokenPicture]
+    broken: list[FailedPicture]
     partitions: int
 
 
@@ -256,7 +256,7 @@ def notes_of(schema: pa.Schema, plan: Plan, partition: int) -> ShardMetadata | N
     wanted = {**_noted(plan), "partition": partition, "partitions": (partitions := notes.get("partitions"))}
     if {key: notes.get(key) for key in wanted} != wanted or type(partitions) is not int or partitions < 1:
         return None
-    broken = [BrokenPicture(_item(item), str(reason), bool(settled)) for item, reason, settled in notes["broken"]]
+    broken = [FailedPicture(_item(item), str(reason), bool(settled)) for item, reason, settled in notes["broken"]]
     return ShardMetadata(str(notes["digest"]), broken, partitions)
 
 

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from lpn.cluster.shards import BrokenPicture, Plan, ShardItem, read_shard, unpacked, write_shard
+from lpn.cluster.shards import FailedPicture, Plan, ShardItem, read_shard, unpacked, write_shard
 from lpn.cluster.storage import Storage
 from lpn.core import images
 from lpn.core.arrays import Float32Array
@@ -95,7 +95,7 @@ class DescribeWorker:
             for i, row in zip(some.items, some.descriptors, strict=True):
                 rows[missing[i].row] = row
             for i, error in some.broken:
-                broken.append(BrokenPicture(missing[i], str(error), not isinstance(error, _UnreadError)))
+                broken.append(FailedPicture(missing[i], str(error), not isinstance(error, _UnreadError)))
         described = [item for item in items if item.row in rows]
         numbers = np.zeros((len(described), plan.n_parts, plan.embedding), np.float32)
         for i, item in enumerate(described):

@@ -14,7 +14,7 @@ from lpn.core.files import unreadable_error, write_atomic
 NAME = "checksums.json"
 
 
-class _File(msgspec.Struct):
+class _ChecksumsFile(msgspec.Struct):
     block: int
     files: dict[str, list[int]]
     checksum: int | None = None
@@ -34,7 +34,7 @@ def changed_files(segment: Path) -> list[str]:
         StoreError: when a file is missing, or the checksums cannot be read.
     """
     try:
-        file = msgspec.json.decode((segment / NAME).read_bytes(), type=_File)
+        file = msgspec.json.decode((segment / NAME).read_bytes(), type=_ChecksumsFile)
         if file.block < 1 or file.checksum != crc_of_values({"block": file.block, "files": file.files}):
             raise ValueError("another checksum")
         return [name for name, crcs in file.files.items() if list(crc_of_blocks(segment / name, file.block)) != crcs]

@@ -39,7 +39,7 @@ class MeasuredFigures(msgspec.Struct, frozen=True):
     protocol: str
 
 
-class _File(msgspec.Struct):
+class _MeasurementsFile(msgspec.Struct):
     format: str
     checksum: int
     figures: dict[str, MeasuredFigures]
@@ -56,7 +56,7 @@ class MeasurementStore:
         self.path = path
         self._figures: dict[str, MeasuredFigures] = {}
         try:
-            file = decode_json(path.read_bytes(), _File, path, FORMAT, InputError)
+            file = decode_json(path.read_bytes(), _MeasurementsFile, path, FORMAT, InputError)
             if file.checksum != crc_of_values(msgspec.to_builtins(file.figures)):
                 raise ValueError("another checksum")
             self._figures = file.figures
@@ -74,7 +74,7 @@ class MeasurementStore:
             values = [value for result in results for value in _values(result, measure)]
             self._figures[key] = MeasuredFigures(tuple(values), results[0].sentence)
             figures = msgspec.to_builtins(self._figures)
-            file = _File(FORMAT, crc_of_values(figures), self._figures)
+            file = _MeasurementsFile(FORMAT, crc_of_values(figures), self._figures)
             write_atomic(self.path, msgspec.json.format(msgspec.json.encode(file), indent=1) + b"\n")
         return self._figures[key]
 

@@ -17,7 +17,7 @@ from lpn.cluster import gather
 from lpn.cluster.gather import open_shards
 from lpn.cluster.shards import (
     PLAN,
-    BrokenPicture,
+    FailedPicture,
     Plan,
     ShardItem,
     contents,
@@ -203,7 +203,7 @@ def test_a_tile_that_broke_between_two_looks_at_its_shard_is_seen(
         seen.append(partition)
         if seen.count(1) == 2:
             broke, *mine = [item for item in WAS if PLANNED.partition(item.row.file) == 1]
-            write_shard(self.storage, PLANNED, 1, mine, described(mine), [BrokenPicture(broke, "is damaged", True)])
+            write_shard(self.storage, PLANNED, 1, mine, described(mine), [FailedPicture(broke, "is damaged", True)])
         return real(self, partition)
 
     monkeypatch.setattr(gather.Shards, "tiles", tiles)
