@@ -1,0 +1,48 @@
+"""The pages say what is there: links lead somewhere, tests that are named exist, and short pages stay short."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "assets" / "README.md"]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    targets = re.findall(r"\]\((?!https?://|#)([^)#\s]+)", page.read_text("utf-8"))
+    assert not [target for target in targets if not (page.parent / target).exists()]
+
+
+def test_tests_that_the_pages_name_exist() -> None:
+    functions = defaultdict(set)
+    for file in (ROOT / "tests").rglob("test_*.py"):
+        functions[file.name] |= set(re.findall(r"^ *def (test_\w+)", file.read_text("utf-8"), re.MULTILINE))
+    missing = []
+    for page in PAGES:
+        if page.name == "CHANGELOG.md":
+            continue
+        file = "test_robustness.py"
+        for name in re.findall(r"`(?:tests/[\w/]+/)?((?:test_\w+\.py)?(?:::)?(?:test_\w+)?)`", page.read_text("utf-8")):
+            named, _, function = name.partition("::") if ".py" in name or name.startswith("::") else ("", "", name)
+            file = named or ("test_robustness.py" if not name.startswith("::") else file)
+            if name and (file not in functions or (function and function not in functions[file])):
+                missing.append(f"{page.name}: {name}")
+    assert not missing
+
+
+def test_the_readme_is_read_in_two_minutes() -> None:
+    assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= 100
+
+
+@pytest.mark.parametrize("page", ["scale.md", "serving.md"])
+def test_a_page_of_a_task_opens_with_its_command_and_has_short_paragraphs(page: str) -> None:
+    title, opening, *_ = (ROOT / "docs" / page).read_text("utf-8").split("\n\n")
+    assert title.startswith("# ")
+    assert opening.startswith("    ")
+    blocks = re.split(r"\n\s*\n", (ROOT / "docs" / page).read_text("utf-8"))
+    assert not [block for block in blocks if not block.startswith(("    ", "|", "-", "`")) and block.count("\n") > 4]
