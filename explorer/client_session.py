@@ -35,8 +35,8 @@ from lpn.core.files import printable
 
 log = logging.getLogger(__name__)
 
-# Seconds that a new page has to send its address, before the default state is analysed.
-_ADDRESS_TIMEOUT = 3.0
+# Seconds that a new page has to send its address, before the default state is analysed. A busy machine takes many to load the page.
+_ADDRESS_TIMEOUT = 30.0
 # Seconds of an analysis after which the page says that it is being computed.
 _SLOW = 0.5
 
@@ -172,7 +172,8 @@ class ClientSession:
         beside, name = self._workspace.beside, analysis.task.name
         other = None if beside is None else beside.rankings.get(name)
         self._ranking_progress.follow(self._workspace.rankings[name], other)
-        self._bridge.set_address(self._url_state.write(analysis.state), self._url_state.keys)
+        if self._greeted:  # otherwise the page would lose the address that it has yet to send
+            self._bridge.set_address(self._url_state.write(analysis.state), self._url_state.keys)
         if log.isEnabledFor(logging.DEBUG):
             log.debug("%s", self._log_line(analysis, time.perf_counter() - started))
         return None

@@ -41,7 +41,7 @@ from tools.fixtures import small_worlds
 from tools.fixtures.processes import free_port
 
 pytestmark = [
-    # Of Ray and what it starts: deprecations within its own modules, processes and sockets it leaves to the system.
+    # Ray uses deprecated functions in its own modules, and leaves processes and sockets to the system.
     pytest.mark.filterwarnings("ignore::DeprecationWarning:ray"),
     pytest.mark.filterwarnings("ignore::FutureWarning:ray"),
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
@@ -116,12 +116,12 @@ def test_two_workers_say_what_one_machine_says(
     assert (summary.pictures, summary.computed, summary.broken) == (PICTURES, PICTURES, [])
     assert "40 of 40 pictures" in lines[-1]
     assert "per second" in lines[-1]
-    exclusive_lock = expected(model_file, pictures, tmp_path / "alone")
+    alone = expected(model_file, pictures, tmp_path / "alone")
     store = to_store(open_shards(out), tmp_path / "store")
-    assert store.manifest == exclusive_lock.manifest
-    np.testing.assert_allclose(store.descriptors, exclusive_lock.descriptors, atol=1e-6)
+    assert store.manifest == alone.manifest
+    np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
     found = held(out)
-    for row, descriptor in zip(exclusive_lock.manifest.rows, exclusive_lock.descriptors, strict=True):
+    for row, descriptor in zip(alone.manifest.rows, alone.descriptors, strict=True):
         np.testing.assert_allclose(found[row.file], descriptor, atol=1e-6)
     assert (out / "broken.csv").read_text() == "name,reason\n"
     before = {path.name: path.stat().st_mtime_ns for path in out.glob("*.parquet")}
@@ -155,10 +155,10 @@ def test_a_killed_worker_costs_its_partition_alone(model_file: Path, folder: Pat
     assert (summary.pictures, summary.computed, summary.broken) == (PICTURES, PICTURES, [])
     begun = sorted(map(int, (tmp_path / "begun").read_text().split()))
     assert begun == sorted([*range(open_shards(out).plan.partitions), int((tmp_path / "killed").read_text())])
-    exclusive_lock = expected(model_file, folder, tmp_path / "alone")
+    alone = expected(model_file, folder, tmp_path / "alone")
     store = to_store(open_shards(out), tmp_path / "store")
-    assert store.manifest == exclusive_lock.manifest
-    np.testing.assert_allclose(store.descriptors, exclusive_lock.descriptors, atol=1e-6)
+    assert store.manifest == alone.manifest
+    np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
 
 
 class Odd(DescribeWorker):
@@ -198,9 +198,9 @@ def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
     assert (again.computed, again.broken) == (0, summary.broken)
     for name in broken:
         (folder / name).unlink()
-    exclusive_lock = expected(model_file, folder, tmp_path / "alone")
+    alone = expected(model_file, folder, tmp_path / "alone")
     np.testing.assert_allclose(
-        to_store(open_shards(done), tmp_path / "store").descriptors, exclusive_lock.descriptors, atol=1e-6
+        to_store(open_shards(done), tmp_path / "store").descriptors, alone.descriptors, atol=1e-6
     )
 
 
@@ -316,10 +316,10 @@ def test_shards_of_a_folder_that_grows_stay_small(model_file: Path, folder: Path
     (pictures / kept[0].name).unlink()
     small_worlds.write(pictures / kept[1].name, small_worlds.place(77))
     assert run().computed == 1
-    exclusive_lock = expected(model_file, pictures, tmp_path / "alone")
+    alone = expected(model_file, pictures, tmp_path / "alone")
     store = to_store(open_shards(out), tmp_path / "store")
-    assert store.manifest == exclusive_lock.manifest
-    np.testing.assert_allclose(store.descriptors, exclusive_lock.descriptors, atol=1e-6)
+    assert store.manifest == alone.manifest
+    np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
 
 
 def test_shards_are_indexed_with_their_positions(
@@ -457,9 +457,9 @@ def test_commands_say_what_they_did(
     assert f"1 pictures are broken and not in it; broken.csv in {out} names them." in capsys.readouterr().out
     (folder / "1" / "text.jpg").unlink()
     store = descriptors.open_store(tmp_path / "store")
-    exclusive_lock = expected(model_file, folder, tmp_path / "alone")
-    assert (store.manifest.precision, store.manifest.rows) == ("float16", exclusive_lock.manifest.rows)
-    np.testing.assert_allclose(store.float32, exclusive_lock.descriptors, atol=2e-4)
+    alone = expected(model_file, folder, tmp_path / "alone")
+    assert (store.manifest.precision, store.manifest.rows) == ("float16", alone.manifest.rows)
+    np.testing.assert_allclose(store.float32, alone.descriptors, atol=2e-4)
     assert main.main([*given[:-2], "--precision", "float32"]) == 2
     assert "choose another place" in capsys.readouterr().err
     assert main.main([*given[:-2], "--precision", "int8"]) == 2

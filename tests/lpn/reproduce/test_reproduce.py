@@ -12,6 +12,7 @@ import torch
 from rich.console import Console
 from safetensors.torch import save_file
 
+import lpn
 from lpn.cli.main import main
 from lpn.core.errors import DataError, DivergedError, InputError, LPNError, ModelFileError
 from lpn.datasets import open_dataset
@@ -22,8 +23,9 @@ from lpn.models.spec import ModelSpec
 from lpn.reproduce import footnotes, paper_values, report, sources
 from lpn.reproduce.command import KEYS, Reproduction
 from lpn.reproduce.pretrained import features_alone
-from lpn.reproduce.sources import Source
+from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import SCALES, find, tables
+from lpn.retrieval.evaluate import evaluate
 from lpn.training.recipes import METHODS
 from lpn.training.trainer import Trainer
 from tools.fixtures import layouts, small_worlds
@@ -96,7 +98,14 @@ def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: P
     with (tmp_path / "table4.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 5 * 4
-    assert all(0 <= float(row["seed 1"]) <= 100 for row in rows)
+    for row in rows:
+        mean = (float(row["seed 0"]) + float(row["seed 1"])) / 2
+        assert float(row["mean"]) == pytest.approx(mean, abs=1e-4)
+    network = lpn.load(tmp_path / "runs" / "lpn-seed1" / "last.safetensors")
+    results = [evaluate(network, open_dataset(places), task) for task in TASKS["both ways"]]
+    expected = [value for result in results for value in (result.recall["1"], result.ap)]
+    by_column = {row["column"]: float(row["seed 1"]) for row in rows if row["row"] == "0"}
+    assert list(by_column.values()) == pytest.approx(expected, abs=1e-4)
     assert (tmp_path / "table4.png").read_bytes()[:4] == b"\x89PNG"
     assert "2 of 2 trainings; about 1 min left" in said(made)
     # The rotation of 0 degrees and all parts are the same measurement.
@@ -286,15 +295,19 @@ def landmarks(folder: Path) -> Path:
 @pytest.mark.slow
 def test_landmarks_stand_beside_the_paper_s_column_of_their_own(places: Path, tmp_path: Path) -> None:
     root = small_worlds.make_views(tmp_path / "views", 4)
-    paris, start = layouts.paris(tmp_path / "paris"), tmp_path / "start.safetensors"
+    paris, oxford = layouts.paris(tmp_path / "paris"), layouts.oxford(tmp_path / "oxford")
+    start = tmp_path / "start.safetensors"
     save(small_worlds.make_network(), start)
-    data = [str(root), str(paris), str(layouts.oxford(tmp_path / "oxford"))]
+    data = [str(root), str(paris), str(oxford)]
     reproduction(places, tmp_path / "out", data=data, init=[start]).run(["table6"])
     header, _, first = (tmp_path / "out" / "table6.md").read_text().splitlines()[2:5]
     assert header == "| | oxford mAP | paper | paris mAP | paper |"
     cells = first.split("|")
     assert (cells[1], cells[3], cells[5]) == (" ImageNet alone ", " 8.43 ", " 27.93 ")
-    assert 0 <= float(cells[2]) <= 100
+    alone = features_alone(replace(SCALES["reduced"].places, **QUICK), start)
+    for cell, folder in ((cells[2], oxford), (cells[4], paris)):
+        result = evaluate(alone, open_dataset(folder), "street-to-street")
+        assert cell == f" {result.ap:.2f} "
     save_file({"conv1.weight": torch.zeros(64, 3, 7, 7)}, str(tmp_path / "half.safetensors"))
     with pytest.raises(ModelFileError, match="lacks"):
         features_alone(SCALES["reduced"].places, tmp_path / "half.safetensors")
