@@ -19,6 +19,7 @@ from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.window import FailureLabWindow
 from explorer.panels import shortcuts, tour
+from explorer.panels.glossary import Glossary
 from explorer.panels.panels import Panels
 from explorer.panels.query_panel import PAGE_SIZE
 from explorer.panels.viewport import Viewport
@@ -73,16 +74,18 @@ class ClientSession:
             )
             self._lab = FailureLabWindow(client, workspace, failure_lab, self.change, viewport, self._reporter)
             self._panels.navigation.order = self._lab.order
+            glossary = Glossary(client.gui)
             handlers = {
                 "room": viewport.update,
                 "hello": self._on_greeting,
                 "small": self._fit,
                 "dark": lambda _: self.change(session_state.flip_dark),
+                "glossary": lambda _: glossary.show(),
             }
             handlers |= self._explain_window.handlers() | self._lab.handlers()
             properties = {"steps": [asdict(step) for step in tour.steps(workspace)], "scene": SCENE}
             self._bridge = PageBridge(client.gui, handlers, properties, style.STYLE)
-            commands = self._explain_window.commands() + self._lab.commands()
+            commands = [*self._explain_window.commands(), *self._lab.commands(), ("Glossary", glossary.show)]
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, commands)
             self._stage = Stage(client, workspace, self._on_select)
             self._worker = Worker(self._work, self._on_error)

@@ -288,3 +288,12 @@ def test_a_server_that_is_gone_is_said_to_be(app: RunningApp, contexts: Callable
         explorer.open(running.url)
         expect(explorer.page.locator("#lpn-notice")).to_have_count(0)
     expect(explorer.page.locator("#lpn-notice.shown")).to_contain_text("Start it again")
+
+
+def test_the_glossary_opens_over_the_page_and_closes(explorer: ExplorerPage) -> None:
+    term = explorer.page.get_by_role("cell", name="hardest negative is the negative of the highest score", exact=False)
+    for _ in range(2):
+        explorer.page.locator("#lpn-header").get_by_text("Glossary", exact=True).click()
+        expect(term).to_be_visible(timeout=60_000)
+        explorer.page.get_by_role("button", name="Close", exact=True).click()
+        expect(term).to_have_count(0, timeout=60_000)
