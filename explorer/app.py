@@ -103,19 +103,19 @@ def run(
     query: str | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
-    beside: Path | None = None,
+    second_model: Path | None = None,
     authenticator: Authenticator | None = None,
 ) -> None:
     """Open a model and a data set, print the address of the explorer, and serve it until KeyboardInterrupt.
 
     Args:
-        beside: a second model for comparisons.
+        second_model: a second model for comparisons.
         authenticator: the access rules; by default those of `App`.
 
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
-    _serve(lambda: open_model(data, model, query, beside), host, port, authenticator)
+    _serve(lambda: open_model(data, model, query, second_model), host, port, authenticator)
 
 
 def run_saved(

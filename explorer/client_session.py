@@ -60,8 +60,10 @@ class ClientSession:
         self._greeted = self._small = False
         self._sequence = 0
         task = next(iter(workspace.tasks))
-        state = SessionState(task, workspace.spec.n_parts, query=workspace.first, page=workspace.first // PAGE_SIZE)
-        self._state = workspace.possible(state)
+        state = SessionState(
+            task, workspace.spec.n_parts, query=workspace.first_query, page=workspace.first_query // PAGE_SIZE
+        )
+        self._state = workspace.supported_state(state)
         self._requests = RequestContext(workspace.inference)
         self._analyser = StateAnalyser(workspace, self._requests.queued(workspace.model))
         with self._lock:  # a control works as soon as it is in the page; its callback waits here for the rest
@@ -98,7 +100,7 @@ class ClientSession:
             state = change(self._state)
             if state is None:
                 return
-            state = self._workspace.possible(state)
+            state = self._workspace.supported_state(state)
             if state == self._state:
                 return
             if state.dark != self._state.dark:
@@ -157,7 +159,7 @@ class ClientSession:
         """Analyse and draw the newest state; returns the seconds after which to try again when the server is overloaded."""
         slow = DelayedCall(_SLOW, self._panels.answer.show_busy)
         try:
-            analysis = self._requests.compute_newest(lambda: self._analyser.analyse(self._state, SHOWN))
+            analysis = self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
             self._sequence += 1
             started = time.perf_counter()
             with self._client.atomic():  # the page draws one frame
@@ -172,8 +174,8 @@ class ClientSession:
             return RETRY_AFTER
         finally:
             slow.cancel()
-        beside, name = self._workspace.beside, analysis.task.name
-        other = None if beside is None else beside.rankings.get(name)
+        second, name = self._workspace.second_workspace, analysis.task.name
+        other = None if second is None else second.rankings.get(name)
         self._ranking_progress.follow(self._workspace.rankings[name], other)
         if self._greeted:  # otherwise the page would lose the address that it has yet to send
             self._bridge.set_address(self._url_state.write(analysis.state), self._url_state.keys)

@@ -21,16 +21,16 @@ from lpn.retrieval.published_results import PublishedResult
 
 log = logging.getLogger(__name__)
 
-# The feature map by which rings are drawn where no network is at hand: that of a ResNet-50 at 256 pixels.
+# Size of the feature map for drawing rings without a network: that of a ResNet-50 at 256 pixels.
 SAVED_MAP = (16, 16)
 
 
-def open_model(data: Path, model: Path, query: str | None = None, beside: Path | None = None) -> Workspace:
+def open_model(data: Path, model: Path, query: str | None = None, second_model: Path | None = None) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
 
     Args:
-        query: name of the query of the first task that a browser shows first; by default that task's first.
-        beside: another model to compare with on the same data.
+        query: name of the query of the first task that a new browser shows; by default the task's first query.
+        second_model: another model to compare with on the same data.
 
     Raises:
         LPNError: when model or data set cannot be used, or there is no such query.
@@ -57,9 +57,9 @@ def open_model(data: Path, model: Path, query: str | None = None, beside: Path |
         _city(rankings[0].task),
         dataset.root,
     )
-    workspace.open_with(query)
-    if beside is not None:
-        workspace.beside = open_model(data, beside)
+    workspace.choose_first_query(query)
+    if second_model is not None:
+        workspace.second_workspace = open_model(data, second_model)
     return workspace
 
 
@@ -95,7 +95,7 @@ def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> 
     )
     rankings = [_begin_ranking(task)]
     workspace = Workspace(task.model_name, task.data_name, rankings, spec, map_sizes, None, _city(task), dataset.root)
-    workspace.open_with(query)
+    workspace.choose_first_query(query)
     return workspace
 
 
@@ -107,7 +107,7 @@ def _begin_ranking(task: Task) -> RankingJob:
 
 
 def _status(text: str) -> AbstractContextManager[object]:
-    """A line on the terminal while work goes on."""
+    """Show a line on the terminal while work goes on."""
     return Console(stderr=True).status(f"{text} (Ctrl-C stops)")
 
 

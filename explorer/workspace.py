@@ -27,9 +27,9 @@ from lpn.models.base import Model
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import DescribedPicture
 
-# Cached described tiles; with their feature maps, those of a large network take 4 MB each.
+# Number of described tiles in the cache; with the feature map of a large network, each takes 4 MB.
 TILES = 48
-# Cached cards, 0.15 MB each.
+# Number of card pictures in the cache, 0.15 MB each.
 CARDS = 256
 
 
@@ -37,12 +37,12 @@ class Workspace:
     """A model and a data set, opened once for all browsers; see `explorer.opening`.
 
     Args:
-        model_name, data_name: names for people.
+        model_name, data_name: display names.
         rankings: the ranking of each task, at least one.
-        spec: how parts divide a picture.
+        spec: the model's architecture, with the partition of each view.
         map_sizes: (h, w) of the feature map of each view.
-        model: None where another program computed the descriptors, so that queries cannot be changed. Otherwise all of its
-            forward passes go through one queue; `RequestContext` gives each browser its own access.
+        model: None for saved descriptors, whose queries cannot be changed. All forward passes go through one queue;
+            `RequestContext` gives each browser its own access.
         city: the 3-D model for the map.
         root: the data set's folder.
     """
@@ -67,9 +67,9 @@ class Workspace:
         own = None if model is None else QueuedModel(model, self.inference, RequestContext(self.inference))
         self.model: QueuedModel | None = own
         self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else model.describe()
-        self.first = 0
-        # Another model on the same data, to compare with.
-        self.beside: Workspace | None = None
+        self.first_query = 0
+        # The workspace of another model on the same data, for comparisons.
+        self.second_workspace: Workspace | None = None
         self.part_names = self._part_names()
         self._tiles: SingleFlightCache[tuple[str, int], DescribedPicture] = SingleFlightCache(TILES)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
@@ -80,15 +80,15 @@ class Workspace:
         self.layout = layout_for(self.spec.input_size)
         self.load_picture = lru_cache(maxsize=64)(images.load_picture)
 
-    def open_with(self, query: str | None) -> None:
-        """Choose by name the query of the first task that a browser shows first; InputError when there is none."""
+    def choose_first_query(self, query: str | None) -> None:
+        """Set `first_query`, the query of the first task that a new browser shows, by its name."""
         names = next(iter(self.tasks.values())).query_names
         if query is not None and query not in names:
-            raise InputError(f"{self.data_name} has no query {query}; its names are such as {names[0]}.")
-        self.first = 0 if query is None else names.index(query)
+            raise InputError(f"{self.data_name} has no query {query}; names look like {names[0]}.")
+        self.first_query = 0 if query is None else names.index(query)
 
-    def possible(self, state: SessionState) -> SessionState:
-        """The state; without a network, upright and without heatmaps, evidence, and pictures of one's own."""
+    def supported_state(self, state: SessionState) -> SessionState:
+        """Return the state that this workspace can show: without a network, no changes, uploads, heatmaps, or evidence."""
         return (
             state
             if self.model is not None
@@ -96,31 +96,31 @@ class Workspace:
         )
 
     def tile(self, task: Task, index: int, model: QueuedModel | None = None) -> DescribedPicture:
-        """A described gallery picture, cached because many queries share their tiles.
+        """Return a described gallery picture, from the cache if possible.
 
         Args:
-            model: describes the tile where it is not cached; by default the workspace's.
+            model: describes a tile that is not in the cache; by default the workspace's model.
         """
         return self._tiles.get((task.name, index), lambda: describe_tile(task, index, model or self.model))
 
     def thumbnail(self, path: Path) -> str:
-        """A 64-pixel JPEG of a picture file as a data URI."""
+        """Return a 64-pixel JPEG of a picture file as a data URI."""
         return self._thumbnail(path)
 
-    def cut(self, picture: UInt8Array, view: View) -> UInt8Array:
-        """A picture in the shape that parts divide: unrolled for SAFA, else unchanged."""
+    def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
+        """Return a picture as the model partitions it: SAFA unrolls satellite pictures, other models change nothing."""
         return picture if self.model is None else self.model.as_partitioned(picture, view)
 
     def card(self, task: Task, index: int) -> UInt8Array:
-        """A gallery picture at a card's size, without its parts; read only."""
+        """Return a gallery picture at the size of a card, without rings; read-only."""
         return self._card(task.name, index)
 
     def _make_masks(self, view: View) -> Int64Array:
-        """The part of each pixel of a stage picture."""
+        """Return the part of each pixel of a stage picture."""
         return overlays.part_masks(self.spec.partition(view), self.map_sizes[view], self.layout.pixels)
 
     def mosaic(self, task: Task) -> UInt8Array:
-        """The task's tiles at their positions as one picture, drawn once; the task must have a geometry."""
+        """Return one cached picture of all tiles at their positions; the task must have a geometry."""
         assert task.geometry is not None
         with self._mosaic_lock:
             if task.name not in self._mosaics:
@@ -128,14 +128,14 @@ class Workspace:
             return self._mosaics[task.name]
 
     def _part_names(self) -> list[str]:
-        """Each part's name; where the views divide differently (CVUSA), the names in all views."""
+        """Return each part's name, such as "ring / strip" if its name differs between views (CVUSA)."""
         names = [self.spec.partition(view).names() for view in self.spec.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
 
     def _make_card(self, name: str, index: int) -> UInt8Array:
         task = self.tasks[name]
         picture = self.load_picture(task.gallery[index].path)
-        return images.resize(self.cut(picture, task.gallery_view), *self.layout.card_pixels)
+        return images.resize(self.as_partitioned(picture, task.gallery_view), *self.layout.card_pixels)
 
     def _make_thumbnail(self, path: Path) -> str:
         return overlays.data_uri(overlays.square(images.load_picture(path), 64))
@@ -152,13 +152,13 @@ class StateAnalyser:
     """Analyses one browser's states, see `QueryAnalyser`.
 
     Args:
-        model: the browser's queued model, by default the workspace's.
+        model: the browser's queued model; by default the workspace's.
     """
 
     def __init__(self, workspace: Workspace, model: QueuedModel | None = None) -> None:
         self._workspace = workspace
         model = model or workspace.model
-        # A newer state may supersede the query's description, but not that of a tile, which other browsers wait for.
+        # A newer state may supersede the query's forward pass. That of a tile is never cancelled: other browsers share it.
         self._analyser = QueryAnalyser(
             None if model is None else model.cancellable(),
             lambda task, index: workspace.tile(task, index, model),
@@ -169,8 +169,8 @@ class StateAnalyser:
         """Analyse the state's query, with its k nearest tiles.
 
         Raises:
-            BusyError: when the inference queue is full; the same state can be requested again.
-            SupersededError: when a newer state is wanted, see `RequestContext.compute_newest`.
+            BusyError: when the inference queue is full; the caller may retry.
+            SupersededError: when a newer state superseded this one, see `RequestContext.retry_superseded`.
             LPNError: when the query cannot be analysed.
         """
         request = QueryRequest(

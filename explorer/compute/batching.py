@@ -47,13 +47,13 @@ class InferenceRequest:
 
     @property
     def batch_key(self) -> Hashable:
-        """Requests of equal keys may share a batch."""
+        """A key that is equal for requests that may share a batch."""
         return self.model, self.view, self.images.shape[1:], self.images.dtype
 
     def fail(self, error: BaseException) -> None:
-        """Raise an error in the waiting thread, which SystemExit and the like must not end."""
+        """Raise an error in the waiting thread; SystemExit and the like become LPNError, so that the thread survives."""
         if not isinstance(error, Exception):
-            error = LPNError(f"The network ended with {type(error).__name__}; try again.")
+            error = LPNError(f"The forward pass raised {type(error).__name__}; try again.")
         self.future.set_exception(error)
 
 

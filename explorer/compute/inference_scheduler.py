@@ -1,10 +1,9 @@
 """The queue in front of the network, shared by all browsers.
 
-A thread waits for its request, so it has at most one in the queue, and first-in, first-out order is fair: nobody waits longer
-than one request of everybody else. Background work (sweeps, reports, a second model) queues apart, and interactive requests
-go first; every fourth batch goes to background work, so that it cannot starve. The interactive queue is bounded
-(back-pressure): further requests raise `BusyError`, and refused browsers are admitted before new ones. A superseded request
-gives its place to the next request of its browser.
+Each thread has at most one request in the queue, so first-in, first-out order is fair. Background work (sweeps, reports,
+a second model) has its own queue. Interactive requests have priority, but every fourth batch is background work, so that
+it cannot starve. The interactive queue is bounded (back-pressure): further requests raise `BusyError`, and refused
+browsers are admitted before new ones. A superseded request gives its place to the next request of its browser.
 """
 
 from __future__ import annotations
@@ -32,10 +31,11 @@ log = logging.getLogger(__name__)
 
 # Interactive requests in the queue. A large network takes 0.1 s for each on two cores, so the last one waits for 3 s.
 MAX_QUEUED = 32
-# One of this many batches goes to background work if there is any.
+# While background requests wait, every n-th batch is one of them.
 BACKGROUND_INTERVAL = 4
-# Seconds after which a refused request should be made again, and for which its place is reserved.
+# Seconds after which a refused browser should retry.
 RETRY_AFTER = 0.5
+# Seconds for which its place is reserved.
 RESERVATION = 4 * RETRY_AFTER
 # Seconds without requests after which the thread ends; the next request starts another one.
 IDLE_TIMEOUT = 60.0
@@ -49,8 +49,8 @@ class BusyError(LPNError):
 class InferenceScheduler:
     """The queue and its one thread, which computes the requests in batches.
 
-    A batch has at most `Model.batch` pictures. For an exported model these are four, two pictures and their mirrored copies:
-    one picture occupies all cores of a CPU, so larger batches would only increase memory and everybody's latency.
+    A batch has at most `Model.batch` pictures. Exported models have small batches, because one picture occupies all cores
+    of a CPU: larger batches would only increase memory and latency.
 
     Args:
         max_queued: bound of the interactive queue.
@@ -66,8 +66,8 @@ class InferenceScheduler:
         # Refused contexts, oldest first, and the times until which their places are reserved.
         self._refused: dict[RequestContext, float] = {}
         self._positions = count()
-        # Positions of contexts whose request was superseded and that have not made the next one yet.
-        self._held: dict[RequestContext, int] = {}
+        # After a request is superseded, its context keeps the position for its next request.
+        self._kept_positions: dict[RequestContext, int] = {}
         self._thread: threading.Thread | None = None
         self._heads: SingleFlightCache[tuple[Model, View], Heads] = SingleFlightCache(_MAX_HEADS)
 
@@ -94,7 +94,7 @@ class InferenceScheduler:
 
         Raises:
             BusyError: when the queue is full.
-            SupersededError: when it is cancellable and its context superseded it.
+            SupersededError: when `context` superseded a cancellable request.
             WorkCancelledError: when the context is closed.
         """
         request = InferenceRequest(context, model, images, view, background, cancellable, self._clock())
@@ -104,35 +104,35 @@ class InferenceScheduler:
             if background:
                 self._background.append(request)
             else:
-                if context not in self._held:
+                if context not in self._kept_positions:
                     self._admit(context)
-                    self._held[context] = next(self._positions)
-                request.position = self._held.pop(context)
+                    self._kept_positions[context] = next(self._positions)
+                request.position = self._kept_positions.pop(context)
                 insort(self._interactive, request, key=lambda other: other.position)
             if self._thread is None:
                 try:
                     self._start_thread()
-                except BaseException:  # for example too many threads; nobody would answer the request
+                except BaseException:  # for example too many threads
                     self._remove([request])
                     raise
             self._changed.notify_all()
         return request.future.result()
 
-    def drop(self, context: RequestContext) -> None:
-        """Close a context: fail its requests and give up its places."""
+    def close_context(self, context: RequestContext) -> None:
+        """Close a context: fail its requests and give up its positions."""
         with self._changed:
             context.closed = True
             self._refused.pop(context, None)
-            self._held.pop(context, None)
+            self._kept_positions.pop(context, None)
             dropped = [request for request in (*self._interactive, *self._background) if request.context is context]
             self._remove(dropped)
         for request in dropped:
             request.fail(WorkCancelledError())
 
-    def release(self, context: RequestContext) -> None:
-        """Give up the place that is held for a context's next request."""
+    def release_position(self, context: RequestContext) -> None:
+        """Give up the position kept for a context's next request."""
         with self._changed:
-            self._held.pop(context, None)
+            self._kept_positions.pop(context, None)
 
     def _start_thread(self) -> None:
         thread = threading.Thread(target=self._loop, name="explorer-inference", daemon=True)
@@ -140,13 +140,13 @@ class InferenceScheduler:
         self._thread = thread
 
     def _admit(self, context: RequestContext) -> None:
-        """Raise BusyError unless there is a place besides those reserved for earlier refused contexts."""
+        """Raise BusyError if all free places are reserved for contexts that were refused earlier."""
         now = self._clock()
         self._refused = {other: until for other, until in self._refused.items() if until > now}
         waiting = list(self._refused)
         ahead = waiting.index(context) if context in self._refused else len(waiting)
-        if ahead >= self._max_queued - len(self._interactive) - len(self._held):
-            self._refused[context] = now + RESERVATION  # keeps the place of an earlier refusal
+        if ahead >= self._max_queued - len(self._interactive) - len(self._kept_positions):
+            self._refused[context] = now + RESERVATION  # renewing an entry keeps its place in the order
             raise BusyError(f"{len(self._interactive)} requests are queued, which is the limit; try again in a moment.")
         self._refused.pop(context, None)
 
@@ -175,7 +175,7 @@ class InferenceScheduler:
             del batch  # frees the pictures
 
     def _next_batch(self) -> list[InferenceRequest]:
-        """Take the next batch; it is never mixed, since interactive requests would wait for the background work in it."""
+        """Take the next batch, of either interactive or background requests only."""
         background = not self._interactive or (
             bool(self._background) and self._batches_since_background >= BACKGROUND_INTERVAL - 1
         )
@@ -186,15 +186,15 @@ class InferenceScheduler:
         return batch
 
     def _take_superseded(self) -> list[InferenceRequest]:
-        """Take the superseded requests of the interactive batch after this one, and hold their positions."""
+        """Take the superseded requests out of the next interactive batch, but keep their positions."""
         now = self._clock()
         superseded = [
             request
             for request in next_batch(self._interactive)
-            if request.cancellable and request.context.cancels(now - request.enqueued)
+            if request.cancellable and request.context.try_cancel(now - request.enqueued)
         ]
         self._remove(superseded)
-        self._held.update((request.context, request.position) for request in superseded)
+        self._kept_positions.update((request.context, request.position) for request in superseded)
         return superseded
 
     def _remove(self, requests: Iterable[InferenceRequest]) -> None:

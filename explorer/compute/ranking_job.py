@@ -1,4 +1,4 @@
-"""The ranking of all queries of a task: at once if that is quick, otherwise in the background, shared by all browsers."""
+"""The ranking of all queries of a task, shared by all browsers: a quick one at once, a long one in the background."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lpn.core.errors import LPNError
 from lpn.retrieval.evaluate import error_shares
 from lpn.retrieval.metrics import Retrieval
 
-# Multiplications of a ranking that is computed before the first page is served: half a second on two cores.
+# A ranking of up to this many multiplications (half a second on two cores) is computed before the app starts.
 QUICK_COST = 20_000_000_000
 
 
@@ -24,7 +24,7 @@ class TaskRanking:
 
     Attributes:
         ranking: ranks and best matches by query.
-        results: recall and AP in percent, see `lpn.retrieval.metrics.evaluate`; with positions also `median error m` etc.
+        results: recall and AP in percent, see `lpn.retrieval.metrics.evaluate`; with positions also errors, such as `median error m`.
     """
 
     ranking: Retrieval
@@ -42,7 +42,7 @@ class RankingJob:
     def __init__(self, task: Task) -> None:
         self.task = task
         self.result: TaskRanking | None = None
-        self._ranking, self._jobs, self._turn = ResumableRanking(task), BackgroundJobs(), threading.Lock()
+        self._ranking, self._jobs, self._rank_lock = ResumableRanking(task), BackgroundJobs(), threading.Lock()
         self._job: BackgroundJob[TaskRanking] | None = None
 
     def start(self) -> None:
@@ -69,7 +69,7 @@ class RankingJob:
         return self.result.results
 
     @property
-    def done(self) -> int:
+    def n_ranked(self) -> int:
         """Number of ranked queries."""
         return 0 if self._job is None else self._job.done
 
@@ -110,7 +110,7 @@ class RankingJob:
         return self.result
 
     def _rank(self, report: ReportProgress) -> TaskRanking:
-        with self._turn:  # a cancelled job may still compute its last block
+        with self._rank_lock:  # a cancelled job may still be computing its last block
             ranking = self._ranking.finish(report)
         ranking_cache.save(self.task, ranking)
         self.result = self._result(ranking)

@@ -13,12 +13,12 @@ from lpn.models.base import ForwardPass, Heads, Model
 
 T = TypeVar("T")
 
-# Seconds that a request must have waited to be superseded: preparing the next one takes time, too.
+# A request is superseded only after this many seconds in the queue, because its successor takes time to prepare.
 MIN_WAIT = 0.2
 
 
 class RequestContext:
-    """The source of requests, such as a browser; its requests are dropped when it is closed.
+    """The source of requests, such as a browser; closing it cancels its requests.
 
     Attributes:
         closed: `close` was called.
@@ -32,19 +32,19 @@ class RequestContext:
         self._may_cancel = False
 
     def queued(self, model: Model | None, background: bool = False) -> QueuedModel | None:
-        """Return a model whose requests belong to this context; None for None.
+        """Return a model whose requests belong to this context, or None without a model.
 
         Args:
-            background: for long work, which lets interactive requests go first and is never refused.
+            background: long work; it yields to interactive requests and is never refused.
         """
         if isinstance(model, QueuedModel):
             model = model.model
         return None if model is None else QueuedModel(model, self._scheduler, self, background)
 
-    def compute_newest(self, compute: Callable[[], T]) -> T:
-        """Return what `compute` makes of the newest state, which it reads itself.
+    def retry_superseded(self, compute: Callable[[], T]) -> T:
+        """Return the result of `compute`, which reads the newest state.
 
-        If `supersede` is called while a cancellable request waits, `compute` starts again, in the same place of the queue.
+        If its cancellable request is superseded in the queue, `compute` is called again and keeps its place.
         """
         self._superseded, self._may_cancel = False, True
         try:
@@ -54,28 +54,28 @@ class RequestContext:
                 return compute()
         finally:
             self._may_cancel = False
-            self._scheduler.release(self)
+            self._scheduler.release_position(self)
 
     def supersede(self) -> None:
         """Note that the state changed, so that a waiting request may be out of date."""
         self._superseded = True
 
-    def cancels(self, waited: float) -> bool:
-        """Return whether to cancel a request that has waited some seconds; True at most once per answer."""
+    def try_cancel(self, waited: float) -> bool:
+        """Return True, at most once per answer, if a request that has waited for some seconds is to be cancelled."""
         cancel = self._superseded and self._may_cancel and waited >= MIN_WAIT
         self._may_cancel = self._may_cancel and not cancel
         return cancel
 
     def close(self) -> None:
-        """Drop the waiting requests; these and all later ones raise WorkCancelledError."""
-        self._scheduler.drop(self)
+        """Cancel the waiting requests and refuse later ones: all raise WorkCancelledError."""
+        self._scheduler.close_context(self)
 
 
 class QueuedModel(Model):
     """A model whose forward passes wait in the scheduler's queue.
 
     Attributes:
-        model: the model that computes.
+        model: the model without the queue.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class QueuedModel(Model):
         )
 
     def cancellable(self) -> QueuedModel:
-        """Return this model for requests that depend on one state only; they may raise SupersededError."""
+        """Return this model with requests that a newer state may supersede; they then raise SupersededError."""
         return QueuedModel(self.model, self._scheduler, self._context, self._background, cancellable=True)
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
@@ -106,7 +106,7 @@ class QueuedModel(Model):
             BusyError: when the queue is full.
             SupersededError: see `cancellable`.
             WorkCancelledError: when the context is closed.
-            LPNError: as the model does.
+            LPNError: when the model cannot compute the pictures.
         """
         size = max(self.batch, 1)
         chunks = [images[start : start + size] for start in range(0, len(images), size)] or [images]

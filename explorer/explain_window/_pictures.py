@@ -25,7 +25,9 @@ def with_parts(
     """
     across, down = workspace.layout.picture
     height, max_width = size
-    drawn = images.resize(workspace.cut(picture, view), height, min(round(height * across / down), max_width))
+    drawn = images.resize(
+        workspace.as_partitioned(picture, view), height, min(round(height * across / down), max_width)
+    )
     if cells is not None:
         drawn = overlays.with_evidence(drawn, cells, limit)
     return overlays.data_uri(overlays.with_rings(drawn, workspace.spec.partition(view), workspace.map_sizes[view]), 88)

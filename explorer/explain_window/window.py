@@ -36,7 +36,10 @@ _DRAW_INTERVAL = 0.15
 class PairResult:
     """The comparison of one pair, and its effect on all queries once that is computed.
 
-    The key is the pair of `ranking` (one object per query, weights, and region) and `index`, the compared tile.
+    Attributes:
+        ranking: the ranking of one query under given weights and region; compared by identity.
+        index: gallery position of the compared tile.
+        computing: the effect was requested and is not computed yet.
     """
 
     ranking: Ranking
@@ -57,7 +60,7 @@ class PairResult:
 
 @dataclass(frozen=True, eq=False)
 class WindowContent:
-    """Everything the window draws. `pair` and `sweep`, where there are any, belong to `analysis`."""
+    """The content of the window; `pair` and `sweep` belong to `analysis`."""
 
     analysis: StateAnalysis
     pair: PairResult | None = None
@@ -86,9 +89,9 @@ class ExplainWindow:
     has the pair or the sweep that the result was computed for.
 
     Args:
-        change: replaces the browser's state by a function's result.
+        change: updates the browser's state with a function.
         on_error: receives the exceptions of long computations.
-        viewport: the room that the stage has for the window.
+        viewport: the size of the stage.
         reporter: makes reports of the shown analysis.
         requests: gives access to the networks for this browser.
     """
@@ -105,7 +108,9 @@ class ExplainWindow:
     ) -> None:
         self._workspace, self._change, self._viewport, self._reporter = workspace, change, viewport, reporter
         self._model = requests.queued(workspace.model, background=True)
-        self._models = None if workspace.beside is None else ModelComparison(workspace.beside, requests)
+        self._models = (
+            None if workspace.second_workspace is None else ModelComparison(workspace.second_workspace, requests)
+        )
         self._lock = Lock()
         self._content: WindowContent | None = None
         self._open = False
@@ -124,7 +129,7 @@ class ExplainWindow:
                 self._tabs.append(_Tab(client.gui, self._renderer(content)))
         self._comparison_tab, self._sweep_tab = self._tabs[1:3]
         self._worker = Worker(self._compute, on_error)
-        # The second model describes the query on a thread of its own, so that the first model's answer need not wait.
+        # The second model runs in its own thread, so that the first model's answer need not wait for it.
         self._models_worker = Worker(self._draw_models, on_error)
         viewport.watch(self._place)
 
@@ -155,8 +160,8 @@ class ExplainWindow:
         return [
             *sweep_commands,
             ("Stop the profile", self._command(self._cancel_sweep)),
-            ("Try the smallest change of part weights on all queries", self._command(self._request_effect)),
-            ("Use the smallest change of part weights", self._command(self._use_weights)),
+            ("Test the smallest correcting change of part weights on all queries", self._command(self._request_effect)),
+            ("Use the smallest correcting change of part weights", self._command(self._use_weights)),
             ("Search by the whole query, not a region", self._command(self._search_region, [])),
             ("Save a report of this query", self._command(self._report)),
         ]
@@ -345,7 +350,7 @@ class ExplainWindow:
         pair = None if self._content is None else self._content.pair
         if pair is not None and pair.comparison is not None and pair.comparison.change is not None:
             new = pair.comparison.change.weights
-            # The sliders' scale: equal weights are 1 each, and no weight exceeds the slider's end.
+            # On the sliders, equal weights are 1 each; scale down if one would exceed the slider's maximum.
             scaled = new * min(len(new), session_state.MAX_WEIGHT / new.max())
             weights = tuple(float(weight) for weight in scaled)
             self._change(lambda state: replace(state, weights=weights, enabled=()))

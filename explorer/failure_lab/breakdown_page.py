@@ -64,20 +64,20 @@ def _part_card(findings: Findings, lab: LabState) -> _Card:
     counts = breakdown.blame(findings.outcomes, rows).tolist()
     failed = int(findings.outcomes.failed[rows].sum())
     if not failed:
-        return _Card("part", "Part that costs most", [])
+        return _Card("part", "Part that lowers the margin most", [])
     most = max(max(counts), 1)
     chosen = _label(lab, "part")
     lines = [
         _Line(
             "lab-part",
             part,
-            f"part {name} costs most" == chosen,
+            f"part {name} lowers the margin most" == chosen,
             f"Part {name} lowers the margin most in {count} of {failed} failures",
             (part, name, 100 * count / most, count),
         )
         for part, (name, count) in enumerate(zip(findings.part_names, counts, strict=True))
     ]
-    return _Card("part", f"Part that costs most, in {failed:,} failures", lines)
+    return _Card("part", f"Part that lowers the margin most, in {failed:,} failures", lines)
 
 
 def _pair_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card:

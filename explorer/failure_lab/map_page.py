@@ -36,9 +36,9 @@ class MapPage:
             rows: the selected queries; pass the same array while they are the same.
             window: width and height in pixels.
         """
-        cancelled = lab.map in lab.cancelled
-        job = None if cancelled else self._service.points(lab.map, lab.task, self._client)
-        if cancelled:
+        paused = lab.map in lab.paused
+        job = None if paused else self._service.points(lab.map, lab.task, self._client)
+        if paused:
             self._service.leave(self._client, lab.task, lab.map)
         kinds = {"pca": "Descriptors, PCA"}
         if self._service.has_umap:
@@ -48,7 +48,7 @@ class MapPage:
         if job is None or not job.wait(0.4) or job.value is None:
             self._key, self.drawn = None, None
             html = render("failure_lab/map", lab=lab, kinds=kinds, picture="", axes="")
-            return html + table.waiting(job, "The map", cancelled, lab.map), job is None or job.error is not None
+            return html + table.waiting(job, "The map", paused, lab.map), job is None or job.error is not None
         points = job.value
         around = 210 + (30 if window[0] < 700 else 0)
         size = (max(window[0] - 34, 280), max(window[1] - around, 180))

@@ -102,7 +102,7 @@ class TurnPage(LabMessage):
     by: Literal[-1, 1]
 
 
-class ToggleTall(LabMessage): ...
+class ToggleFullHeight(LabMessage): ...
 
 
 class CancelWork(LabMessage):
@@ -152,7 +152,7 @@ MESSAGES: dict[str, type[LabMessage]] = {
     "lab-point": OpenPoint,
     "lab-tip": ShowTip,
     "lab-page": TurnPage,
-    "lab-tall": ToggleTall,
+    "lab-tall": ToggleFullHeight,
     "lab-stop": CancelWork,
     "lab-go": ResumeWork,
     "lab-open": OpenQuery,
@@ -180,14 +180,14 @@ def apply(message: LabMessage, lab: LabState, findings: Findings | None) -> LabS
         findings: None before the table is there; most messages need it.
     """
     match message:
-        case ToggleTall():
-            return replace(lab, tall=not lab.tall)
+        case ToggleFullHeight():
+            return replace(lab, full_height=not lab.full_height)
         case TurnPage(by):
             return replace(lab, page=max(lab.page + by, 0))
         case CancelWork(work):
-            return replace(lab, cancelled=lab.cancelled | {work})
+            return replace(lab, paused=lab.paused | {work})
         case ResumeWork(work):
-            return replace(lab, cancelled=lab.cancelled - {work})
+            return replace(lab, paused=lab.paused - {work})
     return lab if findings is None else _apply_to_table(message, lab, findings)
 
 
@@ -213,7 +213,7 @@ def _apply_to_table(message: LabMessage, lab: LabState, findings: Findings) -> L
         case ClearSelections():
             return state.clear(lab)
         case ShowMap(kind) if kind != "ground" or findings.task.geometry is not None:
-            return replace(lab, map=kind, cancelled=lab.cancelled - {kind})
+            return replace(lab, map=kind, paused=lab.paused - {kind})
         case ToggleZoom():
             return replace(lab, zoomed=not lab.zoomed)
         case SelectPart(part) if part < len(findings.part_names):

@@ -37,7 +37,7 @@ class Selection:
     rows: Int64Array
 
     def same_as(self, other: Selection) -> bool:
-        """Compare by value. The label alone does not suffice: a value may be called "not known"."""
+        """Compare by value, with the rows: a column may have a value called "not known", so labels are ambiguous."""
         return (self.kind, self.label) == (other.kind, other.label) and np.array_equal(self.rows, other.rows)
 
 
@@ -50,18 +50,18 @@ class LabState:
         outcome: show all queries, those that failed, or those that were found.
         filter: the filter in force, see `lpn.core.tables`.
         filter_typed: the text in the filter's box.
-        filter_error: why that text is not a filter; empty if it is one.
+        filter_error: why `filter_typed` is invalid; empty if it is valid.
         name_search: text that the names of the queries contain.
         selections: a query must be in all of them.
         sort_column, descending: the order of the table.
         page: page of the table, from 0.
         columns: shown beside `FIXED_COLUMNS`; None for the default ones.
         choosing_columns: the list of columns is open.
-        tall: the window covers the whole stage.
+        full_height: the window covers the whole stage.
         map: the map that is shown.
-        zoomed: the map shows the selected queries only, as large as they fit.
-        cancelled: maps that are not computed until the user asks for them, and "table".
-        text_revision: counts changes of the text boxes that are not made by typing.
+        zoomed: the map shows only the selected queries, enlarged to fit.
+        paused: computations that start only on request: kinds of maps, or "table".
+        text_revision: number of times that the app, not the user, has changed the text boxes.
     """
 
     task: str
@@ -77,10 +77,10 @@ class LabState:
     page: int = 0
     columns: tuple[str, ...] | None = None
     choosing_columns: bool = False
-    tall: bool = False
+    full_height: bool = False
     map: MapKind = "pca"
     zoomed: bool = False
-    cancelled: frozenset[str] = frozenset({"umap"})
+    paused: frozenset[str] = frozenset({"umap"})
     text_revision: int = 0
 
 
@@ -89,7 +89,7 @@ def for_task(lab: LabState, task: str) -> LabState:
     if lab.task == task:
         return lab
     return LabState(
-        task, lab.tab, lab.outcome, tall=lab.tall, cancelled=lab.cancelled, text_revision=lab.text_revision + 1
+        task, lab.tab, lab.outcome, full_height=lab.full_height, paused=lab.paused, text_revision=lab.text_revision + 1
     )
 
 
@@ -99,7 +99,7 @@ def sort_by(lab: LabState, column: str) -> LabState:
 
 
 def set_filter(lab: LabState, text: str, table: Table) -> LabState:
-    """Apply a filter; one that cannot be parsed leaves the selected queries as they are."""
+    """Apply a filter; an invalid filter does not change the selected queries."""
     try:
         table.filter(table.rows(), text)
     except InputError as error:
@@ -203,8 +203,8 @@ def charted_columns(findings: Findings) -> list[Column]:
 def failure_rates(findings: Findings, lab: LabState, column: Column) -> list[Rate]:
     """Return failure rates against a column among the selected queries.
 
-    Neither the outcome filter nor a selection in this column counts. If all queries left failed, or none did, the rates are
-    those of all queries, because every rate would be 0 or 1.
+    The outcome filter and a selection in this column are ignored. If all or none of the selected queries failed, every
+    rate would be 1 or 0, so the rates of all queries are returned.
     """
     rows = selected_rows(findings, lab, selection_kind(column), any_outcome=True)
     if not 0 < int(findings.outcomes.failed[rows].sum()) < len(rows):
@@ -223,7 +223,7 @@ def select_bin(findings: Findings, lab: LabState, name: str, index: int, bin_nam
     Args:
         name: the column.
         index: the bin among `failure_rates`.
-        bin_name: the name that was clicked. If the bin has another name by now, the bins changed since, and the result is None.
+        bin_name: the name of the clicked bin. The result is None if the bins have changed since the click.
     """
     column = next((column for column in charted_columns(findings) if column.name == name), None)
     bins = [] if column is None else failure_rates(findings, lab, column)
@@ -248,9 +248,9 @@ def select_pair(findings: Findings, lab: LabState, place: int, answered: int) ->
 
 
 def select_part(findings: Findings, part: int) -> Selection:
-    """Select the failures that a part costs most."""
+    """Select the failures whose margin a part lowers most."""
     blamed = findings.outcomes.failed & (findings.outcomes.decides == part)
-    return Selection("part", f"part {findings.part_names[part]} costs most", np.flatnonzero(blamed))
+    return Selection("part", f"part {findings.part_names[part]} lowers the margin most", np.flatnonzero(blamed))
 
 
 def confusions(findings: Findings, lab: LabState) -> list[breakdown.Confusion]:
@@ -261,7 +261,7 @@ def confusions(findings: Findings, lab: LabState) -> list[breakdown.Confusion]:
 
 
 def place_names(findings: Findings, confusion: breakdown.Confusion) -> tuple[str, str]:
-    """Return the names of a confusion's two places, after their tiles."""
+    """Return the names of the tiles of a confusion's two places."""
     first = int(confusion.queries[0])
     positive, answer = (findings.table.columns[name].text(first) for name in ("truth", "answer"))
     return positive or str(confusion.place), answer

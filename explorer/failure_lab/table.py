@@ -109,7 +109,7 @@ def message(text: str, good: bool) -> str:
     return render("failure_lab/message", text=text, good=good)
 
 
-def waiting(job: BackgroundJob[Any] | None, subject: str, cancelled: bool, work: str) -> str:
+def waiting(job: BackgroundJob[Any] | None, subject: str, paused: bool, work: str) -> str:
     """Return the progress of some work with a link that cancels it, or a link that starts it again.
 
     Args:
@@ -121,7 +121,7 @@ def waiting(job: BackgroundJob[Any] | None, subject: str, cancelled: bool, work:
     return render(
         "failure_lab/waiting",
         subject=subject,
-        cancelled=cancelled,
+        paused=paused,
         work=work,
         error=error,
         done=done,

@@ -63,7 +63,7 @@ class FailureLabWindow:
         self._lab, self._view = LabState(task), _View(task, None, False)
         self._last_query: int | None = None
         self._sorted: tuple[object, Int64Array] = ((), np.zeros(0, np.int64))
-        self._tall_shown: bool | None = None
+        self._full_height_shown: bool | None = None
         self._size = (760, 400)
         self._tips = 0
         self._left = False
@@ -178,7 +178,7 @@ class FailureLabWindow:
             self._service.leave(self)
             self._place(None)
             return
-        self._place(lab.tall)
+        self._place(lab.full_height)
         findings = self._service.findings(lab.task)
         if findings is None:
             self._wait_for_table(lab)
@@ -208,9 +208,9 @@ class FailureLabWindow:
         self._notes.show(findings, view.query if lab.tab == "table" else None)
 
     def _wait_for_table(self, lab: LabState) -> None:
-        cancelled = "table" in lab.cancelled
+        paused = "table" in lab.paused
         job = None
-        if cancelled:
+        if paused:
             self._service.leave(self, lab.task)
         else:
             job = self._service.build(lab.task, self)
@@ -222,7 +222,7 @@ class FailureLabWindow:
         self._text_revision = None
         self._notes.show(None, None)
         queries = len(self._workspace.tasks[lab.task].queries)
-        self._body.show(table.waiting(job, f"Ranking {queries:,} queries", cancelled, "table"))
+        self._body.show(table.waiting(job, f"Ranking {queries:,} queries", paused, "table"))
         if job is not None and job.error is None:
             self._worker.wake()
 
@@ -244,20 +244,20 @@ class FailureLabWindow:
     def _page_length(self) -> int:
         return min(max((self._size[1] - _FRAME_HEIGHT) // _ROW_HEIGHT, 5), 25)
 
-    def _place(self, tall: bool | None) -> None:
+    def _place(self, full_height: bool | None) -> None:
         """Cover the whole stage or its lower half; None hides the window."""
-        if tall == self._tall_shown:
+        if full_height == self._full_height_shown:
             return
-        if tall is not None:
-            width, height = self._size = self._viewport.window(share=1.0 if tall else 1 - _PAIR_SHARE)
+        if full_height is not None:
+            width, height = self._size = self._viewport.window(share=1.0 if full_height else 1 - _PAIR_SHARE)
             self._panel.float(x=EDGE, y=-EDGE, width=width, height=height)
             self._panel.expand()
-        self._panel.visible = tall is not None
-        self._tall_shown = tall
+        self._panel.visible = full_height is not None
+        self._full_height_shown = full_height
 
     def _resize(self) -> None:
         """Place the window again, because the viewport changed."""
-        self._tall_shown = None if self._tall_shown is None else not self._tall_shown
+        self._full_height_shown = None if self._full_height_shown is None else not self._full_height_shown
         self._worker.wake()
 
     def _open(self, row: int) -> None:

@@ -23,7 +23,7 @@ class AnswerPanel:
     """One browser's view of an analysis.
 
     Args:
-        change: replaces the browser's state by a function's result.
+        change: updates the browser's state with a function.
     """
 
     def __init__(self, gui: viser.GuiApi, workspace: Workspace, change: Callable[[StateChange], None]) -> None:

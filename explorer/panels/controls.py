@@ -29,7 +29,7 @@ class Controls:
 
     Args:
         state: gives the initial values.
-        change: replaces the browser's state by a function's result.
+        change: updates the browser's state with a function.
     """
 
     def __init__(self, gui: viser.GuiApi, state: SessionState, change: Callable[[StateChange], None]) -> None:

@@ -55,7 +55,7 @@ def header(workspace: Workspace, task: Task) -> str:
         workspace=workspace,
         task=task,
         results=None if ranking.result is None else ranking.results,
-        done=ranking.done,
+        done=ranking.n_ranked,
         error=ranking.error,
     )
 

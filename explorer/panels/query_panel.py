@@ -18,7 +18,7 @@ from explorer.session_state import MAX_ZOOM, SessionState, StateChange
 from explorer.web.html import Html
 from explorer.workspace import StateAnalysis, Workspace
 
-# Pictures on one page of the picker.
+# Number of pictures on one page of the picker.
 PAGE_SIZE = 12
 _HEAT_KINDS = {"Activation": "activation", "Evidence": "evidence"}
 _MAX_FIND = 200
@@ -28,7 +28,7 @@ class QueryPanel:
     """One browser's controls of the query.
 
     Args:
-        change: replaces the browser's state by a function's result.
+        change: updates the browser's state with a function.
         notify_error: shows an error with a title and a text.
     """
 
@@ -62,12 +62,12 @@ class QueryPanel:
             controls.slider("Shift down", "down", -(height // 2), height // 2, 1, whole=True)
             controls.slider("Zoom", "zoom", 1 / MAX_ZOOM, MAX_ZOOM, 0.05)
             gui.add_html(pages.note(pages.SHIFT_NOTE))
-        # viser would show an upload button even where it is not visible.
+        # viser shows an upload button even if `visible` is false.
         self._upload = UploadControl(gui, change, notify_error) if has_model else None
         with gui.add_folder("Pictures"):
             self.find = gui.add_text("Find name", "")
             self._picker = _Picker(gui, workspace, change)
-        controls.bind("find", self.find, self._search)  # after the angle, which a newly found query resets
+        controls.bind("find", self.find, self._search)  # inputs are read in order, and finding a query resets the angle
         with gui.add_folder("Look"):
             controls.checkbox("Rings", "rings")
             controls.checkbox("Take apart", "exploded")
@@ -75,7 +75,7 @@ class QueryPanel:
             controls.checkbox("Map", "map", visible=has_places)
             self._city = controls.checkbox("City", "city", visible=False)
             controls.checkbox("Heatmap", "heat", visible=has_model)
-            controls.dropdown("Shows", "heat_kind", _HEAT_KINDS, visible=has_model, hint=pages.HEAT_NOTE)
+            controls.dropdown("Heat type", "heat_kind", _HEAT_KINDS, visible=has_model, hint=pages.HEAT_NOTE)
             parts = {"All parts": None} | {name: part for part, name in enumerate(workspace.part_names)}
             controls.dropdown("Heat of", "heat_part", parts, visible=has_model)
             controls.slider("Opacity", "opacity", 0.0, 1.0, 0.05, visible=has_model)
@@ -83,17 +83,17 @@ class QueryPanel:
                 gui.add_html(pages.note(pages.SAVED_NOTE, "lpn-saved"))
 
     def update(self, state: SessionState) -> None:
-        """Show the controls that a state offers."""
+        """Show the checkbox City only if the state has a city to show."""
         visible = city_available(self._workspace, state)
         if self._city.visible != visible:
             self._city.visible = visible
 
     def show(self, analysis: StateAnalysis) -> None:
-        """Show the page of pictures that an analysis is about."""
+        """Show the page of the picker that the state selects."""
         self._picker.show(analysis)
 
     def _search(self, state: SessionState, value: Any) -> SessionState:
-        """Filter the pictures by a text; a text that one name alone contains chooses that query."""
+        """Filter the pictures by name; if exactly one name matches, choose that query."""
         find = str(value)[:_MAX_FIND]
         if find == state.find:
             return state
@@ -104,7 +104,7 @@ class QueryPanel:
 
 
 def city_available(workspace: Workspace, state: SessionState) -> bool:
-    """Return True when the map is shown and there is a city for it."""
+    """Return True if the map is shown and has a 3-D city model."""
     return state.map and workspace.city is not None and workspace.tasks[state.task].geometry is not None
 
 
@@ -118,7 +118,7 @@ class _Page:
 
 
 class _Picker:
-    """Pages of thumbnails; html presses a hidden button for each."""
+    """Pages of thumbnails; a click on one presses its hidden button."""
 
     def __init__(self, gui: viser.GuiApi, workspace: Workspace, change: Callable[[StateChange], None]) -> None:
         self._workspace, self._change = workspace, change

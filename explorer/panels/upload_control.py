@@ -19,7 +19,7 @@ class UploadControl:
     """One browser's upload button; it reads one picture at a time.
 
     Args:
-        change: replaces the browser's state by a function's result.
+        change: updates the browser's state with a function.
         notify_error: shows an error with a title and a text.
     """
 

@@ -34,9 +34,9 @@ log = logging.getLogger(__name__)
 Handler = Callable[[ServerConnection], Awaitable[None]]
 PageServer = Callable[[ServerConnection, WebsocketRequest], Response | None]
 
-# Connections whose request is not answered yet, from one address and in all; each has 10 s.
+# Bounds on connections without an answer yet, from one address and in total; each times out after 10 s.
 MAX_PENDING, MAX_ALL_PENDING = 64, 256
-# Control frames and small fragments of messages, a second and at once. A browser sends hardly any.
+# Token bucket for control frames and small message fragments, a second and in a burst. A browser sends hardly any.
 SMALL_FRAME_RATE, SMALL_FRAME_BURST = 20.0, 400.0
 SMALL_FRAME = 1024  # bytes
 
@@ -47,7 +47,7 @@ _WEB_LOG.addFilter(lambda record: record.getMessage() != "opening handshake fail
 _TOO_MANY = "Too many wrong tokens came from your address. Wait some seconds."
 _BLOCKED = Refusal(429, "Too many wrong tokens", _TOO_MANY, ask_token=True)
 _SERVER_START = "the way it starts its server"
-_MALFORMED = Refusal(400, "This cannot be answered", "The request is not for an address of this server.")
+_MALFORMED = Refusal(400, "Malformed request", "The request is not for an address of this server.")
 
 
 class Gateway:
@@ -87,7 +87,7 @@ class Gateway:
     def _serve(self, handler: Handler, *where: Any, **settings: Any) -> Any:
         """Replace `websockets.asyncio.server.serve`. It must not raise: viser would wait for ever."""
         self._protecting = True
-        page = settings.pop("process_request", None)  # None fails every request
+        page = settings.pop("process_request", None)  # viser always passes one; without it every request fails
         return websockets.asyncio.server.serve(
             functools.partial(_handle, handler, itertools.count()),
             *where,
@@ -107,12 +107,14 @@ class Gateway:
     def _respond(self, page: PageServer, connection: ServerConnection, request: WebsocketRequest) -> Response | None:
         """Answer a request; None lets it open the websocket."""
         try:
-            return self._checked(page, connection, request)
+            return self._authenticate_and_respond(page, connection, request)
         except Exception as error:  # for example a path that the file system rejects, or a repeated header
             log.info("Refused a request: %s", _summary(error))
             return refusal_page(_MALFORMED)
 
-    def _checked(self, page: PageServer, connection: ServerConnection, raw: WebsocketRequest) -> Response | None:
+    def _authenticate_and_respond(
+        self, page: PageServer, connection: ServerConnection, raw: WebsocketRequest
+    ) -> Response | None:
         port = int(connection.local_address[1])
         request = _http_request(connection, raw)
         if self.authenticator.has_token(request) and self._rate_limiter.blocked(request.address):
@@ -127,7 +129,7 @@ class Gateway:
                 self._rate_limiter.wrong_token(request.address)
             return refusal_page(verdict)
         response = page(connection, raw)
-        return None if response is None else _hardened(response, request.only("host"))
+        return None if response is None else _add_security_headers(response, request.only("host"))
 
 
 class _Connection(ServerConnection):
@@ -139,14 +141,14 @@ class _Connection(ServerConnection):
         self._small_frames = TokenBucket(SMALL_FRAME_RATE, SMALL_FRAME_BURST)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Abort the connection if too many are pending, so that files can still be opened."""
+        """Abort the connection if too many are pending; otherwise the process could run out of file descriptors."""
         super().connection_made(transport)
         pending = [_address(one) for one in self.server.handlers if one.state is CONNECTING]
         if len(pending) > MAX_ALL_PENDING or pending.count(_address(self)) > MAX_PENDING:
             self.transport.abort()
 
     def process_event(self, event: Event) -> None:
-        """Abort the connection if it floods the server with frames that never become a message for `recv` to delay."""
+        """Abort a connection that floods the server with control frames or small fragments: `recv` delays only whole messages."""
         if _is_small(event) and self._small_frames.take() > 0:
             self.transport.abort()
         else:
@@ -187,7 +189,7 @@ def _is_small(event: Event) -> bool:
 
 
 def _log_failed_task(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """viser handles each message in a task, which fails when a control cannot have the value."""
+    """Log the error of a failed task in one line: viser's task for a message fails when a control rejects the value."""
     error = context.get("exception")
     if isinstance(error, Exception):
         log.debug("A message failed: %s", _summary(error))
@@ -212,8 +214,8 @@ def _address(connection: ServerConnection) -> str:
     return str(remote[0]) if isinstance(remote, tuple) else ""
 
 
-def _hardened(response: Response, host: str) -> Response:
-    """Add headers that restrict viser's page to its own server and forbid other sites to embed it."""
+def _add_security_headers(response: Response, host: str) -> Response:
+    """Add headers that let viser's page load only from its own server and forbid other sites to embed it."""
     own = f"'self' ws://{host} wss://{host}"  # some browsers do not apply 'self' to websockets
     response.headers["Content-Security-Policy"] = (
         "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "

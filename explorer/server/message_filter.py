@@ -19,16 +19,18 @@ from explorer.server.rate_limiter import TokenBucket
 
 log = logging.getLogger(__name__)
 
-MAX_UPLOAD = 30_000_000  # bytes of an uploaded picture
-MAX_TEXT = 60_000  # characters of a text control: the cells of a region of a large feature map fit
+# Bytes of an uploaded picture.
+MAX_UPLOAD = 30_000_000
+# Characters of a text control. The longest text lists the cells of a region of a large feature map.
+MAX_TEXT = 60_000
 # Bytes of a message. The page's largest is a part of an upload: 512 KB and its envelope.
 MAX_MESSAGE = 1 << 20
 # Uploads in progress at a time, and parts of one upload.
 MAX_UPLOADS, MAX_PARTS = 2, 200
-# Messages a second that are read from one browser, and at once; further ones wait. A dragged slider sends 20 a second.
+# Token bucket for the messages of one browser, a second and in a burst; others are delayed. A slider sends 20 a second.
 RATE, BURST = 200.0, 400.0
 
-_MAX_WORD = 200
+_MAX_SHORT_TEXT = 200
 _MAX_NUMBER = 10**12
 
 # The bounds also exclude NaN and infinities.
@@ -36,7 +38,7 @@ Number = (
     Annotated[int, Meta(ge=-_MAX_NUMBER, le=_MAX_NUMBER)]
     | Annotated[float, Meta(ge=-float(_MAX_NUMBER), le=float(_MAX_NUMBER))]
 )
-Word = Annotated[str, Meta(max_length=_MAX_WORD)]
+ShortText = Annotated[str, Meta(max_length=_MAX_SHORT_TEXT)]
 Count = Annotated[int, Meta(ge=0, le=1 << 40)]
 Triple = tuple[Number, Number, Number]
 
@@ -62,40 +64,40 @@ class _Camera(Message, tag="ViewerCameraMessage"):
 
 
 class _SceneClick(Message, tag="SceneNodeClickMessage"):
-    name: Word
+    name: ShortText
     instance_index: Count | None
     ray_origin: Triple
     ray_direction: Triple
     screen_pos: tuple[Number, Number]
-    modifier: Word | None
-    owner: Word
+    modifier: ShortText | None
+    owner: ShortText
 
 
-class _Value(msgspec.Struct, forbid_unknown_fields=True):  # viser would set other attributes of a control, too
+class _Value(msgspec.Struct, forbid_unknown_fields=True):  # viser would set any attribute of a control
     value: bool | Number | Annotated[str, Meta(max_length=MAX_TEXT)]
 
 
 class _ControlUpdate(Message, tag="GuiUpdateMessage"):
-    uuid: Word
+    uuid: ShortText
     updates: _Value
 
 
 class _Command(Message, tag="CommandTriggerMessage"):
-    uuid: Word
+    uuid: ShortText
 
 
 class _UploadStart(Message, tag="FileTransferStartUpload"):
-    source_component_uuid: Word
-    transfer_uuid: Word
+    source_component_uuid: ShortText
+    transfer_uuid: ShortText
     filename: str
-    mime_type: Word
+    mime_type: ShortText
     part_count: Count
     size_bytes: Count
 
 
 class _UploadPart(Message, tag="FileTransferPart"):
-    source_component_uuid: Word
-    transfer_uuid: Word
+    source_component_uuid: ShortText
+    transfer_uuid: ShortText
     part_index: Count
     content: bytes
 
@@ -164,7 +166,7 @@ class MessageFilter:
         return None
 
     def _start(self, message: _UploadStart) -> bool:
-        """Register an upload. One beyond the limits becomes an empty file, which the app reports to the user."""
+        """Register an upload. An upload beyond the limits is announced to viser as an empty file; the app then shows an error."""
         name, size, parts = message.transfer_uuid, message.size_bytes, message.part_count
         button = message.source_component_uuid
         if name in self._uploads or len(self._uploads) >= MAX_UPLOADS or not self._is_upload_button(button):
@@ -173,11 +175,11 @@ class MessageFilter:
             self._uploads[name] = _Upload(button, size, set(range(parts)))
         else:
             message.size_bytes = message.part_count = 0
-        message.filename = message.filename[:_MAX_WORD]
+        message.filename = message.filename[:_MAX_SHORT_TEXT]
         return True
 
     def _continue(self, message: _UploadPart) -> bool:
-        """Count a part. viser ignores a repeated part, so counting it would leave viser's upload incomplete for ever."""
+        """Count a part, but no part twice: viser ignores a repeated part, and its upload would stay incomplete."""
         upload = self._uploads.get(message.transfer_uuid)
         if (
             upload is None
@@ -196,7 +198,7 @@ class MessageFilter:
 
 
 def _decode(raw: bytes | str) -> Message | _Other:
-    """Return the message, or only its type if it is of another kind or shape."""
+    """Return an accepted message, or only the type of any other message."""
     if not isinstance(raw, bytes):
         raise RejectedMessageError("a text frame; expected a binary one")
     try:

@@ -220,7 +220,7 @@ class Stage:
 
     def _draw(self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View) -> UInt8Array:
         state = analysis.state
-        picture = images.resize(self._workspace.cut(described.picture, view), *self._layout.pixels)
+        picture = images.resize(self._workspace.as_partitioned(described.picture, view), *self._layout.pixels)
         if state.heat and state.heat_kind == "evidence" and analysis.pair_evidence is not None:
             maps = analysis.pair_evidence.evidence.cell_maps(state.heat_part)
             picture = overlays.with_evidence(picture, maps[side], overlays.evidence_limit(*maps), state.opacity)

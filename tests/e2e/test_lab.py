@@ -226,7 +226,9 @@ def test_clicks_in_the_breakdown_choose_what_they_count(
     expect(card.locator(".line.chosen")).to_have_count(1)
     expect(card.locator(".line")).to_have_count(3)
     counts = breakdown.blame(outcomes, np.flatnonzero(table.columns["weather"].values == fog.name))
-    lab.page.locator(".card", has_text="Part that costs most").locator(".line").nth(int(counts.argmax())).click()
+    lab.page.locator(".card", has_text="Part that lowers the margin most").locator(".line").nth(
+        int(counts.argmax())
+    ).click()
     expect(lab.count).to_contain_text(f"{counts.max()} of 40 queries")
     lab.choose("Table")
     expect(lab.rows_of_table).to_have_count(min(int(counts.max()), size))

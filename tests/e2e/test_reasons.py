@@ -79,7 +79,7 @@ def test_the_stage_shows_evidence_in_place_of_activation(explorer: ExplorerPage)
     before = explorer.stage()
     explorer.key("v")
     explorer.stage(lambda picture: difference(before, picture) > 0.01)
-    expect(explorer.page.get_by_label("Shows", exact=True)).to_have_value("Evidence")
+    expect(explorer.page.get_by_label("Heat type", exact=True)).to_have_value("Evidence")
 
 
 def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: ExplorerPage) -> None:

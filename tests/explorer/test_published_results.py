@@ -34,7 +34,7 @@ def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data:
     saved, task = (ranking.task for ranking in rankings)
     for query in (0, 5):
         state = SessionState("drone-to-satellite", 4, query=query, enabled=(True, False, True, True))
-        one, other = (StateAnalyser(shown).analyse(shown.possible(state), 10) for shown in (workspace, live))
+        one, other = (StateAnalyser(shown).analyse(shown.supported_state(state), 10) for shown in (workspace, live))
         assert [saved.gallery[m.index] for m in one.matches] == [task.gallery[m.index] for m in other.matches]
         for match, expected in zip(one.matches, other.matches, strict=True):
             np.testing.assert_allclose(match.shares, expected.shares, atol=1e-5)
@@ -47,9 +47,9 @@ def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data:
 def test_what_needs_a_network_cannot_be_asked_for(workspace: Workspace, data: Path, model_file: Path) -> None:
     upload = OwnPicture("mine", np.zeros((2, 2, 3), np.uint8))
     wanted = SessionState("drone-to-satellite", 4, query=3, angle=20, heat=True, upload=upload)
-    got = workspace.possible(wanted)
+    got = workspace.supported_state(wanted)
     assert (got.angle, got.heat, got.upload, got.query) == (0, False, None, 3)
-    assert open_model(data, model_file).possible(wanted) is wanted
+    assert open_model(data, model_file).supported_state(wanted) is wanted
     assert "no network" in pages.header(workspace, workspace.tasks["drone-to-satellite"])
 
 

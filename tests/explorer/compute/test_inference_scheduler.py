@@ -430,7 +430,7 @@ class DraggingBrowser(threading.Thread):
 
     def run(self) -> None:
         try:
-            self.shown = self.context.compute_newest(self._answer)
+            self.shown = self.context.retry_superseded(self._answer)
         except Exception as error:
             self.error = error
 

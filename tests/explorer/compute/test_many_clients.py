@@ -337,7 +337,7 @@ def test_a_superseded_request_is_computed_once(
         for browser, angle in ((one, "41"), (other, "42")):
             browser.wait(lambda browser=browser, angle=angle: browser.status("angle") == angle)
             Direct(workspace, model_file).check(browser)
-        assert not workspace.inference._held
+        assert not workspace.inference._kept_positions
 
 
 def test_a_saved_result_without_a_network_serves_several_browsers(

@@ -126,12 +126,12 @@ def test_a_value_named_not_known_differs_from_a_missing_value(findings: Findings
 def test_a_description_names_every_condition_and_the_order(findings: Findings, lab: LabState) -> None:
     assert state.describe(findings, lab) == "all, sorted by margin"
     pair = Selection("pair", "0449 taken for 0450", np.array([1, 2]))
-    part = Selection("part", "part ring 1 costs most", np.array([1]))
+    part = Selection("part", "part ring 1 lowers the margin most", np.array([1]))
     busy = state.add_selection(
         state.add_selection(replace(lab, outcome="failed", filter="rank > 1 ", name_search=" 0002 "), pair), part
     )
     assert state.describe(findings, replace(busy, sort_column="rank", descending=True)) == (
-        "failed and rank > 1 and name ~ 0002 and 0449 taken for 0450 and part ring 1 costs most, sorted by rank, descending"
+        "failed and rank > 1 and name ~ 0002 and 0449 taken for 0450 and part ring 1 lowers the margin most, sorted by rank, descending"
     )
     assert state.describe(findings, replace(lab, sort_column="gone")) == "all, sorted by margin"
 
@@ -153,9 +153,14 @@ def test_pairs_and_parts_select_the_failures_they_count(
 
 def test_another_task_begins_with_all_its_queries(lab: LabState) -> None:
     busy = replace(
-        lab, filter="rank > 1", selections=(Selection("a", "x", np.zeros(0, int)),), page=4, tab="maps", tall=True
+        lab,
+        filter="rank > 1",
+        selections=(Selection("a", "x", np.zeros(0, int)),),
+        page=4,
+        tab="maps",
+        full_height=True,
     )
     other = state.for_task(busy, "satellite-to-drone")
     assert (other.filter, other.selections, other.page) == ("", (), 0)
-    assert (other.tab, other.tall) == ("maps", True)
+    assert (other.tab, other.full_height) == ("maps", True)
     assert state.for_task(busy, TASK) is busy

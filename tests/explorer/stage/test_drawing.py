@@ -117,10 +117,10 @@ def test_a_model_without_the_views_of_the_data_is_refused(tmp_path: Path, model_
 
 def test_the_query_to_open_with_goes_by_its_name(tmp_path: Path, model_file: Path) -> None:
     data = small_worlds.make_dataset(tmp_path / "places", train=1, test=4)
-    assert open_model(data, model_file).first == 0
+    assert open_model(data, model_file).first_query == 0
     names = [entry.name for entry in next(iter(open_model(data, model_file).tasks.values())).queries]
-    assert open_model(data, model_file, names[2]).first == 2
-    with pytest.raises(InputError, match=f"places has no query <b>x; its names are such as {names[0]}"):
+    assert open_model(data, model_file, names[2]).first_query == 2
+    with pytest.raises(InputError, match=f"places has no query <b>x; names look like {names[0]}"):
         open_model(data, model_file, "<b>x")
 
 
