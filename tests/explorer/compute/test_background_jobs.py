@@ -75,7 +75,7 @@ def test_a_failed_job_has_one_sentence_and_starts_again_once_forgotten() -> None
     assert job.error == "The file is damaged."
     assert jobs.join("k", 1, work) is job
     html = table.waiting(job, "The <map>", False, "pca")
-    assert "The &lt;map&gt; is not there: The file is damaged." in html
+    assert "The &lt;map&gt; failed: The file is damaged." in html
     assert "lab-go" in html
     jobs.forget_failed("k")
     assert jobs.join("k", 1, lambda _: 3) is not job

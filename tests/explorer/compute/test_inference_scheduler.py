@@ -45,7 +45,7 @@ class ManualModel(Model):
         self.read = 0
         self._released = threading.Semaphore(0)
         self._began = threading.Semaphore(0)
-        self._held = held
+        self._kept_positions = held
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Compute a forward pass. Mark 13 fails; mark 14 would end the thread."""
@@ -53,7 +53,7 @@ class ManualModel(Model):
         self.passes.append(marks)
         self.viewed.append(view)
         self._began.release()
-        if self._held:
+        if self._kept_positions:
             assert self._released.acquire(timeout=TIMEOUT)
         if 13 in marks:
             raise ModelFileError("It cannot be computed.")
@@ -175,7 +175,7 @@ def test_a_batch_has_one_view_and_model_and_the_oldest_request_goes_first(networ
 
 
 def test_a_large_request_is_split_into_batches(network: ManualModel) -> None:
-    network._held = False
+    network._kept_positions = False
     images = np.concatenate([pictures(mark) for mark in range(10)])
     found = queued(network, InferenceScheduler()).run(images, "drone")
     assert [len(marks) for marks in network.passes] == [4, 4, 2]
@@ -199,7 +199,7 @@ def test_a_bad_request_does_not_fail_the_others_of_its_batch(network: ManualMode
 
 
 def test_wrong_input_raises_the_models_error(network: ManualModel) -> None:
-    network._held = False
+    network._kept_positions = False
     model = queued(network, InferenceScheduler())
     with pytest.raises(InputError, match="no 'street' view"):
         model.descriptors(pictures(1), "street")
@@ -402,7 +402,7 @@ def test_an_idle_thread_ends_and_the_next_request_starts_another(
     network: ManualModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(inference_scheduler, "IDLE_TIMEOUT", 0.01)
-    network._held = False
+    network._kept_positions = False
     queue = InferenceScheduler()
     for mark in (1, 2):
         assert Client(queued(network, queue), mark).finished().result is not None
@@ -503,8 +503,8 @@ def test_a_held_place_is_nobody_elses_and_is_released(network: ManualModel) -> N
     network.began()
     other.join(TIMEOUT)
     assert isinstance(other.error, ModelFileError)
-    assert not queue._held, "it made no further request"
-    queue._held[other.context] = 0
+    assert not queue._kept_positions, "it made no further request"
+    queue._kept_positions[other.context] = 0
     waiting = queue_up(queue, lambda: Client(queued(network, queue), 4))
     with pytest.raises(BusyError):
         queued(network, queue).run(pictures(5), "drone")
@@ -518,7 +518,7 @@ def test_a_held_place_is_nobody_elses_and_is_released(network: ManualModel) -> N
 
 
 def test_a_model_that_raises_system_exit_does_not_end_the_scheduler(network: ManualModel) -> None:
-    network._held = False
+    network._kept_positions = False
     queue = InferenceScheduler()
     assert isinstance(Client(queued(network, queue), 14).finished().error, LPNError)
     assert Client(queued(network, queue), 1).finished().result is not None
@@ -543,7 +543,7 @@ def test_a_failing_scheduler_fails_its_requests_and_starts_again(
 def test_after_a_failed_thread_start_the_next_call_tries_again(
     network: ManualModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    network._held = False
+    network._kept_positions = False
     queue, ran = InferenceScheduler(), threading.Event()
     worker = Worker(ran.set, lambda _: None)
 
