@@ -1,8 +1,9 @@
-"""Imports lead from the quick tests to every module of the library and the app, so none is untested or dead."""
+"""Every module of the library and the app is reached from the quick tests, and every other file is in the wheel."""
 
 from __future__ import annotations
 
 import ast
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -57,3 +58,11 @@ def test_every_module_is_reached_by_the_quick_tests() -> None:
         reached.add(name)
         waiting |= imports(name, known[name], known) - reached
     assert not {name for name in known if name.split(".")[0] in ("lpn", "explorer")} - reached
+
+
+def test_the_wheel_holds_every_template_style_sheet_and_script() -> None:
+    patterns = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    for package in ("lpn", "explorer"):
+        packed = {file for pattern in patterns[package] for file in (ROOT / package).glob(pattern)}
+        files = {file for file in (ROOT / package).rglob("*") if file.is_file() and "__pycache__" not in file.parts}
+        assert not {file for file in files - packed if file.suffix != ".py"}

@@ -62,10 +62,10 @@ class BackgroundJob(Generic[T]):
             return not self.cancelled
 
     def leave(self, client: object) -> None:
-        """Remove a client; the last one to leave cancels the work."""
+        """Remove a client; the last one to leave cancels the work, for good."""
         with self._lock:
             self._clients.discard(id(client))
-            self.cancelled = not self._clients and not self._finished.is_set()
+            self.cancelled = self.cancelled or (not self._clients and not self._finished.is_set())
 
     def _report(self, done: int, total: int) -> None:
         self.done, self.total = done, total

@@ -304,10 +304,10 @@ class ExplainWindow:
     def _request_sweep(self, value: Any) -> None:
         if value not in list(sweep_page.CHOICES):
             return
-        self._cancel_sweep(None)
-        with self._lock:
+        with self._lock:  # of two requests at once, the later one must cancel the earlier one
             if self._content is None:
                 return
+            self._cancel_sweep(None)
             progress = SweepProgress(SweepRequest(value, self._content.analysis))
             self._content = replace(self._content, sweep=progress)
         self._sweep_tab.draw()

@@ -67,15 +67,17 @@ class MapPage:
 
     def queries_at(self, findings: Findings, lab: LabState, message: OpenPoint | ShowTip) -> Int64Array | None:
         """Return the queries at a point of the map that is shown, the lowest margin first; None if there are none."""
-        if self.drawn is None or message.map != lab.map:
+        drawn = self.drawn  # the thread that draws may replace it meanwhile
+        if drawn is None or message.map != lab.map:
             return None
-        rows = self.drawn.near(*message.point)
+        rows = drawn.near(*message.point)
         return findings.table.sort(rows, "margin") if len(rows) else None
 
     def select_rectangle(self, lab: LabState, message: SelectRectangle) -> LabState:
         """Select the queries in a rectangle of the map that is shown."""
-        if self.drawn is None or message.map != lab.map:
+        drawn = self.drawn
+        if drawn is None or message.map != lab.map:
             return lab
         label = "rectangle on the ground" if lab.map == "ground" else f"rectangle in the {lab.map.upper()}"
-        rows = self.drawn.inside(message.corner, message.opposite)
+        rows = drawn.inside(message.corner, message.opposite)
         return add_selection(lab, Selection(f"in {lab.map}", label, rows))

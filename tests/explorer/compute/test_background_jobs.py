@@ -64,6 +64,26 @@ def test_a_job_is_cancelled_when_its_last_client_leaves_and_can_start_again() ->
     assert jobs.join("k", one, work) is again
 
 
+def test_a_cancelled_job_stays_cancelled_when_others_leave() -> None:
+    jobs, left = BackgroundJobs(), threading.Event()
+
+    def work(progress: ReportProgress) -> int:
+        assert left.wait(TIMEOUT)
+        progress(1, 2)
+        return 5
+
+    one, other = object(), object()
+    job = jobs.join("k", one, work)
+    jobs.leave(one)
+    left.set()
+    assert job.wait(TIMEOUT)
+    jobs.leave(other)  # a browser leaves everything that it could have waited for
+    assert job.cancelled
+    again = jobs.join("k", other, work)
+    assert again.wait(TIMEOUT)
+    assert (again.value, again.error) == (5, None)
+
+
 def test_a_failed_job_has_one_sentence_and_starts_again_once_forgotten() -> None:
     jobs = BackgroundJobs()
 

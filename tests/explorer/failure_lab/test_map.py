@@ -95,3 +95,16 @@ def test_a_map_is_kept_until_something_on_it_changes(service: FailureLab, findin
             assert messages.decode("lab-rect", wrong) is None
     without_places = replace(findings, task=replace(findings.task, geometry=None))
     assert messages.apply(ShowMap("ground"), lab, without_places) is lab
+
+
+def test_a_click_may_come_while_the_map_is_replaced(
+    service: FailureLab, findings: Findings, lab: LabState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view, (drawn, _) = MapPage(service, "me"), plane(13)
+    for ask in (
+        lambda: view.queries_at(findings, lab, OpenPoint("pca", (0.5, 0.5))),
+        lambda: view.select_rectangle(lab, SelectRectangle("pca", (0, 0), (1, 1))),
+    ):
+        values = iter([drawn, None])  # another thread removes the map between two reads
+        monkeypatch.setattr(MapPage, "drawn", property(lambda _, values=values: next(values)), raising=False)
+        assert ask() is not None
