@@ -24,7 +24,7 @@ from lpn.core.arrays import AnyArray, BoolArray, Float16Array, Float32Array, Int
 from lpn.core.checksums import Checksums, crc_of_blocks, crc_of_values
 from lpn.core.errors import InputError, NewerStoreError, PictureError, StoreError
 from lpn.core.files import open_memmap, unreadable_error
-from lpn.core.formats import format_of, is_newer, newer_version
+from lpn.core.formats import is_newer, newer_version
 from lpn.core.views import View
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
@@ -138,13 +138,16 @@ class Manifest:
             NewerStoreError: if a later version wrote it.
             StoreError: if it is anything else.
         """
-        if is_newer(found := format_of(data), FORMAT):
-            raise NewerStoreError(newer_version(name, str(found), FORMAT))
         try:
-            manifest = msgspec.json.decode(data, type=cls)
-            _ = manifest.change  # checks its numbers
+            # Names of files may be no UTF-8; msgspec's decoder refuses the lone surrogates that Python writes for them.
+            values: Any = json.loads(data)
+            found = values.get("format") if isinstance(values, dict) else None
+            if is_newer(found, FORMAT):
+                raise NewerStoreError(newer_version(name, str(found), FORMAT))
             if found != FORMAT:
                 raise ValueError("another format")
+            manifest = msgspec.convert(values, cls)
+            _ = manifest.change  # checks its numbers
             return manifest
         except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError, InputError) as error:
             raise StoreError(

@@ -111,6 +111,25 @@ def test_nothing_is_computed_twice(model: Model, folder: Path, tmp_path: Path, m
     assert count.described == 2
 
 
+def test_a_name_that_is_not_utf_8_is_read_again(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    try:
+        (folder / "0" / "00.png").rename(folder / "0" / os.fsdecode(b"caf\xe9.png"))
+    except OSError:
+        pytest.skip("this file system takes UTF-8 names alone")
+    files = descriptors.pictures_below(folder)
+    with monkeypatch.context() as patch:
+        Counting(model, patch, die_after=8)
+        with pytest.raises(KeyboardInterrupt):
+            descriptors.describe(model, files, "drone", tmp_path / "store")
+    count = Counting(model, monkeypatch)
+    store = descriptors.describe(model, files, "drone", tmp_path / "store")
+    assert count.described == 12
+    assert descriptors.open_store(tmp_path / "store").manifest == store.manifest
+    assert not store.manifest.damaged
+
+
 def test_a_removed_picture_costs_nothing_that_was_done(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
