@@ -149,6 +149,7 @@ class Killed(DescribeWorker):
         return super().describe(partition, items, source)
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_its_partition_alone(model_file: Path, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
     summary = describe(model_file, folder, out, worker=Killed)
@@ -168,11 +169,13 @@ class Odd(DescribeWorker):
         raise ZeroDivisionError(f"partition {partition} of {len(items)}")
 
 
+@pytest.mark.slow
 def test_what_workers_cannot_mend_is_one_sentence(model_file: Path, folder: Path, tmp_path: Path) -> None:
     with pytest.raises(StoreError, match=r"^The workers failed \(ZeroDivisionError: partition .*run this again\.$"):
         describe(model_file, folder, tmp_path / "shards", worker=Odd)
 
 
+@pytest.mark.slow
 def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
     model_file: Path, folder: Path, done: Path, tmp_path: Path
 ) -> None:
@@ -219,6 +222,7 @@ describe_shards(Path(sys.argv[1]), sys.argv[2], "drone", sys.argv[3], workers=2,
 """
 
 
+@pytest.mark.slow
 def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
     driver = subprocess.Popen(
@@ -251,6 +255,7 @@ class Dying(DescribeWorker):
         return super().describe(partition, items, source)
 
 
+@pytest.mark.slow
 def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
     model_file: Path, folder: Path, done: Path, tmp_path: Path
 ) -> None:
@@ -278,6 +283,7 @@ class Interrupted(DescribeWorker):
         return super().describe(partition, items, source)
 
 
+@pytest.mark.slow
 def test_shards_of_a_folder_that_grows_stay_small(model_file: Path, folder: Path, tmp_path: Path) -> None:
     """Twenty pictures join three: nothing is computed twice, also where the run that splits the shards is killed."""
     out, pictures = tmp_path / "shards", tmp_path / "some"
@@ -322,6 +328,7 @@ def test_shards_of_a_folder_that_grows_stay_small(model_file: Path, folder: Path
     np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_shards_are_indexed_with_their_positions(
     model_file: Path, folder: Path, done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -385,6 +392,7 @@ for given in json.loads(sys.argv[1]):
 """
 
 
+@pytest.mark.slow
 def test_a_cluster_is_joined_by_its_address_and_one_that_is_not_there_is_told(
     model_file: Path, folder: Path, cluster: str, tmp_path: Path
 ) -> None:
@@ -442,6 +450,7 @@ def test_that_ray_does_not_start_is_told_in_a_sentence(monkeypatch: pytest.Monke
     assert ended == [True]
 
 
+@pytest.mark.slow
 def test_commands_say_what_they_did(
     model_file: Path, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -507,6 +516,7 @@ def test_bad_options_are_refused_in_words(model_file: Path, folder: Path, tmp_pa
         open_shards(tmp_path)
 
 
+@pytest.mark.slow
 def test_damaged_shards_are_computed_again(model_file: Path, folder: Path, done: Path) -> None:
     lost = open_shards(done).read(1)
     damaged = done / "000001.parquet"
