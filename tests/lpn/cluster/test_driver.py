@@ -382,11 +382,11 @@ def cluster() -> Iterator[str]:
 
 COMMANDS = """
 import json, sys, time
-from lpn import cli
+from lpn.cli.main import main
 
 for given in json.loads(sys.argv[1]):
     began = time.monotonic()
-    status = cli.main(given)
+    status = main(given)
     sys.stdout.flush()
     print(json.dumps([status, time.monotonic() - began]), file=sys.stderr, flush=True)
 """

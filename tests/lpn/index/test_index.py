@@ -437,7 +437,7 @@ def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
 def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="not an index"):
         open_index(tmp_path)
-    with pytest.raises(InputError, match="no address of a Milvus collection"):
+    with pytest.raises(InputError, match="not the address of a Milvus collection"):
         open_index("milvus://somewhere/tiles")
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "photo.jpg").write_bytes(b"")
@@ -717,7 +717,7 @@ def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
         ([*searching, *_options(index=tmp_path / "none")], "not an index"),
         ([*searching, *_options(index=tmp_path / "other")], "search with that model"),
         ([*searching, *_options(index=tmp_path / "other"), "--weights", "1,2"], "part weights"),
-        ([*searching, *_options(index="milvus://host/tiles")], "no address of a Milvus collection"),
+        ([*searching, *_options(index="milvus://host/tiles")], "not the address of a Milvus collection"),
     ):
         assert main(given) == 2, given
         error = capsys.readouterr().err
