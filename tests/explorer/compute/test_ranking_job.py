@@ -93,7 +93,7 @@ def test_pages_show_progress_and_mark_nothing_before_the_ranking_is_done(workspa
 
 def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
-    with ranking._turn:  # keeps it from starting
+    with ranking._rank_lock:  # keeps it from starting
         cancelled = ranking.join("me")
         ranking.leave("me")
         going = ranking.join("you")
@@ -132,7 +132,7 @@ def test_a_closed_page_no_longer_waits(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
     ended: list[int] = []
     progress = RankingProgress(lambda _: None, lambda: ended.append(1))
-    with ranking._turn:
+    with ranking._rank_lock:
         progress.follow(ranking)
         until(lambda: ranking._job is not None)
         job = ranking.join("me")
