@@ -51,7 +51,7 @@ class RankingJob:
         Raises:
             InputError: when the task cannot be ranked.
         """
-        if ranking_cache.cost(self.task) <= QUICK_COST:
+        if ranking_cache.multiplications(self.task) <= QUICK_COST:
             self.result = self._result(self._ranking.finish(lambda *_: None))
         elif (cached := ranking_cache.load(self.task)) is not None:
             self.result = self._result(cached)

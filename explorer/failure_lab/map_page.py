@@ -59,7 +59,7 @@ class MapPage:
             outcomes = findings.outcomes
             positive = -1 if query is None else int(outcomes.true[query])
             self.drawn = map_drawing.draw(
-                points, outcomes.failed, selected, outcomes.first, size, lab.zoomed, query, positive
+                points, outcomes.failed, selected, outcomes.answer, size, lab.zoomed, query, positive
             )
             self._key, self._rows = key, rows
         picture = overlays.data_uri(self.drawn.picture, 86)

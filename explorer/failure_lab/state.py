@@ -196,7 +196,7 @@ def _sort_column(findings: Findings, lab: LabState) -> str:
 
 def charted_columns(findings: Findings) -> list[Column]:
     """Return the columns against which failure rates are shown."""
-    columns = query_outcomes.described_by(findings.table)
+    columns = query_outcomes.picture_columns(findings.table)
     return [column for column in columns if column.name not in ("latitude", "longitude")]
 
 
@@ -249,7 +249,7 @@ def select_pair(findings: Findings, lab: LabState, place: int, answered: int) ->
 
 def select_part(findings: Findings, part: int) -> Selection:
     """Select the failures whose margin a part lowers most."""
-    blamed = findings.outcomes.failed & (findings.outcomes.decides == part)
+    blamed = findings.outcomes.failed & (findings.outcomes.deciding_part == part)
     return Selection("part", f"part {findings.part_names[part]} lowers the margin most", np.flatnonzero(blamed))
 
 

@@ -163,10 +163,10 @@ def _cell(findings: Findings, workspace: Workspace, column: Column, row: int, li
     if not text:
         return _Cell(column.kind, "")
     if column.name == "answer":
-        tile = findings.task.gallery[outcomes.first[row]]
+        tile = findings.task.gallery[outcomes.answer[row]]
         return _Cell("text pic", text, picture=workspace.thumbnail(tile.path))
     if column.name == "part":
-        return _Cell("text", text, swatch=int(outcomes.decides[row]))
+        return _Cell("text", text, swatch=int(outcomes.deciding_part[row]))
     if column.name == "margin":
         value = float(column.values[row])
         start, width = 50 - max(-value, 0) / limit * 50, abs(value) / limit * 50

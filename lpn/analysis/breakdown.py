@@ -75,12 +75,12 @@ def confusions(
         rows: the queries to count, all by default. Queries without an answer are left out.
     """
     rows = _rows(outcomes, rows)
-    rows = rows[outcomes.failed[rows] & (outcomes.first[rows] >= 0)]
-    pairs = np.stack([query_labels[rows], labels[outcomes.first[rows]]], axis=1)
+    rows = rows[outcomes.failed[rows] & (outcomes.answer[rows] >= 0)]
+    pairs = np.stack([query_labels[rows], labels[outcomes.answer[rows]]], axis=1)
     kinds, which, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
     groups = np.split(rows[np.argsort(which.ravel(), kind="stable")], np.cumsum(counts)[:-1])
     found = [
-        Confusion(int(place), int(answered), group, int(outcomes.first[group[0]]))
+        Confusion(int(place), int(answered), group, int(outcomes.answer[group[0]]))
         for (place, answered), group in zip(kinds, groups, strict=False)
     ]
     return sorted(found, key=lambda one: -one.count)
@@ -89,7 +89,7 @@ def confusions(
 def blame(outcomes: Outcomes, rows: Int64Array | None = None) -> Int64Array:
     """The number of failures that each part decided, (n,); failures without a margin count for no part."""
     rows = _rows(outcomes, rows)
-    decided = outcomes.decides[rows][outcomes.failed[rows]]
+    decided = outcomes.deciding_part[rows][outcomes.failed[rows]]
     return np.bincount(decided[decided >= 0], minlength=outcomes.parts.shape[1]).astype(np.int64)
 
 

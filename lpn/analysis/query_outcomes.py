@@ -25,8 +25,8 @@ from lpn.retrieval import metrics, scoring
 from lpn.retrieval.metrics import Retrieval
 
 _CHUNK_BYTES = 64_000_000
-# Columns of every table, beside `margin_1` .. `margin_n`; `distance` only where there is a geo.csv.
-OUTCOME = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance")
+# Columns of every table besides `margin_1` .. `margin_n`. A data set without geo.csv has no `distance`.
+OUTCOME_COLUMNS = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,24 +34,24 @@ class Outcomes:
     """The outcomes of all queries as columns; tiles are gallery positions.
 
     Attributes:
-        rank: 0-based rank of the first true match, junk left out; -1 where the query has none, (Q,).
-        first: the nearest tile, -1 where all are junk, (Q,).
-        true: the nearest positive, the first of equals; -1 where there is none, (Q,).
+        rank: 0-based rank of the first true match, not counting junk; -1 for a query without a true match, (Q,).
+        answer: the nearest tile, -1 where all are junk, (Q,).
+        true: the nearest positive, on ties the first in gallery order; -1 where there is none, (Q,).
         false: the hardest negative; -1 where there is none, (Q,).
         parts: each part's term of the margin in d², (Q, n); NaN where `true` or `false` is -1.
         margin: the sum of `parts`, -4 .. 4; positive where the query is found, and 0 where the two tiles are equal, (Q,).
-        decides: the deciding part, 0-based: the one with the lowest term in a failure and with the highest in a success;
+        deciding_part: 0-based: the one with the lowest term in a failure and with the highest in a success;
             -1 without a margin, (Q,).
         weights: the part weights, summing to one, (n,).
     """
 
     rank: Int64Array
-    first: Int64Array
+    answer: Int64Array
     true: Int64Array
     false: Int64Array
     parts: Float64Array
     margin: Float64Array
-    decides: Int64Array
+    deciding_part: Int64Array
     weights: Float64Array
 
     @property
@@ -89,7 +89,7 @@ def build(
             f"The descriptors are {queries.shape} and {gallery.shape}; expected (Q, n, D) and (G, n, D) with the same parts."
         )
     n, size = queries.shape[1:]
-    # Equal weights scale no score, so that ranks are those of the published protocol to the last tie.
+    # Without weights, scores are not scaled, so that even ties are ranked as in the published protocol.
     factors = None if weights is None else np.repeat(n * _normalised(n, weights), size)
     ranking = metrics.retrieve(queries, query_labels, gallery, labels, truth, factors, progress)
     return outcomes_of(ranking, queries, gallery, weights)
@@ -103,9 +103,9 @@ def outcomes_of(
     used = _normalised(n, weights)
     parts = _part_margins(queries, gallery, ranking.true, ranking.false, 2 * n * used)
     margin = parts.sum(axis=1)
-    decides = np.where(ranking.first == 0, np.argmax(parts, axis=1), np.argmin(parts, axis=1))
-    decides = np.where(np.isnan(margin), -1, decides)
-    return Outcomes(ranking.first, ranking.best, ranking.true, ranking.false, parts, margin, decides, used)
+    deciding_part = np.where(ranking.first == 0, np.argmax(parts, axis=1), np.argmin(parts, axis=1))
+    deciding_part = np.where(np.isnan(margin), -1, deciding_part)
+    return Outcomes(ranking.first, ranking.best, ranking.true, ranking.false, parts, margin, deciding_part, used)
 
 
 def table(
@@ -117,9 +117,14 @@ def table(
 ) -> Table:
     """One row per query: its outcome, and the metadata of its picture (`lpn.datasets.metadata`).
 
-    Columns: `name`, `rank` (from 1, unknown without a true match), `margin` (d²), `part` (that decides), `truth`, `answer`,
-    and `false` (names of the tiles `true`, `first`, and `false`), `distance` (metres from the query's place to the answer,
-    where there is a geo.csv), `margin_1` .. `margin_n` (the parts' terms, d²), then metadata.
+    Columns, followed by those of the metadata:
+        name: of the query.
+        rank: from 1; unknown without a true match.
+        margin: in d².
+        part: the deciding part.
+        truth, answer, false: names of the nearest positive, the nearest tile, and the hardest negative.
+        distance: metres from the query's place to the answer; only with a geo.csv.
+        margin_1 .. margin_n: each part's term of the margin, in d².
 
     Args:
         root: the data set's folder.
@@ -133,16 +138,16 @@ def table(
     if len(queries) != len(outcomes):
         raise InputError(f"There are {len(queries)} queries and {len(outcomes)} outcomes; give those of one task.")
     n = outcomes.parts.shape[1]
-    # The last entry is that of position -1.
+    # Position -1, for none, indexes the last entry.
     parts = np.array([*(part_names or [str(i + 1) for i in range(n)]), ""], object)
     tiles = np.array([*(tile.name for tile in gallery), ""], object)
     columns = [
         text_column("name", [query.name for query in queries]),
         number_column("rank", np.where(outcomes.rank < 0, np.nan, outcomes.rank + 1.0)),
         number_column("margin", outcomes.margin),
-        Column("part", "text", parts[outcomes.decides]),
+        Column("part", "text", parts[outcomes.deciding_part]),
         Column("truth", "text", tiles[outcomes.true]),
-        Column("answer", "text", tiles[outcomes.first]),
+        Column("answer", "text", tiles[outcomes.answer]),
         Column("false", "text", tiles[outcomes.false]),
         *_distance(root, queries, gallery, outcomes),
         *(number_column(f"margin_{i + 1}", outcomes.parts[:, i]) for i in range(n)),
@@ -151,12 +156,12 @@ def table(
     return Table(paths, columns).with_columns(metadata.columns(root, paths, [column.name for column in columns]))
 
 
-def described_by(table: Table) -> list[Column]:
+def picture_columns(table: Table) -> list[Column]:
     """The columns that describe a query's picture, rather than its outcome or a person's annotation of it."""
     return [
         column
         for column in table.columns.values()
-        if column.name not in (*OUTCOME, TAGS, NOTE) and column.name.rstrip("0123456789") != "margin_"
+        if column.name not in (*OUTCOME_COLUMNS, TAGS, NOTE) and column.name.rstrip("0123456789") != "margin_"
     ]
 
 
@@ -177,8 +182,8 @@ def _distance(root: Path, queries: Sequence[Picture], gallery: Sequence[Picture]
     if positions is None:
         return []
     tiles = positions.of(gallery)
-    metres = geo.metres(positions.of(queries), [tiles[index] for index in outcomes.first])
-    return [number_column("distance", np.where(outcomes.first < 0, np.nan, metres), "m")]
+    metres = geo.metres(positions.of(queries), [tiles[index] for index in outcomes.answer])
+    return [number_column("distance", np.where(outcomes.answer < 0, np.nan, metres), "m")]
 
 
 def _part_margins(

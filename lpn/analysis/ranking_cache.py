@@ -3,7 +3,7 @@
     <cache>/rankings/<key>.npz     first, true, false (Q,) int64, precision (Q,) float64, gallery: see `metrics.Retrieval`
 
 The key is a digest of both sides' descriptors and of the true matches, so that a stale ranking is never found. A file that is
-damaged, or that is about other numbers of pictures, counts as missing.
+damaged, or whose numbers of pictures differ from the task's, counts as missing.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _DAMAGE = (
 class ResumableRanking:
     """The ranking of all queries of a task under equal part weights, for one thread at a time.
 
-    A call of `finish` that is interrupted by its `progress` is resumed by the next call.
+    If `progress` stops `finish` by an exception, the next call of `finish` continues the ranking.
     """
 
     def __init__(self, task: Task) -> None:
@@ -66,7 +66,7 @@ class ResumableRanking:
         """Rank the queries that are not ranked yet.
 
         Args:
-            progress: called with the numbers of ranked and of all queries; an exception that it raises stops the ranking.
+            progress: called with the numbers of ranked and of all queries; may raise an exception to stop.
 
         Raises:
             InputError: as for `metrics.retrieve`.
@@ -91,8 +91,8 @@ class ResumableRanking:
         return metrics.joined(self._steps, len(task.gallery_descriptors))
 
 
-def cost(task: Task) -> int:
-    """Multiplications that the ranking of a task takes."""
+def multiplications(task: Task) -> int:
+    """Return the number of multiplications that ranking a task takes."""
     return task.query_descriptors.size * len(task.gallery_descriptors)
 
 
@@ -122,7 +122,7 @@ def save(task: Task, ranking: Retrieval) -> None:
     try:
         write_atomic(file, data.getvalue())
     except OutputError as error:
-        log.warning("The ranking is not kept for the next time: %s", error)
+        log.warning("The ranking could not be cached: %s", error)
 
 
 def load(task: Task) -> Retrieval | None:
@@ -147,5 +147,5 @@ def load(task: Task) -> Retrieval | None:
 
 
 def _valid(column: AnyArray, dtype: type, length: int, low: int, high: int) -> bool:
-    """Whether a column has the dtype, the length, and values within low .. high."""
+    """Return True if a column has this dtype and length, and all values are in low .. high."""
     return column.dtype == dtype and column.shape == (length,) and bool(((column >= low) & (column <= high)).all())

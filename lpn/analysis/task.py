@@ -33,16 +33,16 @@ class Task:
     Attributes:
         name: such as "drone-to-satellite".
         model: None where another program computed the descriptors, so that no picture can be described again.
-        model_name, data_name: names for people.
+        model_name, data_name: names to display.
         root: the data set's folder.
         spec: how parts divide a picture.
         map_sizes: (h, w) of the feature map of each view.
         queries, gallery: the pictures.
         query_labels, gallery_labels: the place that each picture shows, (Q,) and (G,), -1 for junk.
-        query_descriptors, gallery_descriptors: (Q, n, D) and (G, n, D); the queries are unchanged.
-        truth: true matches and junk of each query where lists say them; None where labels do.
+        query_descriptors, gallery_descriptors: (Q, n, D) and (G, n, D), without part weights.
+        truth: true matches and junk of each query, for data sets that list them; None if labels define the true matches.
         geometry: positions of the pictures; None without a `geo.csv`.
-        identity: a text that only these descriptors have, by which rankings are cached; empty where there is none.
+        identity: digests of the descriptors, the key of cached rankings; empty if there are none.
         weights: part weights, see `scoring.part_weights`; None for equal ones.
         notes: a person's tags and notes by the query's path, see `lpn.analysis.notes`.
     """
@@ -115,14 +115,14 @@ class Task:
         return table.with_columns(notes.columns(self.notes, table.paths))
 
     @cached_property
-    def figures(self) -> dict[str, float]:
+    def metrics(self) -> dict[str, float]:
         """Recall and AP in percent under the part weights, see `metrics.evaluate`."""
         query = self.query_descriptors
         query = query if self.weights is None else counterfactual.folded(query, self.weights)
         return metrics.evaluate(query, self.query_labels, self.gallery_descriptors, self.gallery_labels, self.truth)
 
     def label_and_truth(self, query: int | None) -> tuple[int | None, Truth | None]:
-        """The place of a query and its list of true matches, None each where that is not known."""
+        """The label and the list of true matches of a query, each None if unknown."""
         if query is None:
             return None, None
         return int(self.query_labels[query]), None if self.truth is None else self.truth[query]
@@ -130,7 +130,7 @@ class Task:
     def rank(
         self, query: int | None, cosines: Float32Array, weights: Float32Array, lengths: Float32Array | None = None
     ) -> Ranking:
-        """Rank the gallery by its cosines (G, n) with a query; `query` is None where its place is not known."""
+        """Rank the gallery by its cosines (G, n) with a query; `query` is None if it is not of the data set."""
         return retrieval.rank(cosines, weights, self.gallery_labels, *self.label_and_truth(query), lengths)
 
 
@@ -145,7 +145,7 @@ def open_task(
     """Describe queries and gallery of a task, or read their stored descriptors.
 
     Args:
-        model_name: the model's name for people.
+        model_name: the model's name to display.
         name: the task, see `choose_task`.
         weights: part weights, see `scoring.part_weights`.
         tags_and_notes: by the query's path; by default those in the data set's folder.
@@ -161,8 +161,8 @@ def open_task(
     views = views_of(name)
     queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
     geometry = gallery_geometry(dataset.root, queries, gallery)
-    query_side = descriptors.stored_side(model, queries, views[0], dataset.root, "query")
-    gallery_side = descriptors.stored_side(model, gallery, views[1], dataset.root, "gallery")
+    query_side = descriptors.shipped_or_cached(model, queries, views[0], dataset.root, "query")
+    gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery")
     identities = query_side.identity, gallery_side.identity
     return Task(
         name=name,
@@ -198,15 +198,15 @@ def offered_tasks(model: Model, dataset: Dataset) -> list[str]:
 
 
 def choose_task(model: Model, dataset: Dataset, name: str | None = None) -> str:
-    """The given task, or the first that data set and model offer together.
+    """The given task, or the first of `offered_tasks`.
 
     Raises:
-        InputError: when the two do not offer it together.
+        InputError: when the data set does not have the task, or the model does not know its views.
     """
     offered = offered_tasks(model, dataset)
     name = name or next(iter(offered), "")
     if name not in offered:
         raise InputError(
-            f"The task is {name or 'none'}; {dataset.root.name} and this model offer {', '.join(offered) or 'none'} together."
+            f"The task is {name or 'none'}; {dataset.root.name} with this model has the tasks {', '.join(offered) or 'none'}."
         )
     return name

@@ -119,7 +119,7 @@ def _show(console: Console, found: Evidence, names: Sequence[str]) -> None:
     for name in ("part", "cosine", "weight", "adds to the score", "cells for", "cells against", "constant"):
         table.add_column(name, justify="left" if name == "part" else "right")
     for part, name in enumerate(names):
-        numbers = (found.contributions[part], *(values[part] for values in found.sums))
+        numbers = (found.contributions[part], *(values[part] for values in found.part_sums))
         weight = f"{100 * found.weights[part]:.0f} %"
         table.add_row(name, f"{found.cosines[part]:+.4f}", weight, *(f"{number:+.4f}" for number in numbers))
     console.print(table)

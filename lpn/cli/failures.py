@@ -49,7 +49,7 @@ class FailuresCommand:
         from rich.console import Console
 
         from lpn.analysis.notes import read_notes
-        from lpn.analysis.query_outcomes import OUTCOME
+        from lpn.analysis.query_outcomes import OUTCOME_COLUMNS
         from lpn.analysis.task import open_task
         from lpn.core.files import check_writable, write_atomic
         from lpn.datasets import metadata, open_dataset
@@ -65,7 +65,11 @@ class FailuresCommand:
         made = task.table
         rows = made.sort(made.filter(made.rows(), self.where), self.sort, self.descending)
         console = Console(width=max(120, Console().width))
-        shown = [*OUTCOME, metadata.TAGS, *(name for name in made.columns if name in f"{self.where} {self.sort}")]
+        shown = [
+            *OUTCOME_COLUMNS,
+            metadata.TAGS,
+            *(name for name in made.columns if name in f"{self.where} {self.sort}"),
+        ]
         _print(console, made, rows, list(dict.fromkeys(shown)), self.top)
         if len(rows):
             _print_breakdown(console, task, rows, self.top)
@@ -89,7 +93,7 @@ def _print(console: Console, table: Table, rows: Int64Array, names: list[str], t
 def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -> None:
     """Print the common properties of the failures among some rows."""
     from lpn.analysis import breakdown
-    from lpn.analysis.query_outcomes import described_by
+    from lpn.analysis.query_outcomes import picture_columns
 
     table, outcomes, part_names = task.table, task.outcomes, task.part_names
     failures = int(outcomes.failed[rows].sum())
@@ -106,7 +110,7 @@ def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -
         _print_counts(console, f"Places taken for others ({len(pairs)} pairs{listed}):", counts)
     # Among failures alone, every rate is 100 %.
     looked = rows if 0 < failures < len(rows) else table.rows()
-    for column in described_by(table):
+    for column in picture_columns(table):
         found = breakdown.rates(outcomes.failed, column, rows=looked)
         if column.name not in ("latitude", "longitude") and len(found) > 1:
             of = f"{'all ' if len(looked) == len(table) else ''}{len(looked)} queries"

@@ -1,10 +1,10 @@
 """The driver of distributed inference: Ray Data maps partitions of the pictures to shards (`lpn.cluster.shards`).
 
-A worker reads the pictures of a partition, describes them as `lpn describe` does on one machine, and writes the shard; only
-lists of names and counts travel. A killed worker's partition goes to another worker, and a killed driver's missing partitions
-to the next run. A partition whose pictures were added, changed, or removed is rewritten, and unchanged rows are copied. When
-a folder outgrows its partitions, their number is doubled: new partitions copy their rows from the shard that had them, and
-that shard is rewritten without them last.
+A worker reads the pictures of a partition, describes them as `lpn describe` does on one machine, and writes the shard. Driver
+and workers exchange names and counts only. If a worker is killed, another worker does its partition. If the driver is killed,
+the next run does the missing partitions. A partition whose pictures were added, changed, or removed is rewritten, and
+unchanged rows are copied. When a folder outgrows its partitions, their number is doubled: each old partition is split in two.
+The new shard copies its rows from the old shard, which is rewritten without these rows afterwards.
 
 A run marks the plan as unfinished first, and checks all shards before it marks it as finished. Two runs at once into one
 folder are refused; in object storage, a run fails if another one has changed its shards.
@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lpn.cluster.session import started
+from lpn.cluster.session import ray_session
 from lpn.cluster.shards import (
     BROKEN,
     PLAN,
@@ -51,7 +51,7 @@ from lpn.models.onnx_engine import Engine, graph_files
 
 # Seconds between two lines of progress.
 _PROGRESS_SECONDS = 5.0
-# Workers that may die at a partition before it is given up, since it may be what kills them.
+# Retries of a partition whose worker died, before the run fails: the partition itself may be what kills workers.
 _RETRIES = 5
 # Default number of pictures of a shard.
 _SHARD = 256
@@ -100,8 +100,8 @@ def describe_shards(
         address: of a Ray cluster, "auto" for the one of this machine; None starts workers on this machine.
         workers: number of workers; by default as many as fit the cores.
         threads: cores of a worker; each worker has its own copy of the model.
-        shard: average number of pictures of a shard, at most; a killed worker loses about as many. The default is that of the
-            last run into `out`, else 256. A larger folder has twice as many shards, or four times, and so on.
+        shard: maximum average number of pictures of a shard, which is about what a killed worker loses. The default is that
+            of the last run into `out`, else 256. If the folder of pictures grows, the number of shards is doubled as needed.
         positions: a file in the format of geo.csv, by default the `geo.csv` among the pictures; see `lpn.datasets.geo.match`
             for its paths.
         boxes: crop boxes of pictures, by their names below `pictures`.
@@ -190,17 +190,17 @@ def _run(
     todo = [
         p
         for p, notes in enumerate(held)
-        if notes is None or (notes.partitions, notes.digest) != (plan.partitions, digests[p]) or _unsettled(notes)
+        if notes is None or (notes.partitions, notes.digest) != (plan.partitions, digests[p]) or _retryable(notes)
     ]
     progress = _DriverProgress(len(items), sum(len(partitions[p]) for p in todo), say)
     notes = [one for one in held if one is not None]
     ended = not todo and plan.finished and plan.contents == contents(notes)
     if not ended:
-        # Until the end, the shards may be of different states of the pictures.
+        # Until the run ends, some shards may still describe an older version of the pictures.
         plan = replace(plan, finished=False, contents=None)
         target.write(PLAN, plan.to_json())
         if todo:
-            sources = [_source(p, held) for p in range(plan.partitions)]
+            sources = [_source_partition(p, held) for p in range(plan.partitions)]
             # Write the new shards before the shards they take rows from, so that a kill in between loses nothing.
             phases = [[p for p in todo if sources[p] != p], [p for p in todo if sources[p] == p]]
             rows = [
@@ -208,10 +208,10 @@ def _run(
                 for phase in phases
             ]
             task = PartitionTask(source.where, target.where, plan, model, threads)
-            with started(address, workers, threads) as (data, count, put):
+            with ray_session(address, workers, threads) as (data, count, put):
                 progress.start()
                 _hand_out(data, rows, worker, task, put(files), count, progress)
-        notes = _settled(target, plan, partitions, digests)
+        notes = _checked_notes(target, plan, partitions, digests)
     found = [broken for one in notes for broken in one.broken]
     broken = sorted(found, key=lambda one: one.item.row.file.split("/"))
     _write_broken(target, broken)
@@ -230,11 +230,11 @@ def _hand_out(
     count: int,
     progress: _DriverProgress,
 ) -> None:
-    """Have workers do the partitions of each list, one list after the other; StoreError when a worker cannot."""
+    """Run the phases one after the other; raise StoreError if a worker fails."""
     for rows in filter(None, phases):
         handed_out = data.from_items(rows, override_num_blocks=min(len(rows), _MAX_BLOCKS))
         with warnings.catch_warnings():
-            # Ray 2.60 warns of a new way to limit retries, which does not exist yet.
+            # Ray 2.60 recommends an option to limit retries that it does not have yet.
             warnings.simplefilter("ignore")
             results = handed_out.map_batches(
                 worker,
@@ -250,20 +250,20 @@ def _hand_out(
             progress.add(result)
 
 
-def _source(partition: int, held: list[ShardMetadata | None]) -> int:
-    """Return the partition whose shard has a partition's descriptors: itself, or the one it is split off from."""
+def _source_partition(partition: int, held: list[ShardMetadata | None]) -> int:
+    """Return the partition to copy rows from: the same one, or the partition that it was split off from."""
     size = len(held)
     while held[partition] is None and size % 2 == 0:
         size //= 2
-        above = partition % size
-        notes = held[above]
-        if notes is not None and partition % notes.partitions == above:
-            return above
+        parent = partition % size
+        notes = held[parent]
+        if notes is not None and partition % notes.partitions == parent:
+            return parent
     return partition
 
 
 def _plan(target: Storage, wanted: Plan, pictures: int) -> Plan:
-    """Return the plan for so many pictures, with more partitions than the present one if needed."""
+    """Return the plan of `target`, with more partitions if this number of pictures needs them."""
     held = Plan.read(target)
     if held is not None and not held.comparable(wanted):
         raise StoreError(
@@ -281,13 +281,15 @@ def _plan(target: Storage, wanted: Plan, pictures: int) -> Plan:
     return replace(held, partitions=partitions, shard=shard, finished=held.finished and same)
 
 
-def _unsettled(notes: ShardMetadata) -> set[ShardItem]:
-    """Return the pictures that are worth another try."""
+def _retryable(notes: ShardMetadata) -> set[ShardItem]:
+    """Return the broken pictures that are worth a retry."""
     return {broken.item for broken in notes.broken if not broken.settled}
 
 
-def _settled(target: Storage, plan: Plan, partitions: list[list[ShardItem]], digests: list[str]) -> list[ShardMetadata]:
-    """Read the notes of all shards; StoreError if they are not what this run leaves there."""
+def _checked_notes(
+    target: Storage, plan: Plan, partitions: list[list[ShardItem]], digests: list[str]
+) -> list[ShardMetadata]:
+    """Read the notes of all shards; raise StoreError if another run has changed a shard."""
     notes = [one for one in read_notes(target, plan, range(plan.partitions)) if one is not None]
     if unseen := plan.partitions - len(notes):
         raise StoreError(
@@ -295,9 +297,9 @@ def _settled(target: Storage, plan: Plan, partitions: list[list[ShardItem]], dig
             "folder that all machines share, or object storage."
         )
     for one, items, whole in zip(notes, partitions, digests, strict=True):
-        if unsettled := _unsettled(one):
-            whole = digest([item for item in items if item not in unsettled])
-        if (one.partitions, one.digest) != (plan.partitions, whole) or not unsettled <= set(items):
+        if retryable := _retryable(one):
+            whole = digest([item for item in items if item not in retryable])
+        if (one.partitions, one.digest) != (plan.partitions, whole) or not retryable <= set(items):
             raise StoreError(
                 f"Another run of lpn describe wrote to {target.where} meanwhile; run this again when it has ended."
             )
@@ -317,20 +319,20 @@ class _DriverProgress:
 
     def __init__(self, pictures: int, todo: int, say: Callable[[str], None]) -> None:
         self._pictures, self._done, self._broken, self._say = pictures, pictures - todo, 0, say
-        self._started = self._said = time.monotonic()
+        self._started = self._last_line = time.monotonic()
         self.computed = 0
         if self._done:
             say(f"{self._done:,} of {pictures:,} pictures are there already.")
 
     def start(self) -> None:
         """Start the clock when the workers have started."""
-        self._started = self._said = time.monotonic()
+        self._started = self._last_line = time.monotonic()
 
     def add(self, result: Mapping[str, Any]) -> None:
         self.computed += int(result["computed"])
         self._broken += int(result["broken"])
         self._done += int(result["described"]) + int(result["broken"])
-        if time.monotonic() - self._said >= _PROGRESS_SECONDS:
+        if time.monotonic() - self._last_line >= _PROGRESS_SECONDS:
             self._line()
 
     def end(self) -> None:
@@ -338,7 +340,7 @@ class _DriverProgress:
             self._line()
 
     def _line(self) -> None:
-        self._said = time.monotonic()
-        speed = self.computed / max(self._said - self._started, 1e-9)
+        self._last_line = time.monotonic()
+        speed = self.computed / max(self._last_line - self._started, 1e-9)
         broken = f", {self._broken:,} broken" if self._broken else ""
         self._say(f"{self._done:,} of {self._pictures:,} pictures, {speed:.1f} per second{broken}")

@@ -30,7 +30,9 @@ _OBJECTS = 512 << 20
 
 
 @contextmanager
-def started(address: str | None, workers: int | None, threads: int) -> Iterator[tuple[Any, int, Callable[[Any], Any]]]:
+def ray_session(
+    address: str | None, workers: int | None, threads: int
+) -> Iterator[tuple[Any, int, Callable[[Any], Any]]]:
     """Yield Ray Data, the number of workers, and Ray's `put`; a session of this process is used as it is.
 
     Args:

@@ -33,11 +33,12 @@ except ImportError:  # not a POSIX system
 
 log = logging.getLogger(__name__)
 
-# Partial files of killed processes are deleted after so many seconds without a write: they may be another machine's.
-_ABANDONED = 60.0
-# Enough open files for 7 * 10^8 tiles. A limit of 2^30 can make starting processes slow.
+# Seconds without a write after which the partial file of a killed process is deleted. A process of another machine, which
+# cannot be checked from here, may still be writing a younger file.
+_ABANDONED_SECONDS = 60.0
+# Limit of open files: enough for 7 * 10^8 tiles. A limit of 2^30 can make starting processes slow.
 _OPEN_FILES = 65_536
-# The true limit of macOS, which reports none.
+# The limit of macOS, which reports that it has none.
 _OPEN_FILES_MACOS = 10_240
 
 
@@ -67,7 +68,7 @@ def write_atomic(path: Path, data: bytes) -> None:
                 temporary.unlink(missing_ok=True)
             raise _unwritable(path, error) from error
         with suppress(OSError):
-            _clear(path)
+            _delete_abandoned(path)
 
 
 def open_memmap(path: Path) -> AnyArray:
@@ -166,13 +167,13 @@ def _temporary(path: Path) -> Path:
     return path.parent / f"{path.name}.{os.getpid()}-{threading.get_ident()}.part"
 
 
-def _clear(path: Path) -> None:
+def _delete_abandoned(path: Path) -> None:
     """Delete temporary files of processes that were killed while they wrote the same file."""
     left = re.compile(re.escape(path.name) + r"\.([0-9]+)-[0-9]+\.part")
     with os.scandir(path.parent) as entries:
         found = [(entry, match) for entry in entries if (match := left.fullmatch(entry.name))]
     for entry, match in found:
-        if time.time() - entry.stat().st_mtime > _ABANDONED and not _alive(int(match[1])):
+        if time.time() - entry.stat().st_mtime > _ABANDONED_SECONDS and not _alive(int(match[1])):
             Path(entry.path).unlink()
 
 

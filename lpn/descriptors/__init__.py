@@ -14,8 +14,8 @@ from lpn.descriptors.cache import (
     cached_descriptors,
     descriptor_reader,
     shipped_descriptors,
+    shipped_or_cached,
     stored_descriptors,
-    stored_side,
     temporary_descriptors,
 )
 from lpn.descriptors.store import FORMAT, Box, Manifest, Precision, Row, Store, open_store
@@ -38,7 +38,7 @@ __all__ = [
     "open_store",
     "pictures_below",
     "shipped_descriptors",
+    "shipped_or_cached",
     "stored_descriptors",
-    "stored_side",
     "temporary_descriptors",
 ]

@@ -64,7 +64,7 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
     folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
     title = ", ".join(filter(None, (f"Describing {view}", change.describe())))
     try:
-        if (cached := _complete(model, files, view, folder, change, boxes)) is not None:
+        if (cached := _from_complete_store(model, files, view, folder, change, boxes)) is not None:
             return cached
         store = describe(model, files, view, folder, change=change, boxes=boxes, title=title)
         return StoredDescriptors(store.float32, store.identity)
@@ -120,15 +120,17 @@ def _shipped(
     return StoredDescriptors(shipped.float32, shipped.identity) if rows == these else None
 
 
-def stored_side(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> StoredDescriptors:
+def shipped_or_cached(
+    model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role
+) -> StoredDescriptors:
     """Return the descriptors of queries or gallery: those shipped with the data set in `root`, else from the cache."""
     found = _shipped(model, pictures, view, root / STORES / f"{role}_{view}")
     return _cached(model, pictures, view, UNCHANGED) if found is None else found
 
 
 def stored_descriptors(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> Float32Array:
-    """Return the descriptors (N, n, D) of `stored_side` only."""
-    return stored_side(model, pictures, view, root, role).descriptors
+    """Return the descriptors (N, n, D) of `shipped_or_cached` without their digest."""
+    return shipped_or_cached(model, pictures, view, root, role).descriptors
 
 
 def descriptor_reader(root: Path) -> Reader:
@@ -157,10 +159,10 @@ def temporary_descriptors(
         return np.array(store.descriptors)
 
 
-def _complete(
+def _from_complete_store(
     model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[Box | None]
 ) -> StoredDescriptors | None:
-    """Return descriptors of files that a complete store already holds, so that a subset does not replace it."""
+    """Read descriptors from a complete store of these and maybe more files, which describing a subset would overwrite."""
     store = complete_store(folder)
     if store is None or len(store.manifest.rows) < len(files):
         return None
@@ -181,7 +183,7 @@ def cache_folder() -> Path:
     """Return the folder of the user's cache.
 
     Raises:
-        OutputError: if the user has no home folder and no variable names one.
+        OutputError: if the user has no home folder, and neither LPN_CACHE nor XDG_CACHE_HOME is set.
     """
     if given := os.environ.get("LPN_CACHE"):
         return Path(given)

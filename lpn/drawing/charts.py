@@ -98,7 +98,7 @@ def evidence_segments(evidence: Evidence, part: int) -> list[tuple[str, float, f
     """
     above = below = 0.0
     segments = []
-    for kind, values in zip(EVIDENCE_COLOURS, evidence.sums, strict=True):
+    for kind, values in zip(EVIDENCE_COLOURS, evidence.part_sums, strict=True):
         value = float(values[part])
         begin = above if value >= 0 else below
         segments.append((kind, begin, begin + value))

@@ -10,9 +10,9 @@ norm one,
 
     cos_i = sum_x <sum_p a_pi(x) A_i F_p(x), u_i> / |e_i|  +  <c_i, u_i> / |e_i|,
 
-a signed map and one constant; and the same on the tile's side. The slopes of a final LeakyReLU, and SAFA's cell weights, are
-held fixed at their values for this picture. Evidence accounts for the score; it does not predict the score without a cell,
-which `lpn.explain.occlusion` measures.
+which is a signed map and one constant. The tile's side is analogous. The slopes of a final LeakyReLU, and SAFA's cell weights,
+are held fixed at their values for this picture. Evidence accounts for the score as it is. `lpn.explain.occlusion` measures
+how the score changes without a cell.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ class SideEvidence:
 
     Attributes:
         cells: signed share of each cell in each part's cosine, (n, h, w); 0 where a cell does not belong to the part.
-        constants: the share of no cell in each part's cosine, (n,).
+        constants: the share of each part's cosine that comes from no cell, (n,).
     """
 
     cells: Float64Array
     constants: Float64Array
 
-    def total(self, weights: Float32Array) -> Float64Array:
+    def score_map(self, weights: Float32Array) -> Float64Array:
         """Each cell's share of the score under part weights, (h, w)."""
         return cast(Float64Array, np.tensordot(weights.astype(np.float64), self.cells, 1))
 
@@ -67,8 +67,8 @@ class Evidence:
         return self.cosines * self.weights
 
     @property
-    def sums(self) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Each part's positive cells, negative cells, and constant in the score, on the query's side: (n,) each."""
+    def part_sums(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Each part's share of the score on the query's side: sum of positive cells, of negative cells, and constant, (n,) each."""
         cells = self.query.cells
         gains, losses = (clip(cells, 0.0).sum(axis=(1, 2)) * self.weights for clip in (np.maximum, np.minimum))
         return gains, losses, self.query.constants * self.weights
@@ -86,12 +86,12 @@ class Evidence:
     def cell_maps(self, part: int | None = None) -> tuple[Float64Array, Float64Array]:
         """Return each cell's share of the score, for all parts or for one: (h, w) of the query and (h, w) of the tile."""
         if part is None:
-            return self.query.total(self.weights), self.tile.total(self.weights)
+            return self.query.score_map(self.weights), self.tile.score_map(self.weights)
         weight = float(self.weights[part])
         return weight * self.query.cells[part], weight * self.tile.cells[part]
 
     def to_dict(self, names: Sequence[str]) -> dict[str, Any]:
-        """The values of the JSON file.
+        """The evidence as JSON values, as `lpn explain` writes them.
 
         A part's `contribution` is its weight times its cosine; contributions add up to the score. The `cells`, row by row, and
         the `constant` add up to the cosine, on the query's side and, under `match`, on the tile's.
@@ -145,9 +145,9 @@ def evidence(query: Trace, tile: Trace, weights: Float32Array | None = None) -> 
 
 
 def cell_similarities(query: Trace, tile: Trace, part: int) -> Float32Array:
-    """The share of each pair of cells in a part's cosine: (h w, h' w'), the query's cells and the tile's row by row.
+    """Each pair of cells' share of a part's cosine, (h w, h' w'): rows are cells of the query, columns cells of the tile.
 
-    A row's sum plus the query cell's share with the tile's constant is the cell's share in `Evidence.query`.
+    The tile's constant is left out: with its share added, a row's sum is the query cell's value in `Evidence.query`.
     """
     norms = float(np.linalg.norm(query.embedding[part]) * np.linalg.norm(tile.embedding[part]))
     return cast(Float32Array, query.vectors(part) @ tile.vectors(part).T / np.float32(max(norms, 1e-12)))
@@ -155,10 +155,12 @@ def cell_similarities(query: Trace, tile: Trace, part: int) -> Float32Array:
 
 @dataclass(frozen=True, eq=False)
 class Correspondences:
-    """For each cell of one picture, row by row, the cell of the other with which it shares most of the score.
+    """The best match in the other picture for each cell of one picture: the pair with the largest share of the score.
+
+    Cells are numbered row by row.
 
     Attributes:
-        cells: the other picture's cell, (h w,); -1 for a cell of no part with a weight.
+        cells: the matched cell of the other picture, (h w,); -1 for a cell outside all parts of positive weight.
         shares: the pair's share of the score, (h w,).
     """
 

@@ -61,7 +61,7 @@ class ExactIndex(FolderIndex):
         places, bounds = self._bounds(segments, wanted, box)
         k = min(k, len(places))
         if not k:
-            return self._found(segments, Candidates(places, bounds), 0)
+            return self._result(segments, Candidates(places, bounds), 0)
         first = np.argpartition(bounds, len(bounds) - k)[len(bounds) - k :]
         found = Candidates.of(segments, places[first], wanted)
         least = float(found.scores.min())
@@ -72,9 +72,9 @@ class ExactIndex(FolderIndex):
             some = rest[start : start + _NEXT]
             if bounds[some[0]] < least:
                 break
-            found = found.with_(Candidates.of(segments, places[some], wanted), k)
+            found = found.merged_with(Candidates.of(segments, places[some], wanted), k)
             least = float(found.scores.min())
-        return self._found(segments, found, k)
+        return self._result(segments, found, k)
 
     def close(self) -> None:
         """See `Index.close`."""

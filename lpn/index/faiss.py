@@ -56,8 +56,8 @@ class FaissIndex(FolderIndex):
     """
 
     engine = "faiss"
-    largest = 8 << 30
-    beside = FILE
+    max_segment_bytes = 8 << 30
+    engine_file = FILE
     # The newest segments, up to so many tiles together, have no faiss index and are compared exhaustively. Training takes as long
     # for few tiles as for many, so it must not run at each of many small adds.
     plain = 16384
@@ -105,7 +105,7 @@ class FaissIndex(FolderIndex):
                 places = self._places(state, wanted.astype(np.float32), k, box)
             except _ReplacedError:
                 continue
-            return self._found(state.segments, Candidates.of(state.segments, places, wanted), k)
+            return self._result(state.segments, Candidates.of(state.segments, places, wanted), k)
 
     def close(self) -> None:
         """See `Index.close`."""

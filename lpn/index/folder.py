@@ -6,10 +6,10 @@
 An add writes folders that the manifest does not name yet, and replaces the manifest last. If it is killed, the index is as it
 was before, and the next add deletes the leftovers.
 
-Segments are merged as in a log-structured merge tree, so that many small adds do not slow searches down. An add merges the
-newest segments into its own while the next one has at most twice as many tiles as are merged so far, up to a size. Each
-segment is then more than twice the next. The number of segments, and of times a tile is rewritten, grows with the logarithm
-of the number of tiles.
+Segments are merged as in a log-structured merge tree, so that many small adds do not slow searches down. An add starts with
+its own tiles, and merges the newest older segment as long as that has at most twice as many tiles as are merged so far. Up
+to `max_segment_bytes`, each segment is then more than twice as large as the next newer one. The number of segments, and how
+often a tile is rewritten, grow with the logarithm of the number of tiles.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ _PART = r"\.\d+-\d+\.part"
 _UNFINISHED = re.compile(re.escape(MANIFEST) + _PART)
 _SUMS = re.compile(f"{re.escape(NAME)}({_PART})?")
 _SEGMENT = re.compile(r"\d{7,}")
-_AGAIN = "delete the index and make it again"
+_REMEDY = "delete the index and make it again"
 _ATTEMPTS = 20
-_READ = 1024
+_ROWS_PER_READ = 1024
 
 
 class ManifestEntry(msgspec.Struct, frozen=True):
@@ -57,9 +57,9 @@ class ManifestEntry(msgspec.Struct, frozen=True):
 
     Attributes:
         name: its folder.
-        rows: its tiles, with those that were replaced later.
+        rows: number of tiles, including replaced ones.
         dead: the file that marks replaced tiles, None if there are none.
-        dead_crc: CRC-32 of that file.
+        dead_crc: CRC-32 of the file `dead`.
     """
 
     name: str
@@ -74,11 +74,11 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         engine: "exact" or "faiss".
         fingerprint, n_parts, embedding: the descriptors, see `Kind`.
-        precision: of the copy that is scanned.
-        settings: of the engine.
+        precision: precision of the scanned copy of the vectors.
+        settings: settings of the engine.
         next: number of the next folder or file to be written.
         segments: oldest first.
-        checksum: CRC-32 of everything else.
+        checksum: CRC-32 of all other values.
     """
 
     format: str = FORMAT
@@ -108,7 +108,7 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
             data = (folder / MANIFEST).read_bytes()
             manifest = decode_json(data, cls, f"{MANIFEST} in {folder}", FORMAT, StoreError)
             if manifest.checksum != manifest._crc():
-                raise ValueError("another checksum")
+                raise ValueError("the checksum does not match")
             return manifest
         except FileNotFoundError as error:
             raise StoreError(f"{folder} has no {MANIFEST}, so it is not an index; make one with lpn index.") from error
@@ -116,7 +116,7 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
             raise unreadable_error(folder / MANIFEST, error) from error
         except (ValueError, RecursionError) as error:
             raise StoreError(
-                f"{MANIFEST} in {folder} is damaged or not one of {FORMAT}; make the index again with lpn index."
+                f"{MANIFEST} in {folder} is damaged or not of the format {FORMAT}; make the index again with lpn index."
             ) from error
 
     def _crc(self) -> int:
@@ -140,11 +140,11 @@ def verify(folder: Path) -> None:
             if entry.dead is not None and zlib.crc32((segment / entry.dead).read_bytes()) != entry.dead_crc:
                 changed.append(entry.dead)
         except FileNotFoundError as error:
-            raise StoreError(f"{error.filename} is missing; {_AGAIN}.") from error
+            raise StoreError(f"{error.filename} is missing; {_REMEDY}.") from error
         except OSError as error:
             raise unreadable_error(Path(error.filename or segment), error) from error
         if changed:
-            raise StoreError(f"{changed[0]} in {segment} does not match its checksums; {_AGAIN}.")
+            raise StoreError(f"{changed[0]} in {segment} does not match its checksums; {_REMEDY}.")
 
 
 def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
@@ -159,8 +159,8 @@ def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
         folder.mkdir(parents=True, exist_ok=True)
         with exclusive_lock(folder, wait=True):
             if (folder / MANIFEST).exists():
-                return _same(folder, IndexManifest.read(folder), manifest)
-            # An index that was killed before it had a manifest has nothing else.
+                return _check_same_kind(folder, IndexManifest.read(folder), manifest)
+            # If a process is killed before it has written the manifest, it leaves no other files.
             others = [file.name for file in folder.iterdir() if not _UNFINISHED.fullmatch(file.name)]
             if others:
                 raise StoreError(
@@ -196,10 +196,10 @@ class FolderIndex(Index):
     """
 
     engine: str
-    # Segments are merged up to this size of their vectors in bytes.
-    largest = 1 << 30
-    # The file that `_finish` writes into a segment's folder.
-    beside: str | None = None
+    # Maximum size of the vectors of a merged segment.
+    max_segment_bytes = 1 << 30
+    # Name of the file that `_finish` writes into a segment's folder, if any.
+    engine_file: str | None = None
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -209,7 +209,8 @@ class FolderIndex(Index):
         self.precision = self._state.manifest.precision
         if self._state.manifest.engine != self.engine:
             raise StoreError(
-                f"{self.folder} is an index of the engine {self._state.manifest.engine}; open it as that, not as {self.engine}."
+                f"{self.folder} is an index of the engine {self._state.manifest.engine}; open it with that engine, not with "
+                f"{self.engine}."
             )
 
     def add(
@@ -261,7 +262,7 @@ class FolderIndex(Index):
             state = self._state = self._read(state.segments)
         return state
 
-    def _found(self, segments: list[Segment], candidates: Candidates, k: int) -> SearchResult:
+    def _result(self, segments: list[Segment], candidates: Candidates, k: int) -> SearchResult:
         """Return the k best of scored candidates."""
         if not len(candidates.places):
             return SearchResult(
@@ -317,7 +318,7 @@ class FolderIndex(Index):
         return Segment(folder, manifest.kind, manifest.precision, entry.rows, entry.dead)
 
     def _write(self, batch: TileBatch) -> IndexManifest:
-        """Write everything that an add needs, and return the manifest that will name it."""
+        """Write the files of an add, and return the manifest that lists them."""
         manifest, segments = self._state.manifest, self._state.segments
         keys = keys_of(batch.names)
         masks: list[BoolArray | None] = []
@@ -357,13 +358,17 @@ class FolderIndex(Index):
         return replace(manifest, segments=tuple(entries), next=number + 1)
 
     def _plan_merge(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:
-        """Choose the segments that an add of so many tiles merges.
+        """Choose the segments that an add of `rows` tiles merges.
 
         Returns:
             The number of older segments that stay as they are, and the size of the merged one.
         """
         unmerged = len(sizes)
-        while unmerged and sizes[unmerged - 1] <= 2 * rows and self._bytes(rows + sizes[unmerged - 1]) <= self.largest:
+        while (
+            unmerged
+            and sizes[unmerged - 1] <= 2 * rows
+            and self._bytes(rows + sizes[unmerged - 1]) <= self.max_segment_bytes
+        ):
             unmerged -= 1
             rows += sizes[unmerged]
         return unmerged, rows
@@ -385,9 +390,9 @@ class FolderIndex(Index):
         return rows * self.kind.numbers * np.dtype(np.float32).itemsize
 
     def _clear(self) -> None:
-        """Delete what the manifest does not name: merged segments, and leftovers of a killed add.
+        """Delete files that the manifest does not list: merged segments, and leftovers of a killed add.
 
-        A segment's folder with any file that is not an index's is left alone.
+        A folder that also holds files of other programs is not touched.
         """
         entries = {entry.name: entry for entry in self._state.manifest.segments}
         for path in self.folder.iterdir():
@@ -398,7 +403,8 @@ class FolderIndex(Index):
             elif _UNFINISHED.fullmatch(path.name):
                 path.unlink(missing_ok=True)
             elif _SEGMENT.fullmatch(path.name) and path.is_dir() and not path.is_symlink():
-                with suppress(OSError):  # of files that another process has open, on some systems
+                # Some systems do not delete files that another process has open.
+                with suppress(OSError):
                     self._remove(path)
 
     def _remove(self, segment: Path) -> None:
@@ -409,7 +415,7 @@ class FolderIndex(Index):
             segment.rmdir()
 
     def _is_own(self, file: Path) -> bool:
-        named = file.name == self.beside or any(names.fullmatch(file.name) for names in (FILES, _SUMS))
+        named = file.name == self.engine_file or any(names.fullmatch(file.name) for names in (FILES, _SUMS))
         return named and file.is_file() and not file.is_symlink()
 
 
@@ -423,14 +429,15 @@ class Candidates:
     @classmethod
     def of(cls, segments: list[Segment], places: Int64Array, wanted: Float64Array) -> Candidates:
         """Read the vectors of candidates and score them."""
-        places = np.sort(places)  # in the order in which they lie on disk
+        # Read rows in the order in which they lie on disk.
+        places = np.sort(places)
         scores = np.empty(len(places))
-        for start in range(0, len(places), _READ):
-            some = slice(start, start + _READ)
+        for start in range(0, len(places), _ROWS_PER_READ):
+            some = slice(start, start + _ROWS_PER_READ)
             scores[some] = scores_of(gather([segment.vectors for segment in segments], places[some]), wanted)
         return cls(places, scores)
 
-    def with_(self, other: Candidates, k: int) -> Candidates:
+    def merged_with(self, other: Candidates, k: int) -> Candidates:
         """Return the k best of both."""
         places, scores = np.concatenate([self.places, other.places]), np.concatenate([self.scores, other.scores])
         chosen = best(scores, places, k)
@@ -451,25 +458,26 @@ def gather(arrays: Sequence[AnyArray], places: Int64Array) -> AnyArray:
     return found
 
 
-def _same(folder: Path, there: IndexManifest, wanted: IndexManifest) -> IndexManifest:
-    for what in ("engine", "kind", "precision", "settings"):
-        if getattr(there, what) != getattr(wanted, what):
-            one, other = (_said(manifest, what) for manifest in (there, wanted))
+def _check_same_kind(folder: Path, existing: IndexManifest, wanted: IndexManifest) -> IndexManifest:
+    for name in ("engine", "kind", "precision", "settings"):
+        if getattr(existing, name) != getattr(wanted, name):
+            present, new = (_describe(manifest, name) for manifest in (existing, wanted))
             raise StoreError(
-                f"{folder} is an index of {one}, and this would be one of {other}; choose another folder, or delete that one."
+                f"{folder} holds an index with {present}, but the new one has {new}; choose another folder, or delete the old "
+                "index."
             )
-    return there
+    return existing
 
 
-def _said(manifest: IndexManifest, what: str) -> str:
+def _describe(manifest: IndexManifest, name: str) -> str:
     kind = manifest.kind
     texts = {
         "engine": f"the engine {manifest.engine}",
         "kind": f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}",
-        "precision": manifest.precision,
+        "precision": f"precision {manifest.precision}",
         "settings": f"settings {manifest.settings}",
     }
-    return texts[what]
+    return texts[name]
 
 
 def _unwritable(folder: Path, error: OSError | OutputError) -> StoreError:

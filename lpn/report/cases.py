@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from lpn.analysis.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile, pair_evidence
-from lpn.analysis.query_outcomes import described_by
+from lpn.analysis.query_outcomes import picture_columns
 from lpn.analysis.task import Task
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
@@ -166,7 +166,7 @@ class Cases:
         if index is None:
             return []
         table = self._task.table
-        names = [column.name for column in described_by(table)] + [TAGS, NOTE]
+        names = [column.name for column in picture_columns(table)] + [TAGS, NOTE]
         columns = [table.columns[name] for name in names if name in table.columns]
         return [
             (column.name, column.text(index) + (column.unit if column.unit == "°" else f" {column.unit}").rstrip())

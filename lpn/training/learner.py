@@ -33,21 +33,23 @@ class Learner:
         network.to(group.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         # Only the leader saves and tests the average.
         self.average = average_weights(network, recipe.ema) if recipe.ema and group.is_leader else None
-        self.arithmetic = MixedPrecision(recipe, group.device)
+        self.mixed_precision = MixedPrecision(recipe, group.device)
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]
-        self.views: nn.Module = MultiViewNetwork(network, recipe.joint_views)
+        self.multi_view: nn.Module = MultiViewNetwork(network, recipe.joint_views)
 
     def distribute(self) -> None:
         """Average the gradients of all processes from now on; on GPUs, BatchNorm sees the whole batch."""
-        if self.group.size == 1 or isinstance(self.views, DistributedDataParallel):
+        if self.group.size == 1 or isinstance(self.multi_view, DistributedDataParallel):
             return
         device = self.group.device
         cuda = device.type == "cuda"
         if cuda:
             nn.SyncBatchNorm.convert_sync_batchnorm(self.network)  # type: ignore[no-untyped-call]
         # A static graph allows heads that the recipe's loss does not use.
-        self.views = DistributedDataParallel(self.views, device_ids=[device.index] if cuda else None, static_graph=True)
+        self.multi_view = DistributedDataParallel(
+            self.multi_view, device_ids=[device.index] if cuda else None, static_graph=True
+        )
 
     def step(self, batch: TrainingBatch, step: int, steps: int) -> tuple[Tensor, float]:
         """Take one training step.
@@ -62,10 +64,10 @@ class Learner:
         factor = rate_factor(self.recipe, step, steps)
         for parameters, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
             parameters["lr"] = rate * factor
-        with self.arithmetic.autocast():
-            outputs = self.views(batch.sets)
+        with self.mixed_precision.autocast():
+            outputs = self.multi_view(batch.sets)
         loss = total_loss(self.group.gather(outputs), batch.places, self.recipe)
-        self.arithmetic.step(loss, self.optimizer)
+        self.mixed_precision.step(loss, self.optimizer)
         if self.average is not None:
             # A resumed run knows its step, so the count need not be saved.
             self.average.n_averaged.fill_(step + 1)
@@ -87,7 +89,7 @@ class Learner:
             "network": self.network.state_dict(),
             "average": {} if self.average is None else self.average.module.state_dict(),
             "optimizer": self.optimizer.state_dict(),
-            "scaler": self.arithmetic.scaler.state_dict(),
+            "scaler": self.mixed_precision.scaler.state_dict(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -102,7 +104,7 @@ class Learner:
         self.optimizer.load_state_dict(state["optimizer"])
         # The scaler's state is empty if the run did not use float16.
         if state["scaler"]:
-            self.arithmetic.scaler.load_state_dict(state["scaler"])
+            self.mixed_precision.scaler.load_state_dict(state["scaler"])
 
 
 class MultiViewNetwork(nn.Module):

@@ -30,7 +30,7 @@ class TrainingSet:
         labels: label of each place.
         files: for each set, the files of each place.
         views: the views that are trained.
-        panoramas: the street pictures cover the full circle.
+        panoramas: True if the street pictures cover the full circle.
 
     Raises:
         DataError: when no place has both a satellite picture and one of another view.
@@ -81,10 +81,10 @@ class TrainingSet:
         return hashlib.sha256(json.dumps(names, sort_keys=True).encode()).hexdigest()
 
     def hold_out(self, share: float, seed: int) -> dict[int, dict[str, list[Path]]]:
-        """Remove a share of the places from the training set, chosen by the seed alone.
+        """Remove a share of the places from the training set, chosen by the seed.
 
         Returns:
-            The files of each set, for each removed place by its label.
+            The removed places: label -> set -> files.
 
         Raises:
             InputError: when the share is outside [0, 1), or either side would have fewer than 2 places.
@@ -92,8 +92,8 @@ class TrainingSet:
         count = round(share * len(self)) if 0 <= share < 1 else 0
         if share and not 2 <= count <= len(self) - 2:
             raise InputError(
-                f"The share of places held out is {share:g}, {count} of {len(self)} places; expected a number from 0 up to 1 "
-                "that leaves at least 2 on either side."
+                f"The share of places held out is {share:g}, {count} of {len(self)} places; expected a share from 0 "
+                "up to 1 that leaves at least 2 places held out and 2 in training."
             )
         order = np.random.default_rng([seed, len(self)]).permutation(len(self))
         out, rest = sorted(order[:count]), sorted(order[count:])

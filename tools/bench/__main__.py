@@ -32,7 +32,7 @@ def main(arguments: list[str]) -> None:
     """Measure and print."""
     if arguments[:1] == ["--json"]:
         given = (DEMO, DEMO / "lpn.onnx") if arguments[1] == "page" else ()
-        found = import_module(f"bench.{arguments[1]}").figures(*given)
+        found = import_module(f"tools.bench.{arguments[1]}").figures(*given)
         print(json.dumps([asdict(figure) for figure in found]))
         return
     if unknown := set(arguments) - set(NAMES):

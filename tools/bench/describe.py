@@ -100,7 +100,7 @@ def with_ray(model: Path, files: Sequence[Path], root: Path, folder: Path) -> li
     if find_spec("ray") is None or not few:
         return []
     from lpn.cluster.driver import describe_shards
-    from lpn.cluster.session import started
+    from lpn.cluster.session import ray_session
 
     def run(pictures: Path) -> None:
         with tempfile.TemporaryDirectory() as out:
@@ -111,7 +111,7 @@ def with_ray(model: Path, files: Sequence[Path], root: Path, folder: Path) -> li
             copy = folder / name / file.relative_to(root)
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(file, copy)
-    with started(None, usable_cores(), 1):
+    with ray_session(None, usable_cores(), 1):
         times = take_turns({name: lambda name=name: run(folder / name) for name in ("all", "few")}, ROUNDS)  # type: ignore[misc]
     more = statistics.median(times["all"]) - statistics.median(times["few"])
     what = f"the same to shards, int8, Ray, {usable_cores()} workers"

@@ -77,7 +77,7 @@ class Reference:
                 continue
             gallery = dataset.gallery(views[1])
             labels = np.array([entry.label for entry in gallery], np.int64)
-            known = descriptors.stored_side(opened, gallery, views[1], data, "gallery")
+            known = descriptors.shipped_or_cached(opened, gallery, views[1], data, "gallery")
             truth = dataset.truth(name)
             self._check_sample(gallery, known.descriptors, views[1])
             self.sides[name] = ReferenceTask(

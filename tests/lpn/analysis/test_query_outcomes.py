@@ -11,7 +11,7 @@ import pytest
 import lpn
 from lpn import retrieval
 from lpn.analysis import breakdown, notes
-from lpn.analysis.query_outcomes import OUTCOME, Outcomes, build, described_by, labels_of, table
+from lpn.analysis.query_outcomes import OUTCOME_COLUMNS, Outcomes, build, labels_of, picture_columns, table
 from lpn.cli import main
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, InputError
@@ -57,7 +57,13 @@ def one_by_one(
 
 def compare(outcomes: Outcomes, expected: list[tuple[int, int, int, int, float, list[float], int]]) -> None:
     rank, first, true, false, margin, parts, decides = (np.array(column) for column in zip(*expected, strict=True))
-    for name, column in (("rank", rank), ("first", first), ("true", true), ("false", false), ("decides", decides)):
+    for name, column in (
+        ("rank", rank),
+        ("answer", first),
+        ("true", true),
+        ("false", false),
+        ("deciding_part", decides),
+    ):
         np.testing.assert_array_equal(getattr(outcomes, name), column, name)
     np.testing.assert_allclose(outcomes.margin, margin, atol=1e-7)
     np.testing.assert_allclose(outcomes.parts, parts, atol=1e-7)
@@ -85,7 +91,7 @@ def test_outcomes_are_those_of_each_query_ranked_alone(
     assert {-1, 0, 2} <= set(outcomes.rank.tolist())
     if weights is None:
         np.testing.assert_array_equal(outcomes.rank, metrics.retrieve(queries, asked, gallery, labels).first)
-        np.testing.assert_array_equal(outcomes.first, metrics.retrieve(queries, asked, gallery, labels).best)
+        np.testing.assert_array_equal(outcomes.answer, metrics.retrieve(queries, asked, gallery, labels).best)
 
 
 def test_true_matches_and_junk_may_come_from_lists() -> None:
@@ -107,20 +113,20 @@ def test_where_nothing_is_false_or_all_is_junk_there_is_no_margin() -> None:
     assert alone.rank.tolist() == [0, -1]
     assert alone.false.tolist()[0] == alone.true.tolist()[1] == -1
     assert np.isnan(alone.margin).all()
-    assert alone.decides.tolist() == [-1, -1]
+    assert alone.deciding_part.tolist() == [-1, -1]
     junk = build(queries, gallery, [5, 6], [-1, -1, -1])
-    assert [junk.first.tolist(), junk.rank.tolist()] == [[-1, -1], [-1, -1]]
+    assert [junk.answer.tolist(), junk.rank.tolist()] == [[-1, -1], [-1, -1]]
     listed = build(queries, gallery, None, None, [Truth(np.zeros(0, np.int64), np.arange(3))] * 2)
-    assert listed.first.tolist() == [-1, -1]
+    assert listed.answer.tolist() == [-1, -1]
 
 
 def test_equal_scores_are_in_the_gallerys_order() -> None:
     tile = descriptors(1)
     gallery = np.concatenate([tile] * 4)
     behind = build(tile, gallery, [1], [0, 0, 1, 1])
-    assert (behind.rank[0], behind.first[0], behind.true[0], behind.false[0]) == (2, 0, 2, 0)
+    assert (behind.rank[0], behind.answer[0], behind.true[0], behind.false[0]) == (2, 0, 2, 0)
     before = build(tile, gallery, [1], [1, 0, 1, 0])
-    assert (before.rank[0], before.first[0], before.margin[0]) == (0, 0, 0.0)
+    assert (before.rank[0], before.answer[0], before.margin[0]) == (0, 0, 0.0)
 
 
 def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,8 +189,8 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_table_has_a_row_for_each_query_and_a_column_for_all_that_is_known(known: Path, model_file: Path) -> None:
     queries, gallery, outcomes = described(known, model_file)
     made = table(known, queries, gallery, outcomes, ["1 centre", "2", "3", "4 outer"])
-    assert list(made.columns)[:8] == list(OUTCOME)
-    of_pictures = [column.name for column in described_by(made)]
+    assert list(made.columns)[:8] == list(OUTCOME_COLUMNS)
+    of_pictures = [column.name for column in picture_columns(made)]
     assert of_pictures == [
         *("latitude", "longitude", "altitude", "heading", "tilt", "fov"),
         *("district", "character", "kind", "height", "twins", "weather", "Battery left", "2nd"),
@@ -192,10 +198,10 @@ def test_a_table_has_a_row_for_each_query_and_a_column_for_all_that_is_known(kno
     where = geo.Positions(known)
     for i, query in enumerate(queries):
         row = {name: column.values[i] for name, column in made.columns.items()}
-        answer, truth = gallery[outcomes.first[i]], gallery[outcomes.true[i]]
+        answer, truth = gallery[outcomes.answer[i]], gallery[outcomes.true[i]]
         assert (row["name"], row["answer"], row["truth"]) == (query.name, answer.name, truth.name)
         assert row["rank"] == outcomes.rank[i] + 1
-        assert row["part"].startswith(str(outcomes.decides[i] + 1))
+        assert row["part"].startswith(str(outcomes.deciding_part[i] + 1))
         assert row["distance"] == pytest.approx(geo.metres(where.of([query]), where.of([answer]))[0])
         assert row["altitude"] == 150
         assert sum(row[f"margin_{k}"] for k in range(1, 5)) == pytest.approx(row["margin"], abs=1e-12)
@@ -209,7 +215,7 @@ def test_a_table_has_a_row_for_each_query_and_a_column_for_all_that_is_known(kno
 def test_a_data_set_of_which_nothing_is_known_has_its_outcomes_only(data: Path, model_file: Path) -> None:
     queries, gallery, outcomes = described(data, model_file)
     made = table(data, queries, gallery, outcomes)
-    assert described_by(made) == []
+    assert picture_columns(made) == []
     assert "distance" not in made.columns
     assert set(made.columns["part"].values) <= {"1", "2", "3", "4"}
     with pytest.raises(InputError, match="those of one task"):

@@ -130,4 +130,4 @@ def test_a_cache_that_cannot_be_written_to_is_a_warning(
 ) -> None:
     (tmp_path / "cache").write_text("a file")
     ranking_cache.save(task, ranked(task))
-    assert "is not kept for the next time" in caplog.text
+    assert "could not be cached" in caplog.text

@@ -30,7 +30,7 @@ from lpn.cli import main
 from lpn.cluster import session
 from lpn.cluster.driver import Summary, describe_shards
 from lpn.cluster.gather import open_shards, to_store
-from lpn.cluster.session import started
+from lpn.cluster.session import ray_session
 from lpn.cluster.shards import ShardItem
 from lpn.cluster.storage import Storage
 from lpn.cluster.worker import DescribeWorker
@@ -58,7 +58,7 @@ def _ray() -> Iterator[None]:
         with ExitStack() as running:
             for attempts_left in range(9, -1, -1):
                 try:  # Ray gives itself 30 seconds, which is too little on a busy machine
-                    running.enter_context(started(None, 2, 1))
+                    running.enter_context(ray_session(None, 2, 1))
                     break
                 except StoreError:
                     if not attempts_left:
@@ -444,7 +444,7 @@ def test_that_ray_does_not_start_is_told_in_a_sentence(monkeypatch: pytest.Monke
         pytest.raises(
             StoreError, match=r"^Ray does not start on this machine \(The current node timed out during startup\.\); "
         ),
-        started(None, 1, 1),
+        ray_session(None, 1, 1),
     ):
         pass
     assert ended == [True]

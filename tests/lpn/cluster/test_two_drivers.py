@@ -101,7 +101,7 @@ class Place:
         """What lpn describe --engine ray does once it has listed the pictures."""
 
         @contextmanager
-        def started(*_: object) -> Iterator[tuple[OneProcess, int, Callable[[Any], Any]]]:
+        def ray_session(*_: object) -> Iterator[tuple[OneProcess, int, Callable[[Any], Any]]]:
             yield OneProcess(before), 1, lambda files: files
 
         def worker(task: PartitionTask, _: object) -> DescribeWorker:
@@ -111,7 +111,7 @@ class Place:
             return made
 
         with self.monkeypatch.context() as patched:
-            patched.setattr(driver, "started", started)
+            patched.setattr(driver, "ray_session", ray_session)
             return driver._run(
                 self.storage,
                 self.storage,

@@ -89,7 +89,9 @@ def test_cells_and_constants_add_up_to_each_cosine_on_both_sides(name: str) -> N
     for side in (found.query, found.tile):
         np.testing.assert_allclose(side.cells.sum(axis=(1, 2)) + side.constants, cosines, atol=1e-5)
     assert found.score == pytest.approx(float(cosines @ weights), abs=1e-5)
-    assert found.query.total(weights).sum() + found.query.constants @ weights == pytest.approx(found.score, abs=1e-5)
+    assert found.query.score_map(weights).sum() + found.query.constants @ weights == pytest.approx(
+        found.score, abs=1e-5
+    )
     if model.spec.pooling == "average":
         # The constants are told from the cells, not made up for what is missing.
         assert np.abs(found.query.constants).max() > 1e-3
@@ -148,7 +150,7 @@ def test_a_region_s_search_orders_by_what_its_cells_add_to_each_score(name: str)
     assert lengths @ weights == pytest.approx(1.0, abs=1e-5)
     gallery = rng.normal(size=(6, *region.shape)).astype(np.float32)
     gallery /= np.linalg.norm(gallery, axis=2, keepdims=True) * np.sqrt(n)
-    added = [explain.side_evidence(query.trace, tile).total(weights)[painted].sum() for tile in gallery]
+    added = [explain.side_evidence(query.trace, tile).score_map(weights)[painted].sum() for tile in gallery]
     products = scoring.part_cosines(region, gallery)
     scores = products @ weights
     np.testing.assert_allclose(scores / scores[0], np.array(added) / added[0], rtol=1e-3)

@@ -26,7 +26,7 @@ EACH = 16
 @pytest.fixture
 def unmerged(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every add keeps a segment of its own."""
-    monkeypatch.setattr(ExactIndex, "largest", 1)
+    monkeypatch.setattr(ExactIndex, "max_segment_bytes", 1)
 
 
 def regions(path: Path, count: int, precision: Any = "int8") -> tuple[ExactIndex, Tiles]:

@@ -422,7 +422,7 @@ def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
         open_index(tmp_path / "index", "fedc")
     with pytest.raises(StoreError, match="choose another folder"):
         create_index(tmp_path / "index", Kind("fedc", 4, 16))
-    with pytest.raises(StoreError, match="is an index of float32, and this would be one of int8"):
+    with pytest.raises(StoreError, match="holds an index with precision float32, but the new one has precision int8"):
         create_index(tmp_path / "index", KIND, precision="int8")
     with pytest.raises(InputError, match="does not go with this place"):
         create_index(tmp_path / "other", KIND, "milvus")
@@ -459,7 +459,7 @@ def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
     open_index(tmp_path / "index").close()
     for text in ("", "[]", '{"format": "lpn-index/1"}', '{"format": "lpn-index/0", "precision": "int8"}'):
         (tmp_path / "index" / "index.json").write_text(text)
-        with pytest.raises(StoreError, match="not one of lpn-index/1"):
+        with pytest.raises(StoreError, match="not of the format lpn-index/1"):
             open_index(tmp_path / "index")
 
 

@@ -125,7 +125,7 @@ def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
     steps = outcomes.parts[query]
     for step in (*steps, steps.sum()):
         assert f"{step:+.3f}" in text
-    assert f"{task.figures['recall@1']:.1f} %" in text
+    assert f"{task.metrics['recall@1']:.1f} %" in text
     without = counterfactual.without(ranking)
     assert without is not None
     assert verdicts.describe_ablation(without, task.part_names) in text

@@ -227,11 +227,11 @@ def test_float16_and_its_scaler_are_resumed(places: Path, tmp_path: Path, monkey
     monkeypatch.setattr(optimizer, "choose_dtype", lambda *_: torch.float16)
     quick = replace(QUICK, epochs=1)
     run, said = trainer(places, tmp_path / "run", quick)
-    run.learner.arithmetic.scaler = torch.amp.GradScaler("cpu", init_scale=1024.0)
+    run.learner.mixed_precision.scaler = torch.amp.GradScaler("cpu", init_scale=1024.0)
     run.run()
     assert "Computing in float16" in said.getvalue()
     resumed, _ = trainer(places, tmp_path / "run", quick, resume=True)
-    assert resumed.learner.arithmetic.scaler.get_scale() == 1024.0
+    assert resumed.learner.mixed_precision.scaler.get_scale() == 1024.0
 
 
 def test_a_run_of_another_version_is_not_resumed(places: Path, tmp_path: Path) -> None:
@@ -321,7 +321,7 @@ def test_each_view_is_a_batch_of_its_own_unless_joined(places: Path, tmp_path: P
         run, _ = trainer(places, tmp_path / f"{joint}", recipe)
         run.network.train()
         satellite = torch.randn(4, 3, 64, 64, generator=torch.Generator().manual_seed(1))
-        return run.learner.views({"satellite": satellite, "drone": other})["satellite"][0].detach()
+        return run.learner.multi_view({"satellite": satellite, "drone": other})["satellite"][0].detach()
 
     drone = torch.randn(4, 3, 64, 64, generator=torch.Generator().manual_seed(2))
     torch.testing.assert_close(embedded(False, drone), embedded(False, 3 * drone + 1))
