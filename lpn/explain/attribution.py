@@ -68,7 +68,7 @@ class Evidence:
 
     @property
     def part_sums(self) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Each part's share of the score on the query's side: sum of positive cells, of negative cells, and constant, (n,) each."""
+        """Each part's positive cells, negative cells, and constant, summed as shares of the query's score: (n,) each."""
         cells = self.query.cells
         gains, losses = (clip(cells, 0.0).sum(axis=(1, 2)) * self.weights for clip in (np.maximum, np.minimum))
         return gains, losses, self.query.constants * self.weights
