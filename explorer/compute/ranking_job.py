@@ -120,4 +120,4 @@ class RankingJob:
         shares: dict[str, float] = {}
         if self.task.geometry is not None:
             shares = error_shares(self.task.geometry.answer_errors_m(ranking.best))
-        return TaskRanking(ranking, ranking.figures() | shares)
+        return TaskRanking(ranking, ranking.metrics() | shares)

@@ -217,7 +217,7 @@ def _measure(
     if protocol.average:
         query, query_labels = averaged(query, query_labels)
     retrieval = metrics.retrieve(protocol.select(query), query_labels, protocol.select(gallery), gallery_labels, truth)
-    figures = retrieval.figures()
+    figures = retrieval.metrics()
     result = Result(
         recall={key.removeprefix("recall@"): value for key, value in figures.items() if key.startswith("recall@")},
         ap=figures["ap"],

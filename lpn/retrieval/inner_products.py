@@ -1,12 +1,12 @@
-"""Inner products of many queries with a gallery: single precision with a bound on its error, double where that decides.
+"""Inner products of many queries with a gallery, in single precision with an error bound, or in double precision.
 
-A product of F numbers in single precision (u = 2^-24), summed in any order over chunks of L and then over the chunks, is
-off by at most
+An inner product of F numbers in single precision (u = 2^-24), summed in any order over chunks of L and then over the chunks,
+has an error of at most
 
     (L + ceil(F / L) + 2) u |q| |g|
 
-two roundings of which are those of the numbers themselves, where they were not single (Higham, "Accuracy and Stability
-of Numerical Algorithms", 3.1). Two products that lie further apart than twice that are in the order of the true ones.
+which includes two roundings of the numbers themselves to single precision (Higham, "Accuracy and Stability of Numerical
+Algorithms", 3.1). Two products that differ by more than twice this bound are in the order of the true products.
 """
 
 from __future__ import annotations
@@ -20,21 +20,23 @@ import numpy as np
 from lpn.core.arrays import AnyArray, Float32Array, Float64Array, Int64Array
 
 _BLOCK_BYTES = 160_000_000
-_ROWS = 1024
+# Maximum number of queries in a block.
+_BLOCK_ROWS = 1024
 # Tiles multiplied at a time, so that partial sums stay in the processor's cache.
 _COLUMNS = 4096
 # Numbers of a descriptor that are summed in one chunk: shorter chunks give a tighter bound and cost more additions.
 _CHUNK = 512
+# Unit roundoff of single precision.
 _UNIT = 2.0**-24
-_PAIRS = 1024
+_PAIRS_AT_A_TIME = 1024
 
 
 class Scores:
-    """Inner products of queries (Q, F) with tiles (G, F), any floats, none of them held in double precision.
+    """Inner products of queries (Q, F) with tiles (G, F) of any floating type, without a copy in double precision.
 
     Args:
-        norms: bounds for the queries (Q,) and for the tiles (G,), see `norms`.
-        factors: multiply each number of a query first, (F,).
+        norms: upper bounds on the norms of the queries (Q,) and of the tiles (G,), see `norms`.
+        factors: multiplied into each query first, (F,).
     """
 
     def __init__(
@@ -52,91 +54,97 @@ class Scores:
         longest = float(norms[1].max(initial=0.0))
         with np.errstate(over="ignore", invalid="ignore"):
             self._errors = 1.02 * terms * _UNIT * reach * longest
-            # The loss of subnormal numbers, which have fewer than 24 digits.
+            # The extra error of subnormal numbers, which have fewer than 24 digits.
             self._errors += length * 2.0**-120 * (1 + reach) * (1 + longest)
             self._errors[~(reach * longest < 1e37)] = np.inf
 
     def blocks(self) -> Iterator[tuple[slice, Float32Array, Float64Array]]:
-        """Yield the queries in blocks of at most 160 MB: the rows, their products (B, G), which the caller may change, and the
-        error bound of each row, (B,), infinite on overflow."""
-        block = max(1, min(_ROWS, _BLOCK_BYTES // (4 * max(len(self._tiles), 1))))
+        """Yield blocks of queries of at most 160 MB.
+
+        Yields:
+            The rows of the block, their products with all tiles (B, G), which the caller may overwrite, and the error bound of
+            each row, (B,), infinite on overflow.
+        """
+        block = max(1, min(_BLOCK_ROWS, _BLOCK_BYTES // (4 * max(len(self._tiles), 1))))
         for start in range(0, len(self._queries), block):
             rows = slice(start, min(start + block, len(self._queries)))
             with np.errstate(over="ignore", invalid="ignore"):
-                found = self._products(_to_single(self._asked(rows)))
-            yield rows, found, self._errors[rows]
+                products = self._products(_to_single(self._scaled(rows)))
+            yield rows, products, self._errors[rows]
 
     def exact(self, query: int, tiles: Int64Array) -> Float64Array:
-        """Products of one query with some tiles in double precision, equal for equal tiles, (P,)."""
+        """Return the products of one query with some tiles in double precision, equal for equal tiles, (P,)."""
         return self.pairs(np.full(len(tiles), query), tiles)
 
     def pairs(self, queries: Int64Array, tiles: Int64Array) -> Float64Array:
-        """Products of pairs in double precision, (P,)."""
-        found = np.empty(len(queries))
-        for start in range(0, len(queries), _PAIRS):
-            some = slice(start, start + _PAIRS)
-            # Not as a matrix product, which may sum one row in another order than the next.
-            asked = self._asked(queries[some]).astype(np.float64, copy=False)
-            # And not by einsum, which cuts long rows by where they lie in its buffer.
-            found[some] = (asked * self._tiles[tiles[some]]).sum(axis=1)
-        return found
+        """Return the products of pairs in double precision, (P,)."""
+        products = np.empty(len(queries))
+        for start in range(0, len(queries), _PAIRS_AT_A_TIME):
+            some = slice(start, start + _PAIRS_AT_A_TIME)
+            # Rows must be summed in the same order: a matrix product may change it from row to row, and einsum splits long
+            # rows by their position in its buffer.
+            scaled = self._scaled(queries[some]).astype(np.float64, copy=False)
+            products[some] = (scaled * self._tiles[tiles[some]]).sum(axis=1)
+        return products
 
     def double(self, queries: Int64Array) -> Iterator[tuple[int, Float64Array]]:
-        """Some queries, and the products of each with all tiles in double precision, equal for equal tiles, (G,)."""
+        """Yield each query and its products with all tiles in double precision, equal for equal tiles, (G,)."""
         group = max(1, _BLOCK_BYTES // (8 * max(len(self._tiles), 1)))
         for start in range(0, len(queries), group):
             some = queries[start : start + group]
-            asked = self._asked(some).astype(np.float64, copy=False)
-            found = np.empty((len(some), len(self._tiles)))
+            scaled = self._scaled(some).astype(np.float64, copy=False)
+            products = np.empty((len(some), len(self._tiles)))
             for begin in range(0, len(self._tiles), _COLUMNS):
                 columns = slice(begin, begin + _COLUMNS)
-                found[:, columns] = asked @ self._tiles[columns].astype(np.float64).T
-            yield from zip(some.tolist(), found[:, self._twins], strict=True)
+                products[:, columns] = scaled @ self._tiles[columns].astype(np.float64).T
+            yield from zip(some.tolist(), products[:, self._first_equal], strict=True)
 
     @cached_property
-    def _twins(self) -> Int64Array:
-        """For each tile the first that is equal: a matrix product may sum the columns at its edge in another order."""
-        sums = self._tiles.sum(axis=1)  # equal for equal tiles, and rarely for others
-        found = np.arange(len(sums))
+    def _first_equal(self) -> Int64Array:
+        """The first tile that equals each tile, since a matrix product may differ between equal columns."""
+        # Equal tiles have equal sums, and other tiles rarely do.
+        sums = self._tiles.sum(axis=1)
+        first_equal = np.arange(len(sums))
         _, kind, counts = np.unique(sums, return_inverse=True, return_counts=True)
         first: dict[bytes, int] = {}
         for tile in np.flatnonzero(counts[kind] > 1).tolist():
             key = hashlib.blake2b(self._tiles[tile].tobytes(), digest_size=16).digest()
-            found[tile] = first.setdefault(key, tile)
-        return found
+            first_equal[tile] = first.setdefault(key, tile)
+        return first_equal
 
-    def _asked(self, rows: slice | Int64Array) -> AnyArray:
-        asked = self._queries[rows]
-        return asked if self._factors is None else asked.astype(np.float64) * self._factors
+    def _scaled(self, rows: slice | Int64Array) -> AnyArray:
+        queries = self._queries[rows]
+        return queries if self._factors is None else queries.astype(np.float64) * self._factors
 
-    def _products(self, asked: Float32Array) -> Float32Array:
-        found = np.empty((len(asked), len(self._single)), np.float32)
-        apart = np.empty((len(asked), min(_COLUMNS, len(self._single))), np.float32)
+    def _products(self, queries: Float32Array) -> Float32Array:
+        products = np.empty((len(queries), len(self._single)), np.float32)
+        chunk_sums = np.empty((len(queries), min(_COLUMNS, len(self._single))), np.float32)
         for begin in range(0, len(self._single), _COLUMNS):
             tiles = self._single[begin : begin + _COLUMNS]
-            sums = found[:, begin : begin + _COLUMNS]
-            np.matmul(asked[:, :_CHUNK], tiles[:, :_CHUNK].T, out=sums)
-            for first in range(_CHUNK, asked.shape[1], _CHUNK):
+            sums = products[:, begin : begin + _COLUMNS]
+            np.matmul(queries[:, :_CHUNK], tiles[:, :_CHUNK].T, out=sums)
+            for first in range(_CHUNK, queries.shape[1], _CHUNK):
                 chunk = slice(first, first + _CHUNK)
-                sums += np.matmul(asked[:, chunk], tiles[:, chunk].T, out=apart[:, : len(tiles)])
-        return found
+                sums += np.matmul(queries[:, chunk], tiles[:, chunk].T, out=chunk_sums[:, : len(tiles)])
+        return products
 
 
 def norms(rows: AnyArray) -> Float64Array:
-    """Upper bounds on the norms of rows (N, F), a thousandth too long at most; not finite where a number is not, (N,)."""
-    found = np.empty(len(rows))
+    """Return upper bounds on the norms of rows (N, F), at most 0.1 % too large; not finite for rows that are not, (N,)."""
+    bounds = np.empty(len(rows))
     length = rows.shape[1]
-    for start in range(0, len(rows), _PAIRS):
-        some = _to_single(rows[start : start + _PAIRS])
+    for start in range(0, len(rows), _PAIRS_AT_A_TIME):
+        some = _to_single(rows[start : start + _PAIRS_AT_A_TIME])
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.einsum("nf,nf->n", some, some).astype(np.float64)
-            odd = np.flatnonzero(~((squares > 1e-20) & (squares < 1e30)))  # single precision does not reach further
-            if len(odd) or length > 10_000:
-                which = odd if length <= 10_000 else np.arange(len(some))
-                wide = rows[start : start + _PAIRS][which].astype(np.float64)
+            # Recompute sums of squares near the limits of single precision.
+            extreme = np.flatnonzero(~((squares > 1e-20) & (squares < 1e30)))
+            if len(extreme) or length > 10_000:
+                which = extreme if length <= 10_000 else np.arange(len(some))
+                wide = rows[start : start + _PAIRS_AT_A_TIME][which].astype(np.float64)
                 squares[which] = np.einsum("nf,nf->n", wide, wide)
-            found[start : start + _PAIRS] = 1.001 * np.sqrt(squares)
-    return found
+            bounds[start : start + _PAIRS_AT_A_TIME] = 1.001 * np.sqrt(squares)
+    return bounds
 
 
 def _to_single(values: AnyArray) -> Float32Array:

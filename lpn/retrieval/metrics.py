@@ -1,4 +1,4 @@
-"""Recall@K, Recall@Top1% and AP by the published protocols, from ranks of the true matches alone.
+"""Recall@K, Recall@Top1%, and AP by the published protocols, from the ranks of the true matches.
 
 Labels (University-1652, CVUSA) or lists (Oxford5k, Paris6k) give a query's true matches; both take one pass over the queries.
 """
@@ -18,7 +18,7 @@ from lpn.datasets import Truth
 from lpn.models.base import as_array
 from lpn.retrieval import ranks
 from lpn.retrieval.inner_products import Scores, norms
-from lpn.retrieval.ranks import JUNK, Marks, Ranked
+from lpn.retrieval.ranks import JUNK, GroundTruth, Ranked
 
 __all__ = ["JUNK", "Retrieval", "check_truth", "checked_labels", "evaluate", "flat_sides", "retrieve"]
 
@@ -34,11 +34,11 @@ class Retrieval(Ranked):
 
     @property
     def best(self) -> Int64Array:
-        """Gallery position of each query's nearest picture that is not junk, the first of equals; -1 where all is, (Q,)."""
+        """Gallery position of each query's nearest picture that is not junk, on ties the first; -1 if all are junk, (Q,)."""
         return np.where(self.first == 0, self.true, self.false)
 
-    def figures(self) -> dict[str, float]:
-        """See `evaluate`."""
+    def metrics(self) -> dict[str, float]:
+        """Return the values that `evaluate` returns."""
         return {
             "recall@1": self.recall(1),
             "recall@5": self.recall(5),
@@ -63,22 +63,21 @@ def evaluate(
 ) -> dict[str, float]:
     """Score a retrieval.
 
-    A query without a true match counts as missed. AP is the trapezoid rule over the precision-recall points, which is the
-    Oxford protocol's too. Recall@Top1% reads the recall curve at index round(0.01 G), G with junk, so within that number
-    plus one.
+    A query without a true match counts as missed. AP is the trapezoid rule over the precision-recall points, as in the Oxford
+    protocol. Recall@Top1% is Recall@K with K = round(0.01 G) + 1, where G includes junk.
 
     Args:
         query, gallery: descriptors, (Q, n, D) or (Q, F) and (G, n, D) or (G, F), compared by inner product.
         query_labels, gallery_labels: integers, (Q,) and (G,); gallery pictures labelled -1 are dropped.
-        truth: for each query its true matches and its junk, in place of labels, which are then not read.
+        truth: for each query its true matches and its junk, used instead of labels.
 
     Returns:
         `recall@1, recall@5, recall@10, recall@1%, ap` in percent, and the numbers `queries` and `gallery`.
 
     Raises:
-        InputError: when shapes do not fit, a value is not finite, a side is empty, or a list names what is not there.
+        InputError: when shapes do not fit, a value is not finite, a side is empty, or a list names an unknown tile.
     """
-    return retrieve(query, query_labels, gallery, gallery_labels, truth).figures()
+    return retrieve(query, query_labels, gallery, gallery_labels, truth).metrics()
 
 
 def retrieve(
@@ -92,26 +91,26 @@ def retrieve(
 ) -> Retrieval:
     """Rank the gallery for every query; arguments and errors as for `evaluate`.
 
-    Ranks are those of scores in double precision, equal scores in gallery order, whatever the precision that most are
-    computed in. Memory: blocks of 160 MB beside the descriptors, whatever the number of queries.
+    Ranks are those of double-precision scores, although most scores are computed in single precision. Equal scores rank in
+    gallery order. Memory: one block of 160 MB besides the descriptors, for any number of queries.
 
     Args:
-        factors: multiply each number of a query first, (F,).
+        factors: multiplied into each query first, (F,).
         progress: called after each block with the numbers of ranked and of all queries; an exception stops the work.
     """
     (queries, tiles), lengths = _sides(query, gallery)
     if truth is None:
         of_query = checked_labels(query_labels, queries, "query")
-        marks = Marks.by_labels(of_query, checked_labels(gallery_labels, tiles, "gallery"))
+        ground_truth = GroundTruth.by_labels(of_query, checked_labels(gallery_labels, tiles, "gallery"))
     else:
         check_truth(truth, len(queries), len(tiles))
-        marks = Marks.by_lists(truth)
-    scores, found = Scores(queries, tiles, lengths, factors), []
+        ground_truth = GroundTruth.by_lists(truth)
+    scores, blocks = Scores(queries, tiles, lengths, factors), []
     for rows, block, errors in scores.blocks():
-        found.append(ranks.rank(scores, marks, rows, block, errors))
+        blocks.append(ranks.rank(scores, ground_truth, rows, block, errors))
         if progress is not None:
             progress(rows.stop, len(queries))
-    return joined(found, len(tiles))
+    return joined(blocks, len(tiles))
 
 
 def joined(parts: Sequence[Ranked], gallery: int) -> Retrieval:
@@ -126,8 +125,8 @@ def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
     """Raise InputError unless there is one list for each query, and each names gallery pictures once."""
     if len(truth) != queries:
         raise InputError(f"There are {len(truth)} lists of true matches for {queries} queries; expected one for each.")
-    for i, of in enumerate(truth):
-        named = np.concatenate([of.good, of.junk])
+    for i, lists in enumerate(truth):
+        named = np.concatenate([lists.good, lists.junk])
         if len(named) and not (named.min() >= 0 and named.max() < gallery):
             raise InputError(
                 f"The lists of query {i} name gallery positions {named.min()} to {named.max()}; expected 0 to {gallery - 1}."
@@ -139,14 +138,14 @@ def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
 
 
 def flat_sides(query: npt.ArrayLike, gallery: npt.ArrayLike) -> tuple[AnyArray, AnyArray]:
-    """Descriptors of both sides as (Q, F) and (G, F); InputError when `evaluate` would not take them."""
+    """Return the descriptors of both sides as (Q, F) and (G, F); InputError if `evaluate` would refuse them."""
     return _sides(query, gallery)[0]
 
 
 def _sides(
     query: npt.ArrayLike, gallery: npt.ArrayLike
 ) -> tuple[tuple[AnyArray, AnyArray], tuple[Float64Array, Float64Array]]:
-    """The same, and bounds on the norms of their rows."""
+    """Return what `flat_sides` returns, and bounds on the norms of the rows."""
     (queries, of_query), (tiles, of_tile) = _flat(query, "query"), _flat(gallery, "gallery")
     if queries.shape[1] != tiles.shape[1]:
         raise InputError(
@@ -165,7 +164,8 @@ def _flat(values: Any, side: str) -> tuple[AnyArray, Float64Array]:
         )
     flat = array.reshape(len(array), -1)
     lengths = norms(flat)
-    if not np.isfinite(flat[~np.isfinite(lengths)]).all():  # a sound number's square may be too large
+    # The norm of finite numbers may overflow, so check the numbers themselves.
+    if not np.isfinite(flat[~np.isfinite(lengths)]).all():
         raise InputError(
             f"The {side} descriptors hold values that are not finite; delete their store, and describe the pictures again."
         )
@@ -173,7 +173,7 @@ def _flat(values: Any, side: str) -> tuple[AnyArray, Float64Array]:
 
 
 def checked_labels(values: Any, rows: AnyArray, side: str) -> Int64Array:
-    """Labels as int64, one per row of descriptors; InputError when they are not whole numbers, or not as many."""
+    """Return labels as int64; InputError unless there is one integer per row of descriptors."""
     labels = as_array(values)
     if labels.shape != (len(rows),) or not np.issubdtype(labels.dtype, np.integer):
         raise InputError(

@@ -330,7 +330,7 @@ def rankings(folder: Path) -> list[FuzzCase]:
     def read(data: bytes) -> None:
         file.write_bytes(data)
         found = ranking_cache.load(task)
-        assert found is None or found.figures()["gallery"] == 7
+        assert found is None or found.metrics()["gallery"] == 7
 
     def inner(name: str) -> FuzzCase:
         return FuzzCase([_entry(whole, name)], lambda data: read(_with_entry(whole, name, data)))

@@ -33,7 +33,7 @@ def ranked(task: Task) -> metrics.Retrieval:
 def same(one: metrics.Retrieval, other: metrics.Retrieval) -> None:
     for name in ("first", "true", "false", "best", "precision"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
-    assert one.figures() == other.figures()
+    assert one.metrics() == other.metrics()
 
 
 @pytest.mark.parametrize("listed", [False, True])

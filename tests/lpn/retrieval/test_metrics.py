@@ -184,7 +184,7 @@ def test_lists_that_say_what_labels_say_give_the_same_figures() -> None:
     truth = [Truth(np.flatnonzero(labels == label), junk) for label in query_labels]
     by_label = metrics.retrieve(query, query_labels, gallery, labels)
     by_list = metrics.retrieve(query, None, gallery, None, truth)
-    assert by_label.figures() == by_list.figures()
+    assert by_label.metrics() == by_list.metrics()
     np.testing.assert_array_equal(by_label.first, by_list.first)
     np.testing.assert_array_equal(by_label.best, by_list.best)
     np.testing.assert_allclose(by_label.precision, by_list.precision)
@@ -195,7 +195,7 @@ def test_blocks_of_queries_change_nothing(monkeypatch: pytest.MonkeyPatch) -> No
     whole = metrics.retrieve(*made)
     monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 80 * 7)
     blocks = metrics.retrieve(*made)
-    assert whole.figures() == blocks.figures()
+    assert whole.metrics() == blocks.metrics()
     np.testing.assert_array_equal(whole.best, blocks.best)
 
 
@@ -205,7 +205,7 @@ def test_the_best_match_is_the_first_of_equals_and_never_junk() -> None:
     assert found.best.tolist() == [1, 0]
     nothing = metrics.retrieve(gallery, np.zeros(4, int), gallery, np.full(4, -1))
     assert nothing.best.tolist() == [-1] * 4
-    assert nothing.figures()["recall@10"] == 0
+    assert nothing.metrics()["recall@10"] == 0
 
 
 @pytest.mark.parametrize(

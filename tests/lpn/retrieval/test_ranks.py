@@ -74,8 +74,8 @@ def test_equal_and_almost_equal_scores_are_ranked_as_in_double_precision(
 def test_a_query_with_too_many_close_tiles_is_ranked_in_double_precision_alone(
     few: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ranks, "_FEW", few)
-    monkeypatch.setattr(ranks, "_SHARE", 0)
+    monkeypatch.setattr(ranks, "_MAX_CLOSE", few)
+    monkeypatch.setattr(ranks, "_MAX_CLOSE_SHARE", 0)
     rng = np.random.default_rng(few)
     queries, tiles = alike(rng, 40, 50, 64)
     asked, labels = rng.integers(-1, 12, 40), rng.integers(-1, 10, 50)
