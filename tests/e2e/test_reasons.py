@@ -48,7 +48,7 @@ def test_evidence_of_the_compared_pair_is_exact_and_its_cursor_linked(explorer: 
     found = explain.evidence(one.trace, other.trace)
     for shown, side in zip(maps.all(), (found.query, found.tile), strict=True):
         cells = json.loads(shown.get_attribute("data-cells") or "[]")
-        np.testing.assert_allclose(cells, side.total(found.weights).reshape(-1), atol=1e-4)
+        np.testing.assert_allclose(cells, side.score_map(found.weights).reshape(-1), atol=1e-4)
     correspondences, _ = explain.correspondences(one.trace, other.trace, found.weights)
     read = explorer.page.locator(".lpn-read")
     explorer.page.mouse.move(*middle(maps.first, 0.3, 0.6))  # row 3, column 2 of 4 x 4

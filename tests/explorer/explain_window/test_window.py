@@ -71,7 +71,7 @@ def test_the_page_holds_every_cell_and_its_mate(workspace: Workspace) -> None:
     found, html = analysis.pair_evidence.evidence, evidence.page(analysis, workspace)
     cells = data_of(html, "cells")
     for held, side in zip(cells, (found.query, found.tile), strict=True):
-        np.testing.assert_allclose(held, side.total(found.weights).reshape(-1), atol=6e-6)
+        np.testing.assert_allclose(held, side.score_map(found.weights).reshape(-1), atol=6e-6)
         assert sum(held) + side.constants @ found.weights == pytest.approx(analysis.chosen.score, abs=1e-3)
     assert [len(correspondences) for correspondences in data_of(html, "correspondences")] == [16, 16]
     of_part = evidence.page(analysed(workspace, heat_part=1), workspace)

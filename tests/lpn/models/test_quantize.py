@@ -63,7 +63,7 @@ def test_a_quantised_model_s_evidence_still_adds_up(data: Path, model_file: Path
     weights = scoring.part_weights(4)
     evidence = explain.evidence(query.trace, tile.trace, weights)
     score = float((query.descriptor * tile.descriptor).sum())
-    assert sum(float(values.sum()) for values in evidence.sums) == pytest.approx(score, abs=1e-5)
+    assert sum(float(values.sum()) for values in evidence.part_sums) == pytest.approx(score, abs=1e-5)
 
 
 @pytest.mark.slow
