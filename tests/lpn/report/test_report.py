@@ -258,7 +258,7 @@ def test_the_worst_failures_come_first(
         (["--weights", "1,2"], "expected 4 numbers"),
         (["--where", "rank < 1"], "No query is one with rank < 1"),
         (["--where", "rank = 1", "--failures", "3"], "No query failed of those with rank = 1"),
-        (["--task", "street-to-satellite"], "offer drone-to-satellite"),
+        (["--task", "street-to-satellite"], "has the tasks drone-to-satellite"),
     ],
 )
 def test_invalid_arguments_give_one_sentence_and_no_file(
