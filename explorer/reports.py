@@ -39,7 +39,7 @@ def of_analysis(
     state, task = analysis.state, analysis.task
     task = _with_notes(workspace, task, model or workspace.model, analysis.ranking.weights)
     query = report.OwnPicture(analysis.name, analysis.source) if state.upload else state.query
-    options = report.Options(change=state.change, against=analysis.chosen.index)
+    options = report.Options(change=state.change, compared_tile=analysis.chosen.index)
     return f"{_plain(analysis.name)}.html", report.build(task, [query], options, progress)
 
 
@@ -59,7 +59,7 @@ def of_selection(
     Raises:
         LPNError: when there are too many queries, or a file of the data set cannot be read.
     """
-    options = report.Options(chosen=chosen)
+    options = report.Options(selection=chosen)
     return f"{_plain(task.name)}.html", report.build(
         _with_notes(workspace, task, model or workspace.model), queries, options, progress
     )

@@ -115,7 +115,7 @@ class BackgroundJobs:
                     job.leave(client)
 
 
-def in_process(report: ReportProgress, function: Callable[..., T], *arguments: object) -> T:
+def run_in_process(report: ReportProgress, function: Callable[..., T], *arguments: object) -> T:
     """Call a function that cannot be interrupted in its own process, which is killed when `report` raises.
 
     Args:

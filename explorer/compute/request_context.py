@@ -88,10 +88,10 @@ class QueuedModel(Model):
     ) -> None:
         self.model, self._scheduler, self._context = model, scheduler, context
         self._background, self._cancellable = background, cancellable
-        self.spec, self.fingerprint, self.compute, self.batch = (
+        self.spec, self.fingerprint, self.precision, self.batch = (
             model.spec,
             model.fingerprint,
-            model.compute,
+            model.precision,
             model.batch,
         )
 

@@ -10,16 +10,21 @@ from explorer.web.render import render, send
 from explorer.workspace import StateAnalysis
 from lpn.drawing import charts, verdicts
 from lpn.drawing.verdicts import ordinal
-from lpn.explain.sweeps import UNITS, Over, Point, Profile, signed_value
+from lpn.explain.sweeps import UNITS, Point, SweepResult, SweptProperty, signed_value
 
-CHOICES: dict[Over, str] = {"rotation": "Turn", "shift": "Shift right", "shift-down": "Shift down", "zoom": "Zoom"}
+CHOICES: dict[SweptProperty, str] = {
+    "rotation": "Turn",
+    "shift": "Shift right",
+    "shift-down": "Shift down",
+    "zoom": "Zoom",
+}
 _WIDTH = 720
 
 
 def page(
     analysis: StateAnalysis,
-    over: Over | None,
-    profile: Profile | None,
+    over: SweptProperty | None,
+    profile: SweepResult | None,
     total: int,
     names: Sequence[str],
     stopped: bool = False,
@@ -55,12 +60,12 @@ def _attributes(point: Point) -> Markup:
     return send("take", [change.rotate, change.shift, change.down, change.scale])
 
 
-def _followed(profile: Profile) -> str:
+def _followed(profile: SweepResult) -> str:
     return "the true tile" if profile.best.true else "the compared tile"
 
 
-def _sentences(profile: Profile, analysis: StateAnalysis) -> list[str]:
-    over, best, ranked, blind = profile.over, profile.best, profile.best_rank, profile.best_blind
+def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
+    over, best, ranked, blind = profile.over, profile.best, profile.best_rank, profile.best_top_match
     sentences = [
         f"Best for {_followed(profile)}: {_place(over, best)}, score {best.score:.3f}, {ordinal(best.rank)}"
         f"{_before(profile, best)}."
@@ -79,11 +84,11 @@ def _sentences(profile: Profile, analysis: StateAnalysis) -> list[str]:
     return sentences
 
 
-def _place(over: Over, point: Point) -> str:
+def _place(over: SweptProperty, point: Point) -> str:
     return f"{signed_value(over, point.change):.3g}{UNITS[over]}"
 
 
-def _before(profile: Profile, point: Point) -> str:
+def _before(profile: SweepResult, point: Point) -> str:
     """Compare a point with the query as it is."""
     before = profile.unchanged
     if before is None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.explain import sweeps
-from lpn.explain.sweeps import FIELD, Over, Point, Profile
+from lpn.explain.sweeps import CHANGE_FIELD, Point, SweepResult, SweptProperty
 from lpn.models.base import Model
 
 
@@ -24,7 +24,7 @@ class SweepRequest:
         cancelled: set it to end the sweep.
     """
 
-    def __init__(self, over: Over, analysis: StateAnalysis) -> None:
+    def __init__(self, over: SweptProperty, analysis: StateAnalysis) -> None:
         self.over, self.analysis = over, analysis
         self.cancelled = threading.Event()
         self.query = analysis.task.queries[analysis.state.query]
@@ -37,11 +37,11 @@ class SweepRequest:
         analysis, task, state = self.analysis, self.analysis.task, self.analysis.state
         height, width = workspace.spec.input_size
         changes = sweeps.changes_over(self.over, side=height if self.over == "shift-down" else width)
-        changes = [change.for_picture(self.query) for change in sweeps.around(self.over, state.change, changes)]
+        changes = [change.for_picture(self.query) for change in sweeps.apply_to_base(self.over, state.change, changes)]
         known = None if state.upload else state.query
         progress = SweepProgress(self, total=len(changes))
         yield progress
-        for point in sweeps.profile(
+        for point in sweeps.run_sweep(
             model,
             analysis.source,
             task.query_view,
@@ -64,7 +64,7 @@ class SweepRequest:
         return self._key(self.analysis) == self._key(analysis)
 
     def _key(self, analysis: StateAnalysis) -> object:
-        state, field = analysis.state, FIELD[self.over]
+        state, field = analysis.state, CHANGE_FIELD[self.over]
         followed = None if analysis.positive else analysis.chosen.index
         weights = tuple(analysis.ranking.weights.tolist())
         unswept = replace(state.change, **{field: getattr(UNCHANGED, field)})
@@ -90,7 +90,7 @@ class SweepProgress:
         """True when the sweep ended before its last point."""
         return self.ended and len(self.points) < max(self.total, 1)
 
-    def profile(self, analysis: StateAnalysis) -> Profile | None:
+    def profile(self, analysis: StateAnalysis) -> SweepResult | None:
         """Return the profile around the shown query, or around the requested one where the shown query is no point.
 
         None before the first point.
@@ -98,6 +98,8 @@ class SweepProgress:
         if not self.points:
             return None
         over = self.request.over
-        now = sweeps.value(over, analysis.state.change)
-        shown = next((p.change for p in self.points if abs(sweeps.value(over, p.change) - now) < 1e-6), None)
-        return Profile(over, self.points, shown or self.request.analysis.state.change.for_picture(self.request.query))
+        now = sweeps.swept_value(over, analysis.state.change)
+        shown = next((p.change for p in self.points if abs(sweeps.swept_value(over, p.change) - now) < 1e-6), None)
+        return SweepResult(
+            over, self.points, shown or self.request.analysis.state.change.for_picture(self.request.query)
+        )

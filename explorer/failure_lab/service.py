@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, in_process
+from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, run_in_process
 from explorer.workspace import Workspace
 from lpn.analysis import embedding_map, notes, query_outcomes
 from lpn.analysis.notes import Note
@@ -138,7 +138,7 @@ class FailureLab:
             return MapPoints(queries, task.geometry.ground, ground=ground)
         if kind == "umap":
             descriptors = np.asarray(task.query_descriptors), np.asarray(task.gallery_descriptors)
-            embedding = in_process(progress, embedding_map.umap, *descriptors)
+            embedding = run_in_process(progress, embedding_map.umap, *descriptors)
             axes = "neighbours are alike; distances between groups mean little"
             return MapPoints(embedding.queries, embedding.tiles, axes)
         embedding = embedding_map.pca(task.query_descriptors, task.gallery_descriptors)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lpn.explain import counterfactual
-from lpn.explain.counterfactual import Reweighting, Without
+from lpn.explain.counterfactual import RanksWithoutParts, Reweighting
 from lpn.retrieval import Match, Ranking
 
 
@@ -22,7 +22,7 @@ class Comparison:
 
     followed: Match
     other: Match
-    without: Without | None
+    without: RanksWithoutParts | None
     change: Reweighting | None
 
     @classmethod
@@ -38,5 +38,8 @@ class Comparison:
             other = nearest
         index = None if positive else followed.index
         return cls(
-            followed, other, counterfactual.without(ranking, index), counterfactual.smallest_change(ranking, index)
+            followed,
+            other,
+            counterfactual.ranks_without_parts(ranking, index),
+            counterfactual.smallest_change(ranking, index),
         )

@@ -118,7 +118,7 @@ class Task:
     def metrics(self) -> dict[str, float]:
         """Recall and AP in percent under the part weights, see `metrics.evaluate`."""
         query = self.query_descriptors
-        query = query if self.weights is None else counterfactual.folded(query, self.weights)
+        query = query if self.weights is None else counterfactual.weighted_queries(query, self.weights)
         return metrics.evaluate(query, self.query_labels, self.gallery_descriptors, self.gallery_labels, self.truth)
 
     def label_and_truth(self, query: int | None) -> tuple[int | None, Truth | None]:

@@ -64,12 +64,12 @@ class EvaluateCommand:
             self.average_queries,
             self.whole,
         )
-        title, result = self._saved(self.saved, protocol) if self.saved else self._described(protocol)
+        title, result = self._evaluate_saved(self.saved, protocol) if self.saved else self._evaluate_model(protocol)
         _print_result(title, result)
         if self.json is not None:
             write_atomic(self.json, (json.dumps(result.to_dict(), indent=1) + "\n").encode())
 
-    def _saved(self, saved: Path, protocol: Protocol) -> tuple[str, Result]:
+    def _evaluate_saved(self, saved: Path, protocol: Protocol) -> tuple[str, Result]:
         from lpn.retrieval.evaluate import evaluate_saved
         from lpn.retrieval.published_results import load_saved
 
@@ -83,12 +83,12 @@ class EvaluateCommand:
         opened = load_saved(saved, check_n_parts(self.n_parts))
         return opened.name, evaluate_saved(opened, protocol)
 
-    def _described(self, protocol: Protocol) -> tuple[str, Result]:
+    def _evaluate_model(self, protocol: Protocol) -> tuple[str, Result]:
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
         from lpn.retrieval.evaluate import evaluate
 
-        _only_saved(self.n_parts)
+        _reject_n_parts(self.n_parts)
         if self.data is None or self.model is None:
             raise InputError(
                 "There is nothing to evaluate; give --data and --model, or a pytorch_result.mat with --saved."
@@ -128,7 +128,7 @@ def _numbers(text: str | None) -> list[int] | None:
         raise InputError(f"The parts are {text!r}; expected numbers from 1, such as 1,2.") from error
 
 
-def _only_saved(n_parts: int | None) -> None:
+def _reject_n_parts(n_parts: int | None) -> None:
     if n_parts is not None:
         raise InputError(
             "A model knows its number of parts; give --n-parts with --saved only, or choose parts with --parts."

@@ -30,7 +30,7 @@ from lpn.core import log
 from lpn.core.errors import LPNError, MissingPackageError
 from lpn.core.files import printable
 from lpn.core.requirements import broken_package
-from lpn.core.shutdown import WRITING, StopSignals, exit_now, writes_finished
+from lpn.core.shutdown import WRITE_SECONDS, StopSignals, exit_now, writes_finished
 
 COMMANDS: dict[str, type[Any]] = {
     "train": TrainCommand,
@@ -96,7 +96,7 @@ def _run_until_stopped(arguments: Sequence[str] | None, stopped: Callable[[int],
         except BaseException:  # libraries may convert KeyboardInterrupt
             if not stop.signal:
                 raise
-        writes_finished(WRITING)  # in other threads
+        writes_finished(WRITE_SECONDS)  # in other threads
         status = stop.end()
         if stop.signal:
             stopped(status)

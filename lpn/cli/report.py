@@ -81,7 +81,7 @@ class ReportCommand:
             read_notes(self.notes) if self.notes else None,
         )
         chosen, selection = (named, "chosen by name") if named else self._chosen(task)
-        options = report.Options(self.matches, self.profile, self.step, Change(rotate=self.rotate), chosen=selection)
+        options = report.Options(self.matches, self.profile, self.step, Change(rotate=self.rotate), selection=selection)
         console = Console()
         with Progress(console=console, transient=True) as bar:
             shown = bar.add_task("Reporting", total=None)

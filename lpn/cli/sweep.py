@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from lpn.core.views import View
     from lpn.datasets import Dataset
-    from lpn.explain.sweeps import Point, Profile
+    from lpn.explain.sweeps import Point, SweepResult
     from lpn.models.base import Model
 
 _BAR = 24
@@ -74,7 +74,7 @@ class SweepCommand:
         if self.png is not None:
             write_atomic(self.png, _draw(found, title))
 
-    def _sweep(self, model: Model, dataset: Dataset, task: str, console: Console) -> Profile:
+    def _sweep(self, model: Model, dataset: Dataset, task: str, console: Console) -> SweepResult:
         import numpy as np
         from rich.progress import track
 
@@ -101,21 +101,21 @@ class SweepCommand:
         tiles = descriptors.cached_descriptors(model, gallery, gallery_view)
         labels = np.array([tile.label for tile in gallery], np.int64)
         listed = None if truth is None else truth[position]
-        points = sweeps.profile(model, picture, query_view, tiles, weights, changes, labels, entry.label, listed)
+        points = sweeps.run_sweep(model, picture, query_view, tiles, weights, changes, labels, entry.label, listed)
         seen = track(points, f"Describing {self.query}", len(changes), console=console, transient=True)
-        return sweeps.Profile(self.over, tuple(seen))
+        return sweeps.SweepResult(self.over, tuple(seen))
 
 
-def _subject(profile: Profile) -> str:
+def _subject(profile: SweepResult) -> str:
     """Name the tile that scores and ranks refer to."""
     return "the nearest true match" if profile.points[0].true else "the top match, as there is no true match"
 
 
-def _print(profile: Profile, title: str, views: tuple[View, View], console: Console) -> None:
+def _print(profile: SweepResult, title: str, views: tuple[View, View], console: Console) -> None:
     """Print a row for each transform with its score as a bar, and the gain of the best one."""
     from rich.table import Table
 
-    from lpn.explain.sweeps import UNITS, value
+    from lpn.explain.sweeps import UNITS, swept_value
 
     blocks = str(console.encoding).lower().startswith("utf")
     scores = [point.score for point in profile.points]
@@ -128,7 +128,7 @@ def _print(profile: Profile, title: str, views: tuple[View, View], console: Cons
         table.add_column(f"cos {part}", justify="right")
     table.add_column("top score", justify="right")
     for point in profile.points:
-        number = f"{value(profile.over, point.change):.4g}{UNITS[profile.over]}"
+        number = f"{swept_value(profile.over, point.change):.4g}{UNITS[profile.over]}"
         bar = ("█" if blocks else "#") * (1 + round((point.score - low) / span * (_BAR - 1)))
         cosines = [f"{cosine:.3f}" for cosine in point.cosines]
         mark = "*" if point is profile.best else ""
@@ -138,7 +138,7 @@ def _print(profile: Profile, title: str, views: tuple[View, View], console: Cons
         console.print(line, highlight=False, soft_wrap=True)
 
 
-def _sentences(profile: Profile, views: tuple[View, View]) -> list[str]:
+def _sentences(profile: SweepResult, views: tuple[View, View]) -> list[str]:
     """Describe the best transform in words, with and without knowledge of the true match."""
     from lpn.drawing import verdicts
 
@@ -147,14 +147,14 @@ def _sentences(profile: Profile, views: tuple[View, View]) -> list[str]:
         lines.append(_sentence("The true match scores highest", profile, profile.best))
         lines.append(_sentence("It ranks best", profile, profile.best_rank))
     lines.append(
-        _sentence("The top score, which is seen without knowing the truth, is highest", profile, profile.best_blind)
+        _sentence("The top score, which is seen without knowing the truth, is highest", profile, profile.best_top_match)
     )
     if guess := verdicts.describe_heading(profile, views):
         lines.append(guess)
     return lines
 
 
-def _sentence(begin: str, profile: Profile, point: Point) -> str:
+def _sentence(begin: str, profile: SweepResult, point: Point) -> str:
     gain, changed = profile.gain(point), point.change.describe()
     when = f"when {changed}" if changed else "with the query as it is"
     subject = "the true match has" if point.true else "the top match has"
@@ -165,13 +165,13 @@ def _sentence(begin: str, profile: Profile, point: Point) -> str:
     return f"{begin} {when}: {subject} rank {point.rank} {before}, score {point.score:.3f} ({score:+.3f})."
 
 
-def _draw(profile: Profile, title: str) -> bytes:
+def _draw(profile: SweepResult, title: str) -> bytes:
     """Draw scores, part cosines, and rank over the transform as a PNG file."""
     from lpn.drawing.plots import png, pyplot
-    from lpn.explain.sweeps import UNITS, value
+    from lpn.explain.sweeps import UNITS, swept_value
 
     figure, (above, below) = pyplot().subplots(2, 1, figsize=(8, 6), sharex=True, height_ratios=(2, 1))
-    along = [value(profile.over, point.change) for point in profile.points]
+    along = [swept_value(profile.over, point.change) for point in profile.points]
     for part, cosines in enumerate(zip(*(point.cosines for point in profile.points), strict=True), 1):
         above.plot(along, cosines, linewidth=1, label=f"cosine of part {part}")
     above.plot(along, [point.score for point in profile.points], color="black", linewidth=2.5, label="score")

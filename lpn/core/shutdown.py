@@ -21,7 +21,7 @@ from types import FrameType
 
 # Seconds that a command has to end by itself, and that files being written have beyond that.
 GRACE = 2.0
-WRITING = 10.0
+WRITE_SECONDS = 10.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -37,7 +37,7 @@ class _Writes:
         self._changed = threading.Condition()
         self._count = 0
         self.depth = 0
-        self.stop_after = False
+        self.stop_pending = False
 
     def begin(self) -> None:
         with self._changed:
@@ -74,8 +74,8 @@ def uninterrupted() -> Iterator[None]:
         _WRITES.end()
         if main:
             _WRITES.depth -= 1
-            if not _WRITES.depth and _WRITES.stop_after:
-                _WRITES.stop_after = False
+            if not _WRITES.depth and _WRITES.stop_pending:
+                _WRITES.stop_pending = False
                 raise KeyboardInterrupt
 
 
@@ -137,7 +137,7 @@ class StopSignals:
             return
         self._raised = True
         if _WRITES.depth:
-            _WRITES.stop_after = True
+            _WRITES.stop_pending = True
         else:
             raise KeyboardInterrupt
 
@@ -147,7 +147,7 @@ class StopSignals:
             return
         self.signal = self.signal or first
         second = self._next(GRACE)
-        until = time.monotonic() + WRITING
+        until = time.monotonic() + WRITE_SECONDS
         while second is None and not self._over.is_set() and time.monotonic() < until and not writes_finished(0):
             second = self._next(0.05)
         if not self._over.is_set():

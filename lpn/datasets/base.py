@@ -28,9 +28,9 @@ TASKS = (
     "drone-to-street",
     "street-to-drone",
 )
-_PLAIN = re.compile(r"\w[\w-]*(\.\w+)?(/\w[\w-]*(\.\w+)?)*")
+_SAFE_PATH = re.compile(r"\w[\w-]*(\.\w+)?(/\w[\w-]*(\.\w+)?)*")
 # The largest list of pictures (.csv, .txt) that is read, in bytes.
-INDEX_BYTES = 100_000_000
+MAX_LIST_BYTES = 100_000_000
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Dataset(ABC):
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.full: Mapping[str, Size] = {}
+        self.published_sizes: Mapping[str, Size] = {}
         self.left_out: list[LeftOut] = []
 
     @abstractmethod
@@ -236,7 +236,7 @@ def checked_path(text: str, where: str) -> str:
     Raises:
         DataError: if it is absolute, empty, or contains "..".
     """
-    if _PLAIN.fullmatch(text):
+    if _SAFE_PATH.fullmatch(text):
         return text
     path = PurePosixPath(text.strip().replace("\\", "/"))
     drive = bool(path.parts) and ":" in path.parts[0]
@@ -254,8 +254,10 @@ def read_lines(path: Path, name: str) -> list[str]:
         DataError: if it cannot be read, is too large, or is not UTF-8.
     """
     try:
-        if path.stat().st_size > INDEX_BYTES:
-            raise DataError(f"{name} has more than {INDEX_BYTES // 1_000_000} MB; expected a list of pictures as text.")
+        if path.stat().st_size > MAX_LIST_BYTES:
+            raise DataError(
+                f"{name} has more than {MAX_LIST_BYTES // 1_000_000} MB; expected a list of pictures as text."
+            )
         return path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise DataError(

@@ -67,7 +67,7 @@ class CVACT(ListedDataset):
             )
         super().__init__(root, pictures["train"], pictures["test"], pictures["test"], f"a valSet in {NAME}")
         self.left_out = left_out
-        self.full = FULL
+        self.published_sizes = FULL
         warn_left_out(self, f"files named in {NAME} cannot be used", "their pairs are left out")
 
 

@@ -68,7 +68,7 @@ class CVUSA(ListedDataset):
             root, pictures["train"], pictures["val"], pictures["val"], "a split of CVUSA, splits/val-19zl.csv"
         )
         self.left_out = left_out
-        self.full = {} if rendered else FULL
+        self.published_sizes = {} if rendered else FULL
         warn_left_out(self, "files named in splits cannot be used", "their pairs are left out")
 
 

@@ -94,7 +94,7 @@ class Landmarks(ListedDataset):
             raise DataError(f"{root.name} has the picture of none of its {len(queries)} queries; add them as .jpg.")
         self._truth = [Truth(_positions(query.good, position), _positions(query.junk, position)) for query in usable]
         self.left_out = left_out
-        self.full = FULL.get(self.kind, {})
+        self.published_sizes = FULL.get(self.kind, {})
         warn_left_out(self, "pictures cannot be used", "they are left out")
 
     def tasks(self) -> list[str]:

@@ -47,7 +47,7 @@ class University(Dataset):
         if is_rendered(root):
             self.kind = "world"
         else:
-            self.full = FULL
+            self.published_sizes = FULL
 
     def train(self, folder: str) -> list[Picture]:
         return _pictures(self.root / "train" / folder)

@@ -153,7 +153,7 @@ def check_dataset(
 
 
 def _count(dataset: Dataset, name: str, pictures: Sequence[Picture]) -> Count:
-    full = dataset.full.get(name)
+    full = dataset.published_sizes.get(name)
     places = len({picture.label for picture in pictures})
     return Count(name, len(pictures), places, full.pictures if full else None, full.places if full else None)
 
@@ -251,7 +251,7 @@ def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
         yield f"lpn evaluate --task {task}: {queries} queries, {gallery} pictures in the gallery"
     if tables := _tables(dataset, places > 0):
         counts = [_count(dataset, name, pictures) for name, pictures in lists.items()]
-        smaller = any(count.pictures < (count.full_pictures or 0) for count in counts) or not dataset.full
+        smaller = any(count.pictures < (count.full_pictures or 0) for count in counts) or not dataset.published_sizes
         yield f"{tables}{', at the scale of what is here' if smaller else ''}"
     if (dataset.root / "cvusa" / "splits").is_dir():
         yield f"Table II of the paper, on the panoramas in {printable(dataset.root.resolve().name)}/cvusa, a data set of its own"

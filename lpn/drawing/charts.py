@@ -21,7 +21,7 @@ from lpn.core.arrays import FloatingArray
 from lpn.core.templates import environment
 from lpn.drawing import theme
 from lpn.explain import Evidence
-from lpn.explain.sweeps import UNITS, Point, Profile, signed_value
+from lpn.explain.sweeps import UNITS, Point, SweepResult, signed_value
 
 STYLE = (Path(__file__).parent / "css" / "charts.css").read_text("utf-8")
 EVIDENCE_COLOURS = {
@@ -153,7 +153,7 @@ def waterfall(margin: FloatingArray) -> list[Markup]:
 
 
 def profile_charts(
-    profile: Profile,
+    profile: SweepResult,
     names: Sequence[str],
     width: int,
     current: float | None = None,

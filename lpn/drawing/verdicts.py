@@ -9,8 +9,8 @@ import numpy as np
 from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.views import View
 from lpn.explain import Evidence
-from lpn.explain.counterfactual import Effect, Reweighting, Without
-from lpn.explain.sweeps import Profile, signed_value
+from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
+from lpn.explain.sweeps import SweepResult, signed_value
 from lpn.retrieval import Match
 
 _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")
@@ -127,7 +127,7 @@ def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str 
     return f"{name} is {-total:.3f} (d²) behind; part {part_names[part]} costs it most ({-loss:+.3f})."
 
 
-def describe_ablation(without: Without, part_names: Sequence[str], name: str = "the true tile") -> str:
+def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], name: str = "the true tile") -> str:
     """Say which part, left out, would change the rank of a tile most."""
     ranks = {part: standing.rank for part, standing in enumerate(without.without) if standing is not None}
     if without.now.rank == 1:
@@ -137,8 +137,8 @@ def describe_ablation(without: Without, part_names: Sequence[str], name: str = "
         worst = max(needed, key=ranks.__getitem__)
         more = f" ({len(needed)} of {len(without.without)} parts are needed)" if len(needed) > 1 else ""
         return f"Without part {part_names[worst]} {name} would fall to {ordinal(ranks[worst])}{more}."
-    if without.cure is not None:
-        return f"Without part {part_names[without.cure]} {name} would be first."
+    if without.part_to_remove is not None:
+        return f"Without part {part_names[without.part_to_remove]} {name} would be first."
     text = "No single part is to blame alone"
     best = min(ranks, key=ranks.__getitem__, default=0)
     if ranks and ranks[best] < without.now.rank:
@@ -168,7 +168,7 @@ def describe_effect(effect: Effect) -> str:
     )
 
 
-def describe_rotation(profile: Profile, views: tuple[View, View]) -> str:
+def describe_rotation(profile: SweepResult, views: tuple[View, View]) -> str:
     """Say at which rotation of the query the followed tile ranks best, and what heading the top score suggests.
 
     Args:
@@ -185,7 +185,7 @@ def describe_rotation(profile: Profile, views: tuple[View, View]) -> str:
     return f"{text} {describe_heading(profile, views)}".strip()
 
 
-def describe_heading(profile: Profile, views: tuple[View, View]) -> str:
+def describe_heading(profile: SweepResult, views: tuple[View, View]) -> str:
     """Guess from the top score alone where the top of the query points.
 
     The text is empty unless a drone's picture, which has one heading, is compared with north-up satellite tiles.
@@ -193,7 +193,7 @@ def describe_heading(profile: Profile, views: tuple[View, View]) -> str:
     heading = profile.heading()
     if heading is None or views != ("drone", "satellite"):
         return ""
-    angle = signed_value("rotation", profile.best_blind.change)
+    angle = signed_value("rotation", profile.best_top_match.change)
     return (
         f"The top score, seen without knowing the truth, is highest at {angle:g}°: by that, the picture's "
         f"top points {heading:.0f}° clockwise from north, a rough guess."

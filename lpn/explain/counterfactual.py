@@ -21,7 +21,7 @@ from lpn.explain._least_distance import shortest
 from lpn.retrieval import Ranking, metrics, scoring
 
 # Score by which `smallest_change` puts a tile before all negatives: more than single precision blurs, less than anyone can see.
-LEAD = 1e-5
+MIN_SCORE_LEAD = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class PositiveRank:
 
 
 @dataclass(frozen=True)
-class Without:
+class RanksWithoutParts:
     """The rank of the nearest positive without each part, and by each part alone.
 
     Attributes:
@@ -87,7 +87,7 @@ class Without:
     alone: tuple[PositiveRank | None, ...]
 
     @property
-    def cure(self) -> int | None:
+    def part_to_remove(self) -> int | None:
         """The part (from 0) whose removal puts the positive first, by the largest margin; None where it is first already, or
         no single part is enough."""
         return None if self.now.rank == 1 else _best(self.without)
@@ -98,7 +98,7 @@ class Without:
         return _best(self.alone)
 
 
-def without(ranking: Ranking, tile: int | None = None) -> Without | None:
+def ranks_without_parts(ranking: Ranking, tile: int | None = None) -> RanksWithoutParts | None:
     """Rank the nearest positive without each part, and by each part alone.
 
     Args:
@@ -123,7 +123,7 @@ def without(ranking: Ranking, tile: int | None = None) -> Without | None:
 
     without_each = [by(np.where(np.arange(n) == part, 0.0, ranking.weights)) for part in range(n)]
     now = _positive_rank(ranking, ranking.weights, positives, negatives)
-    return Without(now, tuple(without_each), tuple(by(row) for row in np.eye(n)))
+    return RanksWithoutParts(now, tuple(without_each), tuple(by(row) for row in np.eye(n)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +174,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
     for index in positives:
         ahead = cosines[index] - cosines[negatives]
         rows = np.concatenate([ahead @ basis, basis])
-        step = shortest(rows, np.concatenate([LEAD - ahead @ now, -now]), reach + 1e-9)
+        step = shortest(rows, np.concatenate([MIN_SCORE_LEAD - ahead @ now, -now]), reach + 1e-9)
         if step is None or (best is not None and np.linalg.norm(step) >= reach):
             continue
         solution = now + basis @ step
@@ -230,8 +230,8 @@ def effect(
         first: 0-based rank of each query's first true match under the old weights, (Q,), -1 without one; computed by default.
     """
     if first is None:
-        first = metrics.retrieve(folded(query, before), query_labels, gallery, gallery_labels, truth).first
-    then = metrics.retrieve(folded(query, after), query_labels, gallery, gallery_labels, truth).first
+        first = metrics.retrieve(weighted_queries(query, before), query_labels, gallery, gallery_labels, truth).first
+    then = metrics.retrieve(weighted_queries(query, after), query_labels, gallery, gallery_labels, truth).first
     if first.shape != then.shape:
         raise InputError(f"There are {len(first)} known ranks for {len(then)} queries; expected one for each.")
     old, new = first == 0, then == 0
@@ -239,7 +239,7 @@ def effect(
     return Effect(recalls[0], recalls[1], np.flatnonzero(new & ~old), np.flatnonzero(old & ~new), len(then))
 
 
-def folded(query: Float32Array, weights: npt.ArrayLike | None) -> Float32Array:
+def weighted_queries(query: Float32Array, weights: npt.ArrayLike | None) -> Float32Array:
     """Queries (..., n, D) with part i times w_i n: their inner product with a descriptor is the score under the weights."""
     n = query.shape[-2]
     return cast(Float32Array, query * (n * scoring.part_weights(n, weights))[:, None])

@@ -28,10 +28,10 @@ from lpn.models.base import Model
 from lpn.retrieval import scoring
 
 # The swept property: degrees counter-clockwise, pixels of the network's input to the right or down, or a factor.
-Over = Literal["rotation", "shift", "shift-down", "zoom"]
-UNITS: dict[Over, str] = {"rotation": "°", "shift": " px", "shift-down": " px", "zoom": " x"}
+SweptProperty = Literal["rotation", "shift", "shift-down", "zoom"]
+UNITS: dict[SweptProperty, str] = {"rotation": "°", "shift": " px", "shift-down": " px", "zoom": " x"}
 # The field of `Change` that each sweep varies.
-FIELD: dict[Over, str] = {"rotation": "rotate", "shift": "shift", "shift-down": "down", "zoom": "scale"}
+CHANGE_FIELD: dict[SweptProperty, str] = {"rotation": "rotate", "shift": "shift", "shift-down": "down", "zoom": "scale"}
 MAX_POINTS = 3600
 
 
@@ -59,7 +59,7 @@ class Point:
     top_score: float
 
 
-def profile(
+def run_sweep(
     model: Model,
     picture: UInt8Array,
     view: View,
@@ -99,7 +99,7 @@ def profile(
 
 
 @dataclass(frozen=True, eq=False)
-class Profile:
+class SweepResult:
     """The points of a sweep, which need not be complete.
 
     Attributes:
@@ -108,14 +108,14 @@ class Profile:
         base: the change of the query from which the sweep departs.
     """
 
-    over: Over
+    over: SweptProperty
     points: tuple[Point, ...]
     base: Change = UNCHANGED
 
     def __post_init__(self) -> None:
         if not self.points:
             raise InputError("A profile needs at least one point; take one from lpn.explain.sweeps.profile first.")
-        ordered = sorted(self.points, key=lambda point: value(self.over, point.change))
+        ordered = sorted(self.points, key=lambda point: swept_value(self.over, point.change))
         object.__setattr__(self, "points", tuple(ordered))
 
     @property
@@ -124,7 +124,7 @@ class Profile:
         return self._highest([point.score for point in self.points])
 
     @property
-    def best_blind(self) -> Point:
+    def best_top_match(self) -> Point:
         """The point of any tile's highest score, which needs no ground truth; of equals the one of the least change."""
         return self._highest([point.top_score for point in self.points])
 
@@ -151,13 +151,13 @@ class Profile:
         in steps of 15 degrees, the median error is 12 degrees for pictures from straight above, one in ten of which is taken for
         its opposite, and 33 for tilted ones, four in ten of which are; by chance it would be 90.
         """
-        return -self.best_blind.change.rotate % 360 if self.over == "rotation" else None
+        return -self.best_top_match.change.rotate % 360 if self.over == "rotation" else None
 
     def rows(self) -> list[dict[str, Any]]:
         """The values of the CSV file, a row per point."""
         return [
             {
-                self.over: value(self.over, point.change),
+                self.over: swept_value(self.over, point.change),
                 "score": point.score,
                 "rank": point.rank,
                 **{f"cosine {part}": float(cosine) for part, cosine in enumerate(point.cosines, 1)},
@@ -182,19 +182,21 @@ class Profile:
         return self.points[places[0]]
 
 
-def value(over: Over, change: Change) -> float:
+def swept_value(over: SweptProperty, change: Change) -> float:
     """The swept property of a change: degrees 0 .. 360, pixels, or a factor."""
-    number = float(getattr(change, FIELD[over]))
+    number = float(getattr(change, CHANGE_FIELD[over]))
     return number % 360 if over == "rotation" else number
 
 
-def signed_value(over: Over, change: Change) -> float:
+def signed_value(over: SweptProperty, change: Change) -> float:
     """Return the same number with a rotation by the shorter way, above -180 to 180 degrees."""
-    number = value(over, change)
+    number = swept_value(over, change)
     return number - 360 if over == "rotation" and number > 180 else number
 
 
-def changes_over(over: Over, step: float | None = None, reach: float | None = None, side: int = 256) -> list[Change]:
+def changes_over(
+    over: SweptProperty, step: float | None = None, reach: float | None = None, side: int = 256
+) -> list[Change]:
     """The changes of a sweep: the unchanged query first, then always the change farthest from all before.
 
     Few points then show the shape: a rotation goes 0, 180, 90, 270, 45, ...
@@ -208,8 +210,8 @@ def changes_over(over: Over, step: float | None = None, reach: float | None = No
     Raises:
         InputError: when a number is out of range, or there would be more than 3600 points.
     """
-    if over not in get_args(Over):
-        raise InputError(f"The sweep is over {over!r}; expected one of {', '.join(get_args(Over))}.")
+    if over not in get_args(SweptProperty):
+        raise InputError(f"The sweep is over {over!r}; expected one of {', '.join(get_args(SweptProperty))}.")
     if over == "rotation":
         step = _checked("step", 15.0 if step is None else step, 0, 360, "degrees")
         if reach is not None:
@@ -233,11 +235,11 @@ def changes_over(over: Over, step: float | None = None, reach: float | None = No
     return [Change(shift=pixels[i]) if over == "shift" else Change(down=pixels[i]) for i in order]
 
 
-def around(over: Over, base: Change, changes: Iterable[Change]) -> list[Change]:
+def apply_to_base(over: SweptProperty, base: Change, changes: Iterable[Change]) -> list[Change]:
     """Apply a sweep's changes on top of a base change: the base first, then the base with each swept value."""
-    name = FIELD[over]
+    name = CHANGE_FIELD[over]
     swept = [replace(base, **{name: getattr(change, name)}) for change in changes]
-    return [base, *(change for change in swept if value(over, change) != value(over, base))]
+    return [base, *(change for change in swept if swept_value(over, change) != swept_value(over, base))]
 
 
 def _both_sides(count: int) -> list[int]:
@@ -258,9 +260,9 @@ def _coarse_first(values: Sequence[float], circle: float | None = None) -> list[
     return order
 
 
-def _size(over: Over, change: Change) -> float:
+def _size(over: SweptProperty, change: Change) -> float:
     """The size of a change."""
-    number = value(over, change)
+    number = swept_value(over, change)
     if over == "rotation":
         return min(number, 360 - number)
     return abs(math.log(number)) if over == "zoom" else abs(number)

@@ -54,20 +54,20 @@ class Model(ABC):
     Attributes:
         spec: the architecture.
         fingerprint: hexadecimal digest of the model file; only descriptors with the same fingerprint are comparable.
-        compute: the precision of its convolutions, "float32" or "int8".
+        precision: the precision of its convolutions, "float32" or "int8".
         parallel: whether several threads can call it in parallel, each on one core.
         batch: the best batch size for `descriptors`.
     """
 
     spec: ModelSpec
     fingerprint: str
-    compute: str = "float32"
+    precision: str = "float32"
     parallel: bool = False
     batch: int = 4
 
     def describe(self) -> str:
         """Return one line for a header or a log: `ModelSpec.describe`, and the precision if it is not float32."""
-        return self.spec.describe() + ("" if self.compute == "float32" else f", {self.compute}")
+        return self.spec.describe() + ("" if self.precision == "float32" else f", {self.precision}")
 
     @property
     def n_parts(self) -> int:

@@ -61,7 +61,7 @@ class Engine(Model):
         session = _open(path, options)
         metadata = _metadata(session, path)
         self.spec = ModelSpec.from_json(metadata["spec"])
-        self.compute = metadata.get(COMPUTE, "float32")
+        self.precision = metadata.get(COMPUTE, "float32")
         groups = self.spec.groups()
         files = graph_files(path, groups)
         for group, file in zip(groups, files, strict=True):

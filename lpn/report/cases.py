@@ -14,8 +14,8 @@ from lpn.core.errors import InputError
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Evidence, counterfactual, sweeps
-from lpn.explain.counterfactual import Effect, Margin, Reweighting, Without
-from lpn.explain.sweeps import Profile
+from lpn.explain.counterfactual import Effect, Margin, RanksWithoutParts, Reweighting
+from lpn.explain.sweeps import SweepResult
 from lpn.retrieval import DescribedPicture, Match, Ranking
 
 
@@ -28,16 +28,16 @@ class Options:
         profile: rotate each query once around; each step takes one forward pass.
         step: degrees between two steps.
         change: applied to each query first.
-        against: gallery position of a tile to compare in place of the top match.
-        chosen: a description of how the queries were chosen.
+        compared_tile: gallery position of a tile to compare in place of the top match.
+        selection: a description of how the queries were chosen.
     """
 
     matches: int = 5
     profile: bool = False
     step: float = 15.0
     change: Change = UNCHANGED
-    against: int | None = None
-    chosen: str = ""
+    compared_tile: int | None = None
+    selection: str = ""
 
     def __post_init__(self) -> None:
         if self.matches < 1:
@@ -85,10 +85,10 @@ class Case:
     hardest_negative: Match | None
     pairs: tuple[Pair, ...]
     margin: Margin | None
-    without: Without | None
+    without: RanksWithoutParts | None
     change: Reweighting | None
     effect: Effect | None
-    profile: Profile | None
+    profile: SweepResult | None
 
     @property
     def verdict(self) -> bool | None:
@@ -100,9 +100,9 @@ class Cases:
     """Makes the cases of one report, and caches the tiles that several of them compare."""
 
     def __init__(self, task: Task, options: Options) -> None:
-        if options.against is not None and not 0 <= options.against < len(task.gallery):
+        if options.compared_tile is not None and not 0 <= options.compared_tile < len(task.gallery):
             raise InputError(
-                f"There is no gallery picture {options.against}; the gallery has positions 0 to {len(task.gallery) - 1}."
+                f"There is no gallery picture {options.compared_tile}; the gallery has positions 0 to {len(task.gallery) - 1}."
             )
         if task.model is None and (options.profile or options.change):
             raise InputError(
@@ -113,14 +113,14 @@ class Cases:
         self._tile = lru_cache(maxsize=64)(lambda index: describe_tile(task, index, task.model))
         self._analyser = QueryAnalyser(task.model, lambda _, index: self._tile(index))
         turns = sweeps.changes_over("rotation", options.step) if options.profile else []
-        self.turns = sweeps.around("rotation", options.change, turns) if turns else []
+        self.turns = sweeps.apply_to_base("rotation", options.change, turns) if turns else []
 
-    def make(self, query: int | OwnPicture, tick: Callable[[], None]) -> Case:
-        """Analyse one query; `tick` is called after it and after each step of its profile."""
+    def make(self, query: int | OwnPicture, on_step: Callable[[], None]) -> Case:
+        """Analyse one query; `on_step` is called after it and after each step of its profile."""
         task, options = self._task, self._options
         index = None if isinstance(query, OwnPicture) else query
         weights = None if task.weights is None else tuple(task.part_weights.tolist())
-        request = QueryRequest(query, options.change, weights, compare=options.against)
+        request = QueryRequest(query, options.change, weights, compare=options.compared_tile)
         analysis = self._analyser.analyse(task, request, options.matches)
         ranking, chosen, positive, matches = analysis.ranking, analysis.chosen, analysis.positive, analysis.matches
         if positive is not None and positive.rank > len(matches):
@@ -145,12 +145,12 @@ class Cases:
             hardest_negative=hardest_negative,
             pairs=tuple(self._pair(analysis.query, match) for match in (chosen, other) if match is not None),
             margin=margin,
-            without=counterfactual.without(ranking),
+            without=counterfactual.ranks_without_parts(ranking),
             change=change,
             effect=None if change is None else self._effect(change),
-            profile=self._profile(analysis.source, index, chosen, tick),
+            profile=self._profile(analysis.source, index, chosen, on_step),
         )
-        tick()
+        on_step()
         return case
 
     def _partitioned(self, picture: UInt8Array, side: int) -> UInt8Array:
@@ -188,8 +188,8 @@ class Cases:
         )
 
     def _profile(
-        self, picture: UInt8Array, index: int | None, chosen: Match, tick: Callable[[], None]
-    ) -> Profile | None:
+        self, picture: UInt8Array, index: int | None, chosen: Match, on_step: Callable[[], None]
+    ) -> SweepResult | None:
         task, options = self._task, self._options
         if not self.turns or task.model is None:
             return None
@@ -198,7 +198,7 @@ class Cases:
         turns = [turn.for_picture(entry) for turn in self.turns]
         follow = chosen.index if index is None else None
         points = []
-        for point in sweeps.profile(
+        for point in sweeps.run_sweep(
             task.model,
             picture,
             task.views[0],
@@ -210,5 +210,5 @@ class Cases:
             follow,
         ):
             points.append(point)
-            tick()
-        return Profile("rotation", tuple(points), change.for_picture(entry))
+            on_step()
+        return SweepResult("rotation", tuple(points), change.for_picture(entry))

@@ -116,7 +116,7 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     ]
     if task.model is not None:
         facts.append(("Fingerprint", task.model.fingerprint))
-    chosen = f", {options.chosen}" if options.chosen else ""
+    chosen = f", {options.selection}" if options.selection else ""
     facts += [
         ("Data", task.data_name),
         ("Task", f"{task.name}: {len(task.queries):,} queries, {len(task.gallery):,} tiles"),

@@ -81,7 +81,7 @@ def _places(jobs: Sequence[TrainingJob]) -> str:
     """Count the training places, by network where they differ."""
     of: dict[str, dict[str, None]] = {}
     for job in jobs:
-        full = job.source.dataset.full.get("train/satellite")
+        full = job.source.dataset.published_sizes.get("train/satellite")
         count = counted(len(job.source.places(job.recipe.google)), full.places if full else None)
         of.setdefault(f"{count} places", {})[job.training.name] = None
     return "; ".join(f"{places} ({', '.join(names)})" if len(of) > 1 else places for places, names in of.items())

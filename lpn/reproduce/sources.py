@@ -71,7 +71,9 @@ class Source:
             lists = {"query": (query, self.dataset.queries(query)), "gallery": (gallery, self.dataset.gallery(gallery))}
             counts = []
             for role, (view, pictures) in lists.items():
-                full = self.dataset.full.get(f"test/{role}_{view}") or self.dataset.full.get(f"test/{view}")
+                full = self.dataset.published_sizes.get(f"test/{role}_{view}") or self.dataset.published_sizes.get(
+                    f"test/{view}"
+                )
                 counts.append(counted(len(pictures), full.pictures if full else None))
             counts_by_task.append(f"{task} {counts[0]} queries, {counts[1]} pictures in the gallery")
         return ", ".join(counts_by_task)

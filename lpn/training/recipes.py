@@ -14,16 +14,16 @@ from lpn.models.spec import Layout, Pooling
 
 _ABOVE_ZERO = math.ulp(0.0)
 _BELOW_ONE = math.nextafter(1.0, 0.0)
-_MOST = sys.float_info.max
+_MAX = sys.float_info.max
 # The range of each number, in words last; NaN and infinity are outside of all.
 _RANGES: dict[str, tuple[float, float, str]] = {
     # BatchNorm in the heads needs two places a step.
-    **dict.fromkeys(("batch",), (2, _MOST, "2 or more")),
-    **dict.fromkeys(("n_parts", "epochs", "maps"), (1, _MOST, "1 or more")),
+    **dict.fromkeys(("batch",), (2, _MAX, "2 or more")),
+    **dict.fromkeys(("n_parts", "epochs", "maps"), (1, _MAX, "1 or more")),
     # VGG's five pooling layers reduce anything smaller to nothing.
-    "size": (32, _MOST, "32 or more"),
+    "size": (32, _MAX, "32 or more"),
     **dict.fromkeys(("scale", "margin"), (0, 2, "a number from 0 to 2")),
-    **dict.fromkeys(("lr", "temperature", "alpha"), (_ABOVE_ZERO, _MOST, "a number above 0")),
+    **dict.fromkeys(("lr", "temperature", "alpha"), (_ABOVE_ZERO, _MAX, "a number above 0")),
     **dict.fromkeys(("dropout", "ema"), (0, _BELOW_ONE, "a number from 0 up to, not including, 1")),
     **dict.fromkeys(
         ("label_smoothing", "black_corners", "own_canvas", "shift", "colour", "compression"),
@@ -42,7 +42,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
             "satellite_rotation",
             "place_rotation",
         ),
-        (0, _MOST, "a number of 0 or more"),
+        (0, _MAX, "a number of 0 or more"),
     ),
     "seed": (0, 2**32 - 1, "a whole number from 0 to 4294967295"),
 }
@@ -248,9 +248,15 @@ RECIPES: dict[str, Recipe] = {
     "world": replace(_SMALL, epochs=60, satellite_rotation=180.0, place_rotation=0.0, compression=0.5),
 }
 
-_PARTS: dict[str, Any] = {"pooling": "average", "polar": False, "instance": 1.0, "infonce": 0.0, "metric": "none"}
-_BASELINE: dict[str, Any] = {**_PARTS, "n_parts": 1, "layout": "university"}
-_DISTANCES: dict[str, Any] = {**_BASELINE, "instance": 0.0}
+_INSTANCE_LOSS: dict[str, Any] = {
+    "pooling": "average",
+    "polar": False,
+    "instance": 1.0,
+    "infonce": 0.0,
+    "metric": "none",
+}
+_BASELINE: dict[str, Any] = {**_INSTANCE_LOSS, "n_parts": 1, "layout": "university"}
+_METRIC_LOSS: dict[str, Any] = {**_BASELINE, "instance": 0.0}
 _SAFA: dict[str, Any] = {
     "layout": "university",
     "pooling": "safa",
@@ -271,14 +277,14 @@ _SAFA: dict[str, Any] = {
 # lpn-strips: columns of the panorama and of the unrolled tile.
 # safa, safa-lpn: Shi et al. 2019, alone and with strips.
 METHODS: dict[str, dict[str, Any]] = {
-    "lpn": {**_PARTS, "layout": "university"},
+    "lpn": {**_INSTANCE_LOSS, "layout": "university"},
     "instance": _BASELINE,
-    "contrastive": {**_DISTANCES, "metric": "contrastive", "margin": 1.0},
-    "triplet-0.3": {**_DISTANCES, "metric": "triplet", "margin": 0.3},
-    "triplet-0.5": {**_DISTANCES, "metric": "triplet", "margin": 0.5},
-    "soft-margin": {**_DISTANCES, "metric": "soft_margin"},
-    "lpn-cvusa": {**_PARTS, "layout": "cvusa", "n_parts": 8, "shared": False},
-    "lpn-strips": {**_PARTS, "layout": "strips", "n_parts": 8, "shared": False, "polar": True},
+    "contrastive": {**_METRIC_LOSS, "metric": "contrastive", "margin": 1.0},
+    "triplet-0.3": {**_METRIC_LOSS, "metric": "triplet", "margin": 0.3},
+    "triplet-0.5": {**_METRIC_LOSS, "metric": "triplet", "margin": 0.5},
+    "soft-margin": {**_METRIC_LOSS, "metric": "soft_margin"},
+    "lpn-cvusa": {**_INSTANCE_LOSS, "layout": "cvusa", "n_parts": 8, "shared": False},
+    "lpn-strips": {**_INSTANCE_LOSS, "layout": "strips", "n_parts": 8, "shared": False, "polar": True},
     "safa": {**_SAFA, "n_parts": 1},
     "safa-lpn": {**_SAFA, "n_parts": 8},
 }

@@ -17,7 +17,7 @@ from explorer.compute.background_jobs import (
     BackgroundJobs,
     ReportProgress,
     WorkCancelledError,
-    in_process,
+    run_in_process,
 )
 from explorer.failure_lab import table
 from lpn.analysis import notes
@@ -120,18 +120,18 @@ def test_the_page_shows_a_jobs_progress_and_a_button_to_cancel() -> None:
 
 
 def test_another_process_returns_its_result_or_error_or_is_killed() -> None:
-    assert in_process(lambda *_: None, math.factorial, 5) == 120
+    assert run_in_process(lambda *_: None, math.factorial, 5) == 120
     # A terminal sends Ctrl-C to the other process, too, which must ignore it.
-    assert signal.SIGINT in in_process(lambda *_: None, signal.pthread_sigmask, signal.SIG_BLOCK, [])
+    assert signal.SIGINT in run_in_process(lambda *_: None, signal.pthread_sigmask, signal.SIG_BLOCK, [])
     with pytest.raises(InputError, match="no/word"):
-        in_process(lambda *_: None, notes.parse_tags, "no/word")
+        run_in_process(lambda *_: None, notes.parse_tags, "no/word")
     with pytest.raises(LPNError, match="memory"):
-        in_process(lambda *_: None, os._exit, 3)
+        run_in_process(lambda *_: None, os._exit, 3)
 
     def cancel(*_: int) -> None:
         raise WorkCancelledError
 
     started = time.monotonic()
     with pytest.raises(WorkCancelledError):
-        in_process(cancel, time.sleep, 10 * TIMEOUT)
+        run_in_process(cancel, time.sleep, 10 * TIMEOUT)
     assert time.monotonic() - started < 5 * TIMEOUT

@@ -123,16 +123,18 @@ def test_a_profile_is_drawn_from_its_first_point(workspace: Workspace) -> None:
     analysis = analysed(workspace)
     task = analysis.task
     changes = sweeps.changes_over("rotation", 45)
-    steps = sweeps.profile(
+    steps = sweeps.run_sweep(
         workspace.model, analysis.source, "drone", task.gallery_descriptors, analysis.ranking.weights, changes, task.gallery_labels,
         int(task.query_labels[0]),
     )  # fmt: skip
     points = [next(steps)]
-    one = sweep_page.page(analysis, "rotation", sweeps.Profile("rotation", tuple(points)), 8, workspace.part_names)
+    one = sweep_page.page(analysis, "rotation", sweeps.SweepResult("rotation", tuple(points)), 8, workspace.part_names)
     assert 'data-done="1" data-of="8"' in one
     assert "Cancel" in one
     points += list(steps)
-    whole = sweep_page.page(analysis, "rotation", sweeps.Profile("rotation", tuple(points)), 8, workspace.part_names)
+    whole = sweep_page.page(
+        analysis, "rotation", sweeps.SweepResult("rotation", tuple(points)), 8, workspace.part_names
+    )
     assert "Cancel" not in whole
     assert whole.count('class="point"') == 2 * (8 + 1)
     assert "clockwise from north" in whole

@@ -23,7 +23,7 @@ def test_pairs_are_read_from_the_splits(tmp_path: Path) -> None:
     assert dataset.gallery("satellite")[0].path == tmp_path / "bingmap" / "19" / "0000005.jpg"
     assert dataset.truth("street-to-satellite") is None
     assert list(dataset.lists()) == ["train/satellite", "train/street", "test/satellite", "test/street"]
-    assert dataset.full["test/street"].pictures == 8884
+    assert dataset.published_sizes["test/street"].pictures == 8884
     assert TrainingSet(dataset, Console()).views == ("satellite", "street")
     with pytest.raises(DataError, match="no test queries of drone pictures"):
         dataset.queries("drone")
@@ -84,4 +84,4 @@ def test_other_damage_is_said(tmp_path: Path) -> None:
 
 def test_a_rendered_world_is_compared_with_no_published_count(tmp_path: Path) -> None:
     (tmp_path / "world.json").write_text("{}")
-    assert open_dataset(layouts.cvusa(tmp_path / "cvusa")).full == {}
+    assert open_dataset(layouts.cvusa(tmp_path / "cvusa")).published_sizes == {}

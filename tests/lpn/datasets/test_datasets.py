@@ -62,7 +62,7 @@ def test_what_is_wrong_with_a_folder_is_said_in_one_sentence(tmp_path: Path) -> 
 
 def test_a_world_is_told_from_university_1652(data: Path, tmp_path: Path) -> None:
     dataset = open_dataset(data)
-    assert (dataset.kind, dataset.panoramas, dataset.full["test/gallery_drone"].pictures) == (
+    assert (dataset.kind, dataset.panoramas, dataset.published_sizes["test/gallery_drone"].pictures) == (
         "University-1652",
         False,
         51_355,
@@ -75,7 +75,7 @@ def test_a_world_is_told_from_university_1652(data: Path, tmp_path: Path) -> Non
     small_worlds.make_dataset(tmp_path, train=1, test=1)
     (tmp_path / "world.json").write_text("{}")
     layouts.cvusa(tmp_path / "cvusa")
-    assert (open_dataset(tmp_path).kind, open_dataset(tmp_path).full) == ("world", {})
+    assert (open_dataset(tmp_path).kind, open_dataset(tmp_path).published_sizes) == ("world", {})
     assert open_dataset(tmp_path / "cvusa").kind == "CVUSA"
 
 

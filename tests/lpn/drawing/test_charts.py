@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from lpn.descriptors.transforms import Change
 from lpn.drawing import charts
-from lpn.explain.sweeps import Point, Profile
+from lpn.explain.sweeps import Point, SweepResult
 
 
 def rectangles(svg: str) -> list[tuple[float, float]]:
@@ -62,7 +62,7 @@ def test_the_waterfall_ends_at_the_margin() -> None:
 
 
 def test_a_full_turn_ends_with_the_picture_that_it_begins_with() -> None:
-    svg = charts.profile_charts(Profile("rotation", points(5, 2, 9, 4)), ["a", "b"], 720)
+    svg = charts.profile_charts(SweepResult("rotation", points(5, 2, 9, 4)), ["a", "b"], 720)
     rank = re.findall(r'<polyline points="([^"]*)"', svg)[0].split()
     assert len(rank) == 5
     assert rank[0].split(",")[1] == rank[-1].split(",")[1]
@@ -74,7 +74,9 @@ def test_a_full_turn_ends_with_the_picture_that_it_begins_with() -> None:
 
 
 def test_points_carry_the_attributes_that_are_passed_in() -> None:
-    profile = Profile("zoom", tuple(Point(Change(scale=s), 0, None, 0.1, 1, np.zeros(1), 0, 0.1) for s in (0.5, 1, 2)))
+    profile = SweepResult(
+        "zoom", tuple(Point(Change(scale=s), 0, None, 0.1, 1, np.zeros(1), 0, 0.1) for s in (0.5, 1, 2))
+    )
     plain = charts.profile_charts(profile, ["a"], 720, current=3.0)
     assert 'class="point"' not in plain
     assert 'class="current"' not in plain

@@ -7,13 +7,15 @@ import pytest
 
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
-from lpn.explain.counterfactual import Effect, PositiveRank, Reweighting, Without
-from lpn.explain.sweeps import Point, Profile
+from lpn.explain.counterfactual import Effect, PositiveRank, RanksWithoutParts, Reweighting
+from lpn.explain.sweeps import Point, SweepResult
 
 
-def positive_ranks(now: int, without: list[int | None], alone: list[int]) -> Without:
+def positive_ranks(now: int, without: list[int | None], alone: list[int]) -> RanksWithoutParts:
     without_each = [None if rank is None else PositiveRank(rank, 0.1 if rank == 1 else -0.1) for rank in without]
-    return Without(PositiveRank(now, -0.1), tuple(without_each), tuple(PositiveRank(rank, 1 / rank) for rank in alone))
+    return RanksWithoutParts(
+        PositiveRank(now, -0.1), tuple(without_each), tuple(PositiveRank(rank, 1 / rank) for rank in alone)
+    )
 
 
 @pytest.mark.parametrize(
@@ -28,7 +30,7 @@ def positive_ranks(now: int, without: list[int | None], alone: list[int]) -> Wit
         (positive_ranks(1, [2, 7], [1, 1]), "would fall to 7th (2 of 2 parts are needed)."),
     ],
 )
-def test_ablation_names_the_part_that_matters_most(without: Without, expected: str) -> None:
+def test_ablation_names_the_part_that_matters_most(without: RanksWithoutParts, expected: str) -> None:
     assert expected in verdicts.describe_ablation(without, ["a", "b"])
 
 
@@ -47,12 +49,12 @@ def test_rotation_names_the_best_angle_and_the_heading() -> None:
         return Point(Change(rotate=angle), 0, True, score, rank, np.zeros(4, np.float32), 1, top_score)
 
     turned = verdicts.describe_rotation(
-        Profile("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite")
+        SweepResult("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite")
     )
     assert "turned 90°: 2nd instead of 5th" in turned
     assert "highest at 0°: by that, the picture's top points 0° clockwise" in turned
     same = verdicts.describe_rotation(
-        Profile("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone")
+        SweepResult("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone")
     )
     assert "ranks best with the query as it is (1st)" in same
     assert "north" not in same

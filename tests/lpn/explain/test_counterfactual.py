@@ -65,7 +65,7 @@ def test_the_parts_of_a_margin_sum_to_the_difference_of_scores_and_distances() -
 @pytest.mark.parametrize("seed", range(0, 40, 3))
 def test_without_and_alone_are_the_ranks_of_those_weights(seed: int) -> None:
     ranking, labels = random_case(seed)
-    found = counterfactual.without(ranking)
+    found = counterfactual.ranks_without_parts(ranking)
     assert found is not None
     n = len(ranking.weights)
     for part, standing in enumerate((*found.without, *found.alone)):
@@ -88,15 +88,15 @@ def test_without_and_alone_are_the_ranks_of_those_weights(seed: int) -> None:
 
 def test_the_part_without_which_the_truth_would_be_first() -> None:
     cosines = [[0.2, 0.9, 0.75], [0.9, 0.7, 0.7], [0.8, 0.8, 0.6]]
-    found = counterfactual.without(ranked(cosines))
+    found = counterfactual.ranks_without_parts(ranked(cosines))
     assert found is not None
-    assert (found.now.rank, found.cure, found.best_alone) == (3, 0, 1)
-    first = counterfactual.without(ranked(cosines, [0, 1, 1]))
+    assert (found.now.rank, found.part_to_remove, found.best_alone) == (3, 0, 1)
+    first = counterfactual.ranks_without_parts(ranked(cosines, [0, 1, 1]))
     assert first is not None
-    assert first.cure is None
-    never = counterfactual.without(ranked([[0.1, 0.1], [0.2, 0.2]]))
+    assert first.part_to_remove is None
+    never = counterfactual.ranks_without_parts(ranked([[0.1, 0.1], [0.2, 0.2]]))
     assert never is not None
-    assert (never.cure, never.best_alone) == (None, None)
+    assert (never.part_to_remove, never.best_alone) == (None, None)
 
 
 @pytest.mark.parametrize("n", [2, 3])
@@ -107,7 +107,9 @@ def test_the_smallest_change_is_what_a_fine_grid_finds(n: int) -> None:
     for seed in range(25):
         rng = np.random.default_rng(seed)
         ranking = ranked(rng.uniform(0, 1, (6, n)), rng.uniform(0.1, 1, n))
-        first = ((ranking.cosines[:1] - ranking.cosines[1:]).astype(float) @ grid.T >= counterfactual.LEAD).all(axis=0)
+        first = (
+            (ranking.cosines[:1] - ranking.cosines[1:]).astype(float) @ grid.T >= counterfactual.MIN_SCORE_LEAD
+        ).all(axis=0)
         found = counterfactual.smallest_change(ranking)
         if found is None:
             assert not first.any()
@@ -149,13 +151,17 @@ def _by_scipy(ranking: Ranking, labels: np.ndarray) -> float | None:
     cosines, found = ranking.cosines.astype(float), []
     for index in np.flatnonzero(labels == 7):
         ahead = cosines[index] - cosines[labels == 5]
-        lead, one = np.full(len(ahead), counterfactual.LEAD), np.ones(n)
+        lead, one = np.full(len(ahead), counterfactual.MIN_SCORE_LEAD), np.ones(n)
         inside = linprog(np.zeros(n), A_ub=-ahead, b_ub=-lead, A_eq=one[None], b_eq=[1], bounds=[(0, 1)] * n)
         if inside.status != 0:
             continue
         rules = [
             {"type": "eq", "fun": lambda w: w.sum() - 1, "jac": lambda w: np.ones(len(w))},
-            {"type": "ineq", "fun": lambda w, a=ahead: a @ w - counterfactual.LEAD, "jac": lambda _, a=ahead: a},
+            {
+                "type": "ineq",
+                "fun": lambda w, a=ahead: a @ w - counterfactual.MIN_SCORE_LEAD,
+                "jac": lambda _, a=ahead: a,
+            },
         ]
         solved = minimize(
             lambda w: ((w - now) ** 2).sum() / 2,
@@ -186,13 +192,13 @@ def test_a_chosen_tile_can_be_put_first_and_an_unknown_truth_cannot() -> None:
     cosines = [[0.9, 0.1], [0.8, 0.7], [0.1, 0.8]]
     ranking = retrieval.rank(np.array(cosines, np.float32), scoring.part_weights(2))
     assert counterfactual.smallest_change(ranking) is None
-    assert counterfactual.without(ranking) is None
+    assert counterfactual.ranks_without_parts(ranking) is None
     found = counterfactual.smallest_change(ranking, tile=2)
     assert found is not None
     assert retrieval.rank(ranking.cosines, found.weights).order[0] == 2
-    standings = counterfactual.without(ranking, tile=0)
+    standings = counterfactual.ranks_without_parts(ranking, tile=0)
     assert standings is not None
-    assert standings.cure == 1
+    assert standings.part_to_remove == 1
     with pytest.raises(InputError, match="Gallery picture 9 is not in the ranking"):
         counterfactual.smallest_change(ranking, tile=9)
 
@@ -232,7 +238,7 @@ def test_the_effect_on_a_data_set_is_that_of_each_query_ranked(listed: bool, mon
     assert len(found.gained) > 0
     assert len(found.lost) > 0
     assert found.helps == (found.after > found.before)
-    known = metrics.retrieve(counterfactual.folded(query, before), of_query, gallery, labels).first
+    known = metrics.retrieve(counterfactual.weighted_queries(query, before), of_query, gallery, labels).first
     again = counterfactual.effect(query, gallery, None, after, *args, first=known)
     np.testing.assert_array_equal(again.lost, found.lost)
     with pytest.raises(InputError, match="3 known ranks for 25 queries"):
@@ -244,11 +250,11 @@ def test_a_part_that_sees_nothing_of_the_query_ranks_nothing() -> None:
     lengths = np.array([0.0, 3.0, 0.0], np.float32)
     labels = np.array([0, 1, 2])
     ranking = retrieval.rank(cosines, scoring.part_weights(3), labels, 0, lengths=lengths)
-    found = counterfactual.without(ranking)
+    found = counterfactual.ranks_without_parts(ranking)
     assert found is not None
     assert found.without[1] is None
     assert (found.alone[0], found.alone[2]) == (None, None)
     assert found.alone[1] is not None
     assert found.alone[1].rank == 3
     # By the gallery's order, which such parts would rank by, the first tile would be first.
-    assert (found.cure, found.best_alone) == (None, None)
+    assert (found.part_to_remove, found.best_alone) == (None, None)

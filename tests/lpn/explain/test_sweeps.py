@@ -19,7 +19,7 @@ from lpn.datasets import Truth, open_dataset
 from lpn.datasets.geo import Positions
 from lpn.descriptors.transforms import Change
 from lpn.explain import sweeps
-from lpn.explain.sweeps import Point, Profile, changes_over, profile
+from lpn.explain.sweeps import Point, SweepResult, changes_over, run_sweep
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
@@ -77,8 +77,8 @@ def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float
     picture, weights = small_worlds.from_drone(small_worlds.place(2), 3), scoring.part_weights(4, [1, 2, 1, 0])
     labels = np.array([5, 9, 2, 2, -1, 7])
     changes = [Change(rotate=90), Change(shift=9), Change(down=-7), Change(scale=1.5)]
-    points = list(profile(model, picture, "drone", tiles, weights, changes, labels, 2))
-    by_list = profile(model, picture, "drone", tiles, weights, changes, truth=Truth(np.array([2, 3]), np.array([4])))
+    points = list(run_sweep(model, picture, "drone", tiles, weights, changes, labels, 2))
+    by_list = run_sweep(model, picture, "drone", tiles, weights, changes, truth=Truth(np.array([2, 3]), np.array([4])))
     for change, point, listed in zip(changes, points, by_list, strict=True):
         shaped = change.move(model.to_input_size(change.apply(picture), "drone"))
         direct = model.descriptors(images.normalise(shaped)[None], "drone")[0]
@@ -96,17 +96,17 @@ def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float
 
 def test_without_a_truth_a_chosen_tile_or_the_top_match_is_followed(model: Model, tiles: Float32Array) -> None:
     given = (model, small_worlds.place(1), "satellite", tiles, scoring.part_weights(4), [Change(), Change(rotate=180)])
-    chosen, top = list(profile(*given, follow=3)), list(profile(*given))  # type: ignore[arg-type]
+    chosen, top = list(run_sweep(*given, follow=3)), list(run_sweep(*given))  # type: ignore[arg-type]
     assert [(point.tile, point.true) for point in chosen] == [(3, None)] * 2
     assert [point.tile for point in top] == [point.top for point in top]
     assert {point.rank for point in top} == {1}
     assert (top[0].top, top[0].score) == (1, pytest.approx(1, abs=1e-5))
     with pytest.raises(InputError, match="Gallery picture 6 is not in the ranking"):
-        next(profile(*given, follow=6))  # type: ignore[arg-type]
+        next(run_sweep(*given, follow=6))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="no tile to rank"):
-        next(profile(*given, labels=np.full(6, -1)))  # type: ignore[arg-type]
+        next(run_sweep(*given, labels=np.full(6, -1)))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="no 'street' view"):
-        next(profile(model, small_worlds.place(1), "street", *given[3:]))  # type: ignore[arg-type]
+        next(run_sweep(model, small_worlds.place(1), "street", *given[3:]))  # type: ignore[arg-type]
 
 
 def test_a_sweep_computes_no_further_than_it_is_asked(
@@ -121,7 +121,7 @@ def test_a_sweep_computes_no_further_than_it_is_asked(
 
     monkeypatch.setattr(retrieval, "describe_picture", counted)
     changes = changes_over("rotation", 30)
-    points = profile(model, small_worlds.place(1), "drone", tiles, scoring.part_weights(4), changes)
+    points = run_sweep(model, small_worlds.place(1), "drone", tiles, scoring.part_weights(4), changes)
     assert [point.change for point in islice(points, 3)] == changes[:3] == asked
 
 
@@ -136,11 +136,11 @@ def test_a_profile_tells_the_best_change_and_what_it_gains() -> None:
         point(Change(), 0.6, 6, 0.65),
         point(Change(rotate=90), 0.7, 1, 0.9),
     ]
-    turned = Profile("rotation", tuple(points))
-    assert [round(sweeps.value("rotation", p.change)) for p in turned.points] == [0, 90, 180, 270]
+    turned = SweepResult("rotation", tuple(points))
+    assert [round(sweeps.swept_value("rotation", p.change)) for p in turned.points] == [0, 90, 180, 270]
     assert turned.best.change.rotate == 90
-    assert turned.best_blind.change.rotate == 90
-    assert Profile("rotation", tuple(points[:3])).best_rank.change.rotate == -90
+    assert turned.best_top_match.change.rotate == 90
+    assert SweepResult("rotation", tuple(points[:3])).best_rank.change.rotate == -90
     assert turned.gain(turned.best) == (5, pytest.approx(0.1))
     assert turned.heading() == 270
     rows = list(csv.DictReader(io.StringIO(turned.to_csv().decode())))
@@ -149,14 +149,14 @@ def test_a_profile_tells_the_best_change_and_what_it_gains() -> None:
         *("rotation", "score", "rank", "cosine 1", "cosine 2"),
         *("tile", "true", "top", "top score"),
     ]
-    so_far = Profile("rotation", tuple(points[:2]))
+    so_far = SweepResult("rotation", tuple(points[:2]))
     assert so_far.unchanged is None
     assert so_far.gain(so_far.best) is None
-    zoomed = Profile("zoom", (point(Change(scale=2), 0.8, 1, 0.8), point(Change(scale=0.8), 0.8, 1, 0.8)))
+    zoomed = SweepResult("zoom", (point(Change(scale=2), 0.8, 1, 0.8), point(Change(scale=0.8), 0.8, 1, 0.8)))
     assert zoomed.best.change.scale == 0.8
     assert zoomed.heading() is None
     with pytest.raises(InputError, match="at least one point"):
-        Profile("shift", ())
+        SweepResult("shift", ())
 
 
 def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model: Model, tiles: Float32Array) -> None:
@@ -164,8 +164,8 @@ def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model
     seen = images.rotate(small_worlds.place(3), 90)
     labels = np.arange(6)
     turned = changes_over("rotation", 90)
-    points = tuple(profile(model, seen, "satellite", tiles, scoring.part_weights(4), turned, labels, 3))
-    found = Profile("rotation", points)
+    points = tuple(run_sweep(model, seen, "satellite", tiles, scoring.part_weights(4), turned, labels, 3))
+    found = SweepResult("rotation", points)
     assert found.heading() == 90
     assert found.best.score == pytest.approx(1, abs=1e-4)
 
@@ -182,8 +182,8 @@ def test_the_demo_s_headings_are_found_more_often_than_by_chance() -> None:
     errors = []
     for i in downward:
         picture, angles = images.load_picture(queries[i].path), changes_over("rotation", 45)
-        points = tuple(profile(model, picture, "drone", tiles, scoring.part_weights(4), angles))
-        heading = Profile("rotation", points).heading()
+        points = tuple(run_sweep(model, picture, "drone", tiles, scoring.part_weights(4), angles))
+        heading = SweepResult("rotation", points).heading()
         assert heading is not None
         errors.append(abs((heading - (known[i].heading or 0.0) + 180) % 360 - 180))
     assert np.median(errors) <= 45  # 90 by chance
@@ -225,15 +225,15 @@ def test_the_command_refuses_in_one_sentence(
 
 def test_a_sweep_goes_away_from_what_is_done_to_the_query_already() -> None:
     base = Change(rotate=-90, shift=5)
-    turns = sweeps.around("rotation", base, sweeps.changes_over("rotation", 90))
+    turns = sweeps.apply_to_base("rotation", base, sweeps.changes_over("rotation", 90))
     assert turns[0] == base
     # 270 degrees is -90 again.
     assert turns[1:] == [Change(rotate=angle, shift=5) for angle in (0, 180, 90)]
-    shifts = sweeps.around("shift", base, sweeps.changes_over("shift", 10, 10))
+    shifts = sweeps.apply_to_base("shift", base, sweeps.changes_over("shift", 10, 10))
     assert [change.shift for change in shifts] == [5, 0, -10, 10]
     assert {change.rotate for change in shifts} == {-90.0}
     points = tuple(
         Point(change, 0, True, 0.1 * i, 1 + i, np.zeros(4, np.float32), 0, 0.5) for i, change in enumerate(turns)
     )
-    assert Profile("rotation", points, base).unchanged is points[0]
-    assert Profile("rotation", points).unchanged is None
+    assert SweepResult("rotation", points, base).unchanged is points[0]
+    assert SweepResult("rotation", points).unchanged is None

@@ -43,7 +43,7 @@ def test_every_convolution_computes_in_8_bits_and_descriptors_stay(
     assert set(agreement) == {"satellite", "drone"}
     assert min(agreement.values()) > 0.99
     before, after = lpn.load(model_file), lpn.load(files[0])
-    assert (before.compute, after.compute) == ("float32", "int8")
+    assert (before.precision, after.precision) == ("float32", "int8")
     assert before.fingerprint != after.fingerprint
     assert after.describe() == f"{before.describe()}, int8"
     picture = load_picture(open_dataset(data).queries("drone")[0].path)
@@ -75,7 +75,7 @@ def test_views_with_weights_of_their_own_are_calibrated_by_their_own_pictures(da
     files, agreement = quantize(tmp_path / "apart.onnx", open_dataset(data), tmp_path / "small.onnx", 6)
     assert [file.name for file in files] == ["small.onnx", "small.drone.onnx"]
     assert min(agreement.values()) > 0.98
-    assert lpn.load(files[0]).compute == "int8"
+    assert lpn.load(files[0]).precision == "int8"
 
 
 def test_calibration_pictures_are_spread_over_all_views(data: Path) -> None:

@@ -126,7 +126,7 @@ def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
     for step in (*steps, steps.sum()):
         assert f"{step:+.3f}" in text
     assert f"{task.metrics['recall@1']:.1f} %" in text
-    without = counterfactual.without(ranking)
+    without = counterfactual.ranks_without_parts(ranking)
     assert without is not None
     assert verdicts.describe_ablation(without, task.part_names) in text
 
@@ -147,7 +147,7 @@ def test_markup_in_names_notes_and_metadata_is_escaped(data: Path, model_file: P
     (root / "metadata.csv").write_text(f'path,<b>mood</b>\n{path},"{evil}"\n'.replace("<b>mood</b>", "mood & tone"))
     (root / NOTES).write_text(f'path,tags,note\n{path},odd,"{evil} & more"\n')
     made = open_task(lpn.load(model_file), "<i>m</i>.onnx", open_dataset(root))
-    found = report.build(made, [made.table.paths.index(path)], Options(chosen="<u>mine</u>"))
+    found = report.build(made, [made.table.paths.index(path)], Options(selection="<u>mine</u>"))
     page = Page(found)
     assert b"<script" not in found
     assert not any(attributes.get("src") == "x" for attributes in page.all("img"))
@@ -167,15 +167,15 @@ def test_errors_in_metres_are_shown_where_positions_are_known(data: Path, model_
 
 def test_an_own_picture_has_no_verdict_and_a_chosen_tile_is_compared(task: Task) -> None:
     picture = images.load_picture(task.queries[2].path)
-    text = Page(report.build(task, [OwnPicture("mine.jpg", picture)], Options(against=5))).text
+    text = Page(report.build(task, [OwnPicture("mine.jpg", picture)], Options(compared_tile=5))).text
     assert "Its true place is not known here" in text
     assert "Tile looked at" in text or "Top match" in text
     assert task.gallery[5].name in text
     assert "against wrong tile" not in text
-    again = Page(report.build(task, [2], Options(against=5))).text
+    again = Page(report.build(task, [2], Options(compared_tile=5))).text
     assert f"against wrong tile {task.gallery[5].name}" in again
     with pytest.raises(InputError, match="no gallery picture 99"):
-        report.build(task, [2], Options(against=99))
+        report.build(task, [2], Options(compared_tile=99))
 
 
 def test_saved_descriptors_are_reported_without_evidence(task: Task) -> None:
