@@ -26,12 +26,12 @@ class WorkCancelledError(Exception):
 
 
 class BackgroundJob(Generic[T]):
-    """Work on its own thread, which starts at once.
+    """Work that starts at once on its own thread.
 
     Attributes:
         done, total: progress as last reported.
         value: the result, None until the work succeeds.
-        error: one sentence if the work failed or was cancelled, else None.
+        error: one sentence that tells why the work failed or was cancelled, else None.
         cancelled: all clients left before the work ended.
     """
 
@@ -86,7 +86,10 @@ class BackgroundJob(Generic[T]):
 
 
 class BackgroundJobs:
-    """At most one job for each key; thread-safe. A cancelled job starts again when joined, a failed one once forgotten."""
+    """At most one job for each key; thread-safe.
+
+    Joining a cancelled job starts a new one. A failed job blocks its key until `forget_failed`.
+    """
 
     def __init__(self) -> None:
         self._jobs: dict[Hashable, BackgroundJob[Any]] = {}
@@ -116,10 +119,12 @@ class BackgroundJobs:
 
 
 def run_in_process(report: ReportProgress, function: Callable[..., T], *arguments: object) -> T:
-    """Call a function that cannot be interrupted in its own process, which is killed when `report` raises.
+    """Call a function in a process of its own, and kill the process when `report` raises.
+
+    Use it for functions that never report progress and could not be cancelled otherwise.
 
     Args:
-        function: importable by the other process; its arguments and result are pickled.
+        function: a function that the process can import; arguments and result are pickled.
 
     Raises:
         LPNError: raised by the function, or because the process was killed.
@@ -134,9 +139,9 @@ def run_in_process(report: ReportProgress, function: Callable[..., T], *argument
         while not receiver.poll(0.2):
             report(0, 0)
         error, value = receiver.recv()
-        process.join(5)  # lets the process clean up
+        process.join(5)  # give the process time to clean up
     except EOFError as end:
-        raise LPNError("The process that computed it was killed, often because memory ran out.") from end
+        raise LPNError("The process of this computation was killed, often because memory ran out.") from end
     finally:
         process.kill()
         process.join()
@@ -149,7 +154,7 @@ def run_in_process(report: ReportProgress, function: Callable[..., T], *argument
 
 @contextmanager
 def _sigint_blocked() -> Iterator[None]:
-    """Block SIGINT, also in processes started meanwhile: a terminal sends Ctrl-C to them, too, but their parent ends them."""
+    """Block SIGINT in this thread and in processes that it starts: their parent ends them, not Ctrl-C in the terminal."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -1,4 +1,4 @@
-"""Threads of one browser: a worker that always computes the newest request, and a delayed call."""
+"""A worker thread that computes only the newest request of a browser, and a call after a delay."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Worker:
     """Runs `work` on its own thread after each `wake`; several wakes during a run lead to one more run.
 
     Args:
-        work: reads the newest state itself; returns the seconds until the next run, or None to wait for `wake`.
+        work: function that reads the newest state; it returns the seconds until its next run, or None to wait for `wake`.
         on_error: called with an exception of `work`; the worker continues.
     """
 
@@ -74,7 +74,7 @@ class Worker:
             except Exception as error:
                 if self._stopped:
                     return
-                if isinstance(error, LPNError):  # its message suffices
+                if isinstance(error, LPNError):  # the message is enough, without a traceback
                     log.warning("A browser's request failed: %s", error)
                 else:
                     log.exception("A browser's request failed")

@@ -20,7 +20,7 @@ from lpn.retrieval.published_results import check_n_parts
 
 @dataclass
 class EvaluateCommand:
-    """Measure recall and AP on the test split by the published protocol, or of a saved result."""
+    """Measure recall and AP by the published protocol, on a test split or on a saved result."""
 
     data: Path | None = None
     """Data set; see docs/evaluation.md for the kinds."""
@@ -41,13 +41,13 @@ class EvaluateCommand:
     parts: str | None = None
     """Parts to use, from 1, such as 1,2 (Table V); all by default."""
     branch: View | None = None
-    """Branch of the model that describes both queries and gallery (Table VI); by default each view's own."""
+    """Branch of the model that describes both queries and gallery (Table VI); by default the branch of each view."""
     average_queries: bool = False
     """Average all query pictures of a place into one query."""
     whole: bool = False
     """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
     json: Path | None = None
-    """File to write the figures to."""
+    """File to write recall and AP to, as JSON."""
 
     def run(self) -> None:
         from lpn.core.files import check_writable, write_atomic
@@ -74,11 +74,13 @@ class EvaluateCommand:
         from lpn.retrieval.published_results import load_saved
 
         if self.data is not None or self.model is not None or self.task is not None:
-            raise InputError("A saved result is evaluated alone; leave --data, --model, and --task out.")
+            raise InputError(
+                "A saved result already fixes data set, model, and task; leave --data, --model, and --task out."
+            )
         if protocol.average and self.n_parts is None:
             raise InputError(
-                "Each part of averaged queries is normalised, and a saved result does not say of how many its descriptors "
-                "consist; give their number with --n-parts (1 for a baseline)."
+                "Averaging normalises each part, and a saved result does not contain the number of parts; give it with "
+                "--n-parts (1 for a baseline)."
             )
         opened = load_saved(saved, check_n_parts(self.n_parts))
         return opened.name, evaluate_saved(opened, protocol)
@@ -101,7 +103,7 @@ class EvaluateCommand:
 
 
 def _print_result(title: str, result: Result) -> None:
-    """Print a table of the figures, and the protocol below it."""
+    """Print a table of recall and AP, and the protocol below it."""
     from rich.console import Console
     from rich.table import Table
 
@@ -131,5 +133,5 @@ def _numbers(text: str | None) -> list[int] | None:
 def _reject_n_parts(n_parts: int | None) -> None:
     if n_parts is not None:
         raise InputError(
-            "A model knows its number of parts; give --n-parts with --saved only, or choose parts with --parts."
+            "A model file contains its number of parts; give --n-parts with --saved only. To choose parts, use --parts."
         )

@@ -39,7 +39,7 @@ class ReportCommand:
     matches: int = 5
     """Number of listed tiles for each query."""
     profile: bool = False
-    """Also rotate each query once around: 24 more forward passes each."""
+    """Also rotate each query by the full circle: 24 more forward passes each."""
     step: float = 15.0
     """Degrees between two of these rotations."""
     rotate: float = 0.0

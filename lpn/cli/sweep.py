@@ -39,7 +39,7 @@ class SweepCommand:
     step: float | None = None
     """Step: degrees (15), pixels (a 32nd of the input), or the factor between zooms (1.1)."""
     reach: float | None = None
-    """Largest shift (a quarter of the input) or zoom (2); a rotation goes once around."""
+    """Largest shift (a quarter of the input) or zoom (2); a rotation covers the full circle."""
     weights: str | None = None
     """Weight of each part, such as 1,1,1,0; equal by default."""
     csv: Path | None = None

@@ -1,8 +1,8 @@
 """Stopping on Ctrl-C and SIGTERM: finish the files being written, print one sentence, and exit within two seconds.
 
-The first signal raises KeyboardInterrupt in the main thread; while a file is being written, only after the file is complete.
-If the command still computes two seconds later, or after a second signal, the process exits at once. Files on the disk are
-complete at any moment (see `lpn.core.files.write_atomic`).
+The first signal raises KeyboardInterrupt in the main thread, or, if that thread is writing a file, as soon as the file is
+complete. The process exits at once after a second signal, or if the command has not ended two seconds after the first.
+Files on the disk are complete at any moment (see `lpn.core.files.write_atomic`).
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
-# Seconds that a command has to end by itself, and that files being written have beyond that.
+# Seconds that a command has to end by itself.
 GRACE = 2.0
+# Further seconds that file writes in progress have to end.
 WRITE_SECONDS = 10.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -29,8 +30,8 @@ class _Writes:
     """The file writes in progress in any thread of this process.
 
     Attributes:
-        depth: nested writes of the main thread.
-        stop_after: a signal arrived during one of them.
+        depth: nesting depth of writes in the main thread.
+        stop_pending: True if a signal arrived during a write of the main thread.
     """
 
     def __init__(self) -> None:
@@ -53,13 +54,13 @@ class _Writes:
             return self._changed.wait_for(lambda: not self._count, seconds)
 
 
-# Signals belong to the process, and so does this state.
+# Global, as signal handlers are per process.
 _WRITES = _Writes()
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Delay a stop until the block ends, for files that belong together.
+    """Delay a stop until the block ends, so that files that belong together are all written.
 
     Raises:
         KeyboardInterrupt: at the end of the block in the main thread, if the process was asked to stop.
@@ -91,7 +92,7 @@ class StopSignals:
         report: prints that the command was stopped by a signal, and returns the exit status.
 
     Attributes:
-        signal: the first one received; 0 before.
+        signal: the first signal received; 0 before.
     """
 
     def __init__(self, report: Callable[[int], int]) -> None:
@@ -103,19 +104,19 @@ class StopSignals:
         self._over = threading.Event()
 
     def end(self) -> int:
-        """Report the stop once, and return the exit status."""
+        """Report the stop, only once in all threads, and return the exit status."""
         if not self._reported.acquire(blocking=False):
             threading.Event().wait(GRACE)  # the other thread is about to exit the process
         return self._report(self.signal or signal.SIGINT)
 
     @contextmanager
     def listening(self) -> Iterator[None]:
-        """Handle signals inside the context; without effect outside of the main thread."""
+        """Handle signals inside the context; has no effect outside of the main thread."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
         before = {number: signal.signal(number, self._handle) for number in SIGNALS}
-        # Python delays its handlers while a library computes; the wake-up socket is written at once.
+        # Python runs its handlers only between bytecodes; the wake-up socket is written at once.
         old_wakeup = signal.set_wakeup_fd(self._wakeup.fileno(), warn_on_full_buffer=False)
         watcher = threading.Thread(target=self._watch, name="lpn-stopping", daemon=True)
         watcher.start()
@@ -171,22 +172,22 @@ def exit_now(status: int, report: Callable[[], int] | None = None) -> None:
     """Exit the process and its child processes at once, whatever its threads are doing.
 
     Args:
-        report: called first, for half a second at most; returns another exit status.
+        report: called first, for half a second at most; its result replaces `status`.
     """
     statuses = [status]
 
     def tidy() -> None:
-        with suppress(Exception):  # a closed terminal
+        with suppress(Exception):  # the terminal may be closed
             for child in multiprocessing.active_children():
                 child.kill()
             if report is not None:
                 statuses.append(report())
             for stream in (sys.stdout, sys.stderr):
                 if stream.isatty():
-                    stream.write("\x1b[?25h")  # a progress bar hides the cursor
+                    stream.write("\x1b[?25h")  # show the cursor, which a progress bar hides
                 stream.flush()
 
-    # Another thread may hold a lock that this needs.
+    # `tidy` may wait for a lock that another thread holds, so give it a thread and a time limit.
     thread = threading.Thread(target=tidy, daemon=True)
     thread.start()
     thread.join(0.5)

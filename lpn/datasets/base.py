@@ -19,7 +19,7 @@ from lpn.core.views import views_of
 
 log = logging.getLogger(__name__)
 
-# The tasks between two views, the usual ones first.
+# All tasks, the most common first.
 TASKS = (
     "drone-to-satellite",
     "satellite-to-drone",
@@ -39,11 +39,11 @@ class Picture:
 
     Attributes:
         path: the file.
-        label: the place it shows; two pictures with one label are a true match if `Dataset.truth` is None.
-        name: for display: the place's folder and, if the place has several pictures, the file ("0005/01" for
-            0005/image-01.jpeg), or the data set's own name.
+        label: number of its place; unless `Dataset.truth` lists them, the true matches are the pictures of equal label.
+        name: name for display: the one that the data set gives, or the place's folder and, if the place has several
+            pictures, the file ("0005/01" for 0005/image-01.jpeg).
         box: the query region (left, top, right, bottom) in pixels, in Oxford5k and Paris6k; else None.
-        panorama: whether it shows the full circle, north in the middle column.
+        panorama: True if it shows the full circle with north in the middle column.
     """
 
     path: Path
@@ -76,12 +76,12 @@ class Size:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A file that a data set names or holds but cannot use.
+    """A file that a data set lists or contains, but that cannot be used.
 
     Attributes:
         file: its path below the root.
-        why: the reason, such as "is not there".
-        published: whether the published data set has the same defect, so this copy is not damaged.
+        why: reason as a predicate, such as "is not there".
+        published: True if the published data set has the same defect, so that this copy is intact.
     """
 
     file: str
@@ -95,8 +95,8 @@ class Dataset(ABC):
     Attributes:
         root: the folder.
         kind: the recognised layout, such as "University-1652".
-        panoramas: whether street pictures show the full circle, north in the middle column, as in CVUSA and CVACT.
-        full: the size of each of `lists` in the complete data set, if known.
+        panoramas: True if street pictures show the full circle with north in the middle column, as in CVUSA and CVACT.
+        published_sizes: the size of each of `lists` in the complete data set, if known.
         left_out: files that cannot be used; logged once, when the data set is opened.
     """
 
@@ -125,19 +125,19 @@ class Dataset(ABC):
         """Return the test split's gallery of a view.
 
         Raises:
-            DataError: if there are none.
+            DataError: if there is none.
         """
 
     @abstractmethod
     def tasks(self) -> list[str]:
-        """Return the test split's tasks, such as "drone-to-satellite", the usual ones first."""
+        """Return the test split's tasks, such as "drone-to-satellite", the most common first."""
 
     @abstractmethod
     def lists(self) -> dict[str, list[Picture]]:
         """Return every list of pictures by its name, such as "train/satellite" or "test/query_drone"."""
 
     def truth(self, task: str) -> list[Truth] | None:
-        """Return the ground truth of each query; None if the true matches are the gallery's pictures with its label."""
+        """Return the ground truth of each query; None if pictures of equal label are the true matches."""
         del task
         return None
 
@@ -147,7 +147,7 @@ class ListedDataset(Dataset):
 
     Args:
         train, queries, gallery: pictures by view; queries and gallery may be the same mapping.
-        expected: the expected layout, for the message about a missing view.
+        expected: the expected layout, for the error about a missing view.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class ListedDataset(Dataset):
 
 
 def tasks_between(queries: Collection[str], galleries: Collection[str]) -> list[str]:
-    """Return every task from a view with queries to a view with a gallery, the usual ones first."""
+    """Return every task from a view with queries to a view with a gallery, the most common first."""
     pairs = (views_of(task) for task in TASKS)
     return [f"{query}-to-{gallery}" for query, gallery in pairs if query in queries and gallery in galleries]
 
@@ -231,10 +231,10 @@ def checked_path(text: str, where: str) -> str:
     """Check that a listed path stays below the data set's folder, and return it with forward slashes.
 
     Args:
-        where: the origin of the path, for the message.
+        where: the file and line that contain the path, for the error.
 
     Raises:
-        DataError: if it is absolute, empty, or contains "..".
+        DataError: if the path is absolute, is empty, or contains "..".
     """
     if _SAFE_PATH.fullmatch(text):
         return text
@@ -251,7 +251,7 @@ def read_lines(path: Path, name: str) -> list[str]:
     """Return the lines of a text file.
 
     Raises:
-        DataError: if it cannot be read, is too large, or is not UTF-8.
+        DataError: if the file cannot be read, is too large, or is not UTF-8.
     """
     try:
         if path.stat().st_size > MAX_LIST_BYTES:
@@ -279,11 +279,13 @@ def read_rows(path: Path, name: str) -> Iterator[tuple[int, list[str]]]:
             if any(value.strip() for value in values):
                 yield lines.line_num, values
     except csv.Error as error:
-        raise DataError(f"Line {lines.line_num} of {name} is not comma-separated values ({error}); mend it.") from error
+        raise DataError(
+            f"Line {lines.line_num} of {name} is not comma-separated values ({error}); correct it."
+        ) from error
 
 
 def warn_left_out(dataset: Dataset, what: str, effect: str) -> None:
-    """Log one warning that names the first files a data set leaves out."""
+    """Log one warning about the files that a data set leaves out; `what` and `effect` are clauses of the sentence."""
     if dataset.left_out:
         some = ", ".join(f"{printable(item.file)} ({item.why})" for item in dataset.left_out[:3])
         more = f", and {len(dataset.left_out) - 3} more" if len(dataset.left_out) > 3 else ""

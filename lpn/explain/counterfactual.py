@@ -1,6 +1,6 @@
 """Counterfactuals of one ranking: the margin by part, ranks without a part, and the smallest change of part weights.
 
-All of it follows from the part cosines of one query. Under weights w_i that sum to one, with positive p and negative g:
+They are computed from the part cosines of the query, without the network. For part weights w_i that sum to one, a positive p, and a negative g:
 
     score(p) - score(g) = sum_i w_i (cos_i(p) - cos_i(g)),    margin = d^2(g) - d^2(p) = 2 (score(p) - score(g)).
 """
@@ -20,7 +20,7 @@ from lpn.datasets import Truth
 from lpn.explain._least_distance import shortest
 from lpn.retrieval import Ranking, metrics, scoring
 
-# Score by which `smallest_change` puts a tile before all negatives: more than single precision blurs, less than anyone can see.
+# Score by which `smallest_change` puts a tile before all negatives: above the rounding errors of float32, yet negligible.
 MIN_SCORE_LEAD = 1e-5
 
 
@@ -29,7 +29,7 @@ class Margin:
     """The margin of one tile over another, by part.
 
     Attributes:
-        positive, negative: gallery positions; any two tiles will do.
+        positive, negative: gallery positions of any two tiles.
         parts: 2 w_i (cos_i(positive) - cos_i(negative)) in d², (n,); above 0 where the part speaks for `positive`.
     """
 
@@ -39,7 +39,7 @@ class Margin:
 
     @property
     def total(self) -> float:
-        """d²(negative) - d²(positive), the sum of `parts`; above 0 when `positive` is the nearer one."""
+        """d²(negative) - d²(positive), the sum of `parts`; above 0 if `positive` is nearer."""
         return float(self.parts.sum())
 
 
@@ -47,7 +47,7 @@ def margin(ranking: Ranking, positive: int, negative: int) -> Margin:
     """The margin of gallery picture `positive` over gallery picture `negative`.
 
     Raises:
-        InputError: when there is no such gallery picture.
+        InputError: if there is no such gallery picture.
     """
     for index in (positive, negative):
         if not 0 <= index < len(ranking.cosines):
@@ -76,10 +76,10 @@ class RanksWithoutParts:
     """The rank of the nearest positive without each part, and by each part alone.
 
     Attributes:
-        now: under the ranking's weights.
-        without: for each part that is left out, the other weights scaled to a sum of one; None where no other part has a
-            weight, or where none sees anything of the query (see `Ranking.lengths`).
-        alone: for each part; None where it sees nothing of the query.
+        now: the rank under the ranking's weights.
+        without: the rank without each part, the other weights scaled to a sum of one; None if all other parts have weight 0
+            or are empty in the query (see `Ranking.lengths`).
+        alone: the rank by each part alone; None if the part is empty in the query.
     """
 
     now: PositiveRank
@@ -88,13 +88,15 @@ class RanksWithoutParts:
 
     @property
     def part_to_remove(self) -> int | None:
-        """The part (from 0) whose removal puts the positive first, by the largest margin; None where it is first already, or
-        no single part is enough."""
+        """The part (from 0) whose removal puts the positive first; if several do, the one with the largest margin.
+
+        None if the positive is first already, or if no single part suffices.
+        """
         return None if self.now.rank == 1 else _best(self.without)
 
     @property
     def best_alone(self) -> int | None:
-        """The part (from 0) that alone puts the positive first, by the largest margin; None where none does."""
+        """The part (from 0) that alone ranks the positive first, with the largest margin; None if no part does."""
         return _best(self.alone)
 
 
@@ -105,7 +107,7 @@ def ranks_without_parts(ranking: Ranking, tile: int | None = None) -> RanksWitho
         tile: gallery position that counts as the only positive, in place of the true matches.
 
     Returns:
-        None when the ranking has no true match, or it is not known.
+        None if the ranking has no true match, or the true matches are unknown.
 
     Raises:
         InputError: when `tile` is not ranked.
@@ -114,16 +116,17 @@ def ranks_without_parts(ranking: Ranking, tile: int | None = None) -> RanksWitho
     if not len(positives):
         return None
     n = len(ranking.weights)
-    sees = np.ones(n, bool) if ranking.lengths is None else ranking.lengths > 0
+    nonempty = np.ones(n, bool) if ranking.lengths is None else ranking.lengths > 0
 
-    def by(values: FloatingArray) -> PositiveRank | None:
-        # Parts that see nothing have the same score for every tile: a rank by them would be the gallery's order.
-        known = bool((values[sees] > 0).any())
-        return _positive_rank(ranking, scoring.part_weights(n, values), positives, negatives) if known else None
+    def rank_by(values: FloatingArray) -> PositiveRank | None:
+        # Empty parts give every tile the same score, so a rank by them would be meaningless.
+        if not (values[nonempty] > 0).any():
+            return None
+        return _positive_rank(ranking, scoring.part_weights(n, values), positives, negatives)
 
-    without_each = [by(np.where(np.arange(n) == part, 0.0, ranking.weights)) for part in range(n)]
+    without_each = [rank_by(np.where(np.arange(n) == part, 0.0, ranking.weights)) for part in range(n)]
     now = _positive_rank(ranking, ranking.weights, positives, negatives)
-    return RanksWithoutParts(now, tuple(without_each), tuple(by(row) for row in np.eye(n)))
+    return RanksWithoutParts(now, tuple(without_each), tuple(rank_by(row) for row in np.eye(n)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,10 +134,10 @@ class Reweighting:
     """Part weights that put a tile first.
 
     Attributes:
-        weights: 0 or more, summing to one, (n,).
-        change: the difference to the ranking's weights, (n,), summing to zero.
+        weights: the part weights, 0 or more, summing to one, (n,).
+        change: `weights` minus the ranking's weights, (n,), summing to zero.
         distance: Euclidean length of the change.
-        tile: gallery position of the tile that is first under them.
+        tile: gallery position of the tile that `weights` put first.
     """
 
     weights: Float32Array
@@ -146,15 +149,15 @@ class Reweighting:
 def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | None:
     """The part weights nearest to the ranking's that put a positive first.
 
-    For each positive p, a convex program: minimise |w - w_now|^2 subject to w_i >= 0, sum_i w_i = 1, and
-    sum_i w_i (cos_i(p) - cos_i(g)) >= LEAD for every negative g. It is solved exactly (see `lpn.explain._least_distance`), and
-    the nearest of the positives' solutions is taken. A tile that is first already needs no change, whatever its margin.
+    For each positive p this is a convex program: minimise |w - w_now|^2 subject to w_i >= 0, sum_i w_i = 1, and
+    sum_i w_i (cos_i(p) - cos_i(g)) >= MIN_SCORE_LEAD for every negative g. `lpn.explain._least_distance` solves it exactly.
+    The result is the smallest solution over all positives, or no change if a positive is first already.
 
     Args:
         tile: gallery position that counts as the only positive, in place of the true matches.
 
     Returns:
-        None when no weights put a positive first by that lead, when there is no positive, or when it is not known.
+        None if no weights put a positive first by `MIN_SCORE_LEAD`, or if there is no known positive.
 
     Raises:
         InputError: when `tile` is not ranked.
@@ -167,7 +170,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
         return Reweighting(ranking.weights, np.zeros_like(ranking.weights), 0.0, first)
     n, now = len(ranking.weights), ranking.weights.astype(np.float64)
     now /= now.sum()
-    # An orthonormal basis of the changes that sum to zero; it preserves the length of a change.
+    # An orthonormal basis of the changes that sum to zero, so that coordinates have the length of the change.
     basis = np.linalg.svd(np.ones((1, n)))[2][1:].T
     cosines = ranking.cosines.astype(np.float64)
     best, reach = None, float(np.linalg.norm(np.eye(n) - now, axis=1).max())
@@ -193,7 +196,7 @@ class Effect:
         before, after: Recall@1 in percent.
         gained: positions of queries that are found only under the new weights, (K,).
         lost: positions of queries that are found only under the old weights, (L,).
-        queries: number of all.
+        queries: the number of all queries.
     """
 
     before: float
@@ -204,7 +207,7 @@ class Effect:
 
     @property
     def helps(self) -> bool:
-        """Whether more queries are gained than lost."""
+        """True if more queries are gained than lost."""
         return len(self.gained) > len(self.lost)
 
 
@@ -220,8 +223,7 @@ def effect(
 ) -> Effect:
     """Compare two sets of part weights over all queries of a task.
 
-    The weights enter the queries, so that each set takes one retrieval; see `lpn.retrieval.metrics.retrieve` for its memory
-    and errors.
+    Each set takes one retrieval; see `lpn.retrieval.metrics.retrieve` for its memory and errors.
 
     Args:
         query, gallery: descriptors, (Q, n, D) and (G, n, D).
@@ -240,13 +242,13 @@ def effect(
 
 
 def weighted_queries(query: Float32Array, weights: npt.ArrayLike | None) -> Float32Array:
-    """Queries (..., n, D) with part i times w_i n: their inner product with a descriptor is the score under the weights."""
+    """Multiply part i of queries (..., n, D) by n w_i, so that their inner product with a tile is the weighted score."""
     n = query.shape[-2]
     return cast(Float32Array, query * (n * scoring.part_weights(n, weights))[:, None])
 
 
 def _split(ranking: Ranking, tile: int | None) -> tuple[Int64Array, Int64Array]:
-    """The ranked positives and negatives, both in gallery order."""
+    """Return the ranked positives and negatives, each in gallery order."""
     ranked = np.sort(ranking.order)
     if tile is not None:
         if not ranking.holds(tile):
@@ -261,7 +263,7 @@ def _split(ranking: Ranking, tile: int | None) -> tuple[Int64Array, Int64Array]:
 def _positive_rank(
     ranking: Ranking, weights: Float32Array, positives: Int64Array, negatives: Int64Array
 ) -> PositiveRank:
-    """The rank that `retrieval.rank` would give: in single precision, equal scores in gallery order."""
+    """Return the rank that `retrieval.rank` would give: float32 scores, ties in gallery order."""
     scores = ranking.cosines @ weights
     index = positives[int(np.argmax(scores[positives]))]
     score, others = scores[index], scores[negatives]

@@ -1,10 +1,11 @@
-"""Sweeps: score, rank, and part cosines of one query while it is turned, shifted, or zoomed.
+"""Sweeps: score, rank, and part cosines of one query over a range of turns, shifts, or zooms.
 
-LPN divides a picture into square rings around its middle, so that it is partly invariant to a turn and assumes a centred
-target: a shift moves the target from ring to ring.
+LPN divides a picture into square rings around its centre. A turn changes the rings little, but a shift moves the target
+from ring to ring.
 
-Heading: a picture whose top points h degrees clockwise from north is north-up, like a satellite tile, after a turn by h
-degrees clockwise. `Change.rotate` counts counter-clockwise, so that the best angle r estimates the heading h = -r (mod 360).
+A rotation sweep also estimates the heading: the direction h, in degrees clockwise from north, of the top of the query.
+Turning the query clockwise by h makes it north-up, like the tiles. `Change.rotate` counts counter-clockwise, so the best
+angle r estimates h = -r (mod 360).
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ class Point:
 
     Attributes:
         tile: gallery position of the followed tile: the nearest positive, a chosen tile, or else the top match.
-        true: True when the followed tile shows the query's place; None when that is not known.
+        true: True if the followed tile is a positive; None if unknown.
         score: weighted mean cosine of the followed tile, -1 .. 1.
-        rank: of the followed tile, 1 for the nearest.
-        cosines: of the parts with the followed tile, (n,).
+        rank: rank of the followed tile, 1 for the nearest.
+        cosines: part cosines with the followed tile, (n,).
         top: gallery position of the nearest tile.
         top_score: score of the nearest tile.
     """
@@ -71,7 +72,7 @@ def run_sweep(
     truth: Truth | None = None,
     follow: int | None = None,
 ) -> Iterator[Point]:
-    """Describe a query under each change in turn and rank the gallery; lazily, so that a sweep can be stopped.
+    """Yield a point for each change: describe the changed query and rank the gallery.
 
     Args:
         picture: the query, (H, W, 3) uint8.
@@ -79,10 +80,10 @@ def run_sweep(
         weights: part weights that sum to one, (n,).
         changes: see `changes_over`.
         labels, label, truth: true matches, as for `retrieval.rank`.
-        follow: gallery position to follow in place of the nearest positive.
+        follow: gallery position of the tile to follow in place of the nearest positive.
 
     Raises:
-        InputError: when the model has no such view, `follow` is not ranked, no tile is, or a change leaves nothing.
+        InputError: if the model lacks the view, no tile or not `follow` is ranked, or a change leaves an empty picture.
     """
     model.check_view(view)
     for change in changes:
@@ -90,7 +91,9 @@ def run_sweep(
         cosines = scoring.part_cosines(described.descriptor, gallery)
         ranking = retrieval.rank(cosines, weights, labels, label, truth)
         if not len(ranking.order):
-            raise InputError("There is no tile to rank; a sweep needs a gallery with at least one that is not junk.")
+            raise InputError(
+                "There is no tile to rank; a sweep needs at least one tile in the gallery that is not junk."
+            )
         if follow is not None and not ranking.holds(follow):
             raise InputError(f"Gallery picture {follow} is not in the ranking; choose one that is.")
         top = ranking.match(0)
@@ -100,12 +103,12 @@ def run_sweep(
 
 @dataclass(frozen=True, eq=False)
 class SweepResult:
-    """The points of a sweep, which need not be complete.
+    """The points of a sweep that may still be running.
 
     Attributes:
         over: the swept property.
         points: at least one, sorted by the swept property.
-        base: the change of the query from which the sweep departs.
+        base: the change that the query had before the sweep.
     """
 
     over: SweptProperty
@@ -114,47 +117,49 @@ class SweepResult:
 
     def __post_init__(self) -> None:
         if not self.points:
-            raise InputError("A profile needs at least one point; take one from lpn.explain.sweeps.profile first.")
+            raise InputError(
+                "A sweep result needs at least one point; take one from lpn.explain.sweeps.run_sweep first."
+            )
         ordered = sorted(self.points, key=lambda point: swept_value(self.over, point.change))
         object.__setattr__(self, "points", tuple(ordered))
 
     @property
     def best(self) -> Point:
-        """The point of the followed tile's highest score; of equals the one of the least change."""
+        """The point where the followed tile has its highest score; the smallest change wins ties."""
         return self._highest([point.score for point in self.points])
 
     @property
     def best_top_match(self) -> Point:
-        """The point of any tile's highest score, which needs no ground truth; of equals the one of the least change."""
+        """The point where the top match has its highest score; needs no ground truth. The smallest change wins ties."""
         return self._highest([point.top_score for point in self.points])
 
     @property
     def best_rank(self) -> Point:
-        """The point of the followed tile's best rank; of equals the one of the highest score."""
-        # Scores differ by at most 2, so a rank counts for more.
+        """The point where the followed tile ranks best; the highest score wins ties."""
+        # Scores differ by at most 2, so the rank dominates.
         return self._highest([4.0 * -point.rank + point.score for point in self.points])
 
     @property
     def unchanged(self) -> Point | None:
-        """The point of the base change; None while it is not among the points."""
+        """The point of the base change; None until it is computed."""
         return next((point for point in self.points if point.change == self.base), None)
 
     def gain(self, point: Point) -> tuple[int, float] | None:
-        """Ranks and score that the followed tile gains over the base change; None while that is not among the points."""
+        """Return the ranks and the score that the followed tile gains over the base change; None until that is computed."""
         before = self.unchanged
         return None if before is None else (before.rank - point.rank, point.score - before.score)
 
     def heading(self) -> float | None:
-        """Estimate the direction of the picture's top in degrees clockwise from north, 0 .. 360, without ground truth.
+        """Estimate the heading of the query, 0 .. 360 degrees clockwise from north, without ground truth; None unless rotated.
 
-        None for other sweeps than rotation. The estimate supposes a north-up gallery and is as precise as the steps. On the demo,
-        in steps of 15 degrees, the median error is 12 degrees for pictures from straight above, one in ten of which is taken for
-        its opposite, and 33 for tilted ones, four in ten of which are; by chance it would be 90.
+        The gallery must be north-up. On the demo, in steps of 15 degrees, the median error is 12 degrees for pictures from
+        straight above and 33 for tilted ones (chance: 90). The estimate points the opposite way for one in ten of the former
+        and four in ten of the latter.
         """
         return -self.best_top_match.change.rotate % 360 if self.over == "rotation" else None
 
     def rows(self) -> list[dict[str, Any]]:
-        """The values of the CSV file, a row per point."""
+        """Return the rows of the CSV file, one per point."""
         return [
             {
                 self.over: swept_value(self.over, point.change),
@@ -170,7 +175,7 @@ class SweepResult:
         ]
 
     def to_csv(self) -> bytes:
-        """`rows` as comma-separated values in UTF-8."""
+        """Return `rows` as comma-separated values in UTF-8."""
         text = io.StringIO()
         writer = csv.DictWriter(text, list(self.rows()[0]))
         writer.writeheader()
@@ -183,13 +188,13 @@ class SweepResult:
 
 
 def swept_value(over: SweptProperty, change: Change) -> float:
-    """The swept property of a change: degrees 0 .. 360, pixels, or a factor."""
+    """Return the swept property of a change: degrees 0 .. 360, pixels, or a factor."""
     number = float(getattr(change, CHANGE_FIELD[over]))
     return number % 360 if over == "rotation" else number
 
 
 def signed_value(over: SweptProperty, change: Change) -> float:
-    """Return the same number with a rotation by the shorter way, above -180 to 180 degrees."""
+    """Return the swept property with rotations from -180 (exclusive) to 180 degrees."""
     number = swept_value(over, change)
     return number - 360 if over == "rotation" and number > 180 else number
 
@@ -197,25 +202,25 @@ def signed_value(over: SweptProperty, change: Change) -> float:
 def changes_over(
     over: SweptProperty, step: float | None = None, reach: float | None = None, side: int = 256
 ) -> list[Change]:
-    """The changes of a sweep: the unchanged query first, then always the change farthest from all before.
+    """Return the changes of a sweep from coarse to fine, so that the first points already show its shape.
 
-    Few points then show the shape: a rotation goes 0, 180, 90, 270, 45, ...
+    The first change is none. Each further one is farthest from all before it: a rotation goes 0, 180, 90, 270, 45, ...
 
     Args:
-        over: a rotation goes once around, shifts go to both sides, and zooms go in and out by equal factors.
-        step: degrees (15), pixels of the network's input (a 32nd of its side), or the factor between zooms (1.1).
-        reach: largest shift in pixels (a quarter of the side) or largest factor (2); not for a rotation.
-        side: the network's input along the shift in pixels.
+        over: a rotation covers the full circle, shifts go both ways, and zooms go in and out by equal factors.
+        step: degrees (default 15), pixels (default `side` / 32), or the factor between zooms (default 1.1).
+        reach: largest shift in pixels (default `side` / 4) or largest factor (default 2); not for a rotation.
+        side: size of the network's input along the shift, in pixels.
 
     Raises:
-        InputError: when a number is out of range, or there would be more than 3600 points.
+        InputError: if a number is out of range, or there would be more than 3600 points.
     """
     if over not in get_args(SweptProperty):
         raise InputError(f"The sweep is over {over!r}; expected one of {', '.join(get_args(SweptProperty))}.")
     if over == "rotation":
         step = _checked("step", 15.0 if step is None else step, 0, 360, "degrees")
         if reach is not None:
-            raise InputError("A rotation goes once around; leave its reach out.")
+            raise InputError("A rotation always covers the full circle; leave its reach out.")
         _check_count(360 / step)
         angles = [step * i for i in range(math.ceil(360 / step - 1e-9))]
         return [Change(rotate=angles[i]) for i in _coarse_first(angles, 360.0)]
@@ -236,32 +241,32 @@ def changes_over(
 
 
 def apply_to_base(over: SweptProperty, base: Change, changes: Iterable[Change]) -> list[Change]:
-    """Apply a sweep's changes on top of a base change: the base first, then the base with each swept value."""
+    """Return the base change, then the base change with each other swept value of `changes`."""
     name = CHANGE_FIELD[over]
     swept = [replace(base, **{name: getattr(change, name)}) for change in changes]
     return [base, *(change for change in swept if swept_value(over, change) != swept_value(over, base))]
 
 
 def _both_sides(count: int) -> list[int]:
-    """0, then -count .. count without it."""
+    """Return 0, then the other integers from -count to count."""
     return [0, *(i for i in range(-count, count + 1) if i)]
 
 
 def _coarse_first(values: Sequence[float], circle: float | None = None) -> list[int]:
-    """Positions of values, each as far as possible from all before, beginning with the first; of equals the first."""
+    """Return the positions of values, each as far as possible from all before; the first wins ties."""
     places = np.asarray(values, dtype=np.float64)
     order, nearest = [0], np.full(len(places), np.inf)
     while len(order) < len(places):
         apart = np.abs(places - places[order[-1]])
         nearest = np.minimum(nearest, apart if circle is None else np.minimum(apart, circle - apart))
         nearest[order[-1]] = -1
-        # Steps such as 0.1 are not exact; rounding keeps the order of equals.
+        # Steps such as 0.1 are inexact; rounding keeps ties.
         order.append(int(np.argmax(np.round(nearest, 9))))
     return order
 
 
 def _size(over: SweptProperty, change: Change) -> float:
-    """The size of a change."""
+    """Return how far a change is from none."""
     number = swept_value(over, change)
     if over == "rotation":
         return min(number, 360 - number)

@@ -66,7 +66,7 @@ class Model(ABC):
     batch: int = 4
 
     def describe(self) -> str:
-        """Return one line for a header or a log: `ModelSpec.describe`, and the precision if it is not float32."""
+        """Return one line for a header or a log: the architecture, and the precision if it is not float32."""
         return self.spec.describe() + ("" if self.precision == "float32" else f", {self.precision}")
 
     @property
@@ -101,13 +101,13 @@ class Model(ABC):
         """Return (h, w) of the feature map of an image of the model's input size."""
 
     def to_input_size(self, picture: UInt8Array, view: View) -> UInt8Array:
-        """Resize a picture to the input size, unrolled if the view needs it: (height, width, 3) uint8."""
+        """Resize a picture to the input size, (height, width, 3) uint8; a polar model's tiles are unrolled into panoramas."""
         if self.spec.unrolled(view):
             return pictures.polar(picture, *self.input_size)
         return pictures.resize(picture, *self.input_size)
 
     def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
-        """Return the picture that the partition applies to: unrolled if the view needs it (SAFA), else unchanged."""
+        """Return the picture on which parts are drawn: the unrolled tile of a polar model, else the picture itself."""
         return self.to_input_size(picture, view) if self.spec.unrolled(view) else picture
 
     def prepare(self, picture: UInt8Array, view: View) -> Float32Array:
@@ -153,7 +153,7 @@ class Model(ABC):
         """Raise InputError unless the model has affine heads."""
         if self.spec.pooling == "safa":
             raise InputError(
-                "This model is SAFA: it weighs the cells of each picture anew and has no heads that hold for all of them."
+                "This is a SAFA model, which has no affine heads: its cell weights differ from picture to picture."
             )
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
@@ -182,7 +182,7 @@ def as_array(values: Any) -> AnyArray:
     try:
         return np.asarray(values)
     except ValueError as error:
-        raise InputError("An array was expected, and rows of unequal lengths were found; make them equal.") from error
+        raise InputError("The rows have unequal lengths; expected an array, so make them equal.") from error
 
 
 def normalise(raw: Float32Array) -> Float32Array:
@@ -193,7 +193,7 @@ def normalise(raw: Float32Array) -> Float32Array:
     """
     if not np.isfinite(raw).all():
         raise ModelFileError(
-            "The model gives values that are not finite, so its weights are damaged or its training diverged; take another."
+            "The model's output is not finite, so its weights are damaged or its training diverged; use another model."
         )
     norms = np.linalg.norm(raw, axis=-1, keepdims=True) * np.sqrt(raw.shape[-2])
     return cast(Float32Array, (raw / np.maximum(norms, 1e-12)).astype(np.float32))

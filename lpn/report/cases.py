@@ -25,11 +25,11 @@ class Options:
 
     Attributes:
         matches: number of tiles listed for each query, 1 or more.
-        profile: rotate each query once around; each step takes one forward pass.
+        profile: rotate each query by the full circle; each step takes one forward pass.
         step: degrees between two steps.
-        change: applied to each query first.
+        change: the change that is applied to each query first.
         compared_tile: gallery position of a tile to compare in place of the top match.
-        selection: a description of how the queries were chosen.
+        selection: how the queries were chosen, for the report's header.
     """
 
     matches: int = 5
@@ -47,7 +47,7 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The query with one tile: its match, its picture as the model partitions it, and evidence if there is a network."""
+    """A tile that is compared with the query: its match, its picture as partitioned, and evidence if there is a network."""
 
     match: Match
     picture: UInt8Array
@@ -59,19 +59,19 @@ class Case:
     """One query.
 
     Attributes:
-        known: True if the query's place is known, even where the gallery has no tile of it.
-        facts: names and values of the metadata of its picture.
-        picture: the query as the model partitions it.
-        matches: the nearest tiles, then the positive if it is not among them.
-        errors_m: metres from what the query shows to each of the matches; None where positions are unknown.
-        positive: the nearest true match; None where there is none, or it is unknown.
-        hardest_negative: the nearest wrong tile; None where all tiles are true, or the truth is unknown.
-        pairs: the chosen tile, then the positive, or the hardest negative where the chosen tile is a true match.
-        margin: of the true tile of `pairs` over the wrong one; None unless there are both.
-        without: ranks of the positive without each part; None without a positive.
-        change: the smallest change of part weights that puts a positive first; None where there is none, or it is first.
-        effect: effect of that change on all queries of the task.
-        profile: of the rotation; None unless it was requested.
+        known: True if the query's place is known, even if the gallery has no tile of it.
+        facts: names and values of the query's metadata.
+        picture: the query as partitioned.
+        matches: the nearest tiles, then the nearest positive if it is not among them.
+        errors_m: error of each of `matches` in metres; None if positions are unknown.
+        positive: the nearest positive; None if none is known.
+        hardest_negative: the nearest negative; None if none is known.
+        pairs: the compared tile, then its counterpart: the hardest negative for a positive, else the nearest positive.
+        margin: margin of the positive in `pairs` over the other tile; None if `pairs` is one tile.
+        without: ranks of the positive without each part; None if no positive is known.
+        change: the smallest change of part weights that puts a positive first; None if impossible or needless.
+        effect: the effect of `change` on all queries of the task.
+        profile: the rotation sweep; None unless requested.
     """
 
     name: str
@@ -92,12 +92,12 @@ class Case:
 
     @property
     def verdict(self) -> bool | None:
-        """True if the top match is true; None where that is unknown."""
+        """True if the top match is a positive; None if unknown."""
         return self.matches[0].true if self.known else None
 
 
 class Cases:
-    """Makes the cases of one report, and caches the tiles that several of them compare."""
+    """Makes the cases of one report; caches described tiles across cases."""
 
     def __init__(self, task: Task, options: Options) -> None:
         if options.compared_tile is not None and not 0 <= options.compared_tile < len(task.gallery):
@@ -106,8 +106,8 @@ class Cases:
             )
         if task.model is None and (options.profile or options.change):
             raise InputError(
-                f"{task.model_name} holds descriptors without their network: queries cannot be turned, so leave the profile "
-                "and changes out."
+                f"{task.model_name} has saved descriptors but no network, so queries cannot be changed; leave the profile and "
+                "changes out."
             )
         self._task, self._options = task, options
         self._tile = lru_cache(maxsize=64)(lambda index: describe_tile(task, index, task.model))
@@ -116,7 +116,7 @@ class Cases:
         self.turns = sweeps.apply_to_base("rotation", options.change, turns) if turns else []
 
     def make(self, query: int | OwnPicture, on_step: Callable[[], None]) -> Case:
-        """Analyse one query; `on_step` is called after it and after each step of its profile."""
+        """Analyse one query; call `on_step` after each step of its rotation sweep and at the end."""
         task, options = self._task, self._options
         index = None if isinstance(query, OwnPicture) else query
         weights = None if task.weights is None else tuple(task.part_weights.tolist())

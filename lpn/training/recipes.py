@@ -1,4 +1,4 @@
-"""Named training recipes, which hold every number of a training, and the methods that the paper compares."""
+"""Training recipes by name, each with all settings of a training, and the methods that the paper compares."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from lpn.models.spec import Layout, Pooling
 _ABOVE_ZERO = math.ulp(0.0)
 _BELOW_ONE = math.nextafter(1.0, 0.0)
 _MAX = sys.float_info.max
-# The range of each number, in words last; NaN and infinity are outside of all.
+# Lowest and highest value of each number, and the range in words. NaN and infinity are never allowed.
 _RANGES: dict[str, tuple[float, float, str]] = {
-    # BatchNorm in the heads needs two places a step.
+    # BatchNorm in the heads needs at least two samples.
     **dict.fromkeys(("batch",), (2, _MAX, "2 or more")),
     **dict.fromkeys(("n_parts", "epochs", "maps"), (1, _MAX, "1 or more")),
-    # VGG's five pooling layers reduce anything smaller to nothing.
+    # The five pooling layers of VGG divide the size by 32.
     "size": (32, _MAX, "32 or more"),
     **dict.fromkeys(("scale", "margin"), (0, 2, "a number from 0 to 2")),
     **dict.fromkeys(("lr", "temperature", "alpha"), (_ABOVE_ZERO, _MAX, "a number above 0")),
@@ -55,24 +55,24 @@ class Recipe:
     backbone: Literal["resnet18", "resnet50", "vgg16_bn"] = "resnet50"
     """The backbone network."""
     last_layer: Literal["layer3", "layer4"] = "layer4"
-    """Last layer of a ResNet; layer3 costs about half, and a 256-pixel picture keeps its 16 x 16 map."""
+    """Last layer of a ResNet; layer3 takes about half the time, and its map has the same resolution."""
     n_parts: int = 4
     """Parts of a descriptor; 1 is the baseline with global average pooling."""
     weighting: Weighting = "published"
-    """Average over a ring: published (its sum divided by the area of its bounding box) or area (its mean)."""
+    """Average over a ring: published (sum over the ring / area of its bounding box) or area (mean over the ring)."""
     shared: bool = True
     """Share weights between the satellite and the drone branch."""
     layout: Layout = "university"
-    """Partition of the maps: university (rings in every view), cvusa (rings of the satellite, outermost first, against rows
-    of the panorama), or strips (columns of every view, Figure 4)."""
+    """Partition of the maps: university (rings in every view), cvusa (rings of the satellite tile, outermost first, and rows
+    of the panorama), or strips (columns in every view, Figure 4)."""
     pooling: Pooling = "average"
-    """Pooling of a part: average (its mean through a head) or safa (sums weighted by spatial-aware layers)."""
+    """Pooling of a part: average (mean, then a head) or safa (sums weighted by spatial-aware layers)."""
     maps: int = 8
-    """Weighted sums per part with safa pooling."""
+    """Number of weighted sums per part with safa pooling."""
     polar: bool = False
     """Unroll satellite tiles around their centre into the shape of a panorama."""
     google: bool = True
-    """Train the street branch on the pictures of train/google as well, if there are any."""
+    """Train the street branch on train/google, too, if it exists."""
     size: int = 256
     """Height of the network's input in pixels."""
     width: int = 0
@@ -102,11 +102,11 @@ class Recipe:
     """Decay of an exponential moving average of the weights, which is saved and tested instead of them; 0 for none."""
 
     joint_views: bool = False
-    """Put views that share weights into one batch, so that BatchNorm sees them together; published: each alone."""
+    """Put views that share weights into one batch, so that they share BatchNorm statistics; the released code does not."""
     instance: float = 1.0
     """Weight of the instance loss: cross-entropy over places, for each part and view (equation 4 of the paper)."""
     reduction: Literal["sum", "mean"] = "sum"
-    """Reduction of the instance losses over parts and views; the paper sums, a mean is independent of the number of parts."""
+    """Reduction of the instance losses over parts and views: sum (paper) or mean (independent of their number)."""
     label_smoothing: float = 0.0
     """Label smoothing of the instance and the InfoNCE loss."""
     infonce: float = 0.0
@@ -121,7 +121,7 @@ class Recipe:
     alpha: float = 10.0
     """Factor inside the exponent of the soft-margin triplet loss."""
     mining: Literal["all", "hardest"] = "all"
-    """Negatives of the metric loss: all other places of the batch, or only the hardest for each picture."""
+    """Negatives of the metric loss: all other places of the batch, or only the hardest negative of each picture."""
 
     rotation: float = 0.0
     """Random rotation of each picture on its own, up to this many degrees either way."""
@@ -132,9 +132,9 @@ class Recipe:
     black_corners: float = 1.0
     """Probability that the corners of a rotated picture are black, as in a rotated query, rather than mirrored."""
     own_canvas: float = 0.0
-    """Probability that a picture is rotated at its own resolution and then resized, as a rotated query is, not the reverse."""
+    """Probability that a picture is rotated before it is resized, as rotated queries are, rather than after."""
     shift: float = 10 / 256
-    """Random shift as a fraction of the size; the default is padding by 10 pixels and cropping, at 256."""
+    """Random shift as a fraction of the size; the default equals padding a 256-pixel picture by 10 pixels and cropping."""
     scale: float = 0.0
     """Random scale, from exp(-scale) to exp(scale)."""
     colour: float = 0.0
@@ -147,7 +147,7 @@ class Recipe:
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """Arithmetic of the forward pass; auto is bfloat16 where the hardware has it, else float16 on CUDA and float32 elsewhere."""
     seed: int = 0
-    """Seed of initialisation, order, and augmentation."""
+    """Random seed of initialisation, order, and augmentation."""
 
     def __post_init__(self) -> None:
         for name, (low, high, expected) in _RANGES.items():
@@ -155,12 +155,10 @@ class Recipe:
             if not low <= value <= high:
                 raise InputError(f"The recipe has {name} = {value}; expected {expected}.")
         if self.backbone == "vgg16_bn" and self.last_layer != "layer4":
-            raise InputError(
-                "The recipe has last_layer = layer3 with vgg16_bn, which has no such layer; leave it at layer4."
-            )
+            raise InputError("The recipe has last_layer = layer3 with vgg16_bn, which has no such layer; use layer4.")
         if self.instance <= 0 and self.infonce <= 0 and self.metric == "none":
             raise InputError(
-                "The recipe has no loss: instance and infonce are both 0 and metric is none; give one of them a weight."
+                "The recipe has no loss, as instance and infonce are 0 and metric is none; set one of them."
             )
         if self.pooling == "safa" and self.instance > 0:
             raise InputError(
@@ -173,7 +171,7 @@ class Recipe:
         return self.size, self.width or self.size
 
     def to_json(self) -> str:
-        """One line of JSON."""
+        """Return one line of JSON."""
         return json.dumps(asdict(self))
 
 
@@ -217,10 +215,10 @@ _CVUSA = Recipe(
     flip="place",
 )
 
-# university1652, cvusa: the paper's recipes.
-# safa: the recipe of SAFA, whose panoramas have 112 x 616 pixels.
-# small: some hundred places whose drone pictures share a heading, from an ImageNet backbone.
-# world: the same for drone pictures of any heading, as around the buildings of a rendered city.
+# university1652, cvusa: the recipes of the paper.
+# safa: the recipe of SAFA (Shi et al. 2019), with panoramas of 112 x 616 pixels.
+# small: fine-tuning an ImageNet backbone on a few hundred places, all drone pictures with the same heading.
+# world: fine-tuning as in small, with drone pictures of any heading, such as those of a rendered world.
 RECIPES: dict[str, Recipe] = {
     "university1652": Recipe(),
     "cvusa": _CVUSA,
@@ -269,13 +267,13 @@ _SAFA: dict[str, Any] = {
     "width": 616,
 }
 
-# The methods that the paper compares, as changes of a recipe; each states its whole loss.
-# lpn: square rings.
-# instance: the baseline with global average pooling.
-# contrastive, triplet-*, soft-margin: the baseline trained with a metric loss over the batch instead.
-# lpn-cvusa: the released rings against rows.
-# lpn-strips: columns of the panorama and of the unrolled tile.
-# safa, safa-lpn: Shi et al. 2019, alone and with strips.
+# The methods that the paper compares. Each replaces settings of a recipe, among them all that select the loss.
+# lpn: LPN with square rings.
+# instance: the baseline, global average pooling with the instance loss.
+# contrastive, triplet-*, soft-margin: the baseline with a metric loss in place of the instance loss.
+# lpn-cvusa: LPN with rings of the tile and rows of the panorama, as released.
+# lpn-strips: LPN with columns of the panorama and of the unrolled tile.
+# safa, safa-lpn: SAFA, alone and with strips.
 METHODS: dict[str, dict[str, Any]] = {
     "lpn": {**_INSTANCE_LOSS, "layout": "university"},
     "instance": _BASELINE,
@@ -294,7 +292,7 @@ def method(name: str, recipe: Recipe) -> Recipe:
     """Apply a method of `METHODS` to a recipe.
 
     Raises:
-        InputError: when there is no such method.
+        InputError: if there is no such method.
     """
     if name not in METHODS:
         raise InputError(f"There is no method {name!r}; choose one of {', '.join(METHODS)}.")
