@@ -79,7 +79,12 @@ def conceal(secret: str | None) -> None:
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """Ignore a closed terminal, which must not end the process."""
+        """Leave a closed terminal to the handler; rich would end the process."""
+        raise
+
+
+def _console() -> Console:
+    return _Console(stderr=True, soft_wrap=True)
 
 
 class StderrHandler(RichHandler):
@@ -90,7 +95,7 @@ class StderrHandler(RichHandler):
     """
 
     def __init__(self, whole_tracebacks: bool = False) -> None:
-        super().__init__(console=_Console(stderr=True, soft_wrap=True))
+        super().__init__(console=_console())
         self.setFormatter(
             logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s", "%Y-%m-%d %H:%M:%S")
         )
@@ -116,6 +121,10 @@ class StderrHandler(RichHandler):
     def render(self, *, message_renderable: ConsoleRenderable, **_: object) -> ConsoleRenderable:
         """Return the line alone; rich would add columns and wrap them."""
         return message_renderable
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: ARG002, N802
+        """Drop a line that cannot be written: logging would print the record with its secrets, and rich would keep it."""
+        self.console = _console()
 
     def _clean(self, text: str, length: int = _MAX_LENGTH) -> str:
         """Hide secrets before cutting: half a token would not be recognised."""
