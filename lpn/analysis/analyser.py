@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class OwnPicture:
-    """A picture that is no query of the data set, so that its place is not known.
+    """A picture of the user's own, which is not in the data set and whose place is not known.
 
     Attributes:
         picture: (H, W, 3) uint8.
@@ -44,13 +44,13 @@ class QueryRequest:
     """The query to analyse, and how.
 
     Attributes:
-        query: position among the task's queries, or a picture of one's own.
+        query: position among the task's queries, or a picture of the user's own.
         change: applied to the query before it is described.
         weights: part weights, see `scoring.part_weights`; None for equal ones.
         region: cells of the query's feature map, row by row, that the search is restricted to; empty for all.
-        compare: the tile to compare with: a gallery position, "positive", or None for the top match. The top match also
-            replaces a tile that is not ranked.
-        evidence, correspondences: computed for the compared pair on request only.
+        compare: the tile to compare with: a gallery position, "positive", or None for the top match. If that tile is not
+            ranked, the top match is used.
+        evidence, correspondences: True to compute them for the compared pair.
     """
 
     query: int | OwnPicture
@@ -79,15 +79,15 @@ class Analysis:
     """A query against the gallery of its task.
 
     Attributes:
-        name: the query's.
-        query: as it was described, that is, after the change.
+        name: the query's name.
+        query: the query after the change.
         matches: the nearest tiles.
         chosen: the compared tile.
         tile: the compared tile, described.
-        positive: the nearest true match; None without one, or where the query's place is not known.
-        errors_m: metres from the place that the query shows to each tile, (G,); None where that is not known.
+        positive: the nearest positive; None if the query has none, or its place is not known.
+        errors_m: metres from the place that the query shows to each tile, (G,); None without positions.
         source: the query's picture before the change, (H, W, 3) uint8.
-        pair_evidence: None unless requested, and without a network.
+        pair_evidence: None if it was not requested, or there is no network.
         seconds: time that the analysis took.
     """
 
@@ -106,24 +106,24 @@ class Analysis:
 
 
 class _LastValue(Generic[T]):
-    """The value of the last key."""
+    """A cache of one value: that of the last key."""
 
     def __init__(self) -> None:
-        self._held: tuple[Hashable, T] | None = None
+        self._entry: tuple[Hashable, T] | None = None
 
     def get(self, key: Hashable, compute: Callable[[], T]) -> T:
-        if self._held is None or self._held[0] != key:
-            self._held = key, compute()
-        return self._held[1]
+        if self._entry is None or self._entry[0] != key:
+            self._entry = key, compute()
+        return self._entry[1]
 
 
 class QueryAnalyser:
-    """Analyses requests one after the other and recomputes only what changed since the last; for one thread at a time.
+    """Analyses queries, and reuses intermediate results of the last request; for one thread at a time.
 
     Args:
-        model: describes queries; None where only stored descriptors are at hand.
-        describe_tile: returns a tile of a task by its gallery position, see the function of that name; it may cache.
-        load: reads a picture file; it may cache.
+        model: describes queries; None if only stored descriptors are available.
+        describe_tile: describes a tile of a task by its gallery position, see the function `describe_tile`; may use a cache.
+        load: reads a picture file; may use a cache.
     """
 
     def __init__(
@@ -152,14 +152,14 @@ class QueryAnalyser:
         own = request.query if isinstance(request.query, OwnPicture) else None
         index = None if isinstance(request.query, OwnPicture) else request.query
         if index is not None and not 0 <= index < len(task.queries):
-            raise InputError(f"There is no query {index}; they have positions 0 to {len(task.queries) - 1}.")
+            raise InputError(f"There is no query {index}; queries have positions 0 to {len(task.queries) - 1}.")
         picture = task.queries[index or 0]
         source_key = own or (picture.path, picture.box)
         source = self._source.get(source_key, lambda: own.picture if own else load_cropped(picture, self._load))
         query_key = source_key, task.name, index, request.change
         query = self._query.get(query_key, lambda: self._describe(task, index, source, request.change))
         weights = scoring.part_weights(task.spec.n_parts, request.weights)
-        # The weights of a region's parts enter its descriptor.
+        # The descriptor of a region depends on the part weights.
         cosines_key = query_key, request.region, request.weights if request.region else None
         cosines, lengths = self._cosines.get(cosines_key, lambda: _compare(task, query, request.region, weights))
         ranking = self._ranking.get((cosines_key, request.weights), lambda: task.rank(index, cosines, weights, lengths))
@@ -188,7 +188,9 @@ class QueryAnalyser:
             change = change.for_picture(task.queries[index or 0])
             return retrieval.describe_picture(self._model, source, task.query_view, change)
         if index is None:
-            raise InputError(f"{task.model_name} holds descriptors without their network; choose a query of its own.")
+            raise InputError(
+                f"{task.model_name} has descriptors but no network to describe other pictures; choose a query of the data set."
+            )
         return DescribedPicture(source, task.query_descriptors[index], None, None)
 
 

@@ -17,7 +17,7 @@ _NORMAL_95 = 1.959963984540054
 
 @dataclass(frozen=True, eq=False)
 class Confusion:
-    """Queries of one place that were answered with another.
+    """Queries of one place that were answered with a tile of another place.
 
     Attributes:
         place, answered: labels of the two places.
@@ -43,7 +43,7 @@ class Rate:
     Attributes:
         name: the bin in words.
         low, high: smallest and largest value in the bin; NaN for texts.
-        queries, failures: their numbers.
+        queries, failures: numbers of queries and of failures in the bin.
         known: False for the bin of unknown values.
     """
 
@@ -68,7 +68,7 @@ class Rate:
 def confusions(
     outcomes: Outcomes, query_labels: Int64Array, labels: Int64Array, rows: Int64Array | None = None
 ) -> list[Confusion]:
-    """Confused pairs of places, the most frequent first; equals in order of their labels.
+    """Return the confused pairs of places, the most frequent first, on ties by their labels.
 
     Args:
         query_labels, labels: the place of each query and tile, (Q,) and (G,).
@@ -79,31 +79,31 @@ def confusions(
     pairs = np.stack([query_labels[rows], labels[outcomes.answer[rows]]], axis=1)
     kinds, which, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
     groups = np.split(rows[np.argsort(which.ravel(), kind="stable")], np.cumsum(counts)[:-1])
-    found = [
+    result = [
         Confusion(int(place), int(answered), group, int(outcomes.answer[group[0]]))
         for (place, answered), group in zip(kinds, groups, strict=False)
     ]
-    return sorted(found, key=lambda one: -one.count)
+    return sorted(result, key=lambda confusion: -confusion.count)
 
 
 def blame(outcomes: Outcomes, rows: Int64Array | None = None) -> Int64Array:
-    """The number of failures that each part decided, (n,); failures without a margin count for no part."""
+    """Count the failures that each part decided, (n,); failures without a margin are not counted."""
     rows = _rows(outcomes, rows)
     decided = outcomes.deciding_part[rows][outcomes.failed[rows]]
     return np.bincount(decided[decided >= 0], minlength=outcomes.parts.shape[1]).astype(np.int64)
 
 
 def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | None = None) -> list[Rate]:
-    """Failure rate against a column: of numbers in quantile bins, of texts by value.
+    """Return the failure rate for each bin of a column: quantile bins of numbers, or distinct texts.
 
-    Bins are ascending and as equal in number of queries as equal values, which are never parted, allow. Texts come with
-    the highest rate first; queries whose value is not known come last, on their own.
+    Bins of numbers are ascending, and have about the same number of queries; queries of equal value are always in the same
+    bin. Texts are sorted by descending rate. The queries of unknown value are the last bin.
 
     Args:
-        failed: which queries failed, (Q,).
-        column: of Q values.
-        bins: of numbers, at most.
-        rows: the queries looked at, all by default.
+        failed: True for queries that failed, (Q,).
+        column: one value for each query.
+        bins: maximum number of bins of numbers.
+        rows: the queries to count, all by default.
 
     Raises:
         InputError: when there are not as many values as queries, or no bins.
@@ -116,7 +116,7 @@ def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | N
     rows = np.arange(len(failed)) if rows is None else rows
     known, unknown = rows[column.known[rows]], rows[~column.known[rows]]
     values = column.values[known]
-    found: list[Rate] = []
+    result: list[Rate] = []
     if len(known):
         distinct, which = np.unique(values, return_inverse=True)
         which = which if column.kind == "text" else _quantile_bins(which, bins)
@@ -127,31 +127,33 @@ def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | N
             spans = [(float(values[which == i].min()), float(values[which == i].max())) for i in range(len(totals))]
             names = _span_names(spans, column.unit)
         for name, (low, high), total, fails in zip(names, spans, totals, missed, strict=True):
-            found.append(Rate(name, low, high, int(total), int(fails)))
+            result.append(Rate(name, low, high, int(total), int(fails)))
     if column.kind == "text":
-        found.sort(key=lambda rate: (-rate.share, -rate.queries))
+        result.sort(key=lambda rate: (-rate.share, -rate.queries))
     if len(unknown):
-        found.append(
+        result.append(
             Rate("not known", np.nan, np.nan, len(unknown), int(np.count_nonzero(failed[unknown])), known=False)
         )
-    return found
+    return result
 
 
-def wilson(hits: int, of: int) -> tuple[float, float]:
-    """The Wilson 95 % interval of a share, 0 .. 1, for `hits` of `of` independent trials (Wilson 1927).
+def wilson(hits: int, trials: int) -> tuple[float, float]:
+    """The Wilson 95 % interval of a share, 0 .. 1, for `hits` in `trials` independent trials (Wilson 1927).
 
-    Several pictures of one place are not independent, so that the true interval is wider.
+    Pictures of one place are not independent, so their true interval is wider.
 
     Raises:
         InputError: when there are no trials, or more hits than trials.
     """
-    if not 0 <= hits <= of or of == 0:
-        raise InputError(f"There are {hits} hits of {of}; expected at least one trial, and no more hits than trials.")
+    if not 0 <= hits <= trials or trials == 0:
+        raise InputError(
+            f"There are {hits} hits in {trials} trials; expected at least one trial, and no more hits than trials."
+        )
     square = _NORMAL_95**2
-    middle = (hits + square / 2) / (of + square)
-    half = _NORMAL_95 / (of + square) * np.sqrt(hits * (of - hits) / of + square / 4)
+    middle = (hits + square / 2) / (trials + square)
+    half = _NORMAL_95 / (trials + square) * np.sqrt(hits * (trials - hits) / trials + square / 4)
     low, high = float(middle - half), float(middle + half)
-    return 0.0 if hits == 0 else low, 1.0 if hits == of else high
+    return 0.0 if hits == 0 else low, 1.0 if hits == trials else high
 
 
 def _rows(outcomes: Outcomes, rows: Int64Array | None) -> Int64Array:
@@ -159,7 +161,7 @@ def _rows(outcomes: Outcomes, rows: Int64Array | None) -> Int64Array:
 
 
 def _quantile_bins(which: Int64Array, bins: int) -> Int64Array:
-    """The bin of each value, from the place of its value among the distinct ones: where the middle of its equals lies."""
+    """Return the bin of each value, given as its index among the distinct values: the bin of the median of equal values."""
     counts = np.bincount(which)
     if len(counts) <= bins:
         return which
@@ -169,11 +171,12 @@ def _quantile_bins(which: Int64Array, bins: int) -> Int64Array:
 
 
 def _span_names(spans: list[tuple[float, float]], unit: str) -> list[str]:
-    """Spans of numbers in words, with six digits or as many as tell all their ends apart."""
+    """Return spans of numbers as texts, with six digits, or more if needed to distinguish all ends."""
     ends = sorted({end for span in spans for end in span})
     digits = next((n for n in range(6, 17) if len({f"{end:.{n}g}" for end in ends}) == len(ends)), 17)
-    if digits > 6:  # then rather whole numbers than powers of ten
+    # Show many digits as whole numbers rather than with an exponent.
+    if digits > 6:
         digits = min(max(digits, *(len(f"{abs(end):.0f}") for end in ends)), 17)
     unit = f" {unit}" if unit not in ("", "°") else unit
-    said = {end: f"{end:.{digits}g}" for end in ends}
-    return [f"{said[low]}{'' if low == high else f' to {said[high]}'}{unit}" for low, high in spans]
+    texts = {end: f"{end:.{digits}g}" for end in ends}
+    return [f"{texts[low]}{'' if low == high else f' to {texts[high]}'}{unit}" for low, high in spans]

@@ -1,4 +1,4 @@
-"""Two tiles of one ranking: the positive, and a tile that is or could be mistaken for it."""
+"""Comparison of two tiles of one ranking: the positive, and a tile that is mistaken for it or could be."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from lpn.retrieval import Match, Ranking
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A tile that should be first, against another one.
+    """Two tiles of a ranking: one that should be first, and another one.
 
     Attributes:
-        followed: the positive; the chosen tile where the positive is not known.
-        other: the chosen tile; the nearest wrong one where the chosen tile is `followed` or another true match.
+        followed: the positive, or the chosen tile if the positive is not known.
+        other: the chosen tile, or the hardest negative if the chosen tile is `followed` or another positive.
         without: the ranks of `followed` without each part.
-        change: the nearest part weights that put `followed` first; None where no weights do.
+        change: the nearest part weights that put `followed` first; None if no weights do.
     """
 
     followed: Match
@@ -27,7 +27,7 @@ class Comparison:
 
     @classmethod
     def of(cls, ranking: Ranking, chosen: Match) -> Comparison | None:
-        """Compare a chosen tile of a ranking; None where the ranking has no second tile for it."""
+        """Compare a chosen tile; None if the ranking has no tile to compare it with."""
         positive = ranking.positive()
         followed = positive or chosen
         other = chosen

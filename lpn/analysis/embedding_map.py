@@ -1,4 +1,4 @@
-"""Maps of descriptors in the plane: PCA, and UMAP where the extra is installed."""
+"""Projections of descriptors to the plane: PCA, and UMAP if the extra is installed."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.errors import InputError, MissingPackageError
 from lpn.retrieval.metrics import flat_sides
 
-# Pictures from which the axes are computed, at most.
+# Maximum number of pictures from which the axes are computed.
 SAMPLE = 2000
 _BLOCK = 4096
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Both sides of a task on one plane.
+    """Queries and tiles of a task, projected to a plane.
 
     Attributes:
         queries, tiles: (Q, 2) and (G, 2) float64.
@@ -32,14 +32,14 @@ class Projection:
 
 
 def pca(queries: npt.ArrayLike, gallery: npt.ArrayLike, sample: int = SAMPLE) -> Projection:
-    """The two directions of largest variance of all descriptors, queries and tiles together.
+    """Project descriptors to their two principal components, computed from queries and tiles together.
 
-    The directions are exact for the sample, which is everything where there is no more, and evenly spaced rows otherwise. The
-    largest number of each direction is positive, so that the same descriptors always give the same picture.
+    The components are computed from all rows, or from an evenly spaced sample if there are more. The largest number of each
+    component is positive, so that the same descriptors always give the same map.
 
     Args:
         queries, gallery: (Q, n, D) and (G, n, D), or flattened.
-        sample: rows that the directions are found from, at most.
+        sample: maximum number of rows that the components are computed from.
 
     Raises:
         InputError: as for `metrics.evaluate`, or when the sample is smaller than 2.
@@ -53,7 +53,7 @@ def pca(queries: npt.ArrayLike, gallery: npt.ArrayLike, sample: int = SAMPLE) ->
     drawn = np.concatenate([sides[0][chosen[:split]], sides[1][chosen[split:] - len(sides[0])]]).astype(np.float64)
     middle = drawn.mean(axis=0)
     drawn -= middle
-    # The right singular vectors from the smaller of the two products, which is many times quicker than an SVD.
+    # The right singular vectors, from the smaller of the two Gram matrices: many times faster than an SVD.
     if len(drawn) < drawn.shape[1]:
         values, left = np.linalg.eigh(drawn @ drawn.T)
         axes = (drawn.T @ left[:, :-3:-1]) / np.sqrt(np.maximum(values[:-3:-1], 1e-30))
@@ -65,19 +65,21 @@ def pca(queries: npt.ArrayLike, gallery: npt.ArrayLike, sample: int = SAMPLE) ->
     axes[:, variance[: axes.shape[1]] < 1e-12] = 0.0
     largest = np.take_along_axis(axes, np.argmax(np.abs(axes), axis=0)[None], axis=0)
     axes = np.pad(axes * np.where(largest < 0, -1.0, 1.0), ((0, 0), (0, 2 - axes.shape[1])))
-    placed = [
+    points = [
         np.concatenate([(side[i : i + _BLOCK] - middle) @ axes for i in range(0, len(side), _BLOCK)]) for side in sides
     ]
-    return Projection(placed[0], placed[1], variance)
+    return Projection(points[0], points[1], variance)
 
 
 def umap(queries: npt.ArrayLike, gallery: npt.ArrayLike, neighbours: int = 15, seed: int = 0) -> Projection:
-    """UMAP of all descriptors by cosine (McInnes et al. 2018): neighbours stay together, distances between groups mean little.
+    """Project descriptors by UMAP with the cosine distance (McInnes et al. 2018).
+
+    Neighbours stay together, but distances between groups mean little.
 
     Args:
         queries, gallery: as for `pca`.
-        neighbours: of each picture that are to stay near.
-        seed: the same seed gives the same picture.
+        neighbours: number of neighbours of each picture that should stay near.
+        seed: the same seed gives the same map.
 
     Raises:
         MissingPackageError: when umap-learn is not installed.
@@ -86,20 +88,22 @@ def umap(queries: npt.ArrayLike, gallery: npt.ArrayLike, neighbours: int = 15, s
     sides = flat_sides(queries, gallery)
     total = len(sides[0]) + len(sides[1])
     if not 2 <= neighbours < total:
-        raise InputError(f"UMAP is asked for {neighbours} neighbours of {total} pictures; expected 2 to {total - 1}.")
+        raise InputError(
+            f"The number of neighbours for UMAP is {neighbours} with {total} pictures; expected 2 to {total - 1}."
+        )
     try:
         from umap import UMAP
     except ModuleNotFoundError as error:
         raise MissingPackageError(
             "A UMAP needs the package umap-learn, which is not installed; pip install 'lpn-explorer[umap]', or use the PCA."
         ) from error
-    # One thread: with a seed, umap-learn uses no more, and says so in a warning unless told.
+    # With a seed, umap-learn uses one thread, and warns unless n_jobs is 1.
     reducer = UMAP(n_neighbors=neighbours, metric="cosine", random_state=seed, n_jobs=1)
     points = cast(Float64Array, reducer.fit_transform(np.concatenate(sides)).astype(np.float64))
     return Projection(points[: len(sides[0])], points[len(sides[0]) :], None)
 
 
 def inside(points: Float64Array, corner: tuple[float, float], opposite: tuple[float, float]) -> Int64Array:
-    """Which points (N, 2) lie in a rectangle, its edges included: (M,), ascending. Corners are any two opposite ones."""
+    """Return the indices of points (N, 2) within a rectangle or on its edges, (M,), ascending."""
     low, high = np.minimum(corner, opposite), np.maximum(corner, opposite)
     return np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))

@@ -11,6 +11,7 @@ from lpn.core.arrays import Float64Array, Int64Array
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
 
+# Width of a tile that has no neighbour.
 _LONE_TILE_M = 100.0
 _SAMPLE = 500
 
@@ -22,8 +23,8 @@ class GalleryGeometry:
     Attributes:
         queries, tiles: positions, in the order of the pictures.
         origin: the middle of the tiles.
-        ground: metres east and north of the origin for each tile's centre, (G, 2).
-        width: metres of ground that a tile shows; by default the median distance to the nearest neighbour.
+        ground: centre of each tile in metres east and north of the origin, (G, 2).
+        width: side of a tile on the ground in metres; by default the median distance to the nearest neighbour.
     """
 
     queries: list[Position]
@@ -46,7 +47,7 @@ class GalleryGeometry:
         return geo.metres_between(geo.radians([self.queries[query]]), self._radians)
 
     def answer_errors_m(self, answers: Int64Array) -> Float64Array:
-        """Metres from the place that each query shows to its answer, (Q,); infinite where the answer is -1, that is, none."""
+        """Metres from the place that each query shows to its answer, (Q,); infinite for the answer -1, that is, none."""
         metres = geo.metres_between(geo.radians(self.queries), self._radians[answers])
         return np.where(answers < 0, np.inf, metres)
 

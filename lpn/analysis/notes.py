@@ -27,8 +27,8 @@ LONGEST_TAG, MOST_TAGS, LONGEST_NOTE = 30, 20, 2000
 
 _HEADER = ["path", TAGS, NOTE]
 _TAG = re.compile(rf"\w[\w-]{{0,{LONGEST_TAG - 1}}}")
-_BETWEEN = re.compile(r"[\s,;]+")
-_BYTES = 50_000_000
+_SEPARATORS = re.compile(r"[\s,;]+")
+_MAX_BYTES = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Note:
 
 
 def read_notes(file: Path) -> dict[str, Note]:
-    """All notes by the query's path; none where there is no file yet.
+    """Read all notes, by the query's path; empty if the file does not exist.
 
     Raises:
         DataError: when the file is not in the format above; the message names the line.
@@ -53,14 +53,16 @@ def read_notes(file: Path) -> dict[str, Note]:
     try:
         if not file.exists():
             return {}
-        if file.stat().st_size > _BYTES:
-            raise DataError(f"{file} has more than {_BYTES // 1_000_000} MB; expected notes, so move it away.")
+        if file.stat().st_size > _MAX_BYTES:
+            raise DataError(
+                f"{file} has more than {_MAX_BYTES // 1_000_000} MB; which is too large for notes; move it away."
+            )
         text = file.read_text(encoding="utf-8-sig")
-        return _parsed(csv.reader(io.StringIO(text, newline=""), strict=True), file)
+        return _parse(csv.reader(io.StringIO(text, newline=""), strict=True), file)
     except OSError as error:
         raise DataError(f"{file} cannot be read ({error.strerror or error}); check that it is readable.") from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{file} is not text of comma-separated values in UTF-8; mend it, or move it away.") from error
+        raise DataError(f"{file} is not a CSV file in UTF-8; correct it, or move it away.") from error
 
 
 def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dict[str, Note]:
@@ -69,22 +71,22 @@ def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dic
     Args:
         file: the notes, usually `notes.csv` in the data set's folder.
         path: the query's picture, relative to the data set's folder.
-        tags: words, or one text of them with spaces or commas between.
+        tags: words, or one text of words separated by spaces or commas.
         text: the note.
 
     Returns:
-        All notes as they are now.
+        All notes after the change.
 
     Raises:
-        InputError: when a tag is no short word, or there is too much of something.
-        DataError: when the file that is there is damaged; it is left as it is.
-        OutputError: when it cannot be written.
+        InputError: when a tag is not a short word, there are too many tags, or the note is too long.
+        DataError: when the existing file is damaged; it is not changed.
+        OutputError: when the file cannot be written.
     """
     note = Note(parse_tags(tags), _clean(text))
     if not path or not path.isprintable():
         raise InputError(
-            f"The query's path is {printable(path)!r}; expected the picture's, relative to the folder, in letters that can be "
-            "written (UTF-8), so rename the file."
+            f"The query's path is {printable(path)!r}; expected the path of the picture relative to the data set's "
+            "folder, in printable UTF-8, so rename the file."
         )
     if len(note.text) > LONGEST_NOTE:
         raise InputError(f"The note has {len(note.text)} letters; expected {LONGEST_NOTE} at most.")
@@ -95,7 +97,7 @@ def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dic
             notes.pop(path, None)
             if note != Note():
                 notes[path] = note
-            write_atomic(file, _written(notes))
+            write_atomic(file, _to_csv(notes))
     except OSError as error:
         raise OutputError(
             f"{file} cannot be written ({error.strerror or error}); choose another place for notes."
@@ -104,30 +106,31 @@ def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dic
 
 
 def parse_tags(tags: str | Iterable[str]) -> tuple[str, ...]:
-    """Tags as words, each once.
+    """Return tags as words, without duplicates.
 
     Raises:
-        InputError: when one is not of letters, digits, "-", and "_", or is too long, or there are too many.
+        InputError: when a tag has characters other than letters, digits, "-", and "_", or is too long, or there are too many
+            tags.
     """
-    words = _BETWEEN.split(tags) if isinstance(tags, str) else tags
-    found = tuple(dict.fromkeys(word for word in words if word))
-    for word in found:
+    words = _SEPARATORS.split(tags) if isinstance(tags, str) else tags
+    unique = tuple(dict.fromkeys(word for word in words if word))
+    for word in unique:
         if not _TAG.fullmatch(word):
             raise InputError(
                 f"The tag {printable(word)[:60]!r} is not a word of at most {LONGEST_TAG} letters, digits, - and _; rename it."
             )
-    if len(found) > MOST_TAGS:
-        raise InputError(f"There are {len(found)} tags; expected {MOST_TAGS} at most.")
-    return found
+    if len(unique) > MOST_TAGS:
+        raise InputError(f"There are {len(unique)} tags; expected {MOST_TAGS} at most.")
+    return unique
 
 
 def columns(notes: Mapping[str, Note], paths: Sequence[str]) -> list[Column]:
-    """The columns `tags` and `note` of a table with these rows, to be filtered by and exported."""
-    of = [notes.get(path, Note()) for path in paths]
-    return [text_column(TAGS, [" ".join(note.tags) for note in of]), text_column(NOTE, [note.text for note in of])]
+    """Return the columns `tags` and `note` for a table with these rows."""
+    rows = [notes.get(path, Note()) for path in paths]
+    return [text_column(TAGS, [" ".join(note.tags) for note in rows]), text_column(NOTE, [note.text for note in rows])]
 
 
-def _parsed(lines: Iterable[list[str]], file: Path) -> dict[str, Note]:
+def _parse(lines: Iterable[list[str]], file: Path) -> dict[str, Note]:
     notes: dict[str, Note] = {}
     header: list[str] | None = None
     for number, values in enumerate((values for values in lines if values), 1):
@@ -135,16 +138,16 @@ def _parsed(lines: Iterable[list[str]], file: Path) -> dict[str, Note]:
             header = [value.strip().lower() for value in values]
             if header != _HEADER:
                 raise DataError(
-                    f"The first line of {file} is {printable(','.join(values))[:100]}; expected {','.join(_HEADER)}, so mend it, "
-                    "or move the file away."
+                    f"The first line of {file} is {printable(','.join(values))[:100]}; expected {','.join(_HEADER)}, so correct "
+                    "it, or move the file away."
                 )
             continue
         path = values[0].strip().removeprefix("./")
         if len(values) != len(_HEADER) or not path or path in notes:
-            wrong = "has no path" if not path else f"is a second one for {printable(path)}"
-            wrong = f"has {len(values)} values" if len(values) != len(_HEADER) else wrong
+            problem = "has no path" if not path else f"is a duplicate for {printable(path)}"
+            problem = f"has {len(values)} values" if len(values) != len(_HEADER) else problem
             raise DataError(
-                f"Entry {number - 1} of {file} {wrong}; expected one for a query, with {','.join(_HEADER)}."
+                f"Entry {number - 1} of {file} {problem}; expected one line per query, with {','.join(_HEADER)}."
             )
         try:
             notes[path] = Note(parse_tags(values[1]), _clean(values[2]))
@@ -153,7 +156,7 @@ def _parsed(lines: Iterable[list[str]], file: Path) -> dict[str, Note]:
     return notes
 
 
-def _written(notes: dict[str, Note]) -> bytes:
+def _to_csv(notes: dict[str, Note]) -> bytes:
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_HEADER)
@@ -162,6 +165,6 @@ def _written(notes: dict[str, Note]) -> bytes:
 
 
 def _clean(text: str) -> str:
-    """Without control characters but line breaks and tabs, which a file of comma-separated values would not give back."""
+    """Remove control characters other than line breaks and tabs, which CSV cannot represent."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n")
     return "".join(c for c in lines if c.isprintable() or c in "\n\t").strip()

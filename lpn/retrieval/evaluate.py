@@ -30,20 +30,20 @@ WITHIN = (25, 50, 100)
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """The figures of one task in percent, and how they were measured.
+    """The metrics of one task in percent, and how they were measured.
 
     Attributes:
         recall: Recall@K for "1", "5", "10", and "1%".
         ap: mean average precision.
-        queries, gallery: numbers of queries (of places, where queries are averaged) and of gallery pictures.
+        queries, gallery: numbers of queries (places, if queries are averaged) and of gallery pictures.
         task: such as "drone-to-satellite".
         parts: the parts used, 1-based.
-        cropped: True where queries were cropped to their boxes.
-        listed: True where true matches and junk come from lists rather than from labels.
+        cropped: True if queries were cropped to their boxes.
+        listed: True if true matches and junk come from lists rather than from labels.
         sentence: the protocol in one sentence.
-        seconds: wall-clock time, including that of descriptors that were not cached.
+        seconds: wall-clock time, including the description of pictures that were not cached.
         errors: metres from each query's place to the centre of its top match, (Q,); None without positions, and for averaged
-            queries, which have none.
+            queries.
     """
 
     recall: dict[str, float]
@@ -64,7 +64,7 @@ class Result:
         return {} if self.errors is None else error_shares(self.errors)
 
     def to_dict(self) -> dict[str, Any]:
-        """The values of the JSON file."""
+        """The result as JSON values, as `lpn evaluate` writes them."""
         change = self.protocol.change
         return {
             **{f"recall@{k}": value for k, value in self.recall.items()},
@@ -126,14 +126,14 @@ def evaluate(
     truth = dataset.truth(task)
     if truth is None and len({picture.label for picture in gallery}) == 1:
         log.warning(
-            "%s shows one place only, so that every answer is right; its figures say nothing.", dataset.root.name
+            "%s shows one place only, so that every answer is right; its metrics say nothing.", dataset.root.name
         )
     if protocol.average and truth is not None:
         raise InputError(
-            f"Each query of {dataset.root.name} has its own list of true matches; only queries of places with labels can be "
-            "averaged, so leave --average-queries out."
+            f"Each query of {dataset.root.name} has its own list of true matches; only queries with labels can be averaged, "
+            "so leave --average-queries out."
         )
-    # Read positions before the descriptors, so that a gap in them is found at once.
+    # Read positions before the descriptors, so that a missing position is reported at once.
     known = None if protocol.average else geo.positions(dataset.root)
     positions = None if known is None else (known.of(queries), known.of(gallery))
     change = protocol.change.for_picture(queries[0])
@@ -151,7 +151,7 @@ def evaluate(
 
 
 def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
-    """Check a test split before long work, so that an evaluation cannot fail at its end.
+    """Check a test split before long work, so that the evaluation at its end does not fail.
 
     Raises:
         InputError: when the data set does not offer one of the tasks.
@@ -173,7 +173,7 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
 
 
 def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]:
-    """The pictures of some tasks, each list once, by "query drone", "gallery satellite", ..."""
+    """Return the lists of pictures of some tasks, by keys such as "query drone" and "gallery satellite"."""
     queries = dict.fromkeys(views_of(task)[0] for task in tasks)
     galleries = dict.fromkeys(views_of(task)[1] for task in tasks)
     return {f"query {view}": dataset.queries(view) for view in queries} | {
@@ -217,10 +217,10 @@ def _measure(
     if protocol.average:
         query, query_labels = averaged(query, query_labels)
     retrieval = metrics.retrieve(protocol.select(query), query_labels, protocol.select(gallery), gallery_labels, truth)
-    figures = retrieval.metrics()
+    values = retrieval.metrics()
     result = Result(
-        recall={key.removeprefix("recall@"): value for key, value in figures.items() if key.startswith("recall@")},
-        ap=figures["ap"],
+        recall={key.removeprefix("recall@"): value for key, value in values.items() if key.startswith("recall@")},
+        ap=values["ap"],
         queries=len(query),
         gallery=len(gallery),
         task=task,
@@ -237,8 +237,8 @@ def _measure(
 def _check_branch(model: Model, branch: View, protocol: Protocol) -> None:
     if branch not in model.views and protocol.branch is None:
         raise InputError(
-            f"This model has no {branch!r} view; it has {', '.join(model.views)}, one of which can describe both sides with "
-            "--branch."
+            f"This model has no {branch!r} view; it has {', '.join(model.views)}. To describe both sides with one of "
+            "these, choose it with --branch."
         )
     model.check_view(branch)
 

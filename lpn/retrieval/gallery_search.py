@@ -22,8 +22,8 @@ class DescribedPicture:
     """A picture with its descriptor.
 
     Attributes:
-        picture: after its change, at its own resolution, (H, W, 3) uint8. A view that is unrolled (SAFA) is shifted only after
-            that, which is not shown.
+        picture: the changed picture at its own resolution, (H, W, 3) uint8. In an unrolled view (SAFA), the network's input is
+            shifted after unrolling, which this picture does not show.
         descriptor: parts of norm 1/sqrt(n), (n, D).
         activation: channel sum of the last feature map, (h, w), 0 .. 1; None without a network.
         trace: explains the descriptor cell by cell; None without a network.
@@ -44,10 +44,10 @@ class Match:
         index: position in the gallery.
         score: weighted mean cosine, -1 .. 1.
         distance2: squared distance 2 - 2 score.
-        gap: squared distance of the next tile less that of this one; None for the last tile.
+        gap: squared distance of the next tile minus that of this one; None for the last tile.
         cosines: of each part, (n,).
         shares: each part's exact contribution to distance2, (n,).
-        true: True for a tile of the query's place; None when that is not known.
+        true: True for a tile of the query's place; None if the place is not known.
     """
 
     rank: int
@@ -69,9 +69,9 @@ class Ranking:
         weights: the part weights, summing to one, (n,).
         scores: weighted mean cosines, (G,).
         order: gallery positions from nearest to farthest, without junk, at most (G,).
-        relevant: True for gallery pictures of the query's place, (G,); None when that is not known.
-        lengths: n |q_i|^2 of each part of a query that is restricted to a region, (n,), see `scoring.contributions`; the
-            cosines are then n times inner products.
+        relevant: True for gallery pictures of the query's place, (G,); None if the place is not known.
+        lengths: n |q_i|^2 of each part of a query that is restricted to a region, (n,), see `scoring.contributions`; `cosines`
+            are then n times inner products.
     """
 
     cosines: Float32Array
@@ -101,15 +101,15 @@ class Ranking:
         return [self.match(position) for position in range(min(k, len(self.order)))]
 
     def holds(self, index: int) -> bool:
-        """Return True when gallery picture `index` is ranked, that is, no junk."""
+        """Return True if gallery picture `index` is ranked, that is, not junk."""
         return bool((self.order == index).any())
 
     def find(self, index: int) -> Match:
-        """The match that is gallery picture `index`."""
+        """Return the match of gallery picture `index`."""
         return self.match(int(np.flatnonzero(self.order == index)[0]))
 
     def hardest_negative(self, besides: int | None = None) -> Match | None:
-        """The nearest tile that is no known true match and is not gallery picture `besides`; None when there is none."""
+        """Return the nearest tile except known positives and gallery picture `besides`; None if no tile is left."""
         negative = self.order != besides
         if self.relevant is not None:
             negative &= ~self.relevant[self.order]
@@ -117,7 +117,7 @@ class Ranking:
         return self.match(int(ranks[0])) if len(ranks) else None
 
     def positive(self) -> Match | None:
-        """The nearest positive; None when there is none or it is not known."""
+        """Return the nearest positive; None if the query has none, or its place is not known."""
         if self.relevant is None or not self.relevant.any():
             return None
         return self.match(int(np.argmax(self.relevant[self.order])))
@@ -126,7 +126,7 @@ class Ranking:
 def describe_picture(
     model: Model, picture: UInt8Array, view: View, change: Change | float = UNCHANGED
 ) -> DescribedPicture:
-    """Change a picture and describe it, with its mirror in one batch of two.
+    """Change a picture and describe it together with its mirror, in one batch.
 
     Args:
         change: applied first; a number turns the picture by that many degrees counter-clockwise.
@@ -158,7 +158,7 @@ def rank(
         weights: part weights that sum to one, (n,).
         labels: the place of each gallery picture, (G,), -1 for junk; needed with `label`.
         label: the query's place; None when unknown.
-        truth: the query's true matches and junk, in place of labels.
+        truth: the query's true matches and junk, used instead of labels.
         lengths: see `Ranking`.
     """
     scores = cosines @ weights

@@ -33,10 +33,10 @@ class Protocol:
     whole: bool = False
 
     def chosen(self, n_parts: int) -> tuple[int, ...]:
-        """The 1-based parts used of n, without duplicates, in the given order.
+        """The 1-based parts to use, without duplicates, in the given order.
 
         Raises:
-            InputError: when a part does not exist, or there is none.
+            InputError: when a part does not exist, or no part is given.
         """
         chosen = tuple(range(1, n_parts + 1)) if self.parts is None else tuple(dict.fromkeys(self.parts))
         if not chosen or any(not 1 <= part <= n_parts for part in chosen):
@@ -76,7 +76,7 @@ def sentence(
         clauses: about the descriptors and the changes of the queries.
         parts: the parts used, 1-based.
         averaged_from: number of pictures behind the averaged queries; None for queries that are not averaged.
-        listed: True where true matches and junk come from lists rather than from labels.
+        listed: True if true matches and junk come from lists rather than from labels.
     """
     clauses = [*clauses]
     if parts != tuple(range(1, n_parts + 1)):

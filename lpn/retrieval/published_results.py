@@ -1,7 +1,7 @@
 """Descriptors saved by the published test code, `pytorch_result.mat`: evaluated and explored without a network.
 
-gallery_f, query_f            (G, F) and (Q, F): part embeddings (512, n), each part of norm 1/sqrt(n), flattened, so that the
-                              part is the index that runs fastest
+gallery_f, query_f            (G, F) and (Q, F): part embeddings (512, n), each part of norm 1/sqrt(n), flattened in row-major
+                              order
 gallery_label, query_label    (1, G) and (1, Q) integers
 gallery_path, query_path      (G,) and (Q,) texts, padded with spaces; may be absent
 """
@@ -59,7 +59,7 @@ class PublishedResult:
         return "saved" if self.views is None else "-to-".join(self.views)
 
     def check_norms(self) -> None:
-        """Raise InputError unless every part has norm 1/sqrt(n), without which shares of parts have no meaning."""
+        """Raise InputError unless every part has norm 1/sqrt(n), as the contributions of parts require."""
         for side, descriptors in (("query", self.query), ("gallery", self.gallery)):
             norms = np.linalg.norm(descriptors, axis=2) * np.sqrt(self.n_parts)
             if not (np.abs(norms - 1) <= _NORM_TOLERANCE).all():
@@ -71,18 +71,18 @@ class PublishedResult:
     def pictures(self, dataset: Dataset) -> tuple[tuple[View, View], list[Picture], list[Picture]]:
         """Find the pictures of the rows, and their views, in a data set's test split.
 
-        Pictures are matched by the last two parts of their paths (place and file); without paths, by the order of the rows, when
-        the labels agree.
+        Pictures are matched by the last two parts of their paths (place and file). Without paths, they are matched by the order
+        of the rows if the labels agree.
 
         Raises:
-            DataError: when no task of the test split has them all.
+            DataError: when no task of the test split has all pictures.
         """
         tasks = dataset.tasks()
         for task in sorted(tasks, key=lambda task: task != self.task):
             query_view, gallery_view = views_of(task)
-            queries = _behind(self.query_paths, self.query_labels, dataset.queries(query_view))
+            queries = _pictures_of_rows(self.query_paths, self.query_labels, dataset.queries(query_view))
             if queries is not None:
-                gallery = _behind(self.gallery_paths, self.gallery_labels, dataset.gallery(gallery_view))
+                gallery = _pictures_of_rows(self.gallery_paths, self.gallery_labels, dataset.gallery(gallery_view))
                 if gallery is not None:
                     return (query_view, gallery_view), queries, gallery
         by_path = self.query_paths is not None and self.gallery_paths is not None
@@ -94,11 +94,11 @@ class PublishedResult:
         )
 
 
-_NEEDED = ("gallery_f", "gallery_label", "query_f", "query_label")
+_REQUIRED_KEYS = ("gallery_f", "gallery_label", "query_f", "query_label")
 
 
 def check_n_parts(n_parts: int | None) -> int:
-    """Return the number of parts of a saved result, 1 where it was not given.
+    """Return the number of parts of a saved result, 1 by default.
 
     Raises:
         InputError: when it is below 1.
@@ -112,17 +112,17 @@ def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
     """Read a `pytorch_result.mat`; needs the extra `data`.
 
     Args:
-        n_parts: the parts the descriptors consist of; 1 leaves them whole, which changes no figure of all parts but those of
-            averaged queries, since each part of an average is normalised.
+        n_parts: number of parts of a descriptor. With 1, descriptors are not divided; metrics over all parts are then the same,
+            except for averaged queries, since each part of an average is normalised.
 
     Raises:
-        DataError: when the file is missing, is no MATLAB file, or lacks entries.
+        DataError: when the file is missing, is not a MATLAB file, or lacks entries.
         InputError: when its descriptors do not consist of that many parts.
     """
     path = Path(path)
     name = printable(path.name)
     values = _read(path, name)
-    missing = [key for key in _NEEDED if key not in values]
+    missing = [key for key in _REQUIRED_KEYS if key not in values]
     if missing:
         held = ", ".join(values) or "none of them"
         raise DataError(
@@ -152,15 +152,15 @@ def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
 def _read(path: Path, name: str) -> dict[str, Any]:
     if not path.is_file():
         raise DataError(f"There is no saved result at {path}; check the path.")
-    if _start(path) == b"MATLAB 7.3":
+    if _first_bytes(path) == b"MATLAB 7.3":
         raise DataError(
-            f"{name} is a MATLAB 7.3 file, which is not read; save it with scipy.io.savemat, as the published test code does."
+            f"{name} is a MATLAB 7.3 file, which is not supported; save it with scipy.io.savemat, as the published test code does."
         )
     expected = "pytorch_result.mat of the published test code"
-    return matlab.load(path, (), expected, (*_NEEDED, "query_path", "gallery_path"), simplify=False)
+    return matlab.load(path, (), expected, (*_REQUIRED_KEYS, "query_path", "gallery_path"), simplify=False)
 
 
-def _start(path: Path) -> bytes:
+def _first_bytes(path: Path) -> bytes:
     with path.open("rb") as file:
         return file.read(10)
 
@@ -174,7 +174,7 @@ def _descriptors(values: Any, side: str, name: str, n_parts: int) -> Float32Arra
     count, length = array.shape
     if n_parts < 1 or length % n_parts:
         raise InputError(
-            f"The descriptors in {name} have {length} numbers, which are not {n_parts} equal parts; see --n-parts."
+            f"The descriptors in {name} have {length} numbers, which cannot be divided into {n_parts} equal parts; see --n-parts."
         )
     if not np.isfinite(array).all():
         raise DataError(f"{side}_f in {name} holds values that are not finite; save the result again.")
@@ -184,7 +184,7 @@ def _descriptors(values: Any, side: str, name: str, n_parts: int) -> Float32Arra
 
 def _labels(values: Any, count: int, side: str, name: str) -> Int64Array:
     array: AnyArray = np.asarray(values).ravel()
-    # MATLAB itself would have made doubles of them.
+    # MATLAB saves integers as doubles.
     whole = np.issubdtype(array.dtype, np.number) and bool((array == np.round(array)).all())
     if not whole or len(array) != count:
         raise DataError(
@@ -202,13 +202,15 @@ def _paths(values: Any, count: int, side: str, name: str) -> tuple[str, ...] | N
         raise DataError(
             f"{side}_path in {name} has {len(array)} entries; expected one for each of {count} descriptors."
         )
-    # A cell array holds each text in an array of its own.
+    # In a cell array, each text is an array of its own.
     texts = [str(np.ravel(value)[0]) if isinstance(value, np.ndarray) and value.size else str(value) for value in array]
     return tuple(text.rstrip().replace("\\", "/") for text in texts)
 
 
-def _behind(paths: tuple[str, ...] | None, labels: Int64Array, pictures: list[Picture]) -> list[Picture] | None:
-    """The picture of each row, or None when these are not the pictures of the rows."""
+def _pictures_of_rows(
+    paths: tuple[str, ...] | None, labels: Int64Array, pictures: list[Picture]
+) -> list[Picture] | None:
+    """Return the picture of each row, or None if a picture is missing."""
     if paths is None:
         same = len(pictures) == len(labels) and all(p.label == label for p, label in zip(pictures, labels, strict=True))
         return pictures if same else None
@@ -218,6 +220,6 @@ def _behind(paths: tuple[str, ...] | None, labels: Int64Array, pictures: list[Pi
 
 
 def _view(paths: tuple[str, ...] | None, role: str) -> View | None:
-    """The view in the folder above the places' folders: .../query_drone/0001/image-01.jpeg."""
+    """Read the view from the folder above the place's folder, as in .../query_drone/0001/image-01.jpeg."""
     folders = {"".join(path.split("/")[-3:-2]) for path in paths or ()}
     return next((view for view in VIEWS if folders == {f"{role}_{view}"}), None)

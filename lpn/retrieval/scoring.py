@@ -17,7 +17,7 @@ from lpn.core.errors import InputError
 
 
 def part_weights(n: int, values: npt.ArrayLike | None = None) -> Float32Array:
-    """Part weights that sum to one: (n,) float32; equal when `values` is not given.
+    """Return part weights that sum to one, (n,) float32; equal weights by default.
 
     Raises:
         InputError: when there are not n values, one is negative or not finite, or all are zero.
@@ -40,7 +40,7 @@ def contributions(cosines: Float32Array, weights: Float32Array, lengths: Float32
 
     Args:
         lengths: n |q_i|^2 of each part of a query that is restricted to a region, see `Trace.region`, (n,); 1 by default. The
-            share is then w_i (1 + n |q_i|^2 - 2 n q_i . g_i), with n q_i . g_i in place of the cosine.
+            share is then w_i (1 + n |q_i|^2 - 2 n q_i . g_i), and `cosines` has n q_i . g_i.
     """
     query_lengths = np.float32(1) if lengths is None else lengths
     return cast(Float32Array, weights * (1.0 + query_lengths - 2.0 * cosines))

@@ -26,7 +26,7 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
     try:
         explorer = ExplorerPage(contexts().new_page())
         header, picker = explorer.page.locator("#lpn-header"), explorer.page.locator("#lpn-picker")
-        with ranking._turn:  # no ranking begins meanwhile
+        with ranking._rank_lock:  # no ranking begins meanwhile
             explorer.open(f"http://127.0.0.1:{app.server.get_port()}")
             expect(header).to_contain_text("Results: ranking 0 of 14 queries")
             expect(picker.locator(".thumb b")).to_have_count(0)

@@ -289,7 +289,7 @@ def test_an_upload_that_waits_to_be_decoded_does_not_block_controls(app: App, mo
         with reading:
             browser.upload("mine.png", picture(90))
             until(session_of(app, browser)._panels.query._upload._reading.locked)
-            browser.turn(7)
+            browser.set("Rotate", 7)
         browser.wait(lambda: browser.status("name") == "mine.png")
 
 
@@ -302,7 +302,7 @@ def test_an_error_is_not_shown_as_busy(app: App, gate: Gate) -> None:
         assert "No answer" in str(browser.controls)
         assert "Busy" not in browser.html()
         gate.broken = False
-        browser.turn(52)
+        browser.set("Rotate", 52)
 
 
 def test_a_failed_sweep_is_not_repeated(app: App, gate: Gate) -> None:

@@ -281,7 +281,7 @@ def test_wilson_intervals_are_the_published_ones() -> None:
     for hits, of, expected in [(81, 263, (0.2553, 0.3662)), (15, 148, (0.0624, 0.1605)), (0, 20, (0.0, 0.1611))]:
         assert breakdown.wilson(hits, of) == pytest.approx(expected, abs=1e-4)
     assert breakdown.wilson(29, 29) == pytest.approx((0.8830, 1.0), abs=1e-4)
-    with pytest.raises(InputError, match="3 hits of 2"):
+    with pytest.raises(InputError, match="3 hits in 2"):
         breakdown.wilson(3, 2)
 
 
