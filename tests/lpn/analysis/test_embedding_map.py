@@ -61,7 +61,7 @@ def test_umap_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "umap", None)
     with pytest.raises(MissingPackageError, match=r"pip install 'lpn-explorer\[umap\]'"):
         umap(drawn(20), drawn(20))
-    with pytest.raises(InputError, match="15 neighbours of 10 pictures"):
+    with pytest.raises(InputError, match="is 15 with 10 pictures"):
         umap(drawn(5), drawn(5))
 
 

@@ -59,8 +59,8 @@ def test_two_processes_and_two_threads_keep_each_others_notes(tmp_path: Path) ->
         (b"path,tags,note\na,x,\na,y,\n", "Entry 2 of .* duplicate for a"),
         (b"path,tags,note\n,x,\n", "Entry 1 of .* has no path"),
         (b"path,tags,note\na,(x),\n", "Entry 1 of .* cannot be used"),
-        (b"path,tags,note\na,x,\xff\n", "not text"),
-        (b'path,tags,note\na,x,"open\n', "not text"),
+        (b"path,tags,note\na,x,\xff\n", "is not a CSV file in UTF-8"),
+        (b'path,tags,note\na,x,"open\n', "is not a CSV file in UTF-8"),
     ],
 )
 def test_a_damaged_file_is_one_sentence_and_stays(tmp_path: Path, data: bytes, said: str) -> None:

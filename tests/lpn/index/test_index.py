@@ -560,7 +560,7 @@ def test_names_are_checked_before_anything_is_added(
     described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("lpn.index.tiles._CHUNK_BYTES", 1)  # a chunk for each tile
-    for name, said in (("\udcff.png", "not a manifest of descriptors"), ("x" * 513, "1 to 512 characters")):
+    for name, said in (("\udcff.png", "is not UTF-8"), ("x" * 513, "1 to 512 characters")):
         store = Path(shutil.copytree(described.store, tmp_path / f"store{len(name)}"))
         manifest = json.loads((store / "manifest.json").read_text())
         manifest["rows"][-1]["file"] = name

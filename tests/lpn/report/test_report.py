@@ -186,7 +186,7 @@ def test_saved_descriptors_are_reported_without_evidence(task: Task) -> None:
     for options in (Options(profile=True), Options(change=Change(rotate=30))):
         with pytest.raises(InputError, match="no network"):
             report.build(saved, [0], options)
-    with pytest.raises(InputError, match="a query of its own"):
+    with pytest.raises(InputError, match="choose a query of the data set"):
         report.build(saved, [OwnPicture("mine.jpg", images.load_picture(task.queries[2].path))])
 
 
