@@ -257,6 +257,17 @@ def test_the_first_answer_of_a_browser_may_be_refused_too(
         browser.wait(lambda: browser.status("seq") == "1")
 
 
+def test_a_page_that_loads_slowly_keeps_the_state_of_its_address(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client_session, "_ADDRESS_TIMEOUT", 0.0)
+    with Browser(url(app)) as browser:
+        browser.camera()
+        browser.wait(lambda: browser.status("seq") == "1")
+        browser.tell("hello", {"search": "?angle=30", "small": False})
+        browser.wait(lambda: browser.status("angle") == "30")
+        browser.wait(lambda: browser.link is not None)
+        assert "angle=30" in browser.links[0], "the page stops sending its address when it gets another"
+
+
 def test_a_value_that_arrives_while_controls_are_read_is_not_lost(app: App) -> None:
     with Browser(url(app)) as browser:
         browser.greet()
