@@ -106,10 +106,10 @@ class Authenticator:
     """
 
     host: str
-    token: str | None = None
+    token: str | None = field(default=None, repr=False)
     allowed_hosts: Sequence[str] = ()
     show_token: bool = False
-    cookie_value: str = field(default_factory=lambda: secrets.token_urlsafe(32), init=False)
+    cookie_value: str = field(default_factory=lambda: secrets.token_urlsafe(32), init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.token is not None and len(self.token) < MIN_TOKEN_LENGTH:

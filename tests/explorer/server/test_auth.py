@@ -169,3 +169,10 @@ def test_a_link_on_another_site_is_opened_again_with_the_cookie() -> None:
     assert found == Redirect("./?query=0005/01", False)
     assert verdict(rules, request(**{**followed, "sec_fetch_site": "same-origin"})) == 401
     assert verdict(rules, request(**{**followed, "sec_fetch_dest": "iframe"})) == 401
+
+
+def test_no_text_of_the_rules_shows_a_secret() -> None:
+    rules = Authenticator("127.0.0.1", "a token of a user")
+    assert rules.token is not None
+    assert rules.token not in repr(rules)
+    assert rules.cookie_value not in repr(rules)
