@@ -112,7 +112,7 @@ def _status(text: str) -> AbstractContextManager[object]:
 
 
 def _city(task: Task) -> CityModel | None:
-    """The data set's 3-D model, for which positions are needed; a damaged one only logs a warning."""
+    """Return the data set's 3-D model if the task has positions; a damaged model only logs a warning."""
     if task.geometry is None:
         return None
     try:

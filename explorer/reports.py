@@ -1,4 +1,4 @@
-"""Downloads of reports, which are the same as those of `lpn report`."""
+"""Reports to download, the same as those of `lpn report`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
 from lpn.models.base import Model
 
-# Makes a report with a model; returns the file's name and contents.
-Work = Callable[[ReportProgress, Model | None], tuple[str, bytes]]
+# A function that makes a report with a model and returns the file's name and contents.
+MakeReport = Callable[[ReportProgress, Model | None], tuple[str, bytes]]
 
 
 def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Task:
-    """Return the task under part weights, with its notes; LPNError when they cannot be read."""
+    """Return the task with these part weights and the user's notes."""
     return replace(task, model=model, weights=weights, notes=notes.read_notes(workspace.root / notes.NAME))
 
 
@@ -40,7 +40,7 @@ def of_analysis(
     task = _with_notes(workspace, task, model or workspace.model, analysis.ranking.weights)
     query = report.OwnPicture(analysis.name, analysis.source) if state.upload else state.query
     options = report.Options(change=state.change, compared_tile=analysis.chosen.index)
-    return f"{_plain(analysis.name)}.html", report.build(task, [query], options, progress)
+    return f"{_safe_file_name(analysis.name)}.html", report.build(task, [query], options, progress)
 
 
 def of_selection(
@@ -60,12 +60,12 @@ def of_selection(
         LPNError: when there are too many queries, or a file of the data set cannot be read.
     """
     options = report.Options(selection=chosen)
-    return f"{_plain(task.name)}.html", report.build(
+    return f"{_safe_file_name(task.name)}.html", report.build(
         _with_notes(workspace, task, model or workspace.model), queries, options, progress
     )
 
 
-def _plain(name: str) -> str:
+def _safe_file_name(name: str) -> str:
     """Return a file name that is valid on any system."""
     return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name)[:60] or "report"
 
@@ -81,7 +81,7 @@ class Reporter:
         self._client, self._model, self._left = client, model, False
         self._job: BackgroundJob[None] | None = None
 
-    def make(self, work: Work) -> None:
+    def make(self, work: MakeReport) -> None:
         """Start a report, or cancel the one in progress."""
         if self._left:
             return
@@ -97,14 +97,14 @@ class Reporter:
         if self._job is not None:
             self._job.leave(self)
 
-    def _run(self, work: Work, progress: ReportProgress) -> None:
+    def _run(self, work: MakeReport, progress: ReportProgress) -> None:
         notification = self._client.add_notification(
-            "Making a report", "Ask again to cancel.", loading=True, auto_close_seconds=None
+            "Making a report", "Repeat the command to cancel.", loading=True, auto_close_seconds=None
         )
 
         def on_progress(done: int, total: int) -> None:
             progress(done, total)
-            notification.body = f"{done} of {total} done; ask again to cancel."
+            notification.body = f"{done} of {total} done; repeat the command to cancel."
 
         try:
             name, contents = work(on_progress, self._model)

@@ -68,7 +68,7 @@ class AnswerPanel:
         self.show_idle()
 
     def show_results(self, ranking: RankingJob) -> None:
-        """Show the model's results on a task, or the progress of the ranking that they come from."""
+        """Show the model's results on a task, or the progress of their ranking."""
         self._header.show(pages.header(self._workspace, ranking.task))
 
     def show_idle(self) -> None:
@@ -80,5 +80,5 @@ class AnswerPanel:
         self._status.show(pages.status(self._shown, "computing"))
 
     def show_overloaded(self) -> None:
-        """Show that the server is overloaded and that this page will ask again; the last analysis stays."""
+        """Show that the server is overloaded and the page will retry; the last analysis stays."""
         self._status.show(pages.status(self._shown, "full"))

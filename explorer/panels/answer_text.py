@@ -1,4 +1,4 @@
-"""The sentences about an analysis."""
+"""The verdict on an analysis in words."""
 
 from __future__ import annotations
 

@@ -14,7 +14,12 @@ from explorer.session_state import SessionState, StateChange, number, with_field
 
 @dataclass(frozen=True, eq=False)
 class _Binding:
-    """One input: how an untrusted value changes the state, and the value that shows a state (None: never written)."""
+    """One input.
+
+    Attributes:
+        apply: checks an untrusted value and applies it to a state.
+        value_of: returns the value that shows a state; None if the input is never written.
+    """
 
     handle: Any
     apply: Callable[[SessionState, Any], SessionState]
@@ -24,8 +29,8 @@ class _Binding:
 class Controls:
     """The inputs of one browser that show its state.
 
-    Any change makes all inputs be read, because the page may merge two changes into one message. A client may send
-    anything, so every value is checked.
+    On any change, all inputs are read, because the page may merge two changes into one message. Every value is untrusted
+    and therefore checked.
 
     Args:
         state: gives the initial values.
@@ -35,7 +40,7 @@ class Controls:
     def __init__(self, gui: viser.GuiApi, state: SessionState, change: Callable[[StateChange], None]) -> None:
         self._gui, self._initial, self._change = gui, state, change
         self._bindings: dict[str, _Binding] = {}
-        # The state that was read last and is not written back yet, and the values that it was read from.
+        # The state of the last `read`, None after the next `write`, and the inputs' values at that time.
         self._last_read: tuple[SessionState | None, dict[str, Any]] = None, {}
         self._writing_thread: int | None = None
 
@@ -104,7 +109,7 @@ class Controls:
         return state
 
     def write(self, state: SessionState) -> None:
-        """Write a state into the inputs that differ from it, except where the page has sent a newer value since `read`."""
+        """Write a state into the inputs, except those for which the page has sent a newer value since `read`."""
         (read, values), self._last_read = self._last_read, (None, {})
         if state != read:
             values = {}

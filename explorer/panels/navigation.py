@@ -18,7 +18,7 @@ class Navigation:
         notify: shows a notification with a title and a text.
 
     Attributes:
-        order: returns the queries that `next` and `previous` go through; None for all of them.
+        order: returns the queries that `next` and `previous` step through; None for all queries.
     """
 
     def __init__(self, workspace: Workspace, notify: Callable[[str, str], object]) -> None:
@@ -34,18 +34,18 @@ class Navigation:
         return self._step(state, -1)
 
     def random(self, state: SessionState) -> SessionState:
-        """Choose any other query."""
+        """Choose another query at random."""
         return session_state.random_query(state, self._count(state), self._rng)
 
     def failure(self, state: SessionState) -> SessionState | None:
-        """Choose any other query whose positive is not ranked first."""
+        """Choose another failure at random."""
         ranking = self._workspace.rankings[state.task]
         if ranking.result is None:
-            self._notify("Not known yet", "All queries are still being ranked; ask again when they are.")
+            self._notify("Not known yet", "All queries are still being ranked; try again later.")
             return None
         chosen = session_state.random_failure(state, ranking.ranks.tolist(), self._rng)
         if chosen is None:
-            self._notify("No failure", "Every query of this task finds its true tile first.")
+            self._notify("No failure", "Every query of this task has its true tile at rank 1.")
         return chosen
 
     def _step(self, state: SessionState, by: int) -> SessionState:

@@ -12,20 +12,20 @@ from lpn.analysis.task import Task
 
 HEAT_NOTE = (
     "Activation (channel sum of the last feature map) belongs to one picture. Evidence belongs to the pair: "
-    "orange adds to its score, violet takes."
+    "orange raises its score, violet lowers it."
 )
-SHIFT_NOTE = "In pixels of the network's input, after turning. LPN assumes that the target is in the middle."
+SHIFT_NOTE = (
+    "Shifts are in pixels of the network's input and follow the rotation. LPN assumes that the target is in the middle."
+)
 SAVED_NOTE = (
-    "A saved result without its network: queries cannot be turned or replaced by your own, and there are no heatmaps. "
+    "This is a saved result without its network: queries cannot be rotated or uploaded, and there are no heatmaps. "
     "Rings are drawn as published."
 )
-PARTS_NOTE = (
-    "Switch parts off or weight them: the ranking follows at once. R@1 at the top right stays that of all parts alike."
-)
+PARTS_NOTE = "Switch parts off or weight them: the ranking follows at once. The R@1 at the top right is always that of equal weights."
 
 
 class ShownAnalysis(NamedTuple):
-    """The analysis that a page shows, its sequence number, and the seconds that drawing it took."""
+    """The analysis that a page shows, its sequence number, and the seconds spent on drawing it."""
 
     analysis: StateAnalysis
     sequence: int
@@ -33,7 +33,7 @@ class ShownAnalysis(NamedTuple):
 
 
 def hidden(ids: Sequence[str]) -> str:
-    """Return a style that hides viser buttons, given by their uuids, which only html presses."""
+    """Return a style that hides viser buttons by uuid; html of the page clicks them."""
     return render("panels/hidden_buttons", ids=ids)
 
 
@@ -48,7 +48,7 @@ def keys() -> str:
 
 
 def header(workspace: Workspace, task: Task) -> str:
-    """Return the title: model, data set, task, and its metrics, or how far the ranking is that yields them."""
+    """Return the title: model, data set, task, and its metrics, or the progress of their ranking."""
     ranking = workspace.rankings[task.name]
     return render(
         "panels/header",
@@ -68,11 +68,11 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
 
 
 def status(shown: ShownAnalysis | None, waiting: Literal["", "computing", "full"] = "") -> str:
-    """Return the status line; its attributes say which state the page shows.
+    """Return the status line; its attributes identify the state that the page shows.
 
     Args:
         shown: what the page shows; None before the first analysis.
-        waiting: "computing" while the next analysis is computed, "full" when the server is busy and the page asks again.
+        waiting: "computing" while the next analysis is computed, "full" while the server is busy and the page retries.
     """
     return render("panels/status", shown=shown, waiting=waiting)
 
@@ -80,7 +80,7 @@ def status(shown: ShownAnalysis | None, waiting: Literal["", "computing", "full"
 def matches(analysis: StateAnalysis, workspace: Workspace, buttons: Sequence[str]) -> str:
     """Return the ranked tiles as rows: picture, rank, sign, name, error, distance, gap, and the parts' shares.
 
-    A positive below them gets a row of its own, whose button is the last.
+    A positive of a lower rank is appended as a further row, which uses the last button.
     """
     positive = analysis.positive
     below = positive if positive is not None and positive.rank > len(analysis.matches) else None

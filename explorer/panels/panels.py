@@ -14,12 +14,12 @@ from explorer.panels.query_panel import QueryPanel
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import StateAnalysis, Workspace
 
-# Widths in pixels; the right panel is narrow where the left one is minimized.
+# Widths in pixels; the right panel is narrow while the left one is minimized.
 _LEFT, _RIGHT, _NARROW = 290, 370, 330
 
 
 class Panels:
-    """Builds the panels and docks them. Callbacks never compute: they hand a pure function on the state to `change`."""
+    """Builds and docks the panels. Their callbacks never compute: they pass a pure function of the state to `change`."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""The hotkeys and the commands of the palette, so that everything can be reached from it."""
+"""The hotkeys and the palette, whose commands cover every action of the app."""
 
 from __future__ import annotations
 
@@ -55,17 +55,17 @@ def _changes(workspace: Workspace, panels: Panels) -> list[tuple[str, str | None
         ("Random failure", "F", navigation.failure),
         ("Turn left 5°", "J", lambda state: session_state.turn(state, 5)),
         ("Turn right 5°", "L", lambda state: session_state.turn(state, -5)),
-        ("Upright and whole", "K", session_state.upright),
+        ("Reset rotation, shift, and zoom", "K", session_state.upright),
         ("Heatmap on or off", "H", lambda state: replace(state, heat=not state.heat)),
         ("Rings on or off", "G", lambda state: replace(state, rings=not state.rings)),
         ("Compare the true tile", "T", lambda state: replace(state, selected=POSITIVE)),
         ("Take the rings apart", "X", lambda state: replace(state, exploded=not state.exploded)),
-        ("Map or pair", "M", lambda state: _flip_map(workspace, state)),
+        ("Map on or off", "M", lambda state: _flip_map(workspace, state)),
         ("Why: evidence for the compared pair", "Y", session_state.flip_why),
         ("Failure laboratory: all queries", "B", session_state.flip_lab),
         ("Heatmap: activation or evidence", "V", session_state.flip_heat_kind),
-        ("City on the map or tiles", "C", lambda state: _flip_city(workspace, state)),
-        ("Light or dark", "O", session_state.flip_dark),
+        ("3-D city on the map on or off", "C", lambda state: _flip_city(workspace, state)),
+        ("Light or dark theme", "O", session_state.flip_dark),
     ]
     if len(workspace.tasks) > 1:
         changes += [(f"Task: {name}", None, _choose_task(name)) for name in workspace.tasks]

@@ -34,9 +34,9 @@ class UploadControl:
 
     def _on_upload(self, _: Any) -> None:
         if not self._reading.acquire(blocking=False):
-            self._notify_error("Picture not taken", "The one before it is still being read; send it again.")
+            self._notify_error("Upload failed", "The previous picture is still being read; try again.")
             return
-        # viser's few callback threads serve all browsers, and pictures may wait for one another.
+        # Reading would block one of viser's few callback threads, which serve all browsers.
         thread = threading.Thread(target=self._read, name="explorer-upload", daemon=True)
         try:
             thread.start()
@@ -47,12 +47,12 @@ class UploadControl:
     def _read(self) -> None:
         try:
             file = self._button.value
-            if not file.name:  # two uploads came at once, and the later one has been read in place of both
+            if not file.name:  # of two simultaneous uploads, only the later one is read
                 return
             forget_upload(self._button)
             upload = uploads.read(file.name, file.content)
         except LPNError as error:
-            self._notify_error("Picture not taken", str(error))
+            self._notify_error("Upload failed", str(error))
             return
         finally:
             self._reading.release()

@@ -16,7 +16,7 @@ _MAX_SIDE = 10_000
 class Viewport:
     """The stage's width and height in CSS pixels, as the page reports them.
 
-    The camera's size would be wrong: where drawing is slow, viser renders fewer pixels than the page has.
+    viser's camera reports another size: on slow machines, viser renders at a lower resolution.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class Viewport:
                     on_resize()
 
     def window(self, limit: tuple[int, int] = (_MAX_SIDE, _MAX_SIDE), share: float = 1.0) -> tuple[int, int]:
-        """Return the size of a window over the stage, or over a share of its height, that is within a limit."""
+        """Return the size of a window that covers a share of the stage's height, within a limit."""
         width = min(self.width, limit[0]) - 2 * EDGE
         height = round(share * min(self.height, limit[1])) - 2 * EDGE
         return max(width, _MIN_WINDOW), max(height, _MIN_WINDOW)

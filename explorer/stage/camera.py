@@ -10,15 +10,15 @@ import numpy as np
 from explorer.stage.image_planes import Rotation
 from lpn.core.arrays import AnyArray, Float64Array
 
-# Centre of the map in stage units, so far from the compared pair that one is never seen with the other.
-AT = np.array([60.0, 0.0, 0.0])
+# Centre of the map in stage units, so far from the compared pair that the camera never shows both.
+MAP_CENTRE = np.array([60.0, 0.0, 0.0])
 # Longer side of the map, in stage units.
 SIDE = 8.0
-# Side of the sign's pictures over the whole map, in stage units.
-PICTURE = 2.1
+# Side of a picture on the sign when the view shows the whole map, in stage units.
+SIGN_PICTURE = 2.1
 
-_ABOVE_MAP = math.radians(38)
-_OVER_ROOFS = math.radians(52)
+_MAP_TILT = math.radians(38)
+_CITY_TILT = math.radians(52)
 
 
 @dataclass(frozen=True)
@@ -36,62 +36,62 @@ class Viewpoint:
     middle: tuple[float, float] = (0.0, 0.0)
     side: float = SIDE
     depth: float = SIDE
-    tilt: float = _ABOVE_MAP
+    tilt: float = _MAP_TILT
     floating: bool = False
 
     @property
-    def ratio(self) -> float:
+    def scale(self) -> float:
         """Scale of everything on the map; 1 for the whole map."""
         return self.side / SIDE
 
     @property
-    def above(self) -> Float64Array:
+    def up(self) -> Float64Array:
         """Unit vector that points up in the view, (3,)."""
         return np.array([0.0, math.cos(self.tilt), math.sin(self.tilt)])
 
     @property
-    def towards(self) -> Rotation:
-        """Rotation that sets a scene image upright in the view."""
+    def image_rotation(self) -> Rotation:
+        """Rotation of a scene image that faces the camera upright."""
         half = (self.tilt + math.pi) / 2
         return math.cos(half), math.sin(half), 0.0, 0.0
 
-    def sign(self, x: float, aspect: float) -> Float64Array:
-        """Return the centre, (3,), of a picture that is `x` to the right on the sign, at the scale of the whole map."""
+    def sign_position(self, x: float, aspect: float) -> Float64Array:
+        """Return the centre, (3,), of a picture that is `x` to the right on the sign, in the units of the whole map."""
         if self.floating:
-            start, up = self._target, self._height(aspect) - PICTURE / 2 - 0.1
+            start, height = self._target, self._height(aspect) - SIGN_PICTURE / 2 - 0.1
         else:
-            start, up = self._ground + np.array([0.0, self.depth / 2, 0.0]), PICTURE / 2 + 0.15
-        return np.asarray(start + self.ratio * (np.array([x, 0.0, 0.0]) + up * self.above), np.float64)
+            start, height = self._ground + np.array([0.0, self.depth / 2, 0.0]), SIGN_PICTURE / 2 + 0.15
+        return np.asarray(start + self.scale * (np.array([x, 0.0, 0.0]) + height * self.up), np.float64)
 
     def camera(self, aspect: float, fov: float) -> tuple[AnyArray, AnyArray]:
-        """Return the camera's position and target, (3,) each, to have the part and the sign in view."""
-        distance = self.ratio * self._height(aspect) / math.tan(fov / 2)
+        """Return the camera's position and target, (3,) each, with the part and the sign in view."""
+        distance = self.scale * self._height(aspect) / math.tan(fov / 2)
         target = self._target
         return target + distance * np.array([0.0, -math.sin(self.tilt), math.cos(self.tilt)]), target
 
     @property
     def _ground(self) -> Float64Array:
-        return np.asarray(AT + np.array([*self.middle, 0.0]), np.float64)
+        return np.asarray(MAP_CENTRE + np.array([*self.middle, 0.0]), np.float64)
 
     @property
     def _target(self) -> Float64Array:
         """The camera's target, between the part and the sign."""
-        return np.asarray(self._ground + self.ratio * 0.5 * (PICTURE + 0.2) * self.above, np.float64)
+        return np.asarray(self._ground + self.scale * 0.5 * (SIGN_PICTURE + 0.2) * self.up, np.float64)
 
     def _height(self, aspect: float) -> float:
-        """Return half the height of the view, at the scale of the whole map."""
-        return max((SIDE * math.cos(self.tilt) + PICTURE) / 2 + 1.0, 4.7 / aspect)
+        """Return half the height of the view, in the units of the whole map."""
+        return max((SIDE * math.cos(self.tilt) + SIGN_PICTURE) / 2 + 1.0, 4.7 / aspect)
 
 
-def over(points: Float64Array, min_side: float) -> Viewpoint:
+def oblique_view(points: Float64Array, min_side: float) -> Viewpoint:
     """Return an oblique view of all points (n, 3), in stage units from the map's centre.
 
     Args:
         min_side: smallest side of the view.
     """
-    # A high point appears further up.
-    seen = points[:, :2] + np.outer(points[:, 2] * math.tan(_OVER_ROOFS), (0.0, 1.0))
+    # Seen obliquely, a high point appears further north.
+    seen = points[:, :2] + np.outer(points[:, 2] * math.tan(_CITY_TILT), (0.0, 1.0))
     low, high = seen.min(axis=0), seen.max(axis=0)
     side = max(float((high - low).max()), min_side)
     x, y = (round(float(value), 4) for value in (low + high) / 2)
-    return Viewpoint((x, y), round(side, 4), round(side, 4), _OVER_ROOFS, True)
+    return Viewpoint((x, y), round(side, 4), round(side, 4), _CITY_TILT, True)

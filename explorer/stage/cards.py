@@ -1,6 +1,6 @@
 """The ranked tiles on the stage.
 
-Each row is two pictures, one of photographs and one of labels: a page draws a few large pictures faster than many small ones.
+Each row is two pictures, one with all photos and one with all labels: few large pictures render faster than many small ones.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Cards:
         self._targets = [self._target(scene, slot) for slot in range(SHOWN)]
 
     def _target(self, scene: viser.SceneApi, slot: int) -> viser.ImageHandle:
-        """Add an invisible plane in front of a card, which receives its clicks."""
+        """Add an invisible plane in front of a card to receive clicks."""
         x, y = self._layout.card_centre(slot)
         handle = scene.add_image(
             f"/card{slot}",
@@ -85,11 +85,11 @@ class Cards:
             photos.handle.visible = labels.handle.visible = bool(some)
             drawn = (analysis.task.name, state.rings, ground, tuple((match.index, match.true) for match in some))
             if some and self._drawn[row] != drawn:
-                photos.show(_beside([self._photo(analysis, match) for match in some], layout.columns, gap, ground))
+                photos.show(_join_row([self._photo(analysis, match) for match in some], layout.columns, gap, ground))
                 self._drawn[row] = drawn
             if some:
                 labels.show(
-                    _beside([self._label(analysis, match, full) for match in some], layout.columns, gap, ground)
+                    _join_row([self._label(analysis, match, full) for match in some], layout.columns, gap, ground)
                 )
 
     def _mark(self, analysis: StateAnalysis) -> None:
@@ -121,8 +121,8 @@ class Cards:
         return clicked
 
 
-def _beside(pictures: Sequence[UInt8Array], columns: int, gap: float, ground: Colour) -> UInt8Array:
-    """Put pictures of one size in a row that has room for `columns`; `gap` is relative to a picture's width."""
+def _join_row(pictures: Sequence[UInt8Array], columns: int, gap: float, ground: Colour) -> UInt8Array:
+    """Join pictures of one size in a row of `columns` places; `gap` is relative to a picture's width."""
     height, width = pictures[0].shape[:2]
     step = width * (1 + gap)
     row = np.full((height, round((columns - 1) * step) + width, 3), ground, np.uint8)

@@ -10,7 +10,7 @@ import numpy as np
 import viser
 
 from explorer.session_state import SessionState
-from explorer.stage.camera import AT, PICTURE, SIDE, Viewpoint, over
+from explorer.stage.camera import MAP_CENTRE, SIDE, SIGN_PICTURE, Viewpoint, oblique_view
 from explorer.stage.image_planes import Plane, Rotation
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.gallery_geometry import GalleryGeometry
@@ -20,14 +20,14 @@ from lpn.drawing import captions, overlays, theme
 
 # Height of lines over the mosaic, in stage units.
 _LINE_HEIGHT = 0.2
-_CAPTION_WIDTH = SIDE - 2 * PICTURE
+_CAPTION_WIDTH = SIDE - 2 * SIGN_PICTURE
 # Height of tiles and lines over the city, in metres.
 _ROOFS = 42.0
 # Smallest side of a view of the city, in metres.
 _MIN_VIEW = 520.0
-# Distance from the compared tile within which the query's camera is kept in view, in metres.
+# The view includes the query's camera up to this distance from the compared tile, in metres.
 _MAX_CAMERA_DISTANCE = 5000.0
-# Turns glTF's y up into the stage's z up.
+# Rotation from glTF (y is up) to the stage (z is up).
 _Z_UP: Rotation = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 
@@ -53,9 +53,9 @@ class GalleryMap:
         self._scene = scene = client.scene
         self._city: viser.GlbHandle | None = None
         self._ground = Plane(scene, "/map/ground", 1.0, 1.0, _point(0, 0, 0))
-        self._caption = Plane(scene, "/map/caption", _CAPTION_WIDTH, PICTURE, _point(0, 0, 0))
-        self._query = Plane(scene, "/map/query", PICTURE, PICTURE, _point(0, 0, 0))
-        self._tile = Plane(scene, "/map/tile", PICTURE, PICTURE, _point(0, 0, 0))
+        self._caption = Plane(scene, "/map/caption", _CAPTION_WIDTH, SIGN_PICTURE, _point(0, 0, 0))
+        self._query = Plane(scene, "/map/query", SIGN_PICTURE, SIGN_PICTURE, _point(0, 0, 0))
+        self._tile = Plane(scene, "/map/tile", SIGN_PICTURE, SIGN_PICTURE, _point(0, 0, 0))
         self._lines = scene.add_line_segments(
             "/map/lines",
             np.zeros((1, 2, 3), np.float32),
@@ -82,14 +82,14 @@ class GalleryMap:
         assert places is not None
         self._analysis = analysis
         if self._task != analysis.task.name:
-            self._lay_out(analysis, places)
+            self._set_scale(analysis, places)
         city = self._show_city(analysis, places)
         self._show_tiles(analysis, places, city, _ROOFS * self._scale if city else 0.03)
         camera = self._show_camera(analysis, places)
         self._show_lines(analysis, places, camera, _ROOFS * self._scale if city else _LINE_HEIGHT)
         self._lines.thickness = 5.0 if city else 3.0
-        viewpoint = self._over_city(analysis, places, camera) if city else self._whole(places)
-        self._camera.scale = 0.5 * viewpoint.ratio
+        viewpoint = self._city_viewpoint(analysis, places, camera) if city else self._map_viewpoint(places)
+        self._camera.scale = 0.5 * viewpoint.scale
         self._caption.show(self._draw_caption(analysis))
         palette = analysis.state.palette
         self._camera.color = palette.text
@@ -98,7 +98,7 @@ class GalleryMap:
         self._tile.show(overlays.framed(overlays.square(analysis.tile.picture, 256), colour, 6))
         return viewpoint
 
-    def _lay_out(self, analysis: StateAnalysis, places: GalleryGeometry) -> None:
+    def _set_scale(self, analysis: StateAnalysis, places: GalleryGeometry) -> None:
         west, south, east, north = places.bounds()
         self._scale = SIDE / max(east - west, north - south)
         self._middle = np.array([west + east, south + north]) / 2
@@ -107,7 +107,7 @@ class GalleryMap:
         self._task = analysis.task.name
 
     def _show_city(self, analysis: StateAnalysis, places: GalleryGeometry) -> bool:
-        """Show either the city, which is sent once, or the mosaic of tiles; return True for the city."""
+        """Show the city, if it is chosen and available, or the mosaic of tiles; return True for the city."""
         model = self._workspace.city
         shown = analysis.state.city and model is not None
         self._ground.handle.visible = not shown
@@ -118,41 +118,46 @@ class GalleryMap:
                 "/map/city", model.data, wxyz=_Z_UP, cast_shadow=False, receive_shadow=False
             )
             self._city.scale = self._scale
-            self._city.position = self._place(geo.on_plane([model.origin], places.origin)[0], 0.0)
+            self._city.position = self._to_stage(geo.on_plane([model.origin], places.origin)[0], 0.0)
         if self._city is not None:
             self._city.visible = shown
         return shown
 
-    def _whole(self, places: GalleryGeometry) -> Viewpoint:
+    def _map_viewpoint(self, places: GalleryGeometry) -> Viewpoint:
         _, south, _, north = places.bounds()
         return Viewpoint(depth=(north - south) * self._scale)
 
-    def _over_city(self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None) -> Viewpoint:
-        """Return a view of the camera, the compared tile, and the positive."""
+    def _city_viewpoint(
+        self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None
+    ) -> Viewpoint:
+        """Return a view of the city with the camera, the compared tile, and the positive."""
         half = 0.6 * places.width
         tiles = [analysis.chosen.index, *([analysis.positive.index] if analysis.positive is not None else [])]
         around = [places.ground[tile] + np.array(off) * half for tile in tiles for off in ((-1, -1), (1, 1))]
-        points = [self._place(point, 0.0) for point in around]
+        points = [self._to_stage(point, 0.0) for point in around]
         if camera is not None and float(np.abs(camera - points[0]).max()) < _MAX_CAMERA_DISTANCE * self._scale:
             points.append(camera)
-        return over(np.array(points) - AT, _MIN_VIEW * self._scale)
+        return oblique_view(np.array(points) - MAP_CENTRE, _MIN_VIEW * self._scale)
 
     def put_sign(self, viewpoint: Viewpoint, aspect: float) -> None:
         """Arrange query, caption, and tile along the top of a view in a window of the given aspect."""
-        edge = (SIDE - PICTURE) / 2
+        edge = (SIDE - SIGN_PICTURE) / 2
         for plane, x, width in (
-            (self._query, -edge, PICTURE),
+            (self._query, -edge, SIGN_PICTURE),
             (self._caption, 0.0, _CAPTION_WIDTH),
-            (self._tile, edge, PICTURE),
+            (self._tile, edge, SIGN_PICTURE),
         ):
-            plane.handle.render_width, plane.handle.render_height = width * viewpoint.ratio, PICTURE * viewpoint.ratio
-            plane.handle.position = viewpoint.sign(x, aspect)
-            plane.handle.wxyz = viewpoint.towards
+            plane.handle.render_width, plane.handle.render_height = (
+                width * viewpoint.scale,
+                SIGN_PICTURE * viewpoint.scale,
+            )
+            plane.handle.position = viewpoint.sign_position(x, aspect)
+            plane.handle.wxyz = viewpoint.image_rotation
 
-    def _place(self, ground: Float64Array, up: float, lift: float = 0.0) -> Float64Array:
-        """Convert a position (east, north) and height in metres to the stage, raised by `lift` stage units."""
+    def _to_stage(self, ground: Float64Array, up: float, lift: float = 0.0) -> Float64Array:
+        """Convert a position (east, north) and a height in metres to stage units; `lift` is added to the height."""
         x, y = (ground - self._middle) * self._scale
-        return np.asarray(AT + np.array([x, y, up * self._scale + lift]), np.float64)
+        return np.asarray(MAP_CENTRE + np.array([x, y, up * self._scale + lift]), np.float64)
 
     def _show_tiles(self, analysis: StateAnalysis, places: GalleryGeometry, city: bool, lift: float) -> None:
         """Draw the ranked tiles as pictures on the ground, or as frames above the roofs."""
@@ -171,9 +176,9 @@ class GalleryMap:
                 framed = overlays.framed(picture, colour, 5)
             plane.show(captions.numbered(framed, match.rank))
             plane.handle.render_width = plane.handle.render_height = side
-            # The nearest lies on top where tiles overlap.
+            # Where tiles overlap, the highest ranked one lies on top.
             height = (0.001 if city else 0.012) * (len(self._tiles) - slot)
-            plane.handle.position = self._place(places.ground[match.index], 0.0, lift + height)
+            plane.handle.position = self._to_stage(places.ground[match.index], 0.0, lift + height)
 
     def _show_camera(self, analysis: StateAnalysis, places: GalleryGeometry) -> Float64Array | None:
         """Show the frustum at the query's pose and return its position; None when the pose is not known."""
@@ -182,7 +187,7 @@ class GalleryMap:
         self._camera.visible = stands is not None
         if place is None or stands is None:
             return None
-        at = self._place(stands[:2], float(stands[2]))
+        at = self._to_stage(stands[:2], float(stands[2]))
         heading = math.radians(place.heading or 0.0)
         tilt = math.radians(-90.0 if place.tilt is None else place.tilt)
         ahead = np.array([math.sin(heading), math.cos(heading), 0.0])
@@ -197,12 +202,12 @@ class GalleryMap:
     def _show_lines(
         self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None, lift: float
     ) -> None:
-        """Draw lines from the camera, or else from the positive, to the compared tile, and a frame around the positive."""
+        """Draw a line to the compared tile from the camera, or without a pose from the positive, and frame the positive."""
         segments: list[tuple[AnyArray, AnyArray, theme.Colour]] = []
-        chosen = self._place(places.ground[analysis.chosen.index], 0.0, lift)
+        chosen = self._to_stage(places.ground[analysis.chosen.index], 0.0, lift)
         truth = None
         if analysis.positive is not None:
-            truth = self._place(places.ground[analysis.positive.index], 0.0, lift)
+            truth = self._to_stage(places.ground[analysis.positive.index], 0.0, lift)
             half = max(places.width * self._scale, 0.12) / 2
             signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
             corners = [np.add(truth, (x * half, y * half, 0.0)) for x, y in signs]
@@ -256,7 +261,7 @@ class GalleryMap:
 
 
 def _point(x: float, y: float, z: float) -> tuple[float, float, float]:
-    return float(AT[0] + x), float(AT[1] + y), float(AT[2] + z)
+    return float(MAP_CENTRE[0] + x), float(MAP_CENTRE[1] + y), float(MAP_CENTRE[2] + z)
 
 
 def _quaternion(rotation: Float64Array) -> Rotation:

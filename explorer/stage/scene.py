@@ -25,10 +25,11 @@ from lpn.drawing.theme import Palette
 from lpn.explain import Evidence
 from lpn.retrieval import DescribedPicture, Match
 
-# Distances between the parts of an exploded picture, in stage units: side by side, and stacked.
+# Distance between the parts of an exploded picture, in stage units, if the pictures are side by side.
 _LIFT = 0.5
+# The same for stacked panoramas.
 _STEP = 0.12
-# How far an exploded picture moves towards the other, in stage units.
+# Shift of an exploded picture towards the other picture, in stage units.
 _INWARD = 0.3
 _FOV = 0.45
 _HEIGHT = 8.1
@@ -66,10 +67,10 @@ class StagePicture:
             self._layers.append(layer)
 
     def show(self, picture: UInt8Array, caption: UInt8Array, view: View, exploded: bool, towards: float) -> None:
-        """Draw the picture; an exploded picture opens to the side `towards`, -1 or 1."""
+        """Draw the picture; `towards` is the direction of the other picture, -1 (left) or 1 (right)."""
         self._caption.show(caption)
         self._flat.handle.visible = not exploded
-        # An exploded picture turns to the side; a panorama leans back.
+        # An exploded picture turns towards the other one; a panorama leans back.
         angle = math.radians(self._angle) if exploded else 0.0
         self._group.wxyz = _about_x(-angle) if self._layout.stacked else _about_y(towards * angle)
         inward = towards * _INWARD if exploded and not self._layout.stacked else 0.0
@@ -98,10 +99,10 @@ class StagePicture:
         return 32.0 if self._layout.stacked else 38.0
 
     def anchor(self, part: int, along: float, side: float, exploded: bool, view: View) -> tuple[float, float, float]:
-        """Return the point of a part's border, in stage coordinates, where its line begins.
+        """Return the point, in stage coordinates, where the line from a part's border begins.
 
-        Side by side, `side` is the left (-1) or right (1) border and `along` the height; stacked, `side` is the lower (-1) or
-        upper (1) border, and the line begins in its middle.
+        For pictures side by side, `side` is the left (-1) or right (1) border and `along` the height of the point. For stacked
+        pictures, `side` is the lower (-1) or upper (1) border, and the point is its middle.
         """
         left, top, right, bottom = self._workspace.spec.partition(view).boxes(*self._workspace.map_sizes[view])[part]
         width, height = self._layout.picture
@@ -154,14 +155,14 @@ class Stage:
         self.fit()
 
     def fit(self) -> None:
-        """Frame the content again when the window's aspect changes; until then the user's orbit stays."""
-        with self._framing:  # resizing calls this from several threads, and the last aspect must win
+        """Reset the camera if the window's aspect has changed; otherwise keep the user's orbit."""
+        with self._framing:  # several threads call this on a resize, and the last aspect must win
             aspect = self._client.camera.aspect
             if math.isfinite(aspect) and aspect > 0 and abs(aspect - self._aspect) >= 0.01:
                 self._aspect = aspect
-                self._aim()
+                self._point_camera()
 
-    def _aim(self) -> None:
+    def _point_camera(self) -> None:
         """Point the camera at the pair and the ranked tiles, or at the map."""
         if not self._aspect:
             return
@@ -189,11 +190,11 @@ class Stage:
         with self._framing:
             if viewpoint != self._viewpoint:
                 self._viewpoint = viewpoint
-                self._aim()
+                self._point_camera()
         if viewpoint is not None:
             return
-        left = self._decorated(analysis, 0, analysis.query, task.query_view)
-        right = self._decorated(analysis, 1, analysis.tile, task.gallery_view)
+        left = self._with_overlays(analysis, 0, analysis.query, task.query_view)
+        right = self._with_overlays(analysis, 1, analysis.tile, task.gallery_view)
         right = overlays.framed(right, theme.verdict_colour(analysis.chosen.true), 6)
         with self._client.atomic():
             self._query.show(left, self._query_caption(analysis), task.query_view, state.exploded, 1.0)
@@ -204,8 +205,8 @@ class Stage:
             self._links.colors = _link_colours(analysis.ranking.weights, state.palette)
             self._cards.show(analysis)
 
-    def _decorated(self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View) -> UInt8Array:
-        """Return a large picture with heatmap and rings; it is drawn again only when one of them changes."""
+    def _with_overlays(self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View) -> UInt8Array:
+        """Return a large picture with heatmap and rings, redrawn only if one of them has changed."""
         state = analysis.state
         evidence = (
             analysis.pair_evidence.evidence
@@ -320,7 +321,7 @@ def _row_heights(layout: Layout, n: int) -> list[float]:
 
 
 def _link_colours(weights: AnyArray, palette: Palette) -> UInt8Array:
-    """Return the colour of each segment's ends, (2n, 2, 3): the part's, or nearly the background's at weight 0."""
+    """Return the colour of each segment's ends, (2n, 2, 3): the part's colour, or a very dim one at weight 0."""
     colours = [theme.part_colour(part) if weight > 0 else palette.off for part, weight in enumerate(weights)]
     return np.repeat(np.array(colours, np.uint8), 2, axis=0)[:, None].repeat(2, axis=1)
 
