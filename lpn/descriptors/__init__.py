@@ -1,7 +1,7 @@
 """Descriptors of many pictures on disk: `store` defines the format, `writer` fills a store, `partial_store` resumes one after a
-kill, and `cache` finds what was described before.
+kill, and `cache` finds existing stores.
 
-It imports `core`, `datasets`, and `models`.
+The package imports `core`, `datasets`, and `models`.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def cached_descriptors(
 
 def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> StoredDescriptors:
     files = _resolved(pictures)
-    # The key is the folder, not the list of files: if one picture changes, the others' rows are reused.
+    # The key has the folder, not the list of files, so that the other rows are reused if one picture changes.
     common = os.path.commonpath({file.parent for file in files})
     boxes = [picture.box for picture in pictures]
     identity: list[Any] = [model.fingerprint, view, change.rotate, common]
@@ -92,7 +92,7 @@ def _resolved(pictures: Sequence[Picture]) -> list[Path]:
 def shipped_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False
 ) -> Float32Array | None:
-    """Return descriptors (N, n, D) from a shipped store, or None if it is of another model or of other pictures.
+    """Return descriptors (N, n, D) from a shipped store, or None if the store is of another model or other pictures.
 
     Files are compared by name and size, as copies have other modification times.
 
@@ -136,7 +136,7 @@ def stored_descriptors(model: Model, pictures: Sequence[Picture], view: View, ro
 def descriptor_reader(root: Path) -> Reader:
     """Return a reader of descriptors of the data set in `root`: from its shipped stores, else from the cache.
 
-    Only float32 stores are used, so that figures do not depend on the shipped precision.
+    Only float32 stores are used, so that results do not depend on the shipped precision.
     """
 
     def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> Float32Array:
@@ -191,5 +191,5 @@ def cache_folder() -> Path:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpn-explorer"
     except RuntimeError as error:
         raise OutputError(
-            "This user has no home folder to keep a cache in; set LPN_CACHE to a folder that can be written."
+            "This user has no home folder for a cache; set LPN_CACHE to a folder that can be written."
         ) from error

@@ -25,7 +25,7 @@ from lpn.models.base import Model
 
 T = TypeVar("T")
 
-# Opening a single-threaded session pays off from so many pictures per thread.
+# Opening a single-threaded session pays off from this many pictures per thread.
 _MIN_PICTURES = 32
 
 
@@ -51,10 +51,10 @@ def describe_each(
     After an error, batches in progress are completed and yielded before it is raised.
 
     Args:
-        items: one for each picture.
+        items: any values, one for each picture.
         prepare: converts an item to the network input, (3, H, W) float32; called by several threads. An item for which it
             raises PictureError is reported as broken.
-        threads: their number; default: all usable cores.
+        threads: number of threads; by default all usable cores.
     """
     threads = min(threads or usable_cores(), -(-len(items) // model.batch))
     if not items:
@@ -81,7 +81,7 @@ def describe_each(
     failed: BaseException | None = None
     pool = ThreadPoolExecutor(threads, "lpn-inference")
     try:
-        # One more batch than threads, so that no thread waits for this one.
+        # One more batch than threads, so that no thread is idle while this one yields.
         waiting: set[Future[DescribedRow]] = {pool.submit(work, batch) for batch in islice(batches, threads + 1)}
         while waiting:
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)

@@ -4,8 +4,8 @@
 ranges [first, end).
 
 If the list of files changes, all three are written anew under names that end in `.new`, `progress.json.new` last, and then
-replace the old ones, progress last. While `progress.json.new` exists, all new files are complete under one name or the other,
-and the next run finishes the replacement. A kill at any step loses no row.
+replace the old ones, progress last. While `progress.json.new` exists, all new files are complete, with or without
+`.new`, and the next run finishes the replacement. A kill at any step loses no row.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from lpn.descriptors.store import FORMAT, Manifest, Store, encode, open_array
 
 # A kill loses the work of this many seconds.
 _SAVE_SECONDS = 1.0
-# In the order in which new files replace old ones.
+# The files, in the order in which new ones replace old ones.
 _NAMES = ("descriptors.part", "planned.json", "progress.json")
 
 
@@ -145,7 +145,7 @@ def complete_store(folder: Path) -> Store | None:
     """Return the complete store in a folder, or None if there is none or its array is damaged.
 
     Raises:
-        StoreError: if the folder holds files of other origin under a store's names.
+        StoreError: if the folder has files with a store's names that lpn did not make.
     """
     file = folder / "manifest.json"
     if file.exists():
@@ -156,8 +156,7 @@ def complete_store(folder: Path) -> Store | None:
             raise
         except (StoreError, OSError) as error:
             raise StoreError(
-                f"{folder} has a manifest.json that is not one of {FORMAT}; choose another folder, or delete that file if it "
-                "is of no use."
+                f"{folder} has a manifest.json that is not one of {FORMAT}; choose another folder, or delete that file."
             ) from error
         try:
             return open_array(folder, manifest, written)
@@ -165,7 +164,7 @@ def complete_store(folder: Path) -> Store | None:
             return None
     if (folder / "descriptors.npy").exists() and not (folder / "planned.json").exists():
         raise StoreError(
-            f"{folder} has a descriptors.npy without a manifest.json, so it is not ours to replace; choose another folder."
+            f"{folder} has a descriptors.npy without a manifest.json, so lpn did not make it; choose another folder."
         )
     return None
 

@@ -1,7 +1,7 @@
 """The format of a store of descriptors: a folder that a later step can read, resume, or check.
 
     descriptors.npy   (N, n, D) float32, float16, or int8, memory-mapped when read. Each part has norm 1/sqrt(n);
-                      int8 keeps its direction alone, the largest number scaled to 127
+                      int8 stores only its direction, scaled so that the largest number is 127
     manifest.json     format, model fingerprint, view, the transform of the pictures, and for each row its file with size,
                       modification time, and crop box
 
@@ -41,7 +41,7 @@ class Row:
 
     Attributes:
         file: its path, relative to the described folder.
-        size: in bytes.
+        size: its size in bytes.
         time_ns: its modification time.
         box: the crop (left, top, right, bottom) in pixels; None for the whole picture.
     """
@@ -57,15 +57,15 @@ class Manifest:
     """The contents of a store.
 
     Attributes:
-        fingerprint: of the model; descriptors of different models cannot be compared.
+        fingerprint: fingerprint of the model; descriptors of different models cannot be compared.
         view: the branch used.
         rotate: degrees counter-clockwise by which the pictures were rotated first.
         n_parts, embedding: n and D.
         rows: the file of each row.
-        precision: of the numbers on disk.
-        shift: pixels of the network's input by which they were shifted right.
-        scale: factor by which they were zoomed.
-        down: pixels of the network's input by which they were shifted down; written only if not zero.
+        precision: precision of the numbers on disk.
+        shift: pixels of the network's input by which the pictures were shifted right.
+        scale: factor by which the pictures were zoomed.
+        down: pixels of the network's input by which the pictures were shifted down; written only if not zero.
         around: the pictures are panoramas, rotated by rolling their columns; written only if true.
         checksums: None before the store is complete.
     """
@@ -215,7 +215,7 @@ def open_store(folder: str | Path) -> Store:
     """Open a store.
 
     Raises:
-        StoreError: if the folder is not a complete store, or its files do not fit each other.
+        StoreError: if the folder is not a complete store, or its files do not match.
     """
     folder = Path(folder)
     if not (folder / "manifest.json").is_file():

@@ -1,4 +1,4 @@
-"""Describe pictures into a store: nothing is computed twice, and a kill costs about a second's work."""
+"""Describe pictures into a store. Existing rows are reused, and a kill loses about one second of work."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def describe(
         out: the store's folder.
         root: the folder that file names in the manifest are relative to.
         change: the transform of each picture.
-        boxes: the crop of each picture before anything else; None for a whole picture.
+        boxes: the crop of each picture, applied first; None for a whole picture.
         title: the label of the progress bar.
-        precision: of the numbers on disk; they are computed in float32.
+        precision: precision of the numbers on disk; the computation is in float32.
 
     Raises:
         PictureError: if files are broken (see `lpn.datasets.integrity`), before anything is computed.
@@ -69,9 +69,9 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], No
     """Write a store, or open the existing one.
 
     Args:
-        out: its folder.
-        manifest: its contents.
-        fill: puts every missing row.
+        out: the store's folder.
+        manifest: the store's contents.
+        fill: called to put every missing row.
 
     Raises:
         StoreError: if `out` cannot be written or holds other descriptors, or if `fill` leaves rows out.
@@ -92,7 +92,7 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], No
                 if not partial.good.all():
                     raise StoreError(
                         f"{int((~partial.good).sum())} of {len(manifest.rows)} rows of the store {out} were not written; run "
-                        "this again, which goes on there."
+                        "this again to resume."
                     )
                 _finish(out, manifest)
     except OSError as error:
@@ -104,7 +104,7 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], No
 
 def _finish(out: Path, manifest: Manifest) -> None:
     final = manifest.with_checksums(out / "descriptors.part")
-    # The old manifest must never lie beside the new rows, even after a kill between these lines.
+    # Remove the old manifest first, so that it never describes the new rows, even after a kill.
     (out / "manifest.json").unlink(missing_ok=True)
     os.replace(out / "descriptors.part", out / "descriptors.npy")
     write_atomic(out / "manifest.json", final.to_json())

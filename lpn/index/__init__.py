@@ -1,6 +1,6 @@
 """Indexes of millions of tiles: names, descriptors, and positions, searched under any part weights.
 
-    exact     a folder, in process, on the base installation; misses nothing (`lpn.index.exact`)
+    exact     a folder, searched in process without extras; exact (`lpn.index.exact`)
     faiss     a folder, for 10^6 to 10^7 tiles on one machine (`lpn.index.faiss`, the extra `faiss`)
     milvus    a collection on a server or a cluster (`lpn.index.milvus`, the extra `milvus`)
 
@@ -32,7 +32,7 @@ def open_index(
 
     Args:
         where: its folder, or milvus://host:port/collection.
-        fingerprint: of the model that describes the queries, which must be the index's; None skips the check.
+        fingerprint: fingerprint of the model that describes the queries, checked against the index; None skips the check.
         effort: for approximate searches, the number of lists (faiss; ivf of milvus) or neighbours (hnsw) to visit, 1 or more;
             None means 64 (faiss) or 128 (milvus).
         depth: for faiss, the number of candidates to score as a multiple of k, 1 or more; None means 16.
@@ -53,7 +53,7 @@ def open_index(
 
 
 def check_effort(effort: int | None, depth: int | None) -> dict[str, int]:
-    """Return the given ones of the two by name; InputError unless they are whole numbers of 1 or more."""
+    """Return those of the two that are not None, by name; InputError unless they are whole numbers of 1 or more."""
     given = {name: value for name, value in (("effort", effort), ("depth", depth)) if value is not None}
     return {name: check_count(value, name) for name, value in given.items()}
 
@@ -71,13 +71,13 @@ def create_index(
     Args:
         where: a folder, or milvus://host:port/collection.
         engine: by default milvus for its addresses, and exact for folders.
-        precision: of the copy that `exact` scans.
-        codes: of `faiss`; by default pq, or sq8 for descriptors that pq cannot encode.
-        structure: of `milvus`; by default flat.
+        precision: precision of the copy that `exact` scans.
+        codes: codes of `faiss`; by default pq, or sq8 for descriptors that pq cannot encode.
+        structure: index structure of `milvus`; by default flat.
 
     Raises:
-        StoreError: when something else is there, or the place cannot be written.
-        InputError: when place, engine, and options do not fit together.
+        StoreError: if `where` holds something else or cannot be written.
+        InputError: if `where`, engine, and options do not fit together.
     """
     is_url = str(where).startswith(_SCHEME)
     engine = engine or ("milvus" if is_url else "exact")
@@ -106,7 +106,7 @@ def create_index(
 
 def _opened(where: str | Path, given: dict[str, int]) -> Index:
     if str(where).startswith(_SCHEME):
-        _refuse(given, ("depth",), "only faiss proposes tiles before they are scored")
+        _refuse(given, ("depth",), "only faiss has this option")
         collection = MilvusIndex(str(where), **given)
         if collection.structure == "flat":
             try:
@@ -117,7 +117,7 @@ def _opened(where: str | Path, given: dict[str, int]) -> Index:
         return collection
     manifest = IndexManifest.read(Path(where))
     if manifest.engine == ExactIndex.engine:
-        _refuse(given, ("effort", "depth"), "an exact index misses nothing")
+        _refuse(given, ("effort", "depth"), "an exact index compares every tile")
         return ExactIndex(where)
     if manifest.settings.get("codes") == "flat":
         _refuse(given, ("effort",), "an index of the codes flat compares every vector")

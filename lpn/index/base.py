@@ -5,8 +5,8 @@ With parts q_i, g_i of norm 1/sqrt(n) and weights w_i that sum to one, the score
     score = sum_i w_i cos_i = sum_i (w_i n q_i) . g_i,
 
 one inner product of the tile's descriptor with a rescaled query. One index therefore serves all weights. Scores are
-recomputed from the vectors that an engine returns, in float64 and in a fixed order of summation: equal tiles have equal
-scores, and the engine's own rounding changes none.
+recomputed from the vectors that an engine returns, in float64 and in a fixed order of summation, so that equal tiles have
+equal scores whatever the engine's rounding.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Kind:
     """The kind of descriptors that an index holds.
 
     Attributes:
-        fingerprint: of the model; descriptors of different models cannot be compared.
+        fingerprint: fingerprint of the model; descriptors of different models cannot be compared.
         n_parts, embedding: n and D.
     """
 
@@ -114,7 +114,7 @@ class Index(ABC):
 
     Attributes:
         kind: the kind of descriptors.
-        most: maximum number of tiles in a search result; None means no limit.
+        most: maximum number of tiles in a search result; None for no limit.
     """
 
     kind: Kind
@@ -148,7 +148,7 @@ class Index(ABC):
         Args:
             query: (n, D).
             weights: part weights of 0 or more, (n,), normalised to sum to one; None for equal weights.
-            box: search only tiles in it, borders included; tiles without a position are in no box.
+            box: search only tiles in this box, borders included; tiles without a position are in no box.
 
         Raises:
             InputError: when an argument is not as described.
@@ -172,7 +172,7 @@ class Index(ABC):
         if fingerprint != self.kind.fingerprint:
             raise StoreError(
                 f"This index holds descriptors of model {self.kind.fingerprint}, and this model is {fingerprint}; search with "
-                "that model, or make an index of this one's descriptors."
+                "that model, or make an index with this one."
             )
 
     def __enter__(self) -> Self:
@@ -203,7 +203,7 @@ def best(scores: Float64Array, order: Int64Array, k: int) -> Int64Array:
 def check_names(ids: Sequence[str], rows: int) -> list[str]:
     """Check the names of `rows` tiles to be added; InputError when a name is invalid or repeated."""
     if isinstance(ids, str) or len(ids) != rows:
-        raise InputError(f"There are {len(ids)} names for {rows} descriptors; give each tile one.")
+        raise InputError(f"There are {len(ids)} names for {rows} descriptors; give one name for each tile.")
     for name in ids:
         if not isinstance(name, str) or not 0 < len(name) <= ID_LENGTH or "\0" in name:
             shown = printable(str(name))[:40] or "empty"
@@ -221,7 +221,7 @@ def check_names(ids: Sequence[str], rows: int) -> list[str]:
 
 
 def check_positions(positions: Sequence[Sequence[float]] | Float64Array | None, rows: int) -> Float64Array:
-    """Check positions of tiles to be added: (rows, 2), NaN for none; InputError when one is not on the globe."""
+    """Check positions of tiles to be added: (rows, 2), NaN for none; InputError if one is out of range."""
     if positions is None:
         return np.full((rows, 2), np.nan)
     values = np.array(positions, dtype=np.float64)
@@ -257,7 +257,7 @@ def check_box(box: Sequence[float] | None) -> Box | None:
     if not good:
         raise InputError(
             f"The box is {', '.join(f'{value:g}' for value in values)}; expected south, west, north, and east in degrees, "
-            "south not above north (west beyond east is across the antimeridian)."
+            "with south <= north (west > east crosses the antimeridian)."
         )
     return values[0], values[1], values[2], values[3]
 
@@ -277,7 +277,7 @@ def covers(box: Box, extent: Box) -> bool:
 
 
 def within(positions: Float64Array, box: Box) -> BoolArray:
-    """Return which positions (N, 2) are in a box, (N,); NaN is in none."""
+    """Return which positions (N, 2) are in a box, (N,); NaN is in no box."""
     south, west, north, east = box
     latitude, longitude = positions[:, 0], positions[:, 1]
     both = np.logical_and if west <= east else np.logical_or

@@ -1,4 +1,4 @@
-"""Exact search in process, on the base installation: the result equals that of scanning every float32 vector.
+"""Exact search in process, without extras: the result equals that of scanning every float32 vector.
 
 A scan gives an upper bound on each tile's score (`lpn.index.scan`), from the vectors or from a copy of a half or a quarter of
 their size. The k tiles with the highest bounds are scored first. Then the tiles whose bound reaches the k-th score are
@@ -18,18 +18,18 @@ from lpn.index.folder import Candidates, FolderIndex, IndexManifest, create
 from lpn.index.scan import Precision, Scan
 from lpn.index.segments import Segment
 
-# A scan picks out rows if at most one tile in so many is searched; otherwise it reads all rows.
+# A scan reads only the searched rows if they are at most 1 / _FEW of a segment, else all rows.
 _FEW = 4
 _PICKED = 4096
 _NEXT = 256
 
 
 class ExactIndex(FolderIndex):
-    """An index that misses nothing.
+    """An index that compares every tile.
 
     Args:
-        folder: of the index; any number of processes may open it.
-        threads: for scans in float16 or int8; by default one for each usable core, 8 at most.
+        folder: folder of the index; any number of processes may open it.
+        threads: number of threads for scans in float16 or int8; by default one for each usable core, 8 at most.
     """
 
     engine = "exact"
@@ -43,7 +43,7 @@ class ExactIndex(FolderIndex):
         """Make an empty index, or open an existing one of the same kind.
 
         Args:
-            precision: of the scanned copy: float16 and int8 take 1/2 and 1/4 more disk, and are 2 and 4 times as fast to scan.
+            precision: precision of the scanned copy; float16 takes 1/2 and int8 1/4 more disk, and they scan 2 and 4 times as fast.
 
         Raises:
             StoreError: when the folder holds something else, or cannot be written.

@@ -2,8 +2,8 @@
 
     faiss.index     in a segment's folder, with its rows in the segment's order
 
-faiss proposes candidates by compact codes, which are then scored with the float32 vectors on disk. Tiles that faiss does not
-propose are missed. `nprobe` and `depth` trade misses for time, and can be changed at any search.
+faiss proposes candidates by compact codes, and the float32 vectors on disk score them. Tiles that faiss does not propose are
+missed. `nprobe` and `depth` trade misses for time, and can be changed at any search.
 
     flat        float32 vectors: the only misses are ties at the `depth`-th candidate within faiss's rounding
     sq8         inverted lists with a byte for each number
@@ -31,11 +31,11 @@ from lpn.index.segments import Segment
 Codes = Literal["flat", "sq8", "pq"]
 
 FILE = "faiss.index"
-# Up to so many tiles of a larger segment within a box are compared exhaustively, which is as fast and misses none.
+# If at most this many tiles of a segment are in a box, all are compared, which is as fast and exact.
 _FEW = 4096
 # Maximum number of training vectors for each list.
 _SAMPLE = 64
-# Minimum number of training vectors for the codes, if there are as many.
+# Minimum number of training vectors for the codes, if the segment has as many.
 _LEAST = 16384
 _ROUNDS = 10
 _ROWS = 16384
@@ -43,10 +43,10 @@ _PER_CODE = 32
 
 
 class FaissIndex(FolderIndex):
-    """An approximate index: a few misses for speed.
+    """An approximate index, which may miss tiles.
 
     Args:
-        folder: of the index.
+        folder: folder of the index.
         nprobe: inverted lists to visit; more miss fewer tiles and take longer.
         depth: candidates to score, as a multiple of k.
 
@@ -58,8 +58,8 @@ class FaissIndex(FolderIndex):
     engine = "faiss"
     max_segment_bytes = 8 << 30
     engine_file = FILE
-    # The newest segments, up to so many tiles together, have no faiss index and are compared exhaustively. Training takes as long
-    # for few tiles as for many, so it must not run at each of many small adds.
+    # The newest segments have no faiss index and are compared exhaustively, up to this many tiles in all: training takes as long
+    # for few tiles as for many, too long for every small add.
     plain = 16384
 
     def __init__(self, folder: str | Path, nprobe: int = 64, depth: int = 16) -> None:
@@ -163,7 +163,7 @@ class FaissIndex(FolderIndex):
         return self._faiss.SearchParameters(sel=selector)
 
     def _index(self, state: IndexSnapshot, segment: Segment) -> Any:
-        """Open a segment's faiss index; `state` is the segment's snapshot, which other threads may have replaced."""
+        """Open the faiss index of a segment of a snapshot, which other threads may have replaced since."""
         this = segment.folder, segment.identity
         opened = self._opened
         if this in opened:

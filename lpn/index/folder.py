@@ -58,7 +58,7 @@ class ManifestEntry(msgspec.Struct, frozen=True):
     Attributes:
         name: its folder.
         rows: number of tiles, including replaced ones.
-        dead: the file that marks replaced tiles, None if there are none.
+        dead: name of the file that marks replaced tiles; None if no tile was replaced.
         dead_crc: CRC-32 of the file `dead`.
     """
 
@@ -175,7 +175,7 @@ def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
 
 @dataclass(frozen=True, eq=False)
 class IndexSnapshot:
-    """An index as one version of its manifest describes it.
+    """One version of an index.
 
     Attributes:
         stamp: identifies the version of the manifest's file.

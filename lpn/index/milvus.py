@@ -55,7 +55,7 @@ FORMAT = "lpn-milvus/1"
 SCHEME = "milvus"
 Structure = Literal["flat", "ivf", "hnsw"]
 
-# Latitude and longitude of a tile without a position: Milvus 2.3 has no null, and no box reaches so far.
+# Latitude and longitude of a tile without a position, outside of every box, as Milvus 2.3 has no null.
 _NOWHERE = 1000.0
 _NAME_BYTES = 4 * ID_LENGTH
 # Maximum size of a message's vectors, far below a server's limit of 64 MB (`proxy.grpc.serverMaxSendSize`).
@@ -66,7 +66,7 @@ _CALL = 30.0
 _RECENT = 10.0
 # Maximum number of lists of a segment; smaller segments have one for 39 tiles.
 _LISTS = 1024
-# Up to so many tiles in a box are all compared, whatever the effort; one segment holds about as many.
+# If at most this many tiles are in a box, all are compared, whatever the effort; one segment holds about as many.
 _FEW = 50_000
 _MOST_EFFORT = 32768
 _PAUSES = (0.2, 0.5, 1.0, 2.0)
@@ -125,7 +125,7 @@ class MilvusIndex(Index):
         """Make an empty collection, or open an existing one of the same kind.
 
         Args:
-            structure: flat compares every vector and misses nothing; ivf and hnsw are faster for many tiles.
+            structure: flat compares every vector; ivf and hnsw are faster for many tiles, but approximate.
 
         Raises:
             StoreError: when there is no server, or the collection holds something else.
@@ -225,7 +225,7 @@ class MilvusIndex(Index):
 
     @property
     def _step(self) -> int:
-        """Tiles of one message."""
+        """Number of tiles in one message."""
         return max(1, min(_ROWS, _BYTES // (4 * self.kind.numbers)))
 
     def _description(self) -> str | None:
@@ -320,7 +320,7 @@ class MilvusIndex(Index):
         return [dict(row) for row in found]
 
     def _all(self, client: Any, wanted: Float64Array, k: int, within: str, level: _Level) -> list[dict[str, Any]]:
-        """Read all tiles within the filter and return the k best, for the few that an index finds too few of."""
+        """Read all tiles within the filter and return the k best, for when the index returns fewer than k."""
         keys: list[str] = []
         while True:  # page by key, because offsets are limited to 16,384
             after = f'id > "{keys[-1] if keys else ""}"'
@@ -446,7 +446,7 @@ def _describe(kind: Kind) -> str:
 
 
 def _now(consistency: _Level = "Strong") -> dict[str, Any]:
-    """Options of a call that sees all writes before it, or all but those of the last seconds."""
+    """Return the options of a call; "Strong" sees all earlier writes, "Bounded" may miss those of the last seconds."""
     return {"consistency_level": consistency, "timeout": _CALL}
 
 

@@ -5,11 +5,11 @@ rescaled query v is rounded to v' if the product needs it. By Cauchy-Schwarz for
 
     v . g = v' . g' + (v - v') . g' + v . (g - g')  <=  v' . g' + sum_i |v_i - v'_i| |g'_i| + sum_i |v_i| r_i
 
-A sum of m products in float32, in any order, is off by at most m u / (1 - m u) |v'| |g'| with u = 2^-24. Float32 vectors have
+A sum of m products in float32, in any order, has an error of at most m u / (1 - m u) |v'| |g'| with u = 2^-24. Float32 vectors have
 no copy: r_i = 0, and only rounding remains. A tile whose bound is below the k-th best score is not among the k best.
 
-For int8 the query is a pair of integer vectors; the second holds what the first leaves out, 254 times finer. Both are
-multiplied with a row while it is in the processor's cache, so that the second costs little.
+For int8 the query is the sum of two integer vectors, of which the second quantises the rounding error of the first, 254 times
+finer. Both are multiplied with a row while it is in the processor's cache, so the second costs little.
 
 numkong multiplies float16 and int8 rows directly where it is installed (the extra `search`). Otherwise NumPy multiplies rows
 that are converted to float32 block by block.
@@ -45,7 +45,7 @@ _NUMPY_BLOCK = 1 << 20
 
 
 def small_copy(vectors: Float32Array, kind: Kind, precision: Precision) -> tuple[AnyArray, Float32Array, Float32Array]:
-    """Make the compact copies of vectors (B, n D).
+    """Make compact copies of vectors (B, n D).
 
     Returns:
         The copies (B, n D) in float16 or int8, the scale of each row (B,) float32, and the norm of the error of each part, (B, n)
@@ -66,7 +66,7 @@ class Scan:
     """Upper bounds on scores, computed by a few threads.
 
     Args:
-        threads: by default one for each usable core, 8 at most; NumPy's own products use its own threads.
+        threads: number of threads, by default one for each usable core, 8 at most; without numkong, NumPy chooses.
     """
 
     def __init__(self, kind: Kind, precision: Precision, threads: int | None = None) -> None:

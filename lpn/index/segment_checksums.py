@@ -1,4 +1,4 @@
-"""Checksums of a segment, in a file beside its others: a CRC-32 of every block of every file."""
+"""The checksums of a segment: checksums.json holds a CRC-32 of every block of its other files."""
 
 from __future__ import annotations
 

@@ -49,12 +49,12 @@ class Segment:
     """The tiles of one segment.
 
     Args:
-        folder: with the files above.
+        folder: folder with the files above.
         rows: number of tiles according to the manifest.
         dead: name of the file that marks replaced tiles; None if there are none.
 
     Attributes:
-        identity: tells the files from others that are later written in the same place.
+        identity: identifies the files; another segment later written to this folder has another identity.
         size: number of tiles that were not replaced.
 
     Raises:
@@ -83,7 +83,7 @@ class Segment:
             raise
         except OSError as error:
             raise unreadable_error(folder / "names.bin", error) from error
-        except ValueError as error:  # it is empty
+        except ValueError as error:  # the file is empty
             raise self._damaged("names.bin") from error
         if len(self._text) != self._ends[-1]:
             raise self._damaged("names.bin")
@@ -129,7 +129,7 @@ class Segment:
         return found
 
     def batches(self, alive: BoolArray | None) -> Iterator[TileBatch]:
-        """Yield the tiles that a mask keeps, in blocks."""
+        """Yield the tiles of a mask, in blocks; None for all tiles."""
         for start in range(0, self.rows, _BLOCK):
             rows = np.arange(start, min(start + _BLOCK, self.rows))
             if alive is not None:
@@ -161,11 +161,11 @@ class Segment:
 
 
 def identity_of(folder: Path) -> tuple[int, int]:
-    """Identify a segment's files, to tell them from others that are later written in the same place.
+    """Identify a segment's files; other files later written to the same folder have another identity.
 
     Raises:
-        StoreError: when they cannot be read.
-        FileNotFoundError: when there are none.
+        StoreError: if the files cannot be read.
+        FileNotFoundError: if there are no such files.
     """
     try:
         stat = (folder / "vectors.npy").stat()

@@ -1,4 +1,4 @@
-"""The tiles of a store of descriptors, or of shards, as an index takes them, with positions where they are known."""
+"""Read the tiles to be indexed, with their positions if known, from a store of descriptors or from shards."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lpn.core.files import printable
 from lpn.datasets import geo
 from lpn.index.base import Kind, check_names
 
-# Size of the descriptors that are added at once; a killed run repeats at most so much.
+# Size of the descriptors that are added at once, in bytes; a killed run repeats at most this much.
 _CHUNK_BYTES = 64 << 20
 # The name in `lpn.cluster.shards`, which needs an extra and is imported for shards only.
 _PLAN = "plan.json"
@@ -26,7 +26,7 @@ class TileChunk:
     """Tiles that are read and added together.
 
     Attributes:
-        names: of the tiles.
+        names: names of the tiles.
         positions: latitude and longitude in degrees, (B, 2) float64, NaN for a tile without a position; None for no positions.
         rows: reads the descriptors (C, n, D) float32 of rows of the chunk, given in ascending order, (C,).
     """
@@ -41,10 +41,10 @@ class TileSource:
     """Tiles to be added to an index; only one chunk of shards is in memory at a time.
 
     Attributes:
-        kind: of the descriptors.
+        kind: kind of the descriptors.
         count: number of tiles.
         chunks: all tiles in order, in chunks; raises StoreError if a shard is damaged or was rewritten meanwhile.
-        broken: number of pictures that could not be described, which are not among the tiles.
+        broken: number of pictures that could not be described and are left out.
     """
 
     kind: Kind
@@ -63,7 +63,7 @@ def open_tiles(where: str, data: Path | None = None) -> TileSource:
     Raises:
         StoreError: when there is neither a complete store nor complete shards.
         DataError: when `data` has no geo.csv, or it cannot be read.
-        InputError: when an index cannot hold these tiles, or `data` has positions for none of them, or two for some.
+        InputError: if an index cannot hold these tiles, or `data` has no position for any tile, or two for one.
     """
     folder = Path(where)
     is_shards = "://" in where or ((folder / _PLAN).is_file() and not (folder / "manifest.json").is_file())

@@ -33,7 +33,7 @@ def augment(
     Args:
         angle: rotation of the whole place, in degrees counter-clockwise; see `draw_place_pose`.
         mirror: mirror the whole place.
-        view: the satellite view alone has a further rotation, and is unrolled if the recipe is polar.
+        view: pictures of the satellite view have a further rotation, and are unrolled if the recipe is polar.
         panorama: the picture covers the full circle with north in the middle, so a rotation rolls its columns.
     """
     height, width = recipe.input_size
@@ -68,7 +68,7 @@ def _warp(picture: UInt8Array, angle: float, recipe: Recipe, rng: np.random.Gene
 
 
 def _compress(picture: UInt8Array, quality: int) -> UInt8Array:
-    """Compress as JPEG: a network trained on one quality overfits to its artefacts."""
+    """Compress as JPEG, so that a network does not overfit to the artefacts of one quality."""
     _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     return cast(UInt8Array, cv2.cvtColor(cast(UInt8Array, cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB))
 

@@ -24,7 +24,7 @@ from lpn.training.augmentation import augment, draw_place_pose
 from lpn.training.recipes import Recipe
 from lpn.training.training_set import TrainingSet
 
-# Batches prepared ahead of the network, at least; small batches need more to keep all workers busy.
+# Minimum number of batches prepared ahead of the network; small batches need more to keep all workers busy.
 _PREFETCH = 2
 _MAX_WORKERS = 16
 
@@ -43,10 +43,10 @@ class TrainingBatch:
 
 
 class Loader:
-    """The batches of a training in order. Each place has its own random seed, so the number of workers changes nothing.
+    """The batches of a training in order. Each place has its own random seed, so the number of workers changes no result.
 
     Args:
-        share: rows of every batch that this process prepares.
+        share: the rows of every batch that this process prepares.
         workers: number of threads; 0 chooses one for the machine, see `choose_workers`.
         processes: number of processes that share the machine.
 
@@ -64,9 +64,7 @@ class Loader:
         processes: int = 1,
     ) -> None:
         if len(places) < 2:
-            raise InputError(
-                f"The training set has {len(places) or 'no'} place; a training needs at least two to tell apart."
-            )
+            raise InputError(f"The training set has {len(places) or 'no'} place; training needs at least two.")
         if len(places) < recipe.batch:
             raise InputError(
                 f"There are {len(places)} places and a batch of {recipe.batch}; set --batch to at most {len(places)}."
@@ -85,7 +83,7 @@ class Loader:
 
     @property
     def steps(self) -> int:
-        """Steps per epoch. Places that do not fill a last batch are left out of that epoch."""
+        """Steps per epoch. An incomplete last batch is left out."""
         return len(self.places) // self.recipe.batch
 
     def stream(self, first: int, end: int) -> Iterator[TrainingBatch]:
@@ -140,7 +138,7 @@ class Loader:
 def choose_workers(device: torch.device, processes: int = 1) -> int:
     """Choose the number of worker threads for each of the processes that share the machine.
 
-    With a GPU, all cores but one prepare pictures, 16 at most. Without one the network needs the cores, and a quarter does.
+    With a GPU these are all cores but one, at most 16. Otherwise a quarter of the cores, as the network needs the others.
     """
     own = usable_cores() // processes
     return max(1, min(_MAX_WORKERS, own - 1 if device.type == "cuda" else own // 4))

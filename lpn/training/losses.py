@@ -11,7 +11,7 @@ from torch import Tensor
 
 from lpn.training.recipes import Recipe
 
-# Lower bound of squared distances: the slope of the square root is unbounded near 0.
+# Lower bound of squared distances, because the gradient of the square root is unbounded near 0.
 _MIN_SQUARED = 1e-12
 
 
@@ -28,7 +28,7 @@ def instance_loss(scores: Tensor, places: Tensor, smoothing: float = 0.0) -> Ten
 
 
 def descriptors(parts: Tensor) -> Tensor:
-    """Descriptors as retrieval compares them: parts (B, n, D), each divided by its norm and by sqrt(n), as (B, n D)."""
+    """Return descriptors for retrieval, (B, n D): each part of (B, n, D) is divided by its norm and by sqrt(n)."""
     return F.normalize(parts, dim=2).flatten(1) / math.sqrt(parts.shape[1])
 
 

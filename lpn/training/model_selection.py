@@ -23,7 +23,7 @@ EpochMetrics = dict[str, float]
 
 
 class Validator(Protocol):
-    """Measures a model during its training.
+    """Measures a model in training.
 
     Attributes:
         column: the column of log.csv by which the best epoch is chosen.
@@ -39,13 +39,13 @@ class Validator(Protocol):
 
 
 class TestSplit:
-    """Retrieval on the test split. The first task chooses the epoch, which flatters the chosen model.
+    """Retrieval on the test split. The first task selects the epoch, so its result is optimistically biased.
 
     Raises:
         LPNError: when the split is incomplete or a picture of it is broken, see `lpn.retrieval.evaluate.check_test_split`.
     """
 
-    __test__ = False  # pytest takes the class for a test by its name
+    __test__ = False  # not a test, despite its name
 
     def __init__(self, dataset: Dataset, tasks: Sequence[str]) -> None:
         check_test_split(dataset, tasks)
@@ -93,7 +93,7 @@ class HeldOut:
         self.description = f"R@1 of {task} on {len(places)} places held out of the training"
 
     def measure(self, model: Model) -> EpochMetrics:
-        """Measure Recall@1 and AP among the held-out places alone, in percent."""
+        """Measure Recall@1 and AP among the held-out places only, in percent."""
         query, gallery = (
             (
                 descriptors.temporary_descriptors(model, pictures, cast(View, view)),

@@ -95,7 +95,7 @@ class ProcessGroup:
         return result[0]
 
     def error_once(self, error: LPNError | None, rank: int = 0) -> BaseException:
-        """Return the exception to raise for an error of all processes: one raises it, the others exit silently."""
+        """Return `error` in the process `rank`, and a silent SystemExit in all others, to be raised."""
         return error if error is not None and rank == self.rank else SystemExit(2)
 
     def run_on_leader(self, work: Callable[[], T]) -> T:
@@ -122,7 +122,7 @@ class ProcessGroup:
             if self.size == 1 or not lost:
                 raise
             raise LPNError(
-                f"Process {self.rank} stops, because another one stopped; see that one's message."
+                f"Process {self.rank} stops because another process stopped; see the message of that process."
             ) from error
 
     def leave(self) -> None:

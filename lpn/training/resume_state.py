@@ -1,4 +1,4 @@
-"""The `state.pt` of a run, and the checks before a training is resumed from it."""
+"""The file `state.pt` of a run, and the checks before a run is resumed from it."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
             raise ModelFileError(newer_version(path, str(version), str(FORMAT)))
         if version != FORMAT:
             raise ModelFileError(
-                f"{path} was written by an earlier version of lpn, whose runs cannot be resumed exactly; start anew in "
+                f"{path} was written by an earlier version of lpn, whose runs cannot be resumed; start anew in "
                 "another --out."
             )
         saved: dict[str, Any] = dict(json.loads(values["recipe"]))
@@ -83,7 +83,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
     differs = [k for k, v in json.loads(recipe.to_json()).items() if saved.get(k) != v]
     if differs:
         raise InputError(
-            f"The run in {path.parent} was started with another {', '.join(differs)}; resume it with the same."
+            f"The run in {path.parent} was started with another {', '.join(differs)}; resume it with the same values."
         )
     if digest != places:
         raise InputError(

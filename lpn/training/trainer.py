@@ -1,4 +1,4 @@
-"""Training of an LPN (section III-C of the paper) by a recipe, resumable to the same losses."""
+"""Training of an LPN (section III-C of the paper) by a recipe; a resumed run has the same losses."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from lpn.training.resume_state import ResumeState, read_state
 from lpn.training.run_log import RunLog
 from lpn.training.training_set import TrainingSet
 
-# A training has diverged if its mean loss exceeds the first step's, which is about chance, by this factor ...
+# A training has diverged if its mean loss exceeds the loss of the first step (about chance) by this factor.
 _EXPLODED = 10.0
-# ... over this many steps, or over an epoch if it has fewer.
+# The mean is checked from this step of an epoch, or at its end if it has fewer steps.
 _SURE_AFTER = 100
 
 
@@ -46,13 +46,13 @@ class Trainer:
     Args:
         dataset: the data set with the training pictures.
         out: the run's folder.
-        recipe: every number of the training.
+        recipe: every setting of the training.
         init: pretrained weights of the backbone; tensors that do not fit are skipped.
         resume: continue after the last whole epoch in `out`, with the same losses as an uninterrupted run.
-        evaluate_every: test after every so many epochs, and keep the best model; 0 tests at the end only.
-        workers: threads that prepare pictures; 0 chooses the number. They change no result.
+        evaluate_every: number of epochs between tests; the best tested model is saved. 0 tests at the end only.
+        workers: number of threads that prepare pictures, without effect on the result; 0 chooses it.
         validate: share of the places held out of the training to choose the best epoch.
-        group: the processes that share the training; by default this one alone.
+        group: the processes that share the training; by default only this one.
         test: measure the last model on the test split.
 
     Raises:
@@ -93,7 +93,7 @@ class Trainer:
             raise InputError(f"--evaluate-every is {evaluate_every}; expected 0 or more.")
         if held and not evaluate_every:
             raise InputError(
-                "--validate chooses among the tested epochs, and none is tested; give --evaluate-every as well."
+                "--validate chooses among tested epochs, but no epoch is tested; give --evaluate-every, too."
             )
         share = self.group.share(recipe.batch)
         self.loader = Loader(self.places, recipe, self.device, share, workers, self.group.local_size)
@@ -171,7 +171,7 @@ class Trainer:
         for step, batch in enumerate(batches):
             loss, rate = self.learner.step(batch, epoch * self.steps + step, self.steps)
             pictures += len(batch.places) * len(batch.sets)
-            # Read a loss one step late, so that the GPU is never idle.
+            # Read the loss of the previous step, so that the GPU need not wait.
             if previous is not None:
                 total += self._check_loss(float(previous), total, epoch, step)
                 speed = pictures / (time.perf_counter() - started)
@@ -192,13 +192,13 @@ class Trainer:
         }
 
     def _check_loss(self, loss: float, total: float, epoch: int, step: int) -> float:
-        """Return the loss of a step, from 1, or raise if it has diverged; `total` is the sum of those before."""
+        """Return the loss of a step (from 1); raise if training diverged. `total` is the sum of earlier losses."""
         if not math.isfinite(loss):
             raise self._diverged(f"The loss became {loss}", epoch, step)
         if math.isnan(self.first_loss):
             self.first_loss = loss
         mean, first = (total + loss) / step, self.first_loss
-        # Ten times a loss near 0 is no divergence.
+        # Ten times a loss near 0 is not a divergence.
         if step >= min(_SURE_AFTER, self.steps) and mean > _EXPLODED * max(first, 1.0):
             raise self._diverged(
                 f"The loss rose to {mean:.3g} on average, from {first:.3g} at the first step,", epoch, step
@@ -219,7 +219,7 @@ class Trainer:
         due = self.evaluate_every and epoch and (epoch % self.evaluate_every == 0 or epoch == self.recipe.epochs)
         if not due or validator is None or validator.column in self.history[-1]:
             return
-        # The last epoch's figures on the test split are printed in full.
+        # Print all metrics of the last epoch on the test split.
         options = {"console": self.console} if validator is self.test_split and epoch == self.recipe.epochs else {}
         self.history[-1] |= self.group.run_on_leader(lambda: validator.measure(self._load("last"), **options))
         best = best_epoch(self.history, validator.column)
@@ -245,7 +245,7 @@ class Trainer:
         )
         split = self.test_split
         if split is not None and validator is not split and epoch < len(self.history):
-            self.console.print("Its figures on the test split:")
+            self.console.print("Its metrics on the test split:")
             split.measure(self._load("best"), self.console)
 
     def _load(self, name: str) -> checkpoints.TorchModel:
@@ -271,7 +271,7 @@ class Trainer:
         self.console.print(f"{init.name} fills {filled} of the backbone's {total} tensors{rest}.")
 
     def _save(self, run_log: RunLog | None) -> None:
-        """Write model and logs, and last the state, from which a run is resumed."""
+        """Write model and logs, then the state, from which a run is resumed."""
         if run_log is None:
             return
         with uninterrupted():
@@ -294,7 +294,7 @@ class Trainer:
             self.learner.restore(state.tensors)
         except (RuntimeError, ValueError, KeyError) as error:
             raise ModelFileError(
-                f"{path} does not fit its own recipe, so it is damaged; start anew in another --out."
+                f"{path} is damaged: its state does not fit its recipe; start anew in another --out."
             ) from error
         self.history, self.first_loss = state.history, state.first_loss
         if state.processes != self.group.size:

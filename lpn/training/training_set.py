@@ -1,4 +1,4 @@
-"""The training set: the pictures of each place, and a cache of decoded ones."""
+"""The training set: the pictures of each place, and a cache of decoded pictures."""
 
 from __future__ import annotations
 

@@ -196,7 +196,7 @@ def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPat
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(Path, "home", homeless)
     assert of("cache", environment_check._cache).line == (
-        "problem cache: This user has no home folder to keep a cache in; set LPN_CACHE to a folder that can be written."
+        "problem cache: This user has no home folder for a cache; set LPN_CACHE to a folder that can be written."
     )
     with pytest.raises(OutputError, match="set LPN_CACHE to a folder that can be written"):
         cache_folder()

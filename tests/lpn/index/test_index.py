@@ -682,9 +682,17 @@ def test_effort_and_depth_reach_the_engine(
         asked.clear()
     capsys.readouterr()
     for place, given, said in (
-        ("exact", ["--effort", "7"], "no effort to choose here, as an exact index misses nothing; leave effort 7 out."),
-        ("exact", ["--depth", "7"], "no depth to choose here, as an exact index misses nothing; leave depth 7 out."),
-        ("milvus", ["--depth", "7"], "as only faiss proposes tiles before they are scored; leave depth 7 out."),
+        (
+            "exact",
+            ["--effort", "7"],
+            "no effort to choose here, as an exact index compares every tile; leave effort 7 out.",
+        ),
+        (
+            "exact",
+            ["--depth", "7"],
+            "no depth to choose here, as an exact index compares every tile; leave depth 7 out.",
+        ),
+        ("milvus", ["--depth", "7"], "as only faiss has this option; leave depth 7 out."),
         ("flat", ["--effort", "7"], "as a flat collection compares every vector; leave effort 7 out."),
         ("faiss", ["--effort", "0"], "The effort is 0; expected 1 or more."),
         ("faiss", ["--depth=-2"], "The depth is -2; expected 1 or more."),
