@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -146,6 +146,10 @@ class Manifest:
                 raise NewerStoreError(newer_version(name, str(found), FORMAT))
             if found != FORMAT:
                 raise ValueError("another format")
+            if not values.keys() <= {
+                entry.name for entry in fields(cls)
+            }:  # such as a transform that only a later lpn knows
+                raise ValueError("unknown entries")
             manifest = msgspec.convert(values, cls)
             _ = manifest.change  # checks its numbers
             return manifest

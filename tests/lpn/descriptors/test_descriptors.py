@@ -130,6 +130,14 @@ def test_a_name_that_is_not_utf_8_is_read_again(
     assert not store.manifest.damaged
 
 
+def test_a_manifest_with_an_unknown_entry_is_refused() -> None:
+    manifest = descriptors.Manifest("f" * 16, "drone", 0.0, 1, 2, (descriptors.Row("a.png", 1, 2),))
+    values = json.loads(manifest.to_json())
+    assert descriptors.Manifest.from_json(json.dumps(values).encode(), "manifest.json") == manifest
+    with pytest.raises(StoreError, match="not a manifest"):
+        descriptors.Manifest.from_json(json.dumps(values | {"sheared": 3}).encode(), "manifest.json")
+
+
 def test_a_removed_picture_costs_nothing_that_was_done(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
