@@ -36,7 +36,7 @@ from lpn.core.files import printable
 
 log = logging.getLogger(__name__)
 
-# Seconds that a new page has to send its address, before the default state is analysed. A busy machine takes many to load the page.
+# Seconds that a new page has to send its address, before the default state is analysed. A busy machine loads pages slowly.
 _ADDRESS_TIMEOUT = 30.0
 # Seconds of an analysis after which the page says that it is being computed.
 _SLOW = 0.5

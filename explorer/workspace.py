@@ -158,7 +158,7 @@ class StateAnalyser:
     def __init__(self, workspace: Workspace, model: QueuedModel | None = None) -> None:
         self._workspace = workspace
         model = model or workspace.model
-        # A newer state may supersede the query's forward pass. That of a tile is never cancelled: other browsers share it.
+        # A newer state may supersede the query's forward pass. A tile's forward pass is never cancelled: other browsers share it.
         self._analyser = QueryAnalyser(
             None if model is None else model.cancellable(),
             lambda task, index: workspace.tile(task, index, model),

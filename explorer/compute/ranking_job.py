@@ -24,7 +24,7 @@ class TaskRanking:
 
     Attributes:
         ranking: ranks and best matches by query.
-        results: recall and AP in percent, see `lpn.retrieval.metrics.evaluate`; with positions also errors, such as `median error m`.
+        results: recall and AP in percent, see `lpn.retrieval.metrics.evaluate`; with positions also errors in metres.
     """
 
     ranking: Retrieval

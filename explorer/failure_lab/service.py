@@ -72,7 +72,7 @@ class FailureLab:
 
     @property
     def has_umap(self) -> bool:
-        """Whether the extra for UMAP is installed."""
+        """Tell if the extra for UMAP is installed."""
         return find_spec("umap") is not None
 
     def findings(self, task: str) -> Findings | None:

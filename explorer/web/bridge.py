@@ -54,7 +54,7 @@ class PageBridge:
         self._address.show(_run(call("address", query, keys)))
 
     def call(self, function: str, *arguments: object) -> None:
-        """Call a function of the page's script. Of several calls in quick succession, only the last may run."""
+        """Call a function of the page's script. The page may run only the last of several quick calls."""
         self._calls += 1
         self._call.show(_run(f"{call(function, *arguments)};/*{self._calls}*/"))
 

@@ -40,8 +40,8 @@ class DescribeCommand:
     """With --engine ray: pictures of one shard, on average at most, which a killed worker loses; by default that of the last run,
     else 256. If there are more pictures now, shards are split without computing any picture again."""
     positions: str | None = None
-    """With --engine ray: file of positions in the format of geo.csv, with paths relative to --images or a folder above; by default
-    geo.csv among the pictures, if any."""
+    """With --engine ray: file of positions in the format of geo.csv, with paths relative to --images or a folder above it; by
+    default geo.csv among the pictures, if any."""
 
     def run(self) -> int:
         return self._shards() if self.engine == "ray" else self._store()

@@ -161,7 +161,7 @@ def open_shards(where: str | Path) -> Shards:
     again = _plan(storage)
     if not plan.finished or not again.finished:
         raise StoreError(
-            f"The shards in {where} may be of different states of the pictures, as the run that wrote them has not ended; wait for it, or "
+            f"The shards in {where} may be of different states of the pictures, as their run has not ended; wait for it, or "
             "run lpn describe --engine ray again, which computes only what is missing."
         )
     if again.to_json() != plan.to_json():

@@ -51,7 +51,7 @@ def check_seal(path: Path, remedy: str) -> bool:
         remedy: what to do if the file is damaged, as the end of a sentence.
 
     Returns:
-        Whether the file has a seal; files of other programs have none.
+        Return True if the file has a seal; files of other programs have none.
 
     Raises:
         ModelFileError: if the file differs from its seal.
@@ -76,7 +76,7 @@ def check_entries(path: Path, remedy: str) -> bool:
     """Compare the entries of a PyTorch file with their CRC-32, which PyTorch writes and does not read.
 
     Returns:
-        Whether the file has entries; a truncated one and PyTorch's older format have none.
+        Return True if the file has entries; a truncated one and PyTorch's older format have none.
 
     Raises:
         ModelFileError: if an entry is damaged, or the entries are far larger than the file.

@@ -1,7 +1,7 @@
 """Data sets in their published layouts, read as lists of pictures with places, tasks, and true matches.
 
-It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), CVUSA, CVACT, Oxford5k, Paris6k, your own pairs with a
-`pairs.csv`, and a plain folder of pictures; docs/data.md shows each layout.
+It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), CVUSA, CVACT, Oxford5k, Paris6k, your own
+pairs with a `pairs.csv`, and a plain folder of pictures; docs/data.md shows each layout.
 """
 
 from __future__ import annotations

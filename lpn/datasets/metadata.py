@@ -152,7 +152,8 @@ def _check_names(names: Sequence[str], taken: Sequence[str]) -> None:
     for name in names[1:]:
         if not name or _OPERATOR_CHARACTERS & set(name):
             raise DataError(
-                f"{NAME} has a column called {name!r}; expected a name without any of {' '.join(sorted(_OPERATOR_CHARACTERS))}, so rename it."
+                f"{NAME} has a column called {name!r}; expected a name without any of "
+                f"{' '.join(sorted(_OPERATOR_CHARACTERS))}, so rename it."
             )
         if name.casefold() in used:
             raise DataError(f"{NAME} has a column called {name!r}, which there is already; rename it.")

@@ -22,7 +22,7 @@ _STEPS = 1000
 def shortest(rows: Float64Array, least: Float64Array, limit: float) -> Float64Array | None:
     """The shortest x (d,) with rows (m, d) @ x >= least (m,); None when there is none of length `limit` or less.
 
-    Every u >= 0 proves the bound |x|^2 >= 1 / |r|^2 - 1 for all feasible x. Where no x is feasible the bound grows without
+    Every u >= 0 proves the bound |x|^2 >= 1 / |r|^2 - 1 for all feasible x. When no x is feasible the bound grows without
     limit, so that one sound test covers both cases of None.
     """
     columns = np.concatenate([rows.T, least[None]])

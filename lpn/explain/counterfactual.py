@@ -1,6 +1,7 @@
 """Counterfactuals of one ranking: the margin by part, ranks without a part, and the smallest change of part weights.
 
-They are computed from the part cosines of the query, without the network. For part weights w_i that sum to one, a positive p, and a negative g:
+They are computed from the part cosines of the query, without the network. For part weights w_i that sum to one, a positive p,
+and a negative g:
 
     score(p) - score(g) = sum_i w_i (cos_i(p) - cos_i(g)),    margin = d^2(g) - d^2(p) = 2 (score(p) - score(g)).
 """

@@ -403,8 +403,8 @@ def parse_url(url: str) -> tuple[str, str, str]:
     name = parts.path.strip("/")
     if parts.scheme != SCHEME or not parts.hostname or not port or not _COLLECTION.fullmatch(name):
         raise InputError(
-            f"{url.rpartition('@')[2]} is not the address of a Milvus collection; expected milvus://host:port/collection, its name of "
-            "letters, digits, and underscores."
+            f"{url.rpartition('@')[2]} is not the address of a Milvus collection; expected milvus://host:port/collection, "
+            "its name of letters, digits, and underscores."
         )
     host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
     token = f"{unquote(parts.username)}:{unquote(parts.password or '')}" if parts.username else ""

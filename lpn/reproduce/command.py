@@ -206,7 +206,7 @@ class Reproduction:
         return report.write(table, measured, self._columns(table), notes, self.out)
 
     def _columns(self, table: PaperTable) -> list[MeasuredColumn]:
-        """What is measured, and which of the paper's columns stands beside it."""
+        """Return the measured columns, each with its column of the paper."""
         data = self._sources.of(table.measure)
         if table.measure != "landmarks":
             # CVACT is not what the paper's Table II is of.

@@ -259,7 +259,8 @@ class Trainer:
             shares = f" Each of {group.size} processes takes {batch} places of a batch; BatchNorm sees {norm}."
         workers = f"{self.loader.workers} thread{'' if self.loader.workers == 1 else 's'}"
         self.console.print(
-            f"Computing in {self.learner.mixed_precision.name} on {self.device.type}; pictures are prepared by {workers}.{shares}",
+            f"Computing in {self.learner.mixed_precision.name} on {self.device.type}; "
+            f"pictures are prepared by {workers}.{shares}",
             soft_wrap=True,
         )
         if self.evaluate_every and self.validator is None:

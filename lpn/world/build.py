@@ -168,8 +168,8 @@ class _SectorRenderer:
         covered = [shot for shot, within in zip(shots, inside, strict=True) if within]
         if covered:
             self._cut(sector, covered, sector.x, sector.y, sector.reach + TILE / 2 + SPARE)
-        # Where a district has few places, a panorama may stand outside the picture of them. It gets one of its own, so
-        # that a tile does not depend on which others were asked for.
+        # In a district with few places, a panorama may stand outside their picture. It gets a picture of its own, so that
+        # a tile does not depend on the other tiles.
         for shot, within in zip(shots, inside, strict=True):
             if not within:
                 self._cut(sector, [shot], shot.camera.x, shot.camera.y, TILE / 2 + SPARE)

@@ -48,7 +48,7 @@ def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def sunshine(city: City, west: float, north: float, shape: tuple[int, int], scale: float) -> Float32Array:
-    """Compute the fraction (h, w) of the sun that reaches the ground past buildings and trees, `scale` metres a pixel, north up."""
+    """Compute the fraction (h, w) of sunlight on the ground behind buildings and trees, `scale` metres a pixel, north up."""
     height, width = shape
     mask = np.zeros(shape, np.uint8)
     sun = towards_sun()

@@ -32,7 +32,7 @@ from tools.fixtures.published_results import save_result
 
 # Seconds to wait for anything that must come: far longer than it takes, since the machine may be busy.
 PATIENCE = 60.0
-# Run in each page before its own scripts: no stored settings, no tour, and no notice about software WebGL, which covers what tests look at.
+# Run in each page before its own scripts: no stored settings, no tour, and no notice about software WebGL over the page.
 _PREPARE = """
 if (!sessionStorage.begun) { localStorage.clear(); sessionStorage.begun = 1 }
 localStorage.setItem('lpn-tour', 'seen');

@@ -2,12 +2,11 @@
 
 The peer is the published test loop: a DataLoader with worker processes decodes with Pillow, resizes bicubically, and
 normalises; PyTorch in eager mode passes each batch of 32 and then its mirror, and the parts of the sum are normalised. Ours is
-`lpn.descriptors.describe` into a store on disk, of the same network exported to ONNX, with its check of the pictures, manifest, and
-saves; and of the same network quantised. They take turns in one process, after a round that is not counted; the table gives
-medians. Where the extra `ray` is installed, the quantised network is then run by Ray, on a worker a core, into shards: the
-pictures a second while its workers are there, from the times of all pictures and of a few. The limit is ONNX Runtime's bare
-passes, two for each picture, on as many threads as there are cores. FOLDER holds pictures with folders below it; without it,
-synthetic JPEG files of 512 x 512 pixels are made. Weights are random, which changes no time.
+`lpn.descriptors.describe`, which checks the pictures and writes a store on disk, with the same network exported to ONNX, and with
+the same network quantized. They take turns in one process, after a warm-up round; the table gives medians. With the extra
+`ray`, Ray then runs the quantized network, one worker a core, into shards; its rate excludes the start of the workers. The lower
+bound is ONNX Runtime's bare forward passes, two for each picture, on as many threads as there are cores. FOLDER holds pictures
+with folders below it; without it, synthetic JPEG files of 512 x 512 pixels are made. Weights are random, which changes no time.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ from tools.bench.pictures import make_folder, make_train_split
 
 PICTURES = 96
 ROUNDS = 3
-# Of the published test script.
+# The batch size of the published test script.
 BATCH = 32
 # Pictures of a shard: few, so that workers end at about the same time.
 SHARD = 4

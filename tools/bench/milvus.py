@@ -58,7 +58,7 @@ COSTS = (
     "queue, MB",
 )
 SEARCHES = ("effort", "recall@10, %", "ms", "in a box, %", "in a box, ms", "after a write, ms")
-# Of a server's data, and what each is counted as.
+# The folders of a server's data, each with the column that counts it.
 FOLDERS = {
     "insert_log": "data",
     "delta_log": "data",

@@ -87,7 +87,8 @@ def work(self):
         with open(os.environ["LPN_BENCH_COUNTS"], "w") as file:
             file.write(" ".join(str(count) for count in counts.values()))
     else:
-        self._panels.answer._status.show(pages.status(pages.ShownAnalysis(replace(self._idle, state=self._state), self._sequence, 0.0)))
+        shown = pages.ShownAnalysis(replace(self._idle, state=self._state), self._sequence, 0.0)
+        self._panels.answer._status.show(pages.status(shown))
 {_RUN}"""
 READY = f"""{_COUNTED}
 def work(self):

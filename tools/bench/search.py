@@ -95,7 +95,7 @@ def medians(tasks: dict[str, Task], rounds: int) -> dict[str, float]:
 
 def readers(rows: Float32Array) -> dict[str, Task]:
     """Tasks that read every number once, divided among threads."""
-    # As integers, of which a sum waits for none before it.
+    # Sums of integers have no chain of rounding that serialises them.
     numbers = rows.reshape(-1).view(np.int32)
     shares = np.array_split(numbers, THREADS)
     pool = ThreadPoolExecutor(THREADS)

@@ -1,7 +1,7 @@
-"""What is read, from which real files its damaged ones are made, and what must hold of whatever is accepted.
+"""The readers, the real files that damaged ones are made from, and the properties of accepted input.
 
-A reader gets the contents of one file and may raise LPNError and nothing else. Where a format has checksums of its own, some
-seeds are the contents within it, around which the reader builds a whole file again: else no damage would get past them.
+A reader gets the contents of one file and may raise LPNError and nothing else. In formats with checksums of their own, some
+seeds are the contents, which the reader packs into a whole file again; otherwise no damage would get past the checksums.
 """
 
 from __future__ import annotations
@@ -472,7 +472,7 @@ TARGETS: dict[str, Callable[[Path], list[FuzzCase]]] = {
 
 
 def complaint(read: Read, data: bytes) -> BaseException | None:
-    """What a reader raised that it must not."""
+    """Return the exception that a reader must not raise, or None."""
     try:
         read(data)
     except LPNError as error:

@@ -32,8 +32,8 @@ SHOWN = """
 """
 # Seconds between two looks at the page.
 EVERY = 0.03
-# How often a number is typed until the box shows it: a page that is drawn anew between marking what is there and typing
-# over it can keep a part of that, which whoever types sees.
+# Attempts to type a number until the box shows it: a page that is redrawn between selecting the old number and typing can keep
+# a part of it.
 TYPINGS = 5
 KEYS = {"Why this tile?": "y", "Failure laboratory": "b", "Next ›": "n", "‹ Previous": "p"}
 

@@ -1,4 +1,4 @@
-"""What a soak found: figures, bounds, and the table that says both."""
+"""The results of a soak: figures, their bounds, and the table of both."""
 
 from __future__ import annotations
 

@@ -55,7 +55,8 @@ TASK = "drone-to-satellite"
 TIMEOUT = 120.0  # seconds for something that must happen
 # Classes of which each browser has its own instances.
 PER_BROWSER = (
-    ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, FailureLabWindow, RequestContext, OwnPicture, SweepRequest, MessageFilter, WebSocketClient, _Connection,
+    ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, FailureLabWindow, RequestContext,
+    OwnPicture, SweepRequest, MessageFilter, WebSocketClient, _Connection,
     viser.ClientHandle, GuiApi, SceneApi, SendBuffer,
 )  # fmt: skip
 

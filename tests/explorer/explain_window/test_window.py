@@ -124,8 +124,8 @@ def test_a_profile_is_drawn_from_its_first_point(workspace: Workspace) -> None:
     task = analysis.task
     changes = sweeps.changes_over("rotation", 45)
     steps = sweeps.run_sweep(
-        workspace.model, analysis.source, "drone", task.gallery_descriptors, analysis.ranking.weights, changes, task.gallery_labels,
-        int(task.query_labels[0]),
+        workspace.model, analysis.source, "drone", task.gallery_descriptors, analysis.ranking.weights, changes,
+        task.gallery_labels, int(task.query_labels[0]),
     )  # fmt: skip
     points = [next(steps)]
     one = sweep_page.page(analysis, "rotation", sweeps.SweepResult("rotation", tuple(points)), 8, workspace.part_names)

@@ -131,7 +131,8 @@ def test_a_description_names_every_condition_and_the_order(findings: Findings, l
         state.add_selection(replace(lab, outcome="failed", filter="rank > 1 ", name_search=" 0002 "), pair), part
     )
     assert state.describe(findings, replace(busy, sort_column="rank", descending=True)) == (
-        "failed and rank > 1 and name ~ 0002 and 0449 taken for 0450 and part ring 1 lowers the margin most, sorted by rank, descending"
+        "failed and rank > 1 and name ~ 0002 and 0449 taken for 0450 and part ring 1 lowers the margin most, "
+        "sorted by rank, descending"
     )
     assert state.describe(findings, replace(lab, sort_column="gone")) == "all, sorted by margin"
 
