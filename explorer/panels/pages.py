@@ -21,7 +21,7 @@ SAVED_NOTE = (
     "This is a saved result without its network: queries cannot be rotated or uploaded, and there are no heatmaps. "
     "Rings are drawn as published."
 )
-PARTS_NOTE = "Switch parts off or weight them: the ranking follows at once. The R@1 at the top right is always that of equal weights."
+PARTS_NOTE = "Switch parts off or weight them: the ranking follows at once. R@1 at the top right is always that of equal weights."
 
 
 class ShownAnalysis(NamedTuple):

@@ -5,8 +5,8 @@ rescaled query v is rounded to v' if the product needs it. By Cauchy-Schwarz for
 
     v . g = v' . g' + (v - v') . g' + v . (g - g')  <=  v' . g' + sum_i |v_i - v'_i| |g'_i| + sum_i |v_i| r_i
 
-A sum of m products in float32, in any order, has an error of at most m u / (1 - m u) |v'| |g'| with u = 2^-24. Float32 vectors have
-no copy: r_i = 0, and only rounding remains. A tile whose bound is below the k-th best score is not among the k best.
+A sum of m products in float32, in any order, has an error of at most m u / (1 - m u) |v'| |g'| with u = 2^-24. Float32 vectors
+have no copy: r_i = 0, and only rounding remains. A tile whose bound is below the k-th best score is not among the k best.
 
 For int8 the query is the sum of two integer vectors, of which the second quantises the rounding error of the first, 254 times
 finer. Both are multiplied with a row while it is in the processor's cache, so the second costs little.

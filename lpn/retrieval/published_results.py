@@ -154,7 +154,7 @@ def _read(path: Path, name: str) -> dict[str, Any]:
         raise DataError(f"There is no saved result at {path}; check the path.")
     if _first_bytes(path) == b"MATLAB 7.3":
         raise DataError(
-            f"{name} is a MATLAB 7.3 file, which is not supported; save it with scipy.io.savemat, as the published test code does."
+            f"{name} is a MATLAB 7.3 file, which is not supported; save it with scipy.io.savemat, as the published code does."
         )
     expected = "pytorch_result.mat of the published test code"
     return matlab.load(path, (), expected, (*_REQUIRED_KEYS, "query_path", "gallery_path"), simplify=False)
