@@ -43,7 +43,7 @@ class ExactIndex(FolderIndex):
         """Make an empty index, or open an existing one of the same kind.
 
         Args:
-            precision: precision of the scanned copy; float16 takes 1/2 and int8 1/4 more disk, to scan up to 2 and 4 times as fast.
+            precision: precision of the scanned copy; float16 takes 1/2 and int8 1/4 more disk, for quicker scans.
 
         Raises:
             StoreError: when the folder holds something else, or cannot be written.
