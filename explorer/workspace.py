@@ -81,14 +81,21 @@ class Workspace:
         self.load_picture = lru_cache(maxsize=64)(images.load_picture)
 
     def choose_first_query(self, query: str | None) -> None:
-        """Set `first_query`, the query of the first task that a new browser shows, by its name."""
+        """Choose by name the query that a new browser shows first.
+
+        Args:
+            query: a query of the first task; None for its first query.
+        """
         names = next(iter(self.tasks.values())).query_names
         if query is not None and query not in names:
             raise InputError(f"{self.data_name} has no query {query}; names look like {names[0]}.")
         self.first_query = 0 if query is None else names.index(query)
 
     def supported_state(self, state: SessionState) -> SessionState:
-        """Return the state that this workspace can show: without a network, no changes, uploads, heatmaps, or evidence."""
+        """Return the state without the features that this workspace cannot show.
+
+        Without a network, these are changes of the query, uploads, heatmaps, and the explain window.
+        """
         return (
             state
             if self.model is not None
@@ -108,7 +115,7 @@ class Workspace:
         return self._thumbnail(path)
 
     def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
-        """Return a picture as the model partitions it: SAFA unrolls satellite pictures, other models change nothing."""
+        """Return the picture on which parts are drawn, see `Model.as_partitioned`."""
         return picture if self.model is None else self.model.as_partitioned(picture, view)
 
     def card(self, task: Task, index: int) -> UInt8Array:
@@ -116,7 +123,7 @@ class Workspace:
         return self._card(task.name, index)
 
     def _make_masks(self, view: View) -> Int64Array:
-        """Return the part of each pixel of a stage picture."""
+        """Return for each pixel of a stage picture the number of its part."""
         return overlays.part_masks(self.spec.partition(view), self.map_sizes[view], self.layout.pixels)
 
     def mosaic(self, task: Task) -> UInt8Array:

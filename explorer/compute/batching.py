@@ -86,7 +86,7 @@ def compute(batch: list[InferenceRequest]) -> None:
 
 
 def _split(result: ForwardPass, sizes: list[int]) -> list[ForwardPass]:
-    """Return each request's rows as copies; a view would keep the whole batch in memory."""
+    """Return a copy of each request's rows; a slice would keep the whole batch in memory."""
     return [
         ForwardPass(*(None if array is None else array[begin:end].copy() for array in result))  # type: ignore[arg-type]
         for begin, end in pairwise(np.cumsum([0, *sizes]))

@@ -1,9 +1,10 @@
 """The queue in front of the network, shared by all browsers.
 
-Each thread has at most one request in the queue, so first-in, first-out order is fair. Background work (sweeps, reports,
-a second model) has its own queue. Interactive requests have priority, but every fourth batch is background work, so that
-it cannot starve. The interactive queue is bounded (back-pressure): further requests raise `BusyError`, and refused
-browsers are admitted before new ones. A superseded request gives its place to the next request of its browser.
+A calling thread waits for its result. So it has at most one request in the queue, and first-in, first-out order is
+fair. Background work (sweeps, reports, a second model) has its own queue. Interactive requests have priority, but every
+fourth batch is background work, so that it cannot starve. The interactive queue is bounded (back-pressure): further
+requests raise `BusyError`, and refused browsers are admitted before new ones. A superseded request gives its place to
+the next request of its browser.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ log = logging.getLogger(__name__)
 
 # Interactive requests in the queue. A large network takes 0.1 s for each on two cores, so the last one waits for 3 s.
 MAX_QUEUED = 32
-# While background requests wait, every n-th batch is one of them.
+# While background requests wait, one batch in this many is a background batch.
 BACKGROUND_INTERVAL = 4
 # Seconds after which a refused browser should retry.
 RETRY_AFTER = 0.5
-# Seconds for which its place is reserved.
+# Seconds for which a refused browser's place in the queue is reserved.
 RESERVATION = 4 * RETRY_AFTER
 # Seconds without requests after which the thread ends; the next request starts another one.
 IDLE_TIMEOUT = 60.0

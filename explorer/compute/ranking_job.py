@@ -24,7 +24,8 @@ class TaskRanking:
 
     Attributes:
         ranking: ranks and best matches by query.
-        results: recall and AP in percent, see `lpn.retrieval.metrics.evaluate`; with positions also errors in metres.
+        results: recall and AP in percent, see `lpn.retrieval.metrics.evaluate`. If the task has a geometry, also
+            the values of `error_shares`.
     """
 
     ranking: Retrieval
@@ -32,7 +33,9 @@ class TaskRanking:
 
 
 class RankingJob:
-    """Ranks the queries of a task while a client waits; thread-safe.
+    """Ranks the gallery for each query of a task. Thread-safe.
+
+    A long ranking runs in the background, and only while a client waits for it.
 
     Attributes:
         task: the ranked task.

@@ -44,7 +44,7 @@ class RequestContext:
     def retry_superseded(self, compute: Callable[[], T]) -> T:
         """Return the result of `compute`, which reads the newest state.
 
-        If its cancellable request is superseded in the queue, `compute` is called again and keeps its place.
+        If its request is superseded in the queue, `compute` is called again. The new request takes the old one's place.
         """
         self._superseded, self._may_cancel = False, True
         try:
@@ -57,11 +57,15 @@ class RequestContext:
             self._scheduler.release_position(self)
 
     def supersede(self) -> None:
-        """Note that the state changed, so that a waiting request may be out of date."""
+        """Record that the state has changed; a waiting request may be out of date."""
         self._superseded = True
 
     def try_cancel(self, waited: float) -> bool:
-        """Return True, at most once per answer, if a request that has waited for some seconds is to be cancelled."""
+        """Return whether to cancel a request; True at most once per answer.
+
+        Args:
+            waited: seconds that the request has spent in the queue.
+        """
         cancel = self._superseded and self._may_cancel and waited >= MIN_WAIT
         self._may_cancel = self._may_cancel and not cancel
         return cancel
@@ -96,7 +100,10 @@ class QueuedModel(Model):
         )
 
     def cancellable(self) -> QueuedModel:
-        """Return this model with requests that a newer state may supersede; they then raise SupersededError."""
+        """Return a copy of this model whose requests a newer state may supersede.
+
+        A superseded request raises SupersededError.
+        """
         return QueuedModel(self.model, self._scheduler, self._context, self._background, cancellable=True)
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
@@ -118,7 +125,7 @@ class QueuedModel(Model):
         )
 
     def heads(self, view: View) -> Heads:
-        """Return the affine heads and cell weights; InputError if the model has none."""
+        """Return the model's affine heads and cell weights, see `Model.heads`."""
         return self._scheduler.heads(self.model, view)
 
     def map_size(self, view: View) -> tuple[int, int]:

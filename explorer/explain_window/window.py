@@ -34,11 +34,12 @@ _DRAW_INTERVAL = 0.15
 
 @dataclass(frozen=True, eq=False)
 class PairResult:
-    """The comparison of one pair, and its effect on all queries once that is computed.
+    """The comparison of one pair of tiles, and the effect of its weight change.
 
     Attributes:
         ranking: the ranking of one query under given weights and region; compared by identity.
         index: gallery position of the compared tile.
+        effect: of the weight change on all queries; None until it is computed.
         computing: the effect was requested and is not computed yet.
     """
 
@@ -108,7 +109,7 @@ class ExplainWindow:
     ) -> None:
         self._workspace, self._change, self._viewport, self._reporter = workspace, change, viewport, reporter
         self._model = requests.queued(workspace.model, background=True)
-        self._models = (
+        self._model_comparison = (
             None if workspace.second_workspace is None else ModelComparison(workspace.second_workspace, requests)
         )
         self._lock = Lock()
@@ -120,7 +121,7 @@ class ExplainWindow:
             ("Turn, shift, zoom", viser.Icon.CHART_LINE, self._sweep_html),
             ("Search by a region", viser.Icon.BRUSH, lambda content: region.page(content.analysis, workspace)),
         ]
-        if self._models is not None:
+        if self._model_comparison is not None:
             tabs.append(("Two models", viser.Icon.COLUMNS_2, self._models_html))
         self._panel = client.gui.add_panel(visible=False)
         self._tabs: list[_Tab] = []
@@ -145,7 +146,7 @@ class ExplainWindow:
             "report": self._report,
             "sweep": self._request_sweep,
             "cancel": self._cancel_sweep,
-            "take": self._apply_point,
+            "take": self._apply_sweep_point,
             "region": self._search_region,
         }
 
@@ -154,14 +155,14 @@ class ExplainWindow:
         if self._workspace.model is None:
             return []
         sweep_commands = [
-            (f"Profile: {label.lower()}", self._command(self._request_sweep, over))
+            (f"Sweep: {label.lower()}", self._command(self._request_sweep, over))
             for over, label in sweep_page.CHOICES.items()
         ]
         return [
             *sweep_commands,
-            ("Stop the profile", self._command(self._cancel_sweep)),
-            ("Test the smallest correcting change of part weights on all queries", self._command(self._request_effect)),
-            ("Use the smallest correcting change of part weights", self._command(self._use_weights)),
+            ("Stop the sweep", self._command(self._cancel_sweep)),
+            ("Test on all queries the weights that put the true tile first", self._command(self._request_effect)),
+            ("Use the weights that put the true tile first", self._command(self._use_weights)),
             ("Search by the whole query, not a region", self._command(self._search_region, [])),
             ("Save a report of this query", self._command(self._report)),
         ]
@@ -186,7 +187,7 @@ class ExplainWindow:
         if is_open:
             for tab in self._tabs[:4]:
                 tab.draw()
-            if self._models is not None:
+            if self._model_comparison is not None:
                 self._models_worker.wake()
         if is_open != self._open:
             self._open = is_open
@@ -214,8 +215,8 @@ class ExplainWindow:
         return sweep_page.page(analysis, sweep.request.over, profile, sweep.total, names, sweep.stopped)
 
     def _models_html(self, content: WindowContent) -> str:
-        assert self._models is not None
-        return self._models.page(content.analysis, self._workspace)
+        assert self._model_comparison is not None
+        return self._model_comparison.page(content.analysis, self._workspace)
 
     def _draw_models(self) -> None:
         if self._content is not None and self._content.analysis.state.why:
@@ -229,7 +230,10 @@ class ExplainWindow:
             self._panel.expand()
 
     def _compute(self) -> None:
-        """Compute the requested effect and sweep; the effect takes turns with the sweep's points."""
+        """Compute the requested effect and sweep.
+
+        An effect that is requested during the sweep is computed after the sweep's current point.
+        """
         self._compute_effect()
         sweep = None if self._content is None else self._content.sweep
         if sweep is None or sweep.total or sweep.ended:
@@ -350,12 +354,13 @@ class ExplainWindow:
         pair = None if self._content is None else self._content.pair
         if pair is not None and pair.comparison is not None and pair.comparison.change is not None:
             new = pair.comparison.change.weights
-            # On the sliders, equal weights are 1 each; scale down if one would exceed the slider's maximum.
+            # The weights sum to 1, but equal weights are 1 each on the sliders.
+            # If a scaled weight would exceed the sliders' maximum, all are scaled less.
             scaled = new * min(len(new), session_state.MAX_WEIGHT / new.max())
             weights = tuple(float(weight) for weight in scaled)
             self._change(lambda state: replace(state, weights=weights, enabled=()))
 
-    def _apply_point(self, value: Any) -> None:
+    def _apply_sweep_point(self, value: Any) -> None:
         self._change(lambda state: session_state.apply_point(state, value, self._workspace.spec.input_size))
 
     def _search_region(self, value: Any) -> None:

@@ -18,7 +18,7 @@ Tab = Literal["table", "breakdown", "maps"]
 OutcomeFilter = Literal["all", "failed", "found"]
 # Columns that the table always shows, if they exist.
 FIXED_COLUMNS = ("name", "rank", "margin", "part", "answer", "distance")
-# Further columns shown until the user chooses others, if they hold any value.
+# Further columns, shown until the user chooses others. A column without any value is left out.
 _DEFAULT_COLUMNS = ("altitude", "district", "tags")
 
 
@@ -37,7 +37,10 @@ class Selection:
     rows: Int64Array
 
     def same_as(self, other: Selection) -> bool:
-        """Compare by value, with the rows: a column may have a value called "not known", so labels are ambiguous."""
+        """Return whether kind, label, and rows are the same.
+
+        Labels alone are ambiguous: a column's value "not known" has the same label as the queries without a value.
+        """
         return (self.kind, self.label) == (other.kind, other.label) and np.array_equal(self.rows, other.rows)
 
 
@@ -85,7 +88,7 @@ class LabState:
 
 
 def for_task(lab: LabState, task: str) -> LabState:
-    """Return the state for another task; only choices that do not depend on the task stay."""
+    """Return the state for another task, with the choices that suit every task."""
     if lab.task == task:
         return lab
     return LabState(
@@ -108,14 +111,14 @@ def set_filter(lab: LabState, text: str, table: Table) -> LabState:
 
 
 def toggle_selection(lab: LabState, selection: Selection) -> LabState:
-    """Add a selection in place of the one of its kind, or remove it if it is there already."""
+    """Remove a selection if the state has it, otherwise add it."""
     if any(selection.same_as(other) for other in lab.selections):
         return remove_selection(lab, selection.kind)
     return add_selection(lab, selection)
 
 
 def add_selection(lab: LabState, selection: Selection) -> LabState:
-    """Add a selection in place of the one of its kind."""
+    """Add a selection; it replaces an earlier one of the same kind."""
     others = remove_selection(lab, selection.kind).selections
     return replace(lab, selections=(*others, selection), page=0)
 
@@ -240,7 +243,10 @@ def select_bin(findings: Findings, lab: LabState, name: str, index: int, bin_nam
 
 
 def select_pair(findings: Findings, lab: LabState, place: int, answered: int) -> Selection | None:
-    """Select the queries of one place that were answered with another; None if there are none."""
+    """Select the queries of `place` that were answered with `answered`.
+
+    The result is None if there is no such query.
+    """
     for confusion in confusions(findings, lab):
         if (confusion.place, confusion.answered) == (place, answered):
             return Selection("pair", " taken for ".join(place_names(findings, confusion)), confusion.queries)
@@ -248,20 +254,20 @@ def select_pair(findings: Findings, lab: LabState, place: int, answered: int) ->
 
 
 def select_part(findings: Findings, part: int) -> Selection:
-    """Select the failures whose margin a part lowers most."""
+    """Select the failures in which this part lowers the margin most."""
     blamed = findings.outcomes.failed & (findings.outcomes.deciding_part == part)
     return Selection("part", f"part {findings.part_names[part]} lowers the margin most", np.flatnonzero(blamed))
 
 
 def confusions(findings: Findings, lab: LabState) -> list[breakdown.Confusion]:
-    """Return the pairs of places that were taken for each other among the selected queries, the most frequent first."""
+    """Return the confusions among the selected queries, the most frequent first."""
     rows = selected_rows(findings, lab, "pair", any_outcome=True)
     task = findings.task
     return breakdown.confusions(findings.outcomes, task.query_labels, task.gallery_labels, rows)
 
 
 def place_names(findings: Findings, confusion: breakdown.Confusion) -> tuple[str, str]:
-    """Return the names of the tiles of a confusion's two places."""
+    """Return the names of a confusion's true tile and of its answer."""
     first = int(confusion.queries[0])
     positive, answer = (findings.table.columns[name].text(first) for name in ("truth", "answer"))
     return positive or str(confusion.place), answer

@@ -65,9 +65,10 @@ class QueryPanel:
         # viser shows an upload button even if `visible` is false.
         self._upload = UploadControl(gui, change, notify_error) if has_model else None
         with gui.add_folder("Pictures"):
-            self.find = gui.add_text("Find name", "")
+            self.find_box = gui.add_text("Find name", "")
             self._picker = _Picker(gui, workspace, change)
-        controls.bind("find", self.find, self._search)  # inputs are read in order, and finding a query resets the angle
+        # Inputs are read in order. The search comes after the sliders, because it resets them when it finds a query.
+        controls.bind("find", self.find_box, self._search)
         with gui.add_folder("Look"):
             controls.checkbox("Rings", "rings")
             controls.checkbox("Take apart", "exploded")

@@ -36,7 +36,7 @@ def add(
     calls: list[tuple[str, str | None, Callable[[], None]]] = [
         ("Copy link to what is shown", "I", lambda: bridge.call("copy")),
         ("Show the tour", None, lambda: bridge.call("tour")),
-        ("Find a picture by name", None, lambda: bridge.call("focus", uuid_of(panels.query.find))),
+        ("Find a picture by name", None, lambda: bridge.call("focus", uuid_of(panels.query.find_box))),
     ]
     if workspace.model is not None:
         calls.append(("Use my own picture", "U", lambda: bridge.call("upload")))

@@ -1,7 +1,8 @@
 """The gateway: authenticates requests and filters messages before viser sees them.
 
 viser 1.1.1 passes its page, its websocket handler, and its limits to `websockets.asyncio.server.serve` and has no hook for
-checks. `Gateway.protect` substitutes a `serve` that adds them. If viser does not call it, no server is started.
+checks. `Gateway.protect` substitutes a `serve` that adds them. If viser does not call that `serve`, its server
+is stopped.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ PageServer = Callable[[ServerConnection, WebsocketRequest], Response | None]
 
 # Bounds on connections without an answer yet, from one address and in total; each times out after 10 s.
 MAX_PENDING, MAX_ALL_PENDING = 64, 256
-# Token bucket for control frames and small message fragments, a second and in a burst. A browser sends hardly any.
+# Limits on control frames and small message fragments: tokens per second, and the size of the token bucket.
+# A browser sends hardly any.
 SMALL_FRAME_RATE, SMALL_FRAME_BURST = 20.0, 400.0
 SMALL_FRAME = 1024  # bytes
 
@@ -105,7 +107,7 @@ class Gateway:
         return self._server is not None and viser_compat.is_upload_button(self._server, uuid)
 
     def _respond(self, page: PageServer, connection: ServerConnection, request: WebsocketRequest) -> Response | None:
-        """Answer a request; None lets it open the websocket."""
+        """Return the response to a request, or None if it may open a websocket."""
         try:
             return self._authenticate_and_respond(page, connection, request)
         except Exception as error:  # for example a path that the file system rejects, or a repeated header
@@ -215,7 +217,10 @@ def _address(connection: ServerConnection) -> str:
 
 
 def _add_security_headers(response: Response, host: str) -> Response:
-    """Add headers that let viser's page load only from its own server and forbid other sites to embed it."""
+    """Add security headers to a response.
+
+    The page may load resources only from its own server. Other sites may not embed the page.
+    """
     own = f"'self' ws://{host} wss://{host}"  # some browsers do not apply 'self' to websockets
     response.headers["Content-Security-Policy"] = (
         "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "

@@ -27,7 +27,8 @@ MAX_TEXT = 60_000
 MAX_MESSAGE = 1 << 20
 # Uploads in progress at a time, and parts of one upload.
 MAX_UPLOADS, MAX_PARTS = 2, 200
-# Token bucket for the messages of one browser, a second and in a burst; others are delayed. A slider sends 20 a second.
+# Limits on one browser's messages: tokens per second, and the size of the token bucket. Excess messages are delayed.
+# A slider sends 20 a second.
 RATE, BURST = 200.0, 400.0
 
 _MAX_SHORT_TEXT = 200
@@ -179,7 +180,10 @@ class MessageFilter:
         return True
 
     def _continue(self, message: _UploadPart) -> bool:
-        """Count a part, but no part twice: viser ignores a repeated part, and its upload would stay incomplete."""
+        """Count a part of an upload, or return False to drop it.
+
+        A repeated part is dropped and not counted, because viser ignores it.
+        """
         upload = self._uploads.get(message.transfer_uuid)
         if (
             upload is None
