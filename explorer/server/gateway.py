@@ -207,7 +207,8 @@ def _http_request(connection: ServerConnection, request: WebsocketRequest) -> Ht
     headers: dict[str, list[str]] = {}
     for name, value in request.headers.raw_items():
         headers.setdefault(name.lower(), []).append(value)
-    upgrade = any("websocket" in value.lower() for value in headers.get("upgrade", ()))
+    # viser opens a websocket for exactly this value, and answers every other request with its page.
+    upgrade = headers.get("upgrade") == ["websocket"]
     return HttpRequest(request.path, headers, upgrade, _address(connection))
 
 
