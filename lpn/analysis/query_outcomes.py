@@ -1,4 +1,4 @@
-"""The outcome of every query of a task: its rank, its margin, and the part that decided, in one pass.
+"""Rank, margin, and deciding part of every query of a task, in one pass.
 
 With part weights w_i that sum to one, the nearest positive p and the hardest negative g of a query q:
 
@@ -39,8 +39,8 @@ class Outcomes:
         true: the nearest positive, on ties the first in gallery order; -1 where there is none, (Q,).
         false: the hardest negative; -1 where there is none, (Q,).
         parts: each part's term of the margin in d², (Q, n); NaN where `true` or `false` is -1.
-        margin: the sum of `parts`, -4 .. 4; positive where the query is found, and 0 where the two tiles are equal, (Q,).
-        deciding_part: 0-based: the one with the lowest term in a failure and with the highest in a success;
+        margin: the sum of `parts`, -4 .. 4; positive where `true` is nearer than `false`, (Q,).
+        deciding_part: the part, from 0, with the highest term if `rank` is 0, else the part with the lowest term;
             -1 without a margin, (Q,).
         weights: the part weights, summing to one, (n,).
     """
@@ -82,7 +82,7 @@ def build(
         progress: called after each block with the numbers of ranked and of all queries; an exception stops the work.
 
     Raises:
-        InputError: when shapes do not fit, a value is not finite, a side is empty, or a list names an unknown tile.
+        InputError: when shapes do not fit, a value is not finite, a side is empty, or `truth` names an unknown tile.
     """
     if queries.ndim != 3 or gallery.ndim != 3 or queries.shape[1:] != gallery.shape[1:]:
         raise InputError(
@@ -138,7 +138,7 @@ def table(
     if len(queries) != len(outcomes):
         raise InputError(f"There are {len(queries)} queries and {len(outcomes)} outcomes; give those of one task.")
     n = outcomes.parts.shape[1]
-    # Position -1, for none, indexes the last entry.
+    # Position -1 stands for none. It indexes the last entry, which is empty.
     parts = np.array([*(part_names or [str(i + 1) for i in range(n)]), ""], object)
     tiles = np.array([*(tile.name for tile in gallery), ""], object)
     columns = [

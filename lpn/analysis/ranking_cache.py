@@ -53,7 +53,7 @@ _DAMAGE = (
 
 
 class ResumableRanking:
-    """The ranking of all queries of a task under equal part weights, for one thread at a time.
+    """The ranking of all queries of a task under equal part weights; not thread-safe.
 
     If `progress` stops `finish` by an exception, the next call of `finish` continues the ranking.
     """

@@ -42,7 +42,7 @@ class Task:
         query_descriptors, gallery_descriptors: (Q, n, D) and (G, n, D), without part weights.
         truth: true matches and junk of each query, for data sets that list them; None if labels define the true matches.
         geometry: positions of the pictures; None without a `geo.csv`.
-        identity: digests of the descriptors, the key of cached rankings; empty if there are none.
+        identity: digests of both sides' descriptors, for the key of the cached ranking; empty if a digest is missing.
         weights: part weights, see `scoring.part_weights`; None for equal ones.
         notes: a person's tags and notes by the query's path, see `lpn.analysis.notes`.
     """
@@ -204,9 +204,13 @@ def choose_task(model: Model, dataset: Dataset, name: str | None = None) -> str:
         InputError: when the data set does not have the task, or the model does not know its views.
     """
     offered = offered_tasks(model, dataset)
-    name = name or next(iter(offered), "")
+    if not offered:
+        raise InputError(
+            f"{dataset.root.name} has no task whose views this model knows; choose another data set or model."
+        )
+    name = name or offered[0]
     if name not in offered:
         raise InputError(
-            f"The task is {name or 'none'}; {dataset.root.name} with this model has the tasks {', '.join(offered) or 'none'}."
+            f"The task is {name}; with this model, {dataset.root.name} has the tasks {', '.join(offered)}."
         )
     return name

@@ -51,10 +51,10 @@ from lpn.models.onnx_engine import Engine, graph_files
 
 # Seconds between two lines of progress.
 _PROGRESS_SECONDS = 5.0
-# Retries of a partition whose worker died, before the run fails: the partition itself may be what kills workers.
+# Retries of a partition whose worker died. They are limited because the partition itself may kill its workers.
 _RETRIES = 5
-# Default number of pictures of a shard.
-_SHARD = 256
+# Default number of pictures per shard.
+_PICTURES_PER_SHARD = 256
 # Maximum number of Ray Data blocks.
 _MAX_BLOCKS = 4096
 
@@ -100,10 +100,11 @@ def describe_shards(
         address: of a Ray cluster, "auto" for the one of this machine; None starts workers on this machine.
         workers: number of workers; by default as many as fit the cores.
         threads: cores of a worker; each worker has its own copy of the model.
-        shard: maximum average number of pictures of a shard, which is about what a killed worker loses. The default is that
-            of the last run into `out`, else 256. If the folder of pictures grows, the number of shards is doubled as needed.
-        positions: a file in the format of geo.csv, by default the `geo.csv` among the pictures; see `lpn.datasets.geo.match`
-            for its paths.
+        shard: maximum average number of pictures per shard. A killed worker loses about one shard of work. The default
+            is the value of the last run into `out`, else 256. If the folder of pictures grows, the number of shards is
+            doubled as needed.
+        positions: a file in the format of geo.csv; by default the `geo.csv` among the pictures. For how its paths are
+            matched to the pictures, see `lpn.datasets.geo.match`.
         boxes: crop boxes of pictures, by their names below `pictures`.
         say: called with each line of progress.
         worker: the worker's class.
@@ -234,7 +235,7 @@ def _hand_out(
     for rows in filter(None, phases):
         handed_out = data.from_items(rows, override_num_blocks=min(len(rows), _MAX_BLOCKS))
         with warnings.catch_warnings():
-            # Ray 2.60 recommends an option to limit retries that it does not have yet.
+            # Ray 2.60 warns that `ray_remote_args_fn` is deprecated, but has no replacement that limits retries.
             warnings.simplefilter("ignore")
             results = handed_out.map_batches(
                 worker,
@@ -267,10 +268,11 @@ def _plan(target: Storage, wanted: Plan, pictures: int) -> Plan:
     held = Plan.read(target)
     if held is not None and not held.comparable(wanted):
         raise StoreError(
-            f"{target.where} holds shards of {held.view} descriptors of model {held.fingerprint} in {held.precision}, and "
-            f"these would be {wanted.view} of {wanted.fingerprint} in {wanted.precision}; choose another place."
+            f"{target.where} holds shards of {held.view} descriptors of model {held.fingerprint} in {held.precision}, "
+            f"but this run would write {wanted.view} descriptors of model {wanted.fingerprint} in {wanted.precision}; "
+            "choose another place."
         )
-    shard = wanted.shard or (held and held.shard) or _SHARD
+    shard = wanted.shard or (held and held.shard) or _PICTURES_PER_SHARD
     least = max(1, -(-pictures // shard))
     if held is None:
         return replace(wanted, partitions=least, shard=shard)
@@ -289,7 +291,11 @@ def _retryable(notes: ShardMetadata) -> set[ShardItem]:
 def _checked_notes(
     target: Storage, plan: Plan, partitions: list[list[ShardItem]], digests: list[str]
 ) -> list[ShardMetadata]:
-    """Read the notes of all shards; raise StoreError if another run has changed a shard."""
+    """Read the notes of all shards.
+
+    Raises:
+        StoreError: if a shard is not visible from this machine, or another run has changed a shard.
+    """
     notes = [one for one in read_notes(target, plan, range(plan.partitions)) if one is not None]
     if unseen := plan.partitions - len(notes):
         raise StoreError(

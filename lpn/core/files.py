@@ -36,9 +36,9 @@ log = logging.getLogger(__name__)
 # Seconds without a write after which the partial file of a killed process is deleted. A process of another machine, which
 # cannot be checked from here, may still be writing a younger file.
 _ABANDONED_SECONDS = 60.0
-# Limit of open files: enough for 7 * 10^8 tiles. A limit of 2^30 can make starting processes slow.
+# Limit of open files. An index of 7 * 10^8 tiles stays below it. With a limit of 2^30, a process can be slow to start.
 _OPEN_FILES = 65_536
-# The limit of macOS, which reports that it has none.
+# macOS reports no limit, but refuses more than this.
 _OPEN_FILES_MACOS = 10_240
 
 
@@ -85,7 +85,7 @@ def open_memmap(path: Path) -> AnyArray:
         array: AnyArray = np.lib.format.open_memmap(path, mode="r")
     # NumPy raises these on damaged headers.
     except (EOFError, SyntaxError, TokenError, TypeError, OverflowError, MemoryError) as error:
-        raise ValueError("no array") from error
+        raise ValueError("the file does not hold a valid array") from error
     return array
 
 

@@ -70,8 +70,8 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
         return StoredDescriptors(store.float32, store.identity)
     except (StoreError, OutputError) as error:
         raise StoreError(
-            f"The cache of descriptors in {cache_folder()} cannot be used ({error}) Set LPN_CACHE to a folder that can be "
-            "written."
+            f"The cache of descriptors in {cache_folder()} cannot be used: {error} Set LPN_CACHE to a folder that "
+            "can be written."
         ) from error
 
 
@@ -162,7 +162,10 @@ def temporary_descriptors(
 def _from_complete_store(
     model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[Box | None]
 ) -> StoredDescriptors | None:
-    """Read descriptors from a complete store of these and maybe more files, which describing a subset would overwrite."""
+    """Read descriptors from a complete store that has all of these files; None without such a store.
+
+    The store may have more files. To describe only these would overwrite it.
+    """
     store = complete_store(folder)
     if store is None or len(store.manifest.rows) < len(files):
         return None

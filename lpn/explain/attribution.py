@@ -1,12 +1,15 @@
-"""Exact evidence: each part's share of a pair's score, and the cells of either picture that it comes from.
+"""Exact evidence: the share of each part and of each cell in a pair's score.
 
 With parts q_i, g_i of norm 1/sqrt(n) and part weights w_i that sum to one, cos_i = n q_i . g_i and
 
     score = sum_i w_i cos_i,        distance^2 = 2 - 2 score = sum_i 2 w_i (1 - cos_i).
 
-A test-time head is affine, so a part's raw embedding is a sum over the cells x of the feature maps F_p of the picture (and
-of its mirror, folded back) and one constant: e_i = sum_p sum_x a_pi(x) A_i F_p(x) + c_i. Hence, with the tile's part u_i of
-norm one,
+A test-time head is affine. The raw embedding of part i is therefore a sum over passes p and cells x, plus a constant:
+
+    e_i = sum_p sum_x a_pi(x) A_i F_p(x) + c_i.
+
+One pass is of the picture; LPN adds a second one, of its mirror. F_p is the feature map of a pass; the mirror's is
+flipped back. If u_i is the tile's part i, scaled to norm one, then
 
     cos_i = sum_x <sum_p a_pi(x) A_i F_p(x), u_i> / |e_i|  +  <c_i, u_i> / |e_i|,
 
@@ -68,7 +71,10 @@ class Evidence:
 
     @property
     def part_sums(self) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Each part's positive cells, negative cells, and constant, summed as shares of the query's score: (n,) each."""
+        """The sum of each part's positive cells, the sum of its negative cells, and its constant, (n,) each.
+
+        All are shares of the score on the query's side.
+        """
         cells = self.query.cells
         gains, losses = (clip(cells, 0.0).sum(axis=(1, 2)) * self.weights for clip in (np.maximum, np.minimum))
         return gains, losses, self.query.constants * self.weights
@@ -93,8 +99,9 @@ class Evidence:
     def to_dict(self, names: Sequence[str]) -> dict[str, Any]:
         """The evidence as JSON values, as `lpn explain` writes them.
 
-        A part's `contribution` is its weight times its cosine; contributions add up to the score. The `cells`, row by row, and
-        the `constant` add up to the cosine, on the query's side and, under `match`, on the tile's.
+        A part's `contribution` is its weight times its cosine; contributions add up to the score. `cells` (a list of
+        rows) and `constant` are the query's and add up to the part's cosine. Those in `match` are the tile's and add up
+        to the same cosine.
         """
         parts = [
             {
@@ -112,7 +119,11 @@ class Evidence:
 
 
 def side_evidence(trace: Trace, other: FloatingArray) -> SideEvidence:
-    """The evidence of one picture's cells for its cosines with another picture's descriptor or embedding (n, D)."""
+    """Split each part's cosine with another picture into shares of this picture's cells and a constant.
+
+    Args:
+        other: the other picture's descriptor or embedding, (n, D).
+    """
     units = other / np.maximum(np.linalg.norm(other, axis=1, keepdims=True), 1e-12)
     norms = np.maximum(np.linalg.norm(trace.embedding.astype(np.float64), axis=1), 1e-12)
     cells, constants = trace.along(units)
@@ -145,9 +156,10 @@ def evidence(query: Trace, tile: Trace, weights: Float32Array | None = None) -> 
 
 
 def cell_similarities(query: Trace, tile: Trace, part: int) -> Float32Array:
-    """Each pair of cells' share of a part's cosine, (h w, h' w'): rows are cells of the query, columns cells of the tile.
+    """The share of each pair of cells in a part's cosine, (h w, h' w').
 
-    The tile's constant is left out: with its share added, a row's sum is the query cell's value in `Evidence.query`.
+    Rows are cells of the query, and columns are cells of the tile. The constants have no row or column. A row's sum
+    and the share of the tile's constant add up to the query cell's value in `Evidence.query`.
     """
     norms = float(np.linalg.norm(query.embedding[part]) * np.linalg.norm(tile.embedding[part]))
     return cast(Float32Array, query.vectors(part) @ tile.vectors(part).T / np.float32(max(norms, 1e-12)))

@@ -6,10 +6,10 @@
 An add writes folders that the manifest does not name yet, and replaces the manifest last. If it is killed, the index is as it
 was before, and the next add deletes the leftovers.
 
-Segments are merged as in a log-structured merge tree, so that many small adds do not slow searches down. An add starts with
-its own tiles, and merges the newest older segment as long as that has at most twice as many tiles as are merged so far. Up
-to `max_segment_bytes`, each segment is then more than twice as large as the next newer one. The number of segments, and how
-often a tile is rewritten, grow with the logarithm of the number of tiles.
+Segments are merged as in a log-structured merge tree, so that many small adds do not slow searches down. An add
+starts with its own tiles. It then merges older segments, the newest first, while the next one has at most twice as many
+tiles as are merged so far. Up to `max_segment_bytes`, each segment is then more than twice as large as the next newer
+one. The number of segments, and how often a tile is rewritten, grow with the logarithm of the number of tiles.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from lpn.index.segments import DEAD, FILES, Segment, TileBatch, identity_of, key
 
 FORMAT = "lpn-index/1"
 MANIFEST = "index.json"
-_PART = r"\.\d+-\d+\.part"
-_UNFINISHED = re.compile(re.escape(MANIFEST) + _PART)
-_SUMS = re.compile(f"{re.escape(NAME)}({_PART})?")
+_TEMPORARY_SUFFIX = r"\.\d+-\d+\.part"
+_UNFINISHED = re.compile(re.escape(MANIFEST) + _TEMPORARY_SUFFIX)
+_SUMS = re.compile(f"{re.escape(NAME)}({_TEMPORARY_SUFFIX})?")
 _SEGMENT = re.compile(r"\d{7,}")
 _REMEDY = "delete the index and make it again"
 _ATTEMPTS = 20
@@ -160,7 +160,7 @@ def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
         with exclusive_lock(folder, wait=True):
             if (folder / MANIFEST).exists():
                 return _check_same_kind(folder, IndexManifest.read(folder), manifest)
-            # If a process is killed before it has written the manifest, it leaves no other files.
+            # A process that was killed before it wrote the manifest leaves at most the manifest's temporary file.
             others = [file.name for file in folder.iterdir() if not _UNFINISHED.fullmatch(file.name)]
             if others:
                 raise StoreError(
@@ -334,18 +334,18 @@ class FolderIndex(Index):
         ]
         unmerged, rows_new = self._plan_merge(sizes, len(batch.names))
         entries: list[ManifestEntry] = []
-        number = self._free(manifest.next)
+        number = self._unused_number(manifest.next)
         for entry, segment, mask, size in zip(manifest.segments[:unmerged], segments, masks, sizes, strict=False):
             if 2 * size < segment.rows:
                 if size:
                     entries.append(self._segment(number, segment.batches(mask), size))
-                    number = self._free(number + 1)
+                    number = self._unused_number(number + 1)
             elif mask is not segment.alive:
                 assert mask is not None
                 dead = f"dead-{number:07d}.npy"
                 np.save(segment.folder / dead, ~mask)
                 entries.append(replace(entry, dead=dead, dead_crc=zlib.crc32((segment.folder / dead).read_bytes())))
-                number = self._free(number + 1)
+                number = self._unused_number(number + 1)
             else:
                 entries.append(entry)
 
@@ -380,7 +380,7 @@ class FolderIndex(Index):
         write_checksums(self.folder / name)
         return ManifestEntry(name, rows)
 
-    def _free(self, number: int) -> int:
+    def _unused_number(self, number: int) -> int:
         """Return the first unused number from this one on."""
         while os.path.lexists(self.folder / f"{number:07d}"):
             number += 1
@@ -445,7 +445,7 @@ class Candidates:
 
 
 def gather(arrays: Sequence[AnyArray], places: Int64Array) -> AnyArray:
-    """Read rows of concatenated arrays by their places in the whole."""
+    """Read the rows at `places` of the concatenation of the arrays."""
     if len(arrays) == 1:
         return np.asarray(arrays[0][places])
     starts = np.cumsum([0, *(len(array) for array in arrays)])

@@ -108,10 +108,10 @@ class Learner:
 
 
 class MultiViewNetwork(nn.Module):
-    """All picture sets of a step in one forward call, as DistributedDataParallel requires.
+    """A network that takes all picture sets of a step in one forward call, as DistributedDataParallel requires.
 
-    By default each set is a batch of its own, as in the published code. If `joint`, sets that share weights and partition
-    form one batch, so that BatchNorm sees them together.
+    By default each set is a batch of its own, as in the published code. If `joint`, sets with the same weights
+    and the same partition form one batch, so that BatchNorm sees them together.
     """
 
     def __init__(self, network: LPN, joint: bool) -> None:

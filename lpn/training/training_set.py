@@ -33,7 +33,8 @@ class TrainingSet:
         panoramas: True if the street pictures cover the full circle.
 
     Raises:
-        DataError: when no place has both a satellite picture and one of another view.
+        DataError: when there are no satellite pictures, there are neither drone nor street pictures, or no place has a
+            picture in every set present.
     """
 
     def __init__(self, dataset: Dataset, console: Console, google: bool = True) -> None:
@@ -87,13 +88,13 @@ class TrainingSet:
             The removed places: label -> set -> files.
 
         Raises:
-            InputError: when the share is outside [0, 1), or either side would have fewer than 2 places.
+            InputError: unless the share is 0, or holds out at least 2 places and leaves at least 2.
         """
         count = round(share * len(self)) if 0 <= share < 1 else 0
         if share and not 2 <= count <= len(self) - 2:
             raise InputError(
-                f"The share of places held out is {share:g}, {count} of {len(self)} places; expected a share from 0 "
-                "up to 1 that leaves at least 2 places held out and 2 in training."
+                f"The share of places held out is {share:g}, {count} of {len(self)} places; expected 0, or a "
+                "share that holds out at least 2 places and leaves at least 2 in training."
             )
         order = np.random.default_rng([seed, len(self)]).permutation(len(self))
         out, rest = sorted(order[:count]), sorted(order[count:])

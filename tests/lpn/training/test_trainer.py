@@ -216,7 +216,7 @@ def test_held_out_places_choose_and_are_not_trained_on(places: Path, tmp_path: P
     with pytest.raises(InputError, match="other training pictures"):
         trainer(places, tmp_path / "run", quick, evaluate_every=1, resume=True)
     for share in (-0.1, 0.01, 1.0, float("nan")):
-        with pytest.raises(InputError, match="at least 2 on either side"):
+        with pytest.raises(InputError, match="holds out at least 2 places and leaves at least 2"):
             trainer(places, tmp_path / "other", quick, evaluate_every=1, validate=share)
     with pytest.raises(InputError, match="--evaluate-every"):
         trainer(places, tmp_path / "other", quick, validate=0.25)
