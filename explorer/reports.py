@@ -111,7 +111,7 @@ class Reporter:
         except Exception as error:
             text = f"{type(error).__name__}: the details are in the server's log."
             if isinstance(error, WorkCancelledError):
-                text = "It was cancelled."
+                text = "The report was cancelled."
             elif isinstance(error, LPNError):
                 text = str(error)
             notification.title, notification.body, notification.loading = "No report", text, False

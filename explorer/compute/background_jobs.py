@@ -17,7 +17,8 @@ from lpn.core.errors import LPNError
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
-# Takes the finished and the total amount of work, (0, 0) if unknown. Raises `WorkCancelledError` when all clients have left.
+# A function that reports the finished and the total amount of work, (0, 0) if unknown. It raises `WorkCancelledError`
+# when all clients have left.
 ReportProgress = Callable[[int, int], None]
 
 
@@ -76,7 +77,7 @@ class BackgroundJob(Generic[T]):
         try:
             self.value = self._work(self._report)
         except WorkCancelledError:
-            self.error = "It was cancelled."
+            self.error = "The computation was cancelled."
         except LPNError as error:
             self.error = str(error)
         except Exception as error:
@@ -154,7 +155,10 @@ def run_in_process(report: ReportProgress, function: Callable[..., T], *argument
 
 @contextmanager
 def _sigint_blocked() -> Iterator[None]:
-    """Block SIGINT in this thread and in processes that it starts: their parent ends them, not Ctrl-C in the terminal."""
+    """Block SIGINT in this thread and in the processes that it starts.
+
+    Ctrl-C in the terminal does not end these processes then. This process ends them.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

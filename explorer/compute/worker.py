@@ -1,4 +1,4 @@
-"""A worker thread that computes only the newest request of a browser, and a call after a delay."""
+"""A worker thread for the newest request of a browser, and a delayed call."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ class Worker:
             if self._thread is None and not self._stopped:
                 thread = threading.Thread(target=self._loop, name="explorer-worker", daemon=True)
                 thread.start()
-                self._thread = thread  # after `start`: if it fails for lack of threads, the next `wake` tries again
+                # `start` may fail for lack of threads. Then `_thread` stays None, and the next `wake` tries again.
+                self._thread = thread
 
     def stop(self) -> None:
         """End the thread after the current run."""

@@ -35,11 +35,12 @@ class EvaluateCommand:
     rotate: float = 0.0
     """Degrees counter-clockwise by which each query is rotated first (Table IV)."""
     shift: int = 0
-    """Pixels of the network's input by which each query is shifted right, with black at its left; negative: left."""
+    """Pixels of the network's input to shift each query to the right; a negative number shifts it to the left. The side
+    that is uncovered becomes black."""
     scale: float = 1.0
     """Zoom factor of each query about its centre; below 1 with a black border."""
     parts: str | None = None
-    """Parts to use, from 1, such as 1,2 (Table V); all by default."""
+    """Parts to use, numbered from 1 and separated by commas, such as 1,2 (Table V); by default all parts."""
     branch: View | None = None
     """Branch of the model that describes both queries and gallery (Table VI); by default the branch of each view."""
     average_queries: bool = False
@@ -118,7 +119,8 @@ def _print_result(title: str, result: Result) -> None:
     console.print(result.sentence)
     if near := result.distances():
         shares = ", ".join(f"{value:.1f} % {key}" for key, value in near.items() if key.startswith("within"))
-        console.print(f"Error of the top match: median {near['median error m']:.1f} m; {shares} (geo.csv).")
+        median = f"{near['median error m']:.1f} m"
+        console.print(f"By geo.csv, the median error of the top match is {median}; the shares of queries are {shares}.")
 
 
 def _numbers(text: str | None) -> list[int] | None:

@@ -1,8 +1,8 @@
 """Stopping on Ctrl-C and SIGTERM: finish the files being written, print one sentence, and exit within two seconds.
 
-The first signal raises KeyboardInterrupt in the main thread, or, if that thread is writing a file, as soon as the file is
-complete. The process exits at once after a second signal, or if the command has not ended two seconds after the first.
-Files on the disk are complete at any moment (see `lpn.core.files.write_atomic`).
+The first signal raises KeyboardInterrupt in the main thread. If that thread is writing a file, the exception comes when
+the file is complete. The process exits at once after a second signal, or if the command has not ended two seconds after
+the first. Files on the disk are complete at any moment (see `lpn.core.files.write_atomic`).
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
-# Seconds that a command has to end by itself.
+# Seconds after the first signal within which a command should end by itself.
 GRACE = 2.0
-# Further seconds that file writes in progress have to end.
+# Further seconds to wait for file writes in progress.
 WRITE_SECONDS = 10.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -104,7 +104,7 @@ class StopSignals:
         self._over = threading.Event()
 
     def end(self) -> int:
-        """Report the stop, only once in all threads, and return the exit status."""
+        """Report the stop and return the exit status; if several threads call this, only the first one reports."""
         if not self._reported.acquire(blocking=False):
             threading.Event().wait(GRACE)  # the other thread is about to exit the process
         return self._report(self.signal or signal.SIGINT)

@@ -39,9 +39,10 @@ class Picture:
 
     Attributes:
         path: the file.
-        label: number of its place; unless `Dataset.truth` lists them, the true matches are the pictures of equal label.
-        name: name for display: the one that the data set gives, or the place's folder and, if the place has several
-            pictures, the file ("0005/01" for 0005/image-01.jpeg).
+        label: number of its place. Pictures of equal label are true matches, unless `Dataset.truth` lists the true
+            matches.
+        name: name for display. If the data set gives none, it is the place's folder. If the place has several pictures,
+            the file is added ("0005/01" for 0005/image-01.jpeg).
         box: the query region (left, top, right, bottom) in pixels, in Oxford5k and Paris6k; else None.
         panorama: True if it shows the full circle with north in the middle column.
     """
@@ -81,7 +82,7 @@ class LeftOut:
     Attributes:
         file: its path below the root.
         why: reason as a predicate, such as "is not there".
-        published: True if the published data set has the same defect, so that this copy is intact.
+        published: True if the published data set has the same defect. This copy is intact then.
     """
 
     file: str
@@ -201,7 +202,10 @@ def hidden(path: Path) -> bool:
 
 
 def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
-    """Return all files below a folder with one of these suffixes, in order of path; hidden ones are skipped."""
+    """Return the files below a folder whose names end in one of `suffixes`, sorted by path.
+
+    Hidden files and folders are skipped.
+    """
     found: list[Path] = []
     for folder, folders, names in os.walk(root):
         folders[:] = [name for name in folders if not name.startswith(".")]
@@ -285,7 +289,10 @@ def read_rows(path: Path, name: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def warn_left_out(dataset: Dataset, what: str, effect: str) -> None:
-    """Log one warning about the files that a data set leaves out; `what` and `effect` are clauses of the sentence."""
+    """Log one warning about the files that a data set leaves out.
+
+    The warning reads "<data set>: <number> <what>: <files>; <effect>."
+    """
     if dataset.left_out:
         some = ", ".join(f"{printable(item.file)} ({item.why})" for item in dataset.left_out[:3])
         more = f", and {len(dataset.left_out) - 3} more" if len(dataset.left_out) > 3 else ""

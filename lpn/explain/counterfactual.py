@@ -21,7 +21,7 @@ from lpn.datasets import Truth
 from lpn.explain._least_distance import shortest
 from lpn.retrieval import Ranking, metrics, scoring
 
-# Score by which `smallest_change` puts a tile before all negatives: above the rounding errors of float32, yet negligible.
+# Smallest lead in score over every negative in `smallest_change`. Rounding errors of float32 are smaller.
 MIN_SCORE_LEAD = 1e-5
 
 
@@ -97,7 +97,10 @@ class RanksWithoutParts:
 
     @property
     def best_alone(self) -> int | None:
-        """The part (from 0) that alone ranks the positive first, with the largest margin; None if no part does."""
+        """The part (from 0) that ranks the positive first on its own; None if no part does.
+
+        If several parts do, this is the part with the largest margin.
+        """
         return _best(self.alone)
 
 
@@ -148,7 +151,7 @@ class Reweighting:
 
 
 def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | None:
-    """The part weights nearest to the ranking's that put a positive first.
+    """Find the smallest change of the ranking's weights that puts a positive first.
 
     For each positive p this is a convex program: minimise |w - w_now|^2 subject to w_i >= 0, sum_i w_i = 1, and
     sum_i w_i (cos_i(p) - cos_i(g)) >= MIN_SCORE_LEAD for every negative g. `lpn.explain._least_distance` solves it exactly.
@@ -171,7 +174,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
         return Reweighting(ranking.weights, np.zeros_like(ranking.weights), 0.0, first)
     n, now = len(ranking.weights), ranking.weights.astype(np.float64)
     now /= now.sum()
-    # An orthonormal basis of the changes that sum to zero, so that coordinates have the length of the change.
+    # The columns are an orthonormal basis of the changes that sum to zero. Coordinates keep the norm of a change.
     basis = np.linalg.svd(np.ones((1, n)))[2][1:].T
     cosines = ranking.cosines.astype(np.float64)
     best, reach = None, float(np.linalg.norm(np.eye(n) - now, axis=1).max())
@@ -224,7 +227,8 @@ def effect(
 ) -> Effect:
     """Compare two sets of part weights over all queries of a task.
 
-    Each set takes one retrieval; see `lpn.retrieval.metrics.retrieve` for its memory and errors.
+    This takes one retrieval for `after`, and another one for `before` if `first` is not given. For the memory and the
+    errors of a retrieval, see `lpn.retrieval.metrics.retrieve`.
 
     Args:
         query, gallery: descriptors, (Q, n, D) and (G, n, D).

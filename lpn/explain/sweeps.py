@@ -28,7 +28,8 @@ from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 
-# The swept property: degrees counter-clockwise, pixels of the network's input to the right or down, or a factor.
+# The property that a sweep varies. Rotation is in degrees counter-clockwise. A shift to the right or down is in pixels
+# of the network's input. Zoom is a factor.
 SweptProperty = Literal["rotation", "shift", "shift-down", "zoom"]
 UNITS: dict[SweptProperty, str] = {"rotation": "°", "shift": " px", "shift-down": " px", "zoom": " x"}
 # The field of `Change` that each sweep varies.
@@ -83,7 +84,8 @@ def run_sweep(
         follow: gallery position of the tile to follow in place of the nearest positive.
 
     Raises:
-        InputError: if the model lacks the view, no tile or not `follow` is ranked, or a change leaves an empty picture.
+        InputError: if the model lacks the view, all tiles are junk, the tile `follow` is not in the ranking, or a
+            change leaves an empty picture.
     """
     model.check_view(view)
     for change in changes:
@@ -145,16 +147,20 @@ class SweepResult:
         return next((point for point in self.points if point.change == self.base), None)
 
     def gain(self, point: Point) -> tuple[int, float] | None:
-        """Return the ranks and the score that the followed tile gains over the base change; None until that is computed."""
+        """Return how many ranks and how much score the followed tile gains over the base change.
+
+        None until the base change is computed.
+        """
         before = self.unchanged
         return None if before is None else (before.rank - point.rank, point.score - before.score)
 
     def heading(self) -> float | None:
-        """Estimate the heading of the query, 0 .. 360 degrees clockwise from north, without ground truth; None unless rotated.
+        """Estimate the heading of the query, 0 .. 360 degrees clockwise from north.
 
-        The gallery must be north-up. On the demo, in steps of 15 degrees, the median error is 12 degrees for pictures from
-        straight above and 33 for tilted ones (chance: 90). The estimate points the opposite way for one in ten of the former
-        and four in ten of the latter.
+        None unless the sweep is a rotation. The estimate needs no ground truth, but the gallery must be north-up. On
+        the demo, in steps of 15 degrees, the median error is 12 degrees for pictures from straight above and 33 for
+        tilted ones (chance: 90). The estimate points the opposite way for one in ten pictures from straight above, and
+        for four in ten tilted ones.
         """
         return -self.best_top_match.change.rotate % 360 if self.over == "rotation" else None
 
@@ -183,7 +189,7 @@ class SweepResult:
         return text.getvalue().encode()
 
     def _highest(self, scores: Sequence[float]) -> Point:
-        places = sorted(range(len(scores)), key=lambda i: (-scores[i], _size(self.over, self.points[i].change)))
+        places = sorted(range(len(scores)), key=lambda i: (-scores[i], _magnitude(self.over, self.points[i].change)))
         return self.points[places[0]]
 
 
@@ -204,7 +210,8 @@ def changes_over(
 ) -> list[Change]:
     """Return the changes of a sweep from coarse to fine, so that the first points already show its shape.
 
-    The first change is none. Each further one is farthest from all before it: a rotation goes 0, 180, 90, 270, 45, ...
+    The first one leaves the query as it is. Each further one is farthest from all earlier ones: a rotation goes 0, 180,
+    90, 270, 45, ...
 
     Args:
         over: a rotation covers the full circle, shifts go both ways, and zooms go in and out by equal factors.
@@ -216,7 +223,7 @@ def changes_over(
         InputError: if a number is out of range, or there would be more than 3600 points.
     """
     if over not in get_args(SweptProperty):
-        raise InputError(f"The sweep is over {over!r}; expected one of {', '.join(get_args(SweptProperty))}.")
+        raise InputError(f"There is no sweep over {over!r}; expected one of {', '.join(get_args(SweptProperty))}.")
     if over == "rotation":
         step = _checked("step", 15.0 if step is None else step, 0, 360, "degrees")
         if reach is not None:
@@ -253,7 +260,10 @@ def _both_sides(count: int) -> list[int]:
 
 
 def _coarse_first(values: Sequence[float], circle: float | None = None) -> list[int]:
-    """Return the positions of values, each as far as possible from all before; the first wins ties."""
+    """Return the positions of values in farthest-point order, which starts at position 0.
+
+    Each next value is as far as possible from all values before it. Of equally far values, the first one is next.
+    """
     places = np.asarray(values, dtype=np.float64)
     order, nearest = [0], np.full(len(places), np.inf)
     while len(order) < len(places):
@@ -265,8 +275,8 @@ def _coarse_first(values: Sequence[float], circle: float | None = None) -> list[
     return order
 
 
-def _size(over: SweptProperty, change: Change) -> float:
-    """Return how far a change is from none."""
+def _magnitude(over: SweptProperty, change: Change) -> float:
+    """Return the magnitude of a change; 0 if it leaves the query as it is."""
     number = swept_value(over, change)
     if over == "rotation":
         return min(number, 360 - number)

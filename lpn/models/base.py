@@ -115,7 +115,7 @@ class Model(ABC):
         return pictures.normalise(self.to_input_size(picture, view))
 
     def part_embeddings(self, images: Any, view: View) -> Float32Array:
-        """Return the raw head outputs, (B, n, D) float32, in the checkpoint's classifier order.
+        """Return the raw head outputs, (B, n, D) float32; the parts are in the order of the checkpoint's classifiers.
 
         Raises:
             InputError: if images are not (B, 3, H, W) float32, or the model lacks the view.
@@ -182,7 +182,7 @@ def as_array(values: Any) -> AnyArray:
     try:
         return np.asarray(values)
     except ValueError as error:
-        raise InputError("The rows have unequal lengths; expected an array, so make them equal.") from error
+        raise InputError("The rows have unequal lengths; expected rows of one length.") from error
 
 
 def normalise(raw: Float32Array) -> Float32Array:

@@ -47,7 +47,13 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A tile that is compared with the query: its match, its picture as partitioned, and evidence if there is a network."""
+    """A tile that is compared with the query.
+
+    Attributes:
+        match: the tile's entry in the ranking.
+        picture: the tile's picture on which parts are drawn, see `Model.as_partitioned`.
+        evidence: the evidence for the score; None without a network.
+    """
 
     match: Match
     picture: UInt8Array
@@ -61,12 +67,13 @@ class Case:
     Attributes:
         known: True if the query's place is known, even if the gallery has no tile of it.
         facts: names and values of the query's metadata.
-        picture: the query as partitioned.
+        picture: the query's picture on which parts are drawn, see `Model.as_partitioned`.
         matches: the nearest tiles, then the nearest positive if it is not among them.
         errors_m: error of each of `matches` in metres; None if positions are unknown.
         positive: the nearest positive; None if none is known.
         hardest_negative: the nearest negative; None if none is known.
-        pairs: the compared tile, then its counterpart: the hardest negative for a positive, else the nearest positive.
+        pairs: the compared tile, then its counterpart if there is one. The counterpart of a positive is the hardest
+            negative. The counterpart of another tile is the nearest positive.
         margin: margin of the positive in `pairs` over the other tile; None if `pairs` is one tile.
         without: ranks of the positive without each part; None if no positive is known.
         change: the smallest change of part weights that puts a positive first; None if impossible or needless.

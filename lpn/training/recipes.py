@@ -72,7 +72,7 @@ class Recipe:
     polar: bool = False
     """Unroll satellite tiles around their centre into the shape of a panorama."""
     google: bool = True
-    """Train the street branch on train/google, too, if it exists."""
+    """Train the street branch also on the pictures in train/google, if that folder exists."""
     size: int = 256
     """Height of the network's input in pixels."""
     width: int = 0
@@ -130,7 +130,7 @@ class Recipe:
     place_rotation: float = 0.0
     """Random rotation of all views of a place together, up to this many degrees either way."""
     black_corners: float = 1.0
-    """Probability that the corners of a rotated picture are black, as in a rotated query, rather than mirrored."""
+    """Probability that the corners of a rotated picture are black, as in rotated queries, instead of reflected."""
     own_canvas: float = 0.0
     """Probability that a picture is rotated before it is resized, as rotated queries are, rather than after."""
     shift: float = 10 / 256
@@ -217,8 +217,8 @@ _CVUSA = Recipe(
 
 # university1652, cvusa: the recipes of the paper.
 # safa: the recipe of SAFA (Shi et al. 2019), with panoramas of 112 x 616 pixels.
-# small: fine-tuning an ImageNet backbone on a few hundred places, all drone pictures with the same heading.
-# world: fine-tuning as in small, with drone pictures of any heading, such as those of a rendered world.
+# small: fine-tuning an ImageNet backbone on a few hundred places. All drone pictures have the same heading.
+# world: fine-tuning as in small. Drone pictures have any heading, as in a rendered world.
 RECIPES: dict[str, Recipe] = {
     "university1652": Recipe(),
     "cvusa": _CVUSA,
@@ -267,7 +267,7 @@ _SAFA: dict[str, Any] = {
     "width": 616,
 }
 
-# The methods that the paper compares. Each replaces settings of a recipe, among them all that select the loss.
+# The methods that the paper compares. Each replaces the settings of a recipe that select the loss, and some others.
 # lpn: LPN with square rings.
 # instance: the baseline, global average pooling with the instance loss.
 # contrastive, triplet-*, soft-margin: the baseline with a metric loss in place of the instance loss.
