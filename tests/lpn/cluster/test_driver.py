@@ -263,7 +263,7 @@ def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
         small_worlds.write(file, small_worlds.place(90))
     with pytest.raises(StoreError, match="The driver is gone"):
         describe(model_file, folder, done, worker=Dying)
-    with pytest.raises(StoreError, match="the run that wrote them has not ended"):
+    with pytest.raises(StoreError, match="their run has not ended"):
         open_shards(done)
     assert main.main(["gather", f"--shards={done}", f"--out={tmp_path / 's'}"]) == 2
     assert not (tmp_path / "s").exists()
@@ -310,7 +310,7 @@ def test_shards_of_a_folder_that_grows_stay_small(model_file: Path, folder: Path
         shutil.copy2(file, pictures)
     with pytest.raises(StoreError, match="The driver is gone"):
         run(Interrupted)
-    with pytest.raises(StoreError, match="the run that wrote them has not ended"):
+    with pytest.raises(StoreError, match="their run has not ended"):
         open_shards(out)
     assert run().computed == 3
     assert len(sizes()) == 8

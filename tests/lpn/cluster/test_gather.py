@@ -172,7 +172,7 @@ def test_an_index_is_made_of_one_state_as_far_as_it_goes(
     check([*RUNS[run], *there])
 
 
-@pytest.mark.parametrize(("ends", "said"), [(False, "the run that wrote them has not ended"), (True, ANEW)])
+@pytest.mark.parametrize(("ends", "said"), [(False, "their run has not ended"), (True, ANEW)])
 def test_a_run_that_begins_or_ends_while_shards_are_opened_is_seen(
     ends: bool, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

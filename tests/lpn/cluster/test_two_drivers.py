@@ -29,7 +29,7 @@ from lpn.models.base import normalise
 
 KIND = Plan("f" * 16, "drone", 2, 4, "float32", 1)
 ANOTHER = "Another run of lpn describe wrote to .* meanwhile; run this again when it has ended"
-NOT_ENDED = "the run that wrote them has not ended"
+NOT_ENDED = "their run has not ended"
 NOT_ALL = "are not all those of the run that ended last, .* run lpn describe --engine ray again"
 
 
