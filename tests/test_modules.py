@@ -41,7 +41,7 @@ def imports(name: str, file: Path, known: dict[str, Path]) -> set[str]:
 
 
 def quick(file: Path) -> bool:
-    """Whether a file of tests has any that is not slow."""
+    """Return True if a test file has a test that is not slow."""
     return not any(
         isinstance(node, ast.Assign) and ast.unparse(node) == "pytestmark = pytest.mark.slow"
         for node in ast.parse(file.read_text()).body

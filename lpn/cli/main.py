@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -52,6 +53,7 @@ COMMANDS: dict[str, type[Any]] = {
 }
 
 
+@cache  # it looks through all installed packages
 def commands() -> dict[str, type[Any]]:
     """Return each subcommand by its name: those of other packages (entry points `lpn.commands`), then our own."""
     return {point.name: point.load() for point in entry_points(group="lpn.commands")} | COMMANDS

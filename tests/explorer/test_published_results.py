@@ -19,7 +19,7 @@ from tools.fixtures.published_results import save_result
 
 @pytest.fixture(scope="module")
 def workspace(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
-    """What the model of the other tests finds, without the model."""
+    """A saved result with the descriptors of the other tests' model."""
     file = tmp_path_factory.mktemp("saved") / "pytorch_result.mat"
     save_result(file, data, model_file)
     return open_saved(data, load_saved(file, 4))

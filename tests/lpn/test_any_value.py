@@ -49,7 +49,7 @@ def test_a_manifest_with_any_value_is_read_or_refused(key: str, value: Any) -> N
         read = descriptors.Manifest.from_json(json.dumps(MANIFEST | {key: value}).encode(), "manifest.json")
     except LPNError:
         return
-    # What is accepted can be written and is the same again.
+    # An accepted value survives a round trip through its file.
     assert descriptors.Manifest.from_json(read.to_json(), "manifest.json") == read
 
 

@@ -200,7 +200,7 @@ def test_twenty_browsers_at_once_each_get_their_own_right_answer(
                         time.sleep(rng.random() * 0.02)
                 browser.wait(lambda: browser.status("angle") == str(angles[-1]), TIMEOUT)
                 direct.check(browser)
-                # What it asked for, in that order; states may be skipped.
+                # The shown states are requested ones in their order; states may be skipped.
                 asked = iter([(0, 0.0), *((query, float(angle)) for query in queries for angle in (0, *angles))])
                 assert all(state in asked for state in browser.shown), browser.shown
         except BaseException as error:

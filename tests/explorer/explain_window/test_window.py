@@ -1,4 +1,4 @@
-"""What the window of reasons shows, and what it makes of messages from the page."""
+"""The explain window: its tabs, and its answers to messages from the page."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def test_a_point_of_a_profile_from_the_page_stays_within_bounds(value: Any) -> N
 
 
 class Gui:
-    """As much of viser's as a bridge needs."""
+    """The part of viser's interface that a bridge needs."""
 
     class Text:
         value: Any = ""

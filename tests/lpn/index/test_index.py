@@ -489,7 +489,7 @@ def test_a_full_disk_is_told_in_a_sentence(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.fixture
 def client(monkeypatch: pytest.MonkeyPatch) -> type[FakeMilvusClient]:
-    """What a client of this test meets."""
+    """The fake Milvus client of a test."""
     return pretend(monkeypatch, KIND)
 
 

@@ -15,7 +15,7 @@ from tools.fixtures.milvus_server import COLLECTION, FakeMilvusClient, MilvusSer
 
 @pytest.fixture
 def client(monkeypatch: pytest.MonkeyPatch) -> type[FakeMilvusClient]:
-    """What a client of this test meets."""
+    """The fake Milvus client of a test."""
     return pretend(monkeypatch, KIND)
 
 
