@@ -22,11 +22,11 @@ from explorer.panels import shortcuts, tour
 from explorer.panels.glossary import Glossary
 from explorer.panels.panels import Panels
 from explorer.panels.query_panel import PAGE_SIZE
-from explorer.panels.viewport import Viewport
 from explorer.reports import Reporter
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.stage.scene import SCENE, Stage
+from explorer.stage.viewport import Viewport
 from explorer.url_state import UrlState
 from explorer.web import style
 from explorer.web.bridge import PageBridge
@@ -89,7 +89,7 @@ class ClientSession:
             self._bridge = PageBridge(client.gui, handlers, properties, style.STYLE)
             commands = [*self._explain_window.commands(), *self._lab.commands(), ("Glossary", glossary.show)]
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, commands)
-            self._stage = Stage(client, workspace, self._on_select)
+            self._stage = Stage(client, workspace, viewport, self._on_select)
             self._worker = Worker(self._work, self._on_error)
             self._ranking_progress = RankingProgress(self._panels.answer.show_results, self._worker.wake)
             self._greeting_timeout = DelayedCall(_ADDRESS_TIMEOUT, self._worker.wake)

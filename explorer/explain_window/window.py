@@ -16,9 +16,9 @@ from explorer.compute.worker import Worker
 from explorer.explain_window import comparison, evidence, region, sweep_page
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
-from explorer.panels.viewport import EDGE, Viewport
 from explorer.reports import Reporter
 from explorer.session_state import SessionState, StateChange
+from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace

@@ -20,9 +20,9 @@ from explorer.failure_lab.messages import LabMessage
 from explorer.failure_lab.note_form import NoteForm
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
-from explorer.panels.viewport import EDGE, Viewport
 from explorer.reports import Reporter
 from explorer.session_state import SessionState, StateChange
+from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import Int64Array

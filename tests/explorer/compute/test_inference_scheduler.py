@@ -277,9 +277,9 @@ def test_no_client_is_served_twice_while_another_waits(network: ManualModel) -> 
     turns = [mark for marks in passes for mark in marks]
     for mark in range(7):
         places = [place for place, of in enumerate(turns) if of == mark]
-        # Clients of one batch make their next requests in any order.
+        # Clients of one batch make their next requests in any order, so one of them may always be the later one.
         assert np.diff(places).max() <= 7 + 1
-        assert len(places) >= len(turns) // 7 - 1
+        assert len(places) >= len(turns) // (7 + 1)
 
 
 def test_clients_beyond_the_queues_bound_are_served_in_turn(network: ManualModel) -> None:

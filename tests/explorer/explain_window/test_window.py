@@ -21,9 +21,9 @@ from explorer.explain_window import comparison, evidence, region, sweep_page
 from explorer.explain_window.sweep_request import SweepRequest
 from explorer.explain_window.window import ExplainWindow
 from explorer.opening import open_model
-from explorer.panels.viewport import Viewport
 from explorer.server.message_filter import MAX_TEXT
 from explorer.session_state import SessionState
+from explorer.stage.viewport import Viewport
 from explorer.web.bridge import PageBridge
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
