@@ -50,6 +50,8 @@ class TrainCommand:
     """Share of the training places held out to select the best epoch; at 0 the test split selects it."""
     workers: int = 0
     """Threads that prepare pictures; 0 chooses by the machine. They do not affect the result."""
+    compile: bool = False
+    """Compile the backbone by torch.compile; the first step then takes minutes, and losses differ by rounding."""
     settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
 
     def run(self) -> None:
@@ -67,6 +69,7 @@ class TrainCommand:
                 workers=self.workers,
                 validate=self.validate,
                 group=group,
+                compiled=self.compile,
             )
         )
         run.console.print(f"Recipe {self.recipe}: {self.settings.to_json()}")

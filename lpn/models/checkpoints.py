@@ -6,7 +6,8 @@ import logging
 import pickle
 import re
 import warnings
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,7 +18,7 @@ from torch import Tensor
 
 from lpn.core.arrays import Float32Array
 from lpn.core.checksums import SEAL, UNSEALED, check_claimed_size, check_entries, check_seal, with_seal
-from lpn.core.errors import ModelFileError
+from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import fingerprint, write_atomic
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.views import BRANCH, View
@@ -33,23 +34,42 @@ _AGAIN = "copy it again from where it came, or make it again"
 
 
 class TorchModel(Model):
-    """A model that runs in PyTorch, on the CPU or the GPU the network was put on."""
+    """A model that runs in PyTorch, on the CPU or the GPU the network was put on.
 
-    def __init__(self, network: LPN, fingerprint: str = "") -> None:
+    Args:
+        compiled: run the backbones by torch.compile, which takes a minute at the first batch of each size.
+
+    Raises:
+        InputError: if `compiled`, and torch finds no compiler.
+    """
+
+    def __init__(self, network: LPN, fingerprint: str = "", compiled: bool = False) -> None:
         self.network = network.eval()
         self.spec = network.spec
         self.fingerprint = fingerprint
-        self.batch = 64 if next(network.parameters()).device.type == "cuda" else 8
+        self.device = next(network.parameters()).device
+        self.batch = 64 if self.device.type == "cuda" else 8
+        if compiled:
+            compile_backbones(network)
+
+    def describe(self) -> str:
+        """Return one line for a header or a log: the architecture, and the GPU if there is one."""
+        return super().describe() + ("" if self.device.type == "cpu" else f", on {self.device.type.upper()}")
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Run one forward pass of images (B, 3, H, W)."""
-        device = next(self.network.parameters()).device
-        # By default cuDNN convolves in TF32, whose ten-bit mantissa changes descriptors by more than 1e-4.
-        precise = torch.backends.cudnn.flags(allow_tf32=False) if device.type == "cuda" else nullcontext()
-        with torch.inference_mode(), precise:
-            outputs = self.network.embed(torch.tensor(images, device=device), view)
+        outputs = self._forward(images, view)
         parts, features, attention = (None if tensor is None else tensor.cpu().numpy() for tensor in outputs)
         return ForwardPass(cast(Float32Array, parts), cast(Float32Array, features), attention)
+
+    def _parts(self, images: Float32Array, view: View) -> Float32Array:
+        return cast(Float32Array, self._forward(images, view)[0].cpu().numpy())
+
+    def _forward(self, images: Float32Array, view: View) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Return the network's outputs on its device."""
+        # Only full batches recur often enough to repay the benchmark of their shape.
+        with exact_inference(benchmark=len(images) == self.batch):
+            return self.network.embed(torch.tensor(images, device=self.device), view)
 
     def map_size(self, view: View) -> tuple[int, int]:
         """Return (h, w) of the feature map of an image of the model's input size."""
@@ -65,13 +85,50 @@ class TorchModel(Model):
         return Heads(weight, bias, self.spec.partition(view).weights(*self.map_size(view)))
 
 
-def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchModel:
+@contextmanager
+def exact_inference(benchmark: bool = False) -> Iterator[None]:
+    """Compute without gradients, on a GPU by cuDNN in full float32.
+
+    By default cuDNN convolves in TF32, whose ten-bit mantissa changes descriptors by more than 1e-4.
+
+    Args:
+        benchmark: let cuDNN time its algorithms for each new shape of a batch and take the fastest.
+    """
+    with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, benchmark=benchmark, allow_tf32=False):
+        yield
+
+
+def compile_backbones(network: LPN) -> None:
+    """Let torch.compile compile each backbone at its first batch; weights and their names stay as they are.
+
+    Raises:
+        InputError: if torch finds no compiler.
+    """
+    device = next(network.parameters()).device
+    try:
+        torch.compile(lambda x: x + 1)(torch.zeros(2, device=device))
+    except Exception as error:  # of torch's compiler, of the system's, or of Triton
+        reason = str(error).strip().partition("\n")[0] or type(error).__name__
+        needed = "a C++ compiler such as g++" if device.type == "cpu" else "Triton and a C compiler"
+        raise InputError(
+            f"torch.compile does not work here ({reason}); install {needed}, or leave --compile out."
+        ) from error
+    for view in network.spec.views:
+        if network.spec.owner(view) == view:
+            network.branch(view).model.compile()
+
+
+def load_torch(path: str | Path, device: torch.device | str = "cpu", compiled: bool = False) -> TorchModel:
     """Load a published `.pth` or our `.safetensors` into PyTorch, on a device.
 
     Only tensors are unpickled. An `opts.yaml` beside a `.pth` supplies options that the keys do not determine.
 
+    Args:
+        compiled: see `TorchModel`.
+
     Raises:
         ModelFileError: if the file is missing, is not a model, is truncated, or lacks keys.
+        InputError: if `compiled`, and torch finds no compiler.
     """
     path = Path(path)
     if not path.is_file():
@@ -86,7 +143,7 @@ def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchMod
         _check_fits(LPN(spec), state, path.name)
     network = LPN(spec)
     _fill(network, state, path.name)
-    return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()))
+    return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()), compiled)
 
 
 def best_device() -> torch.device:

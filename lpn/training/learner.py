@@ -26,13 +26,19 @@ class Learner:
         network: moved to the group's device, in channels-last order, which makes its convolutions faster.
         recipe: optimizer, rates, losses, and precision.
         group: the processes that share the training; `distribute` connects their gradients.
+        compiled: compile the backbones, see `lpn.models.checkpoints.compile_backbones`.
+
+    Raises:
+        InputError: if `compiled`, and torch finds no compiler.
     """
 
-    def __init__(self, network: LPN, recipe: Recipe, group: ProcessGroup) -> None:
+    def __init__(self, network: LPN, recipe: Recipe, group: ProcessGroup, compiled: bool = False) -> None:
         self.network, self.recipe, self.group = network, recipe, group
         network.to(group.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         # Only the leader saves and tests the average.
         self.average = average_weights(network, recipe.ema) if recipe.ema and group.is_leader else None
+        if compiled:
+            checkpoints.compile_backbones(network)
         self.mixed_precision = MixedPrecision(recipe, group.device)
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]
@@ -64,10 +70,11 @@ class Learner:
         factor = rate_factor(self.recipe, step, steps)
         for parameters, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
             parameters["lr"] = rate * factor
-        with self.mixed_precision.autocast():
-            outputs = self.multi_view(batch.sets)
-        loss = total_loss(self.group.gather(outputs), batch.places, self.recipe)
-        self.mixed_precision.step(loss, self.optimizer)
+        with self.mixed_precision.convolutions():
+            with self.mixed_precision.autocast():
+                outputs = self.multi_view(batch.sets)
+            loss = total_loss(self.group.gather(outputs), batch.places, self.recipe)
+            self.mixed_precision.step(loss, self.optimizer)
         if self.average is not None:
             # A resumed run knows its step, so the count need not be saved.
             self.average.n_averaged.fill_(step + 1)

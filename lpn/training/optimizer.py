@@ -33,6 +33,10 @@ class MixedPrecision:
         """Context of the forward pass."""
         return nullcontext() if self.dtype == torch.float32 else torch.autocast(self.device.type, self.dtype)
 
+    def convolutions(self) -> AbstractContextManager[object]:
+        """Context of a step: cuDNN takes the fastest algorithm for the fixed size of a batch, and float32 is not TF32."""
+        return torch.backends.cudnn.flags(enabled=True, benchmark=True, allow_tf32=self.dtype != torch.float32)
+
     def step(self, loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
         """Update the weights. With float16, a step whose gradient overflows is skipped."""
         optimizer.zero_grad(set_to_none=True)

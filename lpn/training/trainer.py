@@ -54,10 +54,11 @@ class Trainer:
         validate: share of the places held out of the training to choose the best epoch.
         group: the processes that share the training; by default only this one.
         test: measure the last model on the test split.
+        compiled: compile the backbones by torch.compile.
 
     Raises:
         DataError: when the data set cannot be trained on.
-        InputError: when `out` holds another run, or there is nothing to resume.
+        InputError: when `out` holds another run, there is nothing to resume, or `compiled` and torch finds no compiler.
         ModelFileError: when `init` cannot be used.
         OutputError: when `out` cannot be written.
     """
@@ -75,6 +76,7 @@ class Trainer:
         validate: float = 0.0,
         group: ProcessGroup | None = None,
         test: bool = True,
+        compiled: bool = False,
     ) -> None:
         self.group = group or single_process()
         self.console = (console or Console()) if self.group.is_leader else Console(quiet=True)
@@ -103,7 +105,7 @@ class Trainer:
         network = LPN(_spec(recipe, self.places))
         if init is not None and not resume:
             self._load_init(network, init)
-        self.learner = Learner(network, recipe, self.group)
+        self.learner = Learner(network, recipe, self.group, compiled)
         self.history: list[EpochMetrics] = []
         self.first_loss = math.nan
         tasks = [task for task in dataset.tasks() if set(views_of(task)) <= set(self.places.views)]

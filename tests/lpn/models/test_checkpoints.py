@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 import lpn
-from lpn.core.errors import LPNError, ModelFileError
-from lpn.models.checkpoints import load_backbone, load_torch, save
+from lpn.core.errors import InputError, LPNError, ModelFileError
+from lpn.models import checkpoints
+from lpn.models.checkpoints import TorchModel, exact_inference, load_backbone, load_torch, save
 from lpn.models.network import LPN
 from lpn.models.published_checkpoints import infer_spec
 from lpn.models.spec import ModelSpec
@@ -169,3 +170,63 @@ def test_a_backbone_is_loaded_as_far_as_it_goes(tmp_path: Path) -> None:
     torch.save({"a": torch.zeros(1)}, tmp_path / "nothing.pth")
     with pytest.raises(LPNError, match=r"Nothing in nothing\.pth fits"):
         load_backbone(network, tmp_path / "nothing.pth")
+
+
+def _cudnn() -> tuple[bool, bool, bool]:
+    cudnn = torch.backends.cudnn
+    return cudnn.enabled, cudnn.benchmark, cudnn.allow_tf32
+
+
+def test_inference_leaves_cudnn_on_and_its_tf32_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = _cudnn()
+    with exact_inference():
+        assert _cudnn() == (True, False, False)
+        assert torch.is_inference_mode_enabled()
+    assert _cudnn() == before
+    model, found = TorchModel(small_worlds.make_network()), []
+    embed = model.network.embed
+    monkeypatch.setattr(model.network, "embed", lambda *given: found.append(_cudnn()) or embed(*given))
+    model.run(seeded.pictures(1, 2, 64, 64), "drone")
+    model.descriptors(seeded.pictures(1, model.batch, 64, 64), "drone", mirror=False)
+    assert found == [(True, False, False), (True, True, False)]  # the full batch is worth a benchmark
+    assert _cudnn() == before
+
+
+def test_descriptors_bring_only_parts_back_from_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, pictures = TorchModel(small_worlds.make_network()), seeded.pictures(1, 3, 64, 64)
+    expected = model.run(pictures, "drone")
+    copied: list[tuple[int, ...]] = []
+    cpu = Tensor.cpu
+    monkeypatch.setattr(Tensor, "cpu", lambda self: copied.append(tuple(self.shape)) or cpu(self))
+    np.testing.assert_array_equal(model.part_embeddings(pictures, "drone"), expected.parts)
+    assert copied == [expected.parts.shape]
+    copied.clear()
+    model.run(pictures, "drone")
+    assert copied == [expected.parts.shape, expected.features.shape]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # of torch about itself
+def test_compiled_backbones_give_the_same_descriptors(tmp_path: Path) -> None:
+    save(small_worlds.make_network(), tmp_path / "model.safetensors")
+    pictures = seeded.pictures(1, 3, 64, 64)
+    eager = load_torch(tmp_path / "model.safetensors")
+    compiled = load_torch(tmp_path / "model.safetensors", compiled=True)
+    counts = torch._dynamo.utils.counters["stats"]
+    before = counts["unique_graphs"]
+    found, expected = compiled.descriptors(pictures, "drone"), eager.descriptors(pictures, "drone")
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert counts["unique_graphs"] > before
+    assert compiled.fingerprint == eager.fingerprint
+    save(compiled.network, tmp_path / "again.safetensors")
+    assert load_torch(tmp_path / "again.safetensors").fingerprint == eager.fingerprint
+
+
+def test_compiling_without_a_compiler_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: object) -> object:
+        raise RuntimeError("InvalidCxxCompiler: No working C++ compiler found\nand a page of advice")
+
+    monkeypatch.setattr(checkpoints.torch, "compile", lambda _: missing)
+    with pytest.raises(InputError, match=r"No working C\+\+ compiler found\); install a C\+\+ compiler") as caught:
+        TorchModel(small_worlds.make_network(), compiled=True)
+    assert "\n" not in str(caught.value)

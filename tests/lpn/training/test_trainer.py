@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import io
 import shutil
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -326,6 +327,34 @@ def test_each_view_is_a_batch_of_its_own_unless_joined(places: Path, tmp_path: P
     drone = torch.randn(4, 3, 64, 64, generator=torch.Generator().manual_seed(2))
     torch.testing.assert_close(embedded(False, drone), embedded(False, 3 * drone + 1))
     assert not torch.allclose(embedded(True, drone), embedded(True, 3 * drone + 1))
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_a_step_benchmarks_convolutions_and_uses_tf32_in_mixed_precision_only(
+    places: Path, tmp_path: Path, precision: str
+) -> None:
+    run, _ = trainer(places, tmp_path / "run", replace(QUICK, precision=precision))  # type: ignore[arg-type]
+    cudnn, found = torch.backends.cudnn, []
+    before = (cudnn.enabled, cudnn.benchmark, cudnn.allow_tf32)
+    record = lambda *_: found.append((cudnn.enabled, cudnn.benchmark, cudnn.allow_tf32))  # noqa: E731
+    backbone = run.network.branch("drone").model.get_submodule("layer2")
+    backbone.register_forward_pre_hook(record)
+    backbone.register_full_backward_hook(record)
+    with closing(run.loader.stream(0, 1)) as stream:  # type: ignore[type-var]
+        run.network.train()
+        run.learner.step(next(stream), 0, run.steps)
+    assert found == [(True, True, precision != "float32")] * 2
+    assert (cudnn.enabled, cudnn.benchmark, cudnn.allow_tf32) == before
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # of torch about itself
+def test_a_compiled_training_has_the_losses_of_an_eager_one(places: Path, tmp_path: Path) -> None:
+    two_steps = replace(QUICK, epochs=1, batch=12)
+    run, _ = trainer(places, tmp_path / "compiled", two_steps, compiled=True, test=False)
+    load_torch(run.run())
+    trainer(places, tmp_path / "eager", two_steps, test=False)[0].run()
+    assert losses(tmp_path / "compiled") == pytest.approx(losses(tmp_path / "eager"), rel=1e-3)
 
 
 def test_the_paper_s_recipe_is_the_default() -> None:
