@@ -91,10 +91,10 @@ soak: $(VENV)/.browser
 	  $(if $(SEED),--seed $(SEED)) $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(OUT),--out "$(OUT)")
 
 # The demo made again, in runs/: a city rendered, a network trained on it, both packed. Every step goes on where it stopped.
-# INIT=file: ImageNet weights of a ResNet-18, with torchvision's names.
+# INIT=file: ImageNet weights of a ResNet-18, with torchvision's names; without it the network starts from random weights.
 demo: $(VENV)/.world
 	$(BIN)/lpn world --out runs/world --seed 0 --buildings 460 --views 8 --tile-pixels 384 --samples 4
-	$(BIN)/lpn train --data runs/world --out runs/demo --recipe world $(if $(INIT),--init "$(INIT)") \
+	$(BIN)/lpn train --data runs/world --out runs/demo --recipe world $(if $(INIT),--init "$(INIT)",--from-scratch) \
 	  $(if $(wildcard runs/demo/state.pt),--resume)
 	$(BIN)/lpn export --model runs/demo/last.safetensors --out runs/demo/lpn.onnx --storage int8
 	test -d runs/demo/packed || $(BIN)/python assets/pack.py runs/world runs/demo/lpn.onnx runs/demo/packed

@@ -10,8 +10,8 @@ from typing import Any, Literal, cast
 
 import tyro
 
-from lpn.core.errors import InputError
-from lpn.training.recipes import RECIPES, Recipe, method
+from lpn.training import recipes
+from lpn.training.recipes import Recipe, RecipeName
 
 MethodName = Literal[
     "lpn",
@@ -35,13 +35,16 @@ class TrainCommand:
     """Data set with pictures to train on, in any layout of docs/data.md."""
     out: Path
     """Folder of the run: last.safetensors, best.safetensors, log.csv, tensorboard, and what --resume needs."""
-    recipe: Literal["university1652", "cvusa", "safa", "small", "world"] = "university1652"
-    """Recipe: the paper's for a data set, SAFA's, one for some hundred places (small), or that for all headings (world)."""
+    recipe: RecipeName = recipes.DEFAULT
+    """Recipe: as the paper states (paper, cvusa-paper, safa-paper), as the released code does (released, cvusa-released,
+    safa-released), for some hundred places (small), or the same for all headings (world); see docs/recipes.md."""
     method: MethodName | None = None
     """One of the methods that the paper compares, by default the recipe's: lpn, the instance-loss baseline, the baseline with
     another loss, strips, or SAFA."""
     init: Path | None = None
-    """Weights for the backbone (.safetensors or .pth, torchvision's names), loaded as far as they fit."""
+    """Weights of the backbone trained on ImageNet (.safetensors or .pth, torchvision's names), loaded as far as they fit."""
+    from_scratch: bool = False
+    """Start from random weights instead of --init."""
     resume: bool = False
     """Resume the run in --out."""
     evaluate_every: int = 0
@@ -70,6 +73,7 @@ class TrainCommand:
                 validate=self.validate,
                 group=group,
                 compiled=self.compile,
+                from_scratch=self.from_scratch,
             )
         )
         run.console.print(f"Recipe {self.recipe}: {self.settings.to_json()}")
@@ -91,15 +95,9 @@ def parse_train(arguments: list[str], program: str) -> TrainCommand:
     Raises:
         InputError: if the recipe or the method is unknown.
     """
-    name, chosen = (_given(arguments, flag) for flag in ("--recipe", "--method"))
-    if name is not None and name not in RECIPES:
-        raise InputError(f"There is no recipe {name!r}; choose one of {', '.join(RECIPES)}.")
-    settings = RECIPES[name or "university1652"]
-    if chosen is not None:
-        settings = method(chosen, settings)
-    named = TrainCommand(
-        tyro.MISSING, tyro.MISSING, cast(Any, name or "university1652"), cast(Any, chosen), settings=settings
-    )
+    name, chosen = _given(arguments, "--recipe") or recipes.DEFAULT, _given(arguments, "--method")
+    settings = recipes.find(name, chosen)
+    named = TrainCommand(tyro.MISSING, tyro.MISSING, cast(Any, name), method=cast(Any, chosen), settings=settings)
     return tyro.cli(TrainCommand, args=arguments, prog=program, default=named)
 
 

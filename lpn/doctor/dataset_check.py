@@ -20,11 +20,11 @@ from lpn.datasets.integrity import picture_errors
 from lpn.training.recipes import RECIPES
 
 _RECIPES = {
-    "University-1652": ("university1652", "small", "world"),
-    "world": ("world", "small", "university1652"),
-    "CVUSA": ("cvusa", "safa"),
-    "CVACT": ("cvusa", "safa"),
-    "pairs": ("small", "university1652"),
+    "University-1652": ("paper", "released", "small", "world"),
+    "world": ("world", "small", "paper", "released"),
+    "CVUSA": ("cvusa-paper", "cvusa-released", "safa-paper", "safa-released"),
+    "CVACT": ("cvusa-paper", "cvusa-released", "safa-paper", "safa-released"),
+    "pairs": ("small", "paper", "released"),
 }
 _AERIAL = (("drone-to-satellite", "satellite-to-drone"), "Tables I, III, IV, V and Figure 5", "Tables IV and V")
 _GROUND = (("street-to-satellite",), "Table II", "Table II")

@@ -22,6 +22,7 @@ from lpn.core.views import View
 from lpn.models.checkpoints import TorchModel, load_torch
 from lpn.models.network import weigh
 from lpn.models.onnx_engine import FORMAT, OUTPUTS, extra_outputs, graph_files
+from lpn.models.spec import SLOPES
 
 Storage = Literal["float32", "float16", "int8"]
 
@@ -46,7 +47,7 @@ class _Graph(nn.Module):
         super().__init__()
         self.branch = model.network.branch(view)
         heads = model.heads(view)
-        self.leaky = model.spec.activation == "leaky_relu"
+        self.activation = model.spec.activation
         self.weight = nn.Buffer(torch.from_numpy(heads.weight))
         self.bias = nn.Buffer(torch.from_numpy(heads.bias))
         self.partition = nn.Buffer(torch.from_numpy(heads.cells))
@@ -55,8 +56,10 @@ class _Graph(nn.Module):
         features = cast(Tensor, self.branch(images))
         pooled = torch.matmul(self.partition.flatten(1), features.flatten(2).transpose(1, 2))
         parts = torch.matmul(self.weight, pooled.unsqueeze(3)).squeeze(3) + self.bias
-        if self.leaky:
-            parts = nn.functional.leaky_relu(parts, 0.1)
+        if self.activation == "relu":
+            parts = nn.functional.relu(parts)
+        elif self.activation == "leaky_relu":
+            parts = nn.functional.leaky_relu(parts, SLOPES["leaky_relu"])
         return parts, features, self.weight, self.bias, self.partition
 
 

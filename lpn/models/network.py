@@ -18,7 +18,7 @@ from lpn.core.errors import InputError
 from lpn.core.views import BRANCH, View
 from lpn.models.backbones import BackboneName, LastLayer, build_backbone
 from lpn.models.partition import Partition
-from lpn.models.spec import ModelSpec
+from lpn.models.spec import SLOPES, ModelSpec
 
 
 class SpatialAware(nn.Module):
@@ -73,7 +73,7 @@ def map_size(backbone: nn.Module, input_size: tuple[int, int]) -> tuple[int, int
 
 
 class PartHead(nn.Module):
-    """Linear, BatchNorm, optional LeakyReLU(0.1), Dropout, then the class layer used in training only."""
+    """Linear, BatchNorm, optional ReLU or LeakyReLU(0.1), Dropout, then the class layer used in training only."""
 
     def __init__(self, channels: int, spec: ModelSpec) -> None:
         super().__init__()
@@ -82,8 +82,8 @@ class PartHead(nn.Module):
         nn.init.zeros_(linear.bias)
         nn.init.normal_(norm.weight, 1.0, 0.02)
         layers: list[nn.Module] = [linear, norm]
-        if spec.activation == "leaky_relu":
-            layers.append(nn.LeakyReLU(0.1))
+        if spec.activation != "none":
+            layers.append(nn.LeakyReLU(SLOPES[spec.activation]) if spec.activation == "leaky_relu" else nn.ReLU())
         self.add_block = nn.Sequential(*layers, nn.Dropout(spec.dropout))
         class_layer = nn.Linear(spec.embedding, spec.classes)
         nn.init.normal_(class_layer.weight, 0.0, 0.001)

@@ -14,9 +14,12 @@ from lpn.core.formats import UPGRADE
 from lpn.core.views import VIEWS, View
 from lpn.models.partition import WEIGHTINGS, Partition, Weighting
 
-Activation = Literal["none", "leaky_relu"]
+Activation = Literal["none", "relu", "leaky_relu"]
 Layout = Literal["university", "cvusa", "strips"]
 Pooling = Literal["average", "safa"]
+
+# The slope of each activation below zero.
+SLOPES: dict[Activation, float] = {"none": 1.0, "relu": 0.0, "leaky_relu": 0.1}
 
 _ALLOWED: dict[str, tuple[Any, ...]] = {
     "backbone": ("resnet18", "resnet50", "vgg16_bn"),
@@ -26,7 +29,7 @@ _ALLOWED: dict[str, tuple[Any, ...]] = {
     "pooling": ("average", "safa"),
     "polar": (True, False),
     "weighting": WEIGHTINGS,
-    "activation": ("none", "leaky_relu"),
+    "activation": ("none", "relu", "leaky_relu"),
 }
 
 # Far beyond any sensible network; a file that claims more would take all memory.
@@ -59,7 +62,8 @@ class ModelSpec:
         maps: weighted sums per part with "safa"; the embedding then has maps x channels numbers.
         polar: whether satellite tiles are unrolled around their centre first, by `images.polar`.
         weighting: the average over a ring, see `Partition`.
-        activation: between BatchNorm and Dropout in the head; "none" as released.
+        activation: between BatchNorm and Dropout in the head: "none" as released, "relu" as the paper draws it, or
+            "leaky_relu", an option of the released code.
         embedding: dimension D of a part's embedding.
         classes: size of the class layer used in training.
         dropout: its probability in the head, in training only.

@@ -11,9 +11,7 @@ from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.models.base import ForwardPass, Heads, Model
-
-# The slope of a head's LeakyReLU below zero.
-LEAK = 0.1
+from lpn.models.spec import SLOPES
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +23,7 @@ class Trace:
         features: the feature map of each of P passes, the mirror's flipped back, (P, C, h, w).
         cells: the weight of each cell in each part of each pass, (P, n, M, h, w); M is 1, or SAFA's number of maps.
         heads: the affine heads; None with SAFA, whose parts are the weighted sums.
-        slopes: the LeakyReLU's slope for each number of each pass's embedding, (P, n, D); None without one.
+        slopes: the activation's slope for each number of each pass's embedding, (P, n, D); None without an activation.
     """
 
     embedding: Float32Array
@@ -46,8 +44,9 @@ class Trace:
             size = outputs.features.shape[2:]
             weights = heads.cells if heads.cells.shape[1:] == size else model.spec.partition(view).weights(*size)
             cells = np.broadcast_to(weights[None, :, None], (len(outputs.parts), len(weights), 1, *size))
-        leaky = heads is not None and model.spec.activation == "leaky_relu"
-        slopes = np.where(outputs.parts > 0, np.float32(1), np.float32(LEAK)) if leaky else None
+        bent = heads is not None and model.spec.activation != "none"
+        below = np.float32(SLOPES[model.spec.activation])
+        slopes = np.where(outputs.parts > 0, np.float32(1), below) if bent else None
         embedding = cast(Float32Array, outputs.parts.sum(axis=0))
         return cls(embedding, _upright(outputs.features), _upright(cells), heads, slopes)
 

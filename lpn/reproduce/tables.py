@@ -108,9 +108,9 @@ _REDUCED = replace(RECIPES["world"], epochs=30, infonce=0.0)
 SCALES: dict[str, Scale] = {
     "paper": Scale(
         "paper",
-        RECIPES["university1652"],
-        RECIPES["cvusa"],
-        RECIPES["safa"],
+        RECIPES["paper"],
+        RECIPES["cvusa-paper"],
+        RECIPES["safa-paper"],
         {size: size for size in paper_values.TABLE3},
         "The paper's scale: ResNet-50 on places and VGG-16 on panoramas, 120 epochs; SAFA by its own recipe, 100 epochs of Adam.",
     ),

@@ -142,7 +142,14 @@ def train(work: Sequence[TrainingJob], console: Console) -> None:
         ended: Literal["finished", "diverged"] = "finished"
         try:
             Trainer(
-                job.source.dataset, job.folder, job.recipe, job.start, resume=resume, console=console, test=False
+                job.source.dataset,
+                job.folder,
+                job.recipe,
+                job.start,
+                resume=resume,
+                console=console,
+                test=False,
+                from_scratch=job.start is None,
             ).run()
         except DivergedError as error:
             ended = "diverged"

@@ -1,4 +1,4 @@
-"""Random augmentation of training pictures: JPEG compression, one geometric warp, then colour."""
+"""Random augmentation of training pictures: JPEG compression, mirroring, one geometric warp, a random crop, then colour."""
 
 from __future__ import annotations
 
@@ -43,17 +43,30 @@ def augment(
     if mirror or (recipe.flip == "picture" and rng.random() < 0.5):
         picture = cast(UInt8Array, np.ascontiguousarray(picture[:, ::-1]))
     if panorama:
-        picture = images.resize(images.roll(picture, angle), height, width)
+        picture = _pad(images.resize(images.roll(picture, angle), height, width), recipe.padding)
     else:
         native = rng.random() < recipe.own_canvas
-        if not native and not unrolled:
-            picture = images.resize(picture, height, width)
+        on_canvas = not native and not unrolled
+        if on_canvas:
+            picture = _pad(images.resize(picture, height, width), recipe.padding)
         angle += float(rng.uniform(-1, 1)) * recipe.rotation
         if view == "satellite":
             angle += float(rng.uniform(-1, 1)) * recipe.satellite_rotation
         picture = _warp(picture, angle, recipe, rng)
-        picture = images.polar(picture, height, width) if unrolled else images.resize(picture, height, width)
+        if not on_canvas:
+            picture = images.polar(picture, height, width) if unrolled else images.resize(picture, height, width)
+            picture = _pad(picture, recipe.padding)
+    if recipe.padding:
+        top, left = (int(start) for start in rng.integers(0, 2 * recipe.padding + 1, 2))
+        picture = cast(UInt8Array, np.ascontiguousarray(picture[top : top + height, left : left + width]))
     return _recolour(picture, recipe.colour, rng) if recipe.colour else picture
+
+
+def _pad(picture: UInt8Array, pixels: int) -> UInt8Array:
+    """Extend a picture by its edge on each side."""
+    if not pixels:
+        return picture
+    return cast(UInt8Array, cv2.copyMakeBorder(picture, *4 * (pixels,), cv2.BORDER_REPLICATE))
 
 
 def _warp(picture: UInt8Array, angle: float, recipe: Recipe, rng: np.random.Generator) -> UInt8Array:
@@ -64,7 +77,8 @@ def _warp(picture: UInt8Array, angle: float, recipe: Recipe, rng: np.random.Gene
     matrix[:, 2] = matrix[:, 2] + rng.uniform(-1, 1, 2) * recipe.shift * (width, height)
     corners = cv2.BORDER_CONSTANT if rng.random() < recipe.black_corners else cv2.BORDER_REFLECT_101
     border = corners if angle else cv2.BORDER_REPLICATE
-    return cast(UInt8Array, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=border))
+    flags = cv2.INTER_CUBIC if recipe.interpolation == "cubic" else cv2.INTER_NEAREST
+    return cast(UInt8Array, cv2.warpAffine(picture, matrix, (width, height), flags=flags, borderMode=border))
 
 
 def _compress(picture: UInt8Array, quality: int) -> UInt8Array:

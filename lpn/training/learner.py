@@ -15,7 +15,7 @@ from lpn.models.network import LPN
 from lpn.training.loader import TrainingBatch
 from lpn.training.losses import total_loss
 from lpn.training.multi_process import ProcessGroup
-from lpn.training.optimizer import MixedPrecision, average_weights, build_optimizer, rate_factor
+from lpn.training.optimizer import MixedPrecision, average_weights, build_optimizer, loss_factor, rate_factor
 from lpn.training.recipes import Recipe
 
 
@@ -65,7 +65,7 @@ class Learner:
             steps: steps per epoch.
 
         Returns:
-            The loss of the whole batch and the learning rate of the heads.
+            The loss of the whole batch, without a warm-up's factor, and the learning rate of the heads.
         """
         factor = rate_factor(self.recipe, step, steps)
         for parameters, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
@@ -73,8 +73,8 @@ class Learner:
         with self.mixed_precision.convolutions():
             with self.mixed_precision.autocast():
                 outputs = self.multi_view(batch.sets)
-            loss = total_loss(self.group.gather(outputs), batch.places, self.recipe)
-            self.mixed_precision.step(loss, self.optimizer)
+            loss = total_loss(self.group.gather(outputs), batch.labels, self.recipe)
+            self.mixed_precision.step(loss * loss_factor(self.recipe, step, steps), self.optimizer)
         if self.average is not None:
             # A resumed run knows its step, so the count need not be saved.
             self.average.n_averaged.fill_(step + 1)

@@ -7,9 +7,11 @@ cache of decoded pictures.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -28,6 +30,9 @@ from lpn.training.training_set import TrainingSet
 _PREFETCH = 2
 _MAX_WORKERS = 16
 
+# Draws one picture of each set of a place, or one picture of one set.
+_Row = Callable[[], dict[str, UInt8Array]]
+
 
 @dataclass(frozen=True)
 class TrainingBatch:
@@ -35,15 +40,23 @@ class TrainingBatch:
 
     Attributes:
         sets: for each picture set, this process's share of the batch: (b, 3, H, W) float32, normalised, channels last.
-        places: class of each place of the whole batch, (B,) int64.
+        labels: for each picture set, the class of each row of the whole batch, (B,) int64.
     """
 
     sets: dict[str, Tensor]
-    places: Tensor
+    labels: dict[str, Tensor]
+
+    @property
+    def pictures(self) -> int:
+        """Number of pictures of the whole batch, in all sets."""
+        return sum(len(labels) for labels in self.labels.values())
 
 
 class Loader:
-    """The batches of a training in order. Each place has its own random seed, so the number of workers changes no result.
+    """The batches of a training in order, sampled as the recipe says.
+
+    Each place of an epoch, or each picture with `sampling = pictures`, has its own random seed, so the number of workers
+    changes no result.
 
     Args:
         share: the rows of every batch that this process prepares.
@@ -51,7 +64,7 @@ class Loader:
         processes: number of processes that share the machine.
 
     Raises:
-        InputError: when there are fewer places than rows in a batch, or the number of workers is negative.
+        InputError: when there are fewer places or pictures than rows in a batch, or the number of workers is negative.
     """
 
     def __init__(
@@ -65,9 +78,13 @@ class Loader:
     ) -> None:
         if len(places) < 2:
             raise InputError(f"The training set has {len(places) or 'no'} place; training needs at least two.")
-        if len(places) < recipe.batch:
+        self._pictures = places.pictures() if recipe.sampling == "pictures" else {}
+        # An epoch ends with the shortest set.
+        self._length = min(map(len, self._pictures.values()), default=len(places))
+        if self._length < recipe.batch:
+            what = "pictures in the smallest set" if self._pictures else "places"
             raise InputError(
-                f"There are {len(places)} places and a batch of {recipe.batch}; set --batch to at most {len(places)}."
+                f"There are {self._length} {what} and a batch of {recipe.batch}; set --batch to at most {self._length}."
             )
         if workers < 0:
             raise InputError(
@@ -84,7 +101,7 @@ class Loader:
     @property
     def steps(self) -> int:
         """Steps per epoch. An incomplete last batch is left out."""
-        return len(self.places) // self.recipe.batch
+        return self._length // self.recipe.batch
 
     def stream(self, first: int, end: int) -> Iterator[TrainingBatch]:
         """Yield the batches of epochs `first` to `end` - 1. Close the iterator to stop the workers.
@@ -93,11 +110,11 @@ class Loader:
             PictureError: when a picture cannot be read.
         """
         pool = ThreadPoolExecutor(self.workers, "lpn-loader")
-        ahead: deque[tuple[Int64Array, list[Future[dict[str, UInt8Array]]]]] = deque()
+        ahead: deque[tuple[dict[str, Int64Array], list[Future[dict[str, UInt8Array]]]]] = deque()
         try:
             for epoch in range(first, end):
-                for chunk in self._chunks(epoch):
-                    ahead.append((chunk, [pool.submit(self._draw, int(p), epoch) for p in chunk[self.share]]))
+                for labels, rows in self._batches(epoch):
+                    ahead.append((labels, [pool.submit(row) for row in rows]))
                     if len(ahead) > self._prefetch:
                         yield self._batch(*ahead.popleft())
             while ahead:
@@ -105,26 +122,55 @@ class Loader:
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
-    def _chunks(self, epoch: int) -> list[Int64Array]:
-        order = np.random.default_rng([self.recipe.seed, epoch]).permutation(len(self.places))
-        return [order[i * self.recipe.batch : (i + 1) * self.recipe.batch] for i in range(self.steps)]
+    def _batches(self, epoch: int) -> Iterator[tuple[dict[str, Int64Array], list[_Row]]]:
+        """Yield each batch's labels of each set, and the work for this process's rows."""
+        if self.recipe.sampling == "places":
+            for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
+                rows: list[_Row] = [partial(self._draw_place, int(place), epoch) for place in places[self.share]]
+                yield dict.fromkeys(self.places.files, places), rows
+            return
+        orders = [
+            self._chunks(len(pictures), [self.recipe.seed, epoch, number])
+            for number, pictures in enumerate(self._pictures.values())
+        ]
+        # The orders of longer sets have more chunks.
+        for chunks in zip(*orders, strict=False):
+            labels, rows = {}, []
+            for number, ((name, pictures), chunk) in enumerate(zip(self._pictures.items(), chunks, strict=True)):
+                labels[name] = np.array([pictures[index][1] for index in chunk], np.int64)
+                rows += [partial(self._draw_picture, name, number, int(index), epoch) for index in chunk[self.share]]
+            yield labels, rows
 
-    def _draw(self, place: int, epoch: int) -> dict[str, UInt8Array]:
+    def _chunks(self, count: int, seed: list[int]) -> list[Int64Array]:
+        """Shuffle the numbers below `count`, and cut them into whole batches."""
+        order = np.random.default_rng(seed).permutation(count)
+        batch = self.recipe.batch
+        return [order[start : start + batch] for start in range(0, count - batch + 1, batch)]
+
+    def _draw_picture(self, name: str, number: int, index: int, epoch: int) -> dict[str, UInt8Array]:
+        """Augment one picture of a set, (H, W, 3) uint8; runs in a worker."""
+        # A zero in the last place would repeat the random numbers of the set's order.
+        rng = np.random.default_rng([self.recipe.seed, epoch, number, index + 1])
+        return {name: self._augmented(self._pictures[name][index][0], name, rng, 0.0, False)}
+
+    def _draw_place(self, place: int, epoch: int) -> dict[str, UInt8Array]:
         """Draw and augment one picture of each set, (H, W, 3) uint8; runs in a worker."""
         rng = np.random.default_rng([self.recipe.seed, epoch, place])
         angle, mirror = draw_place_pose(self.recipe, rng)
         drawn = {}
         for name, files in self.places.files.items():
             path = files[place][int(rng.integers(len(files[place])))]
-            picture = self.places.picture(path)
-            panorama = self.places.panoramas and name == "street"
-            drawn[name] = augment(picture, self.recipe, rng, angle, mirror, branch_of(name), panorama)
+            drawn[name] = self._augmented(path, name, rng, angle, mirror)
         return drawn
 
-    def _batch(self, chunk: Int64Array, tasks: Sequence[Future[dict[str, UInt8Array]]]) -> TrainingBatch:
+    def _augmented(self, path: Path, name: str, rng: np.random.Generator, angle: float, mirror: bool) -> UInt8Array:
+        panorama = self.places.panoramas and name == "street"
+        return augment(self.places.picture(path), self.recipe, rng, angle, mirror, branch_of(name), panorama)
+
+    def _batch(self, labels: dict[str, Int64Array], tasks: Sequence[Future[dict[str, UInt8Array]]]) -> TrainingBatch:
         drawn = [task.result() for task in tasks]
-        sets = {name: self._network_input([pictures[name] for pictures in drawn]) for name in drawn[0]}
-        return TrainingBatch(sets, torch.from_numpy(chunk).to(self.device))
+        sets = {name: self._network_input([row[name] for row in drawn if name in row]) for name in labels}
+        return TrainingBatch(sets, {name: torch.from_numpy(of).to(self.device) for name, of in labels.items()})
 
     def _network_input(self, pictures: Sequence[UInt8Array]) -> Tensor:
         """Move pictures to the device as bytes, and normalise them there."""

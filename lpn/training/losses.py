@@ -86,17 +86,17 @@ def soft_margin_loss(first: Tensor, second: Tensor, alpha: float, hardest: bool 
     return torch.stack(terms).mean()
 
 
-def total_loss(outputs: Mapping[str, tuple[Tensor, Tensor]], places: Tensor, recipe: Recipe) -> Tensor:
+def total_loss(outputs: Mapping[str, tuple[Tensor, Tensor]], labels: Mapping[str, Tensor], recipe: Recipe) -> Tensor:
     """Compute a recipe's loss for one step.
 
     Args:
         outputs: part embeddings and class scores of each picture set (satellite, drone, street, google).
-        places: class of each row, the same in every set, (B,).
+        labels: class of each row of each set, (B,). The InfoNCE and metric losses need the same labels in every set.
     """
-    loss = torch.zeros((), device=places.device)
+    loss = torch.zeros((), device=next(iter(labels.values())).device)
     if recipe.instance:
         terms = torch.cat(
-            [instance_loss(scores.float(), places, recipe.label_smoothing) for _, scores in outputs.values()]
+            [instance_loss(s.float(), labels[name], recipe.label_smoothing) for name, (_, s) in outputs.items()]
         )
         loss = loss + recipe.instance * (terms.sum() if recipe.reduction == "sum" else terms.mean())
     if (recipe.infonce or recipe.metric != "none") and "satellite" in outputs:

@@ -18,9 +18,13 @@ class MixedPrecision:
     """The arithmetic of the forward pass: float32, or mixed precision in bfloat16 or float16.
 
     With float16 the loss is scaled, so that small gradients do not underflow.
+
+    Attributes:
+        fell_back: True if the recipe's float16 is not computed, for lack of CUDA.
     """
 
     def __init__(self, recipe: Recipe, device: torch.device) -> None:
+        self.fell_back = recipe.precision == "float16" and device.type != "cuda"
         self.device, self.dtype = device, choose_dtype(recipe, device)
         self.scaler = torch.amp.GradScaler(device.type, enabled=self.dtype == torch.float16)
 
@@ -49,10 +53,12 @@ def choose_dtype(recipe: Recipe, device: torch.device) -> torch.dtype:
     """Choose the dtype of the forward pass.
 
     "auto" is bfloat16 where the hardware has it, else float16 on CUDA and float32 elsewhere. Emulated bfloat16 would be
-    slower than float32.
+    slower than float32, and so would float16 on a CPU: there it is what "auto" chooses.
     """
-    if recipe.precision != "auto":
+    if recipe.precision in ("float32", "bfloat16"):
         return torch.bfloat16 if recipe.precision == "bfloat16" else torch.float32
+    if recipe.precision == "float16" and device.type == "cuda":
+        return torch.float16
     if device.type == "cuda":
         return torch.bfloat16 if torch.cuda.is_bf16_supported(including_emulation=False) else torch.float16
     return torch.bfloat16 if torch.cpu._is_avx512_bf16_supported() else torch.float32
@@ -79,10 +85,21 @@ def rate_factor(recipe: Recipe, step: int, steps: int) -> float:
         step: number of the step, from 0, over all epochs.
         steps: steps per epoch.
     """
-    factor = min(1.0, (step + 1) / max(recipe.warmup_epochs * steps, 1))
+    factor = _warmup_factor(recipe, step, steps) if recipe.warmup == "rate" else 1.0
     if recipe.schedule == "cosine":
         return factor * 0.5 * (1 + math.cos(math.pi * step / (recipe.epochs * steps)))
-    return factor * (0.1 if step >= recipe.decay_epoch * steps else 1.0)
+    decayed = recipe.schedule == "step" and step >= recipe.decay_epoch * steps
+    return factor * (0.1 if decayed else 1.0)
+
+
+def loss_factor(recipe: Recipe, step: int, steps: int) -> float:
+    """Factor of the loss at a step, below 1 during a warm-up of the loss; the arguments are those of `rate_factor`."""
+    return _warmup_factor(recipe, step, steps) if recipe.warmup == "loss" else 1.0
+
+
+def _warmup_factor(recipe: Recipe, step: int, steps: int) -> float:
+    share = min(1.0, (step + 1) / max(recipe.warmup_epochs * steps, 1))
+    return recipe.warmup_start + (1.0 - recipe.warmup_start) * share
 
 
 def average_weights(network: LPN, decay: float) -> AveragedModel:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from lpn.core.errors import InputError
 from lpn.models.partition import Weighting
-from lpn.models.spec import Layout, Pooling
+from lpn.models.spec import Activation, Layout, Pooling
 
 _ABOVE_ZERO = math.ulp(0.0)
 _BELOW_ONE = math.nextafter(1.0, 0.0)
@@ -26,7 +26,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     **dict.fromkeys(("lr", "temperature", "alpha"), (_ABOVE_ZERO, _MAX, "a number above 0")),
     **dict.fromkeys(("dropout", "ema"), (0, _BELOW_ONE, "a number from 0 up to, not including, 1")),
     **dict.fromkeys(
-        ("label_smoothing", "black_corners", "own_canvas", "shift", "colour", "compression"),
+        ("label_smoothing", "warmup_start", "black_corners", "own_canvas", "shift", "colour", "compression"),
         (0, 1, "a number from 0 to 1"),
     ),
     **dict.fromkeys(
@@ -44,13 +44,15 @@ _RANGES: dict[str, tuple[float, float, str]] = {
         ),
         (0, _MAX, "a number of 0 or more"),
     ),
+    # The networks take inputs of at most 4096 pixels.
+    "padding": (0, 4096, "a whole number from 0 to 4096"),
     "seed": (0, 2**32 - 1, "a whole number from 0 to 4294967295"),
 }
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Every setting of a training. The defaults are the paper's recipe for University-1652."""
+    """Every setting of a training. The defaults are the recipe `paper`."""
 
     backbone: Literal["resnet18", "resnet50", "vgg16_bn"] = "resnet50"
     """The backbone network."""
@@ -58,8 +60,12 @@ class Recipe:
     """Last layer of a ResNet; layer3 takes about half the time, and its map has the same resolution."""
     n_parts: int = 4
     """Parts of a descriptor; 1 is the baseline with global average pooling."""
-    weighting: Weighting = "published"
-    """Average over a ring: published (sum over the ring / area of its bounding box) or area (mean over the ring)."""
+    weighting: Weighting = "area"
+    """Average over a ring: area (mean over the ring, equation 3 of the paper) or published (sum over the ring / area of its
+    bounding box, as in the released code)."""
+    activation: Activation = "relu"
+    """Activation of the heads between BatchNorm and dropout: relu (as the paper draws it), none (as released), or leaky_relu
+    (an option of the released code, with slope 0.1)."""
     shared: bool = True
     """Share weights between the satellite and the drone branch."""
     layout: Layout = "university"
@@ -77,25 +83,32 @@ class Recipe:
     """Height of the network's input in pixels."""
     width: int = 0
     """Width of the network's input in pixels; 0 means the height."""
-    dropout: float = 0.5
-    """Dropout in the heads (0.5 in the paper; the released script passes 0.75)."""
+    dropout: float = 0.75
+    """Probability of dropout in the heads."""
 
+    sampling: Literal["places", "pictures"] = "pictures"
+    """Sampling of a batch: places (one picture of every set of each place of the batch) or pictures (each set is shuffled on
+    its own, over its pictures, with its own labels; an epoch ends with the shortest set)."""
     epochs: int = 120
-    """Passes over all places, one picture of each view per place."""
+    """Passes over all places, or over the pictures of the shortest set."""
     batch: int = 32
-    """Places per step; a step has one picture of every view of each place."""
+    """Pictures of each set (satellite, drone, street, google) per step."""
     optimizer: Literal["sgd", "adam", "adamw"] = "sgd"
     """Optimizer; sgd has Nesterov momentum 0.9."""
     lr: float = 0.01
     """Learning rate of the heads."""
     backbone_ratio: float = 0.1
     """Learning rate of the backbone relative to the heads'."""
-    schedule: Literal["step", "cosine"] = "step"
-    """Learning rate schedule: step (x 0.1 after `decay_epoch`) or cosine (down to 0 at the end)."""
+    schedule: Literal["step", "cosine", "constant"] = "step"
+    """Learning rate schedule: step (x 0.1 after `decay_epoch`), cosine (down to 0 at the end), or constant."""
     decay_epoch: int = 80
     """Epoch after which the step schedule decays."""
     warmup_epochs: int = 0
-    """Epochs of linear warm-up of the learning rate from 0."""
+    """Epochs of linear warm-up."""
+    warmup: Literal["rate", "loss"] = "rate"
+    """Factor that rises step by step to 1 during the warm-up: that of the learning rate, or that of the loss."""
+    warmup_start: float = 0.0
+    """Factor from which the warm-up rises."""
     weight_decay: float = 5e-4
     """Weight decay."""
     ema: float = 0.0
@@ -125,7 +138,7 @@ class Recipe:
 
     rotation: float = 0.0
     """Random rotation of each picture on its own, up to this many degrees either way."""
-    satellite_rotation: float = 90.0
+    satellite_rotation: float = 0.0
     """Further random rotation of satellite tiles, up to this many degrees either way."""
     place_rotation: float = 0.0
     """Random rotation of all views of a place together, up to this many degrees either way."""
@@ -133,8 +146,13 @@ class Recipe:
     """Probability that the corners of a rotated picture are black, as in rotated queries, instead of reflected."""
     own_canvas: float = 0.0
     """Probability that a picture is rotated before it is resized, as rotated queries are, rather than after."""
-    shift: float = 10 / 256
-    """Random shift as a fraction of the size; the default equals padding a 256-pixel picture by 10 pixels and cropping."""
+    interpolation: Literal["nearest", "cubic"] = "nearest"
+    """Interpolation of rotated, shifted, and scaled pictures."""
+    padding: int = 10
+    """Pixels by which a resized picture is padded on each side with its edge; after any rotation it is cropped to the input
+    size at random whole pixels."""
+    shift: float = 0.0
+    """Random shift by any fraction of a pixel, up to this share of the size either way."""
     scale: float = 0.0
     """Random scale, from exp(-scale) to exp(scale)."""
     colour: float = 0.0
@@ -144,8 +162,9 @@ class Recipe:
     flip: Literal["none", "picture", "place"] = "picture"
     """Random mirroring: none, each picture on its own (published), or all views of a place together."""
 
-    precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Arithmetic of the forward pass; auto is bfloat16 where the hardware has it, else float16 on CUDA and float32 elsewhere."""
+    precision: Literal["auto", "float32", "bfloat16", "float16"] = "float16"
+    """Arithmetic of the forward pass; auto is bfloat16 where the hardware has it, else float16 on CUDA and float32 elsewhere.
+    float16 is for CUDA; on a CPU it is what auto chooses."""
     seed: int = 0
     """Random seed of initialisation, order, and augmentation."""
 
@@ -164,6 +183,23 @@ class Recipe:
             raise InputError(
                 f"The recipe has instance = {self.instance} with safa, which has no class layer; set it to 0 and choose a metric."
             )
+        if self.sampling == "pictures":
+            self._check_independent()
+
+    def _check_independent(self) -> None:
+        """Refuse settings that need the pictures of a place side by side, which sets shuffled on their own are not."""
+        paired = {
+            "infonce": self.infonce > 0,
+            "metric": self.metric != "none",
+            "flip = place": self.flip == "place",
+            "place_rotation": self.place_rotation > 0,
+        }
+        needs = [name for name, wanted in paired.items() if wanted]
+        if needs:
+            raise InputError(
+                f"The recipe has sampling = pictures, which shuffles each set on its own, with {', '.join(needs)}, which "
+                "needs the same places in every set; use sampling = places."
+            )
 
     @property
     def input_size(self) -> tuple[int, int]:
@@ -175,10 +211,51 @@ class Recipe:
         return json.dumps(asdict(self))
 
 
+# What the released run scripts and training scripts of LPN have in common.
+_AS_RELEASED: dict[str, Any] = {
+    "weighting": "published",
+    "activation": "none",
+    "satellite_rotation": 90.0,
+}
+_CVUSA: dict[str, Any] = {
+    "backbone": "vgg16_bn",
+    "layout": "cvusa",
+    "n_parts": 8,
+    "shared": False,
+    "dropout": 0.5,
+    "warmup_epochs": 5,
+    "warmup": "loss",
+    "warmup_start": 0.1,
+}
+_SAFA_RECIPE = Recipe(
+    backbone="vgg16_bn",
+    n_parts=1,
+    activation="none",
+    shared=False,
+    pooling="safa",
+    polar=True,
+    size=112,
+    width=616,
+    sampling="places",
+    epochs=100,
+    optimizer="adam",
+    lr=1e-5,
+    backbone_ratio=1.0,
+    schedule="constant",
+    weight_decay=0.0,
+    instance=0.0,
+    metric="soft_margin",
+    flip="none",
+    padding=0,
+    precision="float32",
+)
 _SMALL = Recipe(
     backbone="resnet18",
     last_layer="layer3",
+    weighting="published",
+    activation="none",
     dropout=0.3,
+    sampling="places",
     epochs=30,
     batch=32,
     optimizer="adamw",
@@ -193,58 +270,39 @@ _SMALL = Recipe(
     label_smoothing=0.1,
     infonce=1.0,
     rotation=10.0,
-    satellite_rotation=0.0,
     place_rotation=15.0,
     black_corners=0.5,
     own_canvas=0.5,
+    interpolation="cubic",
+    padding=0,
     shift=0.06,
     scale=0.15,
     colour=1.0,
     flip="place",
+    precision="auto",
 )
 
-_CVUSA = Recipe(
-    backbone="vgg16_bn",
-    layout="cvusa",
-    n_parts=8,
-    shared=False,
-    batch=16,
-    lr=0.1,
-    warmup_epochs=5,
-    satellite_rotation=0.0,
-    flip="place",
-)
-
-# university1652, cvusa: the recipes of the paper.
-# safa: the recipe of SAFA (Shi et al. 2019), with panoramas of 112 x 616 pixels.
+# paper: what the paper states for University-1652; where it is silent, the released code.
+# released: the released code for University-1652 (wtyhub/LPN run.sh and train.py).
+# cvusa-paper, cvusa-released: the same for CVUSA (wtyhub/LPN run_cvusa.sh and train_cvusa.py).
+# safa-paper, safa-released: SAFA (Shi et al. 2019), with panoramas of 112 x 616 pixels (wtyhub/SAFA_LPN).
 # small: fine-tuning an ImageNet backbone on a few hundred places. All drone pictures have the same heading.
 # world: fine-tuning as in small. Drone pictures have any heading, as in a rendered world.
+# `recipe_sources` has the source of each setting of the published recipes.
 RECIPES: dict[str, Recipe] = {
-    "university1652": Recipe(),
-    "cvusa": _CVUSA,
-    "safa": replace(
-        _CVUSA,
-        layout="university",
-        n_parts=1,
-        pooling="safa",
-        polar=True,
-        instance=0.0,
-        metric="soft_margin",
-        size=112,
-        width=616,
-        epochs=100,
-        batch=32,
-        optimizer="adam",
-        lr=1e-5,
-        backbone_ratio=1.0,
-        decay_epoch=100,
-        warmup_epochs=0,
-        weight_decay=0.0,
-        shift=0.0,
-    ),
+    "paper": Recipe(),
+    "released": Recipe(batch=8, lr=0.001, **_AS_RELEASED),
+    "cvusa-paper": Recipe(**_CVUSA),
+    "cvusa-released": Recipe(batch=16, lr=0.1, **_CVUSA, **_AS_RELEASED),
+    "safa-paper": _SAFA_RECIPE,
+    "safa-released": _SAFA_RECIPE,
     "small": _SMALL,
     "world": replace(_SMALL, epochs=60, satellite_rotation=180.0, place_rotation=0.0, compression=0.5),
 }
+RecipeName = Literal[
+    "paper", "released", "cvusa-paper", "cvusa-released", "safa-paper", "safa-released", "small", "world"
+]
+DEFAULT: RecipeName = "paper"
 
 _INSTANCE_LOSS: dict[str, Any] = {
     "pooling": "average",
@@ -254,9 +312,10 @@ _INSTANCE_LOSS: dict[str, Any] = {
     "metric": "none",
 }
 _BASELINE: dict[str, Any] = {**_INSTANCE_LOSS, "n_parts": 1, "layout": "university"}
-_METRIC_LOSS: dict[str, Any] = {**_BASELINE, "instance": 0.0}
+_METRIC_LOSS: dict[str, Any] = {**_BASELINE, "instance": 0.0, "sampling": "places"}
 _SAFA: dict[str, Any] = {
     "layout": "university",
+    "sampling": "places",
     "pooling": "safa",
     "polar": True,
     "shared": False,
@@ -288,6 +347,13 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 
 
+# Settings with which the released code trains a method other than its run script's LPN, by recipe and method.
+_OF_METHOD: dict[tuple[str, str], dict[str, Any]] = {
+    ("released", "instance"): {"lr": 0.01},
+    ("cvusa-released", "instance"): {"lr": 0.02},
+}
+
+
 def method(name: str, recipe: Recipe) -> Recipe:
     """Apply a method of `METHODS` to a recipe.
 
@@ -297,3 +363,16 @@ def method(name: str, recipe: Recipe) -> Recipe:
     if name not in METHODS:
         raise InputError(f"There is no method {name!r}; choose one of {', '.join(METHODS)}.")
     return replace(recipe, **METHODS[name])
+
+
+def find(recipe: str, method_name: str | None = None) -> Recipe:
+    """Return a recipe of `RECIPES`, for its own method or for one of `METHODS` with the rates of that method's script.
+
+    Raises:
+        InputError: if there is no such recipe or method.
+    """
+    if recipe not in RECIPES:
+        raise InputError(f"There is no recipe {recipe!r}; choose one of {', '.join(RECIPES)}.")
+    if method_name is None:
+        return RECIPES[recipe]
+    return replace(method(method_name, RECIPES[recipe]), **_OF_METHOD.get((recipe, method_name), {}))

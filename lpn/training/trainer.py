@@ -47,7 +47,8 @@ class Trainer:
         dataset: the data set with the training pictures.
         out: the run's folder.
         recipe: every setting of the training.
-        init: pretrained weights of the backbone; tensors that do not fit are skipped.
+        init: pretrained weights of the backbone, which every recipe starts from; tensors that do not fit are skipped.
+        from_scratch: start from random weights instead.
         resume: continue after the last whole epoch in `out`, with the same losses as an uninterrupted run.
         evaluate_every: number of epochs between tests; the best tested model is saved. 0 tests at the end only.
         workers: number of threads that prepare pictures, without effect on the result; 0 chooses it.
@@ -77,7 +78,10 @@ class Trainer:
         group: ProcessGroup | None = None,
         test: bool = True,
         compiled: bool = False,
+        from_scratch: bool = False,
     ) -> None:
+        if init is not None and from_scratch:
+            raise InputError("--init and --from-scratch exclude each other; give one of them.")
         self.group = group or single_process()
         self.console = (console or Console()) if self.group.is_leader else Console(quiet=True)
         self.dataset, self.out, self.recipe, self.evaluate_every = dataset, out, recipe, evaluate_every
@@ -87,6 +91,11 @@ class Trainer:
         if resume and there and "state.pt" not in there and _first_epoch_alone(out):
             self.console.print(f"The run in {out} was stopped during its first epoch, so it starts anew.")
             resume, there = False, []
+        if init is None and not from_scratch and not resume:
+            raise InputError(
+                "Every recipe starts from a backbone trained on ImageNet; give its weights with --init FILE, or say "
+                "--from-scratch to start from random weights."
+            )
         if not resume and there:
             raise InputError(
                 f"{out} holds {there[0]} of a training run already; add --resume to continue it, or choose another --out."
@@ -172,7 +181,7 @@ class Trainer:
         previous: Tensor | None = None
         for step, batch in enumerate(batches):
             loss, rate = self.learner.step(batch, epoch * self.steps + step, self.steps)
-            pictures += len(batch.places) * len(batch.sets)
+            pictures += batch.pictures
             # Read the loss of the previous step, so that the GPU need not wait.
             if previous is not None:
                 total += self._check_loss(float(previous), total, epoch, step)
@@ -257,11 +266,14 @@ class Trainer:
         group, shares = self.group, ""
         if group.size > 1:
             batch = self.recipe.batch // group.size
+            rows = "places" if self.recipe.sampling == "places" else "pictures of each set"
             norm = "the whole batch" if self.device.type == "cuda" else "the process's own share"
-            shares = f" Each of {group.size} processes takes {batch} places of a batch; BatchNorm sees {norm}."
+            shares = f" Each of {group.size} processes takes {batch} {rows} of a batch; BatchNorm sees {norm}."
+        precision = self.learner.mixed_precision
+        instead = " (float16 needs a CUDA device)" if precision.fell_back else ""
         workers = f"{self.loader.workers} thread{'' if self.loader.workers == 1 else 's'}"
         self.console.print(
-            f"Computing in {self.learner.mixed_precision.name} on {self.device.type}; "
+            f"Computing in {precision.name} on {self.device.type}{instead}; "
             f"pictures are prepared by {workers}.{shares}",
             soft_wrap=True,
         )
@@ -326,6 +338,7 @@ def _spec(recipe: Recipe, places: TrainingSet) -> ModelSpec:
         n_parts=recipe.n_parts,
         layout=recipe.layout,
         weighting=recipe.weighting,
+        activation=recipe.activation,
         classes=len(places),
         dropout=recipe.dropout,
         input_size=recipe.input_size,

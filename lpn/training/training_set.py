@@ -103,6 +103,13 @@ class TrainingSet:
         self.files = {name: [places[i] for i in rest] for name, places in self.files.items()}
         return held
 
+    def pictures(self) -> dict[str, list[tuple[Path, int]]]:
+        """List all pictures of each set, each with the class of its place."""
+        return {
+            name: [(file, number) for number, place in enumerate(places) for file in place]
+            for name, places in self.files.items()
+        }
+
     def picture(self, path: Path) -> UInt8Array:
         """Decode a picture, or take it from the cache; thread-safe."""
         cached = self._cache.get(path)

@@ -146,7 +146,7 @@ def test_index(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -
 def test_train(places: Path, tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
     settings = ["--epochs", "2", "--size", "32", "--batch", "4", "--warmup-epochs", "0", "--ema", "0"]
-    arguments = ["train", "--data", str(places), "--out", str(out), "--recipe", "small", *settings]
+    arguments = ["train", "--data", str(places), "--out", str(out), "--recipe", "small", "--from-scratch", *settings]
 
     def whole() -> None:
         for file in (out / "last.safetensors", out / "best.safetensors"):

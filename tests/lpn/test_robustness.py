@@ -144,7 +144,7 @@ def test_one_place_is_too_few_to_train_on_and_says_nothing_when_tested(
 ) -> None:
     root = str(small_worlds.make_dataset(tmp_path / "one", train=1, test=1))
     assert "at least two" in said(
-        ["train", "--data", root, "--out", str(tmp_path / "run"), "--recipe", "small"], capsys
+        ["train", "--data", root, "--out", str(tmp_path / "run"), "--recipe", "small", "--from-scratch"], capsys
     )
     assert main.main(["evaluate", "--data", root, "--model", str(model_file)]) == 0
     assert "one place only" in caplog.text
@@ -385,7 +385,7 @@ def test_a_place_that_cannot_be_written_is_one_sentence_before_any_work(
         "describe": ["--model", model, "--images", str(data), "--view", "drone", "--out", there],
         "export": ["--model", checkpoint, "--out", f"{there}.onnx"],
         "quantize": ["--model", model, "--data", str(data), "--out", f"{there}.onnx"],
-        "train": ["--data", str(data), "--out", there, "--recipe", "small", "--batch", "2"],
+        "train": ["--data", str(data), "--out", there, "--recipe", "small", "--batch", "2", "--from-scratch"],
         "index": ["--descriptors", str(store), "--out", there],
         "evaluate": ["--model", model, "--data", str(data), "--json", f"{there}.json"],
     }[command]

@@ -118,7 +118,7 @@ def measure(data: Path, recipe: Recipe, folder: Path) -> dict[str, tuple[float, 
     quiet = Console(quiet=True)
 
     def trainer(name: str, **changes: object) -> Trainer:
-        return Trainer(open_dataset(data), folder / name, replace(recipe, **changes), console=quiet)  # type: ignore[arg-type]
+        return Trainer(open_dataset(data), folder / name, replace(recipe, **changes), console=quiet, from_scratch=True)  # type: ignore[arg-type]
 
     first = trainer("plain")
     places = first.places
@@ -153,7 +153,7 @@ def figures(root: Path | None = None, resnet50: bool = False) -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         data = root or make_train_split(Path(folder) / "data", PLACES)
         for name, network in networks.items():
-            recipe = replace(RECIPES["university1652"], **network)  # type: ignore[arg-type]
+            recipe = replace(RECIPES["released"], batch=32, **network)  # type: ignore[arg-type]
             result = measure(data, recipe, Path(folder) / name)
             plain, _ = result.pop("plain loop")
             for loop, (speed, ratio) in result.items():

@@ -115,7 +115,9 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
             ["describe", "--model", "MODEL", "--images", "DATA", "--view", "drone", "--out", "MODEL"],
             "cannot be written",
         ),
-        (["train", "--data", "DATA", "--out", "MODEL/run", "--batch", "4"], "cannot be written"),
+        (["train", "--data", "DATA", "--out", "run"], "give its weights with --init FILE, or say --from-scratch"),
+        (["train", "--data", "DATA", "--out", "run", "--init", "x", "--from-scratch"], "exclude each other"),
+        (["train", "--data", "DATA", "--out", "MODEL/run", "--batch", "4", "--from-scratch"], "cannot be written"),
         (["train", "--data", "DATA", "--out", "run", "--lr", "nan"], "lr = nan"),
         (["fly"], "no command 'fly'"),
     ],
@@ -142,7 +144,7 @@ def test_train_takes_its_defaults_from_the_named_recipe(tmp_path: Path) -> None:
     root = small_worlds.make_dataset(tmp_path / "places", train=4, test=2)
     done = run(
         *("train", "--data", root, "--out", tmp_path / "run", "--recipe", "small"),
-        *("--size", 64, "--batch", 4, "--epochs", 1, "--n-parts", 2),
+        *("--size", 64, "--batch", 4, "--epochs", 1, "--n-parts", 2, "--from-scratch"),
     )
     assert done.returncode == 0, done.stderr
     assert '"backbone": "resnet18"' in done.stdout.replace("\n", "")

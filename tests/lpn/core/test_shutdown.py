@@ -54,7 +54,20 @@ def half_written(folder: Path) -> list[Path]:
 
 def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
-    given: list[object] = ["train", "--data", data, "--out", out, "--recipe", "small", "--size", 64, "--batch", 4]
+    given: list[object] = [
+        "train",
+        "--data",
+        data,
+        "--out",
+        out,
+        "--recipe",
+        "small",
+        "--size",
+        64,
+        "--batch",
+        4,
+        "--from-scratch",
+    ]
     given += ["--epochs", 1000, "--n-parts", 2]
     with Process(given, tmp_path / "cache") as process:
         process.until((out / "state.pt").is_file)
@@ -76,7 +89,20 @@ def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> 
 def test_a_training_without_a_whole_epoch_says_so(tmp_path: Path) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
     slow = "import time, lpn.training.loader as l\ns = l.Loader.stream\nl.Loader.stream = lambda *a: (time.sleep(600), s(*a))[1]"
-    given: list[object] = ["train", "--data", data, "--out", out, "--recipe", "small", "--size", 64, "--batch", 4]
+    given: list[object] = [
+        "train",
+        "--data",
+        data,
+        "--out",
+        out,
+        "--recipe",
+        "small",
+        "--size",
+        64,
+        "--batch",
+        4,
+        "--from-scratch",
+    ]
     with Process(given, tmp_path / "cache", slow) as process:
         process.until(lambda: "Computing in" in process.out)
         process.interrupt()

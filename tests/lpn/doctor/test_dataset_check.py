@@ -33,7 +33,7 @@ def test_a_healthy_set_is_counted_against_the_full_one(
     assert "places is in University-1652's layout" in said
     assert "6 of 37,854" in said
     assert "68 of 68 pictures can be read (decoded)" in said
-    assert "--recipe university1652" in said
+    assert "--recipe paper or released" in said
     assert "lpn evaluate --task drone-to-satellite: 14 queries, 14 pictures" in said
     assert "Tables I, III, IV, V and Figure 5 of the paper, at the scale of what is here" in said
     assert "Nothing is broken." in said

@@ -8,7 +8,7 @@ from lpn.training.augmentation import augment
 from lpn.training.recipes import Recipe
 from tools.fixtures import small_worlds
 
-STILL = Recipe(backbone="resnet18", size=small_worlds.SIZE, shift=0.0, satellite_rotation=0.0, flip="none")
+STILL = Recipe(backbone="resnet18", size=small_worlds.SIZE, padding=0, flip="none", interpolation="cubic")
 
 
 def changed(recipe: Recipe, seed: int) -> UInt8Array:

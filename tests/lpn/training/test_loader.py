@@ -35,7 +35,9 @@ def loader(data: Path, **options: Any) -> Loader:
 
 
 def same(one: TrainingBatch, two: TrainingBatch) -> bool:
-    return torch.equal(one.places, two.places) and all(torch.equal(one.sets[k], two.sets[k]) for k in one.sets)
+    return all(torch.equal(one.labels[k], two.labels[k]) for k in one.labels) and all(
+        torch.equal(one.sets[k], two.sets[k]) for k in one.sets
+    )
 
 
 def test_batches_do_not_depend_on_the_number_of_workers_or_on_where_a_run_begins(data: Path) -> None:
@@ -52,7 +54,7 @@ def test_processes_shares_make_the_batch(data: Path) -> None:
     first, second = (next(loader(data, share=rows).stream(0, 1)) for rows in (slice(0, 2), slice(2, 4)))
     for name, pictures in whole.sets.items():
         assert torch.equal(torch.cat([first.sets[name], second.sets[name]]), pictures)
-    assert torch.equal(first.places, whole.places)
+        assert torch.equal(first.labels[name], whole.labels[name])
 
 
 def test_pictures_are_normalised_as_everywhere_and_channels_last(data: Path) -> None:

@@ -109,9 +109,20 @@ def test_losses_on_distances_have_finite_slopes_where_views_agree() -> None:
         assert torch.isfinite(parts.grad).all()
 
 
+def test_the_instance_loss_takes_each_set_s_own_labels() -> None:
+    outputs = {name: (drawn(i, B, 2, 16), drawn(9 + i, B, 2, B)) for i, name in enumerate(("satellite", "drone"))}
+    labels = {"satellite": torch.arange(B), "drone": torch.arange(B).flip(0)}
+    expected = sum(instance_loss(scores.float(), labels[name]).sum() for name, (_, scores) in outputs.items())
+    torch.testing.assert_close(total_loss(outputs, labels, RECIPES["released"]), expected)
+    assert not torch.allclose(
+        total_loss(outputs, dict.fromkeys(outputs, labels["drone"]), RECIPES["released"]), expected
+    )
+
+
 def test_every_method_has_the_loss_it_is_named_after() -> None:
     places = torch.arange(B)
     outputs = {name: (drawn(i, B, 1, 16), drawn(9 + i, B, 1, B)) for i, name in enumerate(("satellite", "drone"))}
+    labels = dict.fromkeys(outputs, places)
     tiles, drones = (descriptors(parts.float()) for parts, _ in outputs.values())
     expected = {
         "instance": torch.stack([instance_loss(s.float(), places).sum() for _, s in outputs.values()]).sum(),
@@ -122,7 +133,7 @@ def test_every_method_has_the_loss_it_is_named_after() -> None:
         "safa": soft_margin_loss(tiles, drones, 10.0),
     }
     for name, value in expected.items():
-        torch.testing.assert_close(total_loss(outputs, places, method(name, RECIPES["university1652"])), value)
+        torch.testing.assert_close(total_loss(outputs, labels, method(name, RECIPES["paper"])), value)
     assert set(METHODS) >= set(expected)
 
 
@@ -150,8 +161,12 @@ def test_a_method_is_the_same_network_and_loss_in_every_recipe(recipe: str) -> N
 
 def test_a_recipe_that_cannot_be_trained_is_refused() -> None:
     with pytest.raises(InputError, match="no loss"):
-        replace(RECIPES["university1652"], instance=0.0)
+        replace(RECIPES["paper"], instance=0.0)
     with pytest.raises(InputError, match="no class layer"):
-        replace(RECIPES["safa"], instance=1.0)
+        replace(RECIPES["safa-paper"], instance=1.0)
+    for paired in ({"infonce": 1.0}, {"metric": "triplet"}, {"flip": "place"}, {"place_rotation": 5.0}):
+        with pytest.raises(InputError, match=f"with {next(iter(paired))}.*; use sampling = places"):
+            replace(RECIPES["released"], **paired)  # type: ignore[arg-type]
+        assert replace(RECIPES["released"], sampling="places", **paired).sampling == "places"  # type: ignore[arg-type]
     with pytest.raises(InputError, match="no method 'best'"):
         method("best", RECIPES["small"])

@@ -78,7 +78,7 @@ def panoramas(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def improves(data: Path, folder: Path, name: str, changes: dict[str, Any], task: str) -> Path:
     recipe = replace(method(name.split(" ")[0], STEPS), **changes)
     dataset = open_dataset(data)
-    run = Trainer(dataset, folder / "run", recipe, console=Console(file=io.StringIO()))
+    run = Trainer(dataset, folder / "run", recipe, console=Console(file=io.StringIO()), from_scratch=True)
     save(run.network, folder / "before.safetensors")
     model = run.run()
     before, after = (evaluate(lpn.load(m), dataset, task).ap for m in (folder / "before.safetensors", model))

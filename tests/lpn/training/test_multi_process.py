@@ -71,7 +71,7 @@ def test_an_error_in_one_process_ends_all_with_its_sentence(places: Path, tmp_pa
     data = tmp_path / "places"
     shutil.copytree(places, data)
     small_worlds.spoilt_png(data / "train" / "drone" / "0003" / "image-01.png")
-    quick = ("--recipe", "small", "--size", 64, "--batch", 4, "--epochs", 1)
+    quick = ("--recipe", "small", "--size", 64, "--batch", 4, "--epochs", 1, "--from-scratch")
     done = torchrun("-m", "lpn", "train", "--data", data, "--out", tmp_path / "run", *quick)
     assert done.returncode != 0
     said = [line for line in done.stderr.splitlines() if line.startswith("lpn: ")]

@@ -30,6 +30,7 @@ QUICK = replace(RECIPES["small"], size=64, epochs=3, batch=4, warmup_epochs=0, p
 
 def trainer(data: Path, out: Path, recipe: Recipe = QUICK, **options: object) -> tuple[Trainer, io.StringIO]:
     said = io.StringIO()
+    options.setdefault("from_scratch", "init" not in options)
     return Trainer(open_dataset(data), out, recipe, console=Console(file=said, width=200), **options), said  # type: ignore[arg-type]
 
 
@@ -305,7 +306,7 @@ def test_three_views_and_google_train_and_missing_counterparts_are_named(tmp_pat
         for name in ("satellite", "drone", "street", "google"):
             if (label, name) != (3, "street"):
                 small_worlds.write(tmp_path / "train" / name / f"{label:04d}" / "a.png", small_worlds.place(label))
-    recipe = replace(RECIPES["university1652"], backbone="resnet18", last_layer="layer3", size=64, epochs=1, batch=4)
+    recipe = replace(RECIPES["paper"], backbone="resnet18", last_layer="layer3", size=64, epochs=1, batch=4)
     run, said = trainer(tmp_path, tmp_path / "run", recipe)
     model = lpn.load(run.run())
     assert model.views == ("satellite", "street", "drone")
@@ -358,7 +359,8 @@ def test_a_compiled_training_has_the_losses_of_an_eager_one(places: Path, tmp_pa
 
 
 def test_the_paper_s_recipe_is_the_default() -> None:
-    recipe = RECIPES["university1652"]
+    recipe = RECIPES["paper"]
+    assert recipe == Recipe()
     assert (recipe.backbone, recipe.n_parts, recipe.size, recipe.epochs, recipe.decay_epoch) == (
         "resnet50",
         4,

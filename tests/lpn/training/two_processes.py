@@ -33,7 +33,9 @@ RECIPE = replace(
 def trainer(data: Path, out: Path, group: ProcessGroup | None = None, resume: bool = False) -> Trainer:
     """Make a training with frozen BatchNorm, so that the division of a batch changes nothing."""
     with (out.parent / f"{out.name}.txt").open("a") as said:
-        run = Trainer(open_dataset(data), out, RECIPE, resume=resume, console=Console(file=said), group=group)
+        run = Trainer(
+            open_dataset(data), out, RECIPE, resume=resume, console=Console(file=said), group=group, from_scratch=True
+        )
     run.console = Console(quiet=True)
     for module in run.network.modules():
         if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d):
