@@ -72,7 +72,14 @@ class ClientSession:
             viewport = Viewport()
             self._reporter = Reporter(client, self._requests.queued(workspace.model, background=True))
             self._explain_window = ExplainWindow(
-                client, workspace, self.change, self._on_error, viewport, self._reporter, self._requests
+                client,
+                workspace,
+                self.change,
+                self._on_error,
+                viewport,
+                self._reporter,
+                self._requests,
+                lambda name: self._bridge.call("tab", name),
             )
             self._lab = FailureLabWindow(client, workspace, failure_lab, self.change, viewport, self._reporter)
             self._panels.navigation.order = self._lab.order

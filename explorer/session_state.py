@@ -43,6 +43,7 @@ class SessionState:
         heat: True while heatmaps are drawn.
         heat_kind: the heatmap's values: one picture's activation, or the compared pair's evidence.
         heat_part: the part that the heatmap shows; None for all parts.
+        same_scale: True if query and tile share one colour scale for each part in the tab Heatmaps.
         opacity: of the heatmap, 0 .. 1.
         rings: True while part boundaries are drawn.
         exploded: True while the rings are lifted apart.
@@ -70,6 +71,7 @@ class SessionState:
     heat: bool = True
     heat_kind: HeatKind = "activation"
     heat_part: int | None = None
+    same_scale: bool = False
     opacity: float = 0.6
     rings: bool = True
     exploded: bool = False
@@ -226,6 +228,11 @@ def flip_why(state: SessionState) -> SessionState:
 def flip_lab(state: SessionState) -> SessionState:
     """Open or close the failure laboratory."""
     return replace(state, lab=not state.lab)
+
+
+def flip_same_scale(state: SessionState) -> SessionState:
+    """Give query and tile one colour scale for each part, or each its own."""
+    return replace(state, same_scale=not state.same_scale)
 
 
 def flip_heat_kind(state: SessionState) -> SessionState:

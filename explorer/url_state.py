@@ -64,6 +64,7 @@ class UrlState:
             _switch("heat"),
             _choice("heat_kind", {"activation": "activation", "evidence": "evidence"}, "shows"),
             _Parameter("part", lambda s: None if s.heat_part is None else str(s.heat_part + 1), _read_heat_part),
+            _choice("same_scale", {"own": False, "same": True}, "scale"),
             _number("opacity", 0, 1),
             _choice("dark", {"light": False, "dark": True}, "theme"),
         )

@@ -1,1 +1,1 @@
-"""The explain window: evidence, comparison, sweep, region search, and a second model, in tabs."""
+"""The explain window: evidence, heatmaps, comparison, sweep, region search, and a second model, in tabs."""

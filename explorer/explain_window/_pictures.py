@@ -1,4 +1,4 @@
-"""Pictures of the explain window's tabs as data URIs."""
+"""Pictures of the explain window's tabs."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from lpn.core.views import View
 from lpn.drawing import overlays
 
 
-def with_parts(
+def draw_parts(
     workspace: Workspace,
     picture: UInt8Array,
     view: View,
     size: tuple[int, int],
     cells: Float64Array | None = None,
     limit: float = 1.0,
-) -> str:
-    """Draw a picture's parts, and its evidence where `cells` (h, w) are given.
+) -> UInt8Array:
+    """Draw a picture's parts, and its evidence where `cells` (h, w) are given: (H, W, 3) uint8.
 
     Args:
         size: height, and the largest width of a panorama.
@@ -30,4 +30,16 @@ def with_parts(
     )
     if cells is not None:
         drawn = overlays.with_evidence(drawn, cells, limit)
-    return overlays.data_uri(overlays.with_rings(drawn, workspace.spec.partition(view), workspace.map_sizes[view]), 88)
+    return overlays.with_rings(drawn, workspace.spec.partition(view), workspace.map_sizes[view])
+
+
+def with_parts(
+    workspace: Workspace,
+    picture: UInt8Array,
+    view: View,
+    size: tuple[int, int],
+    cells: Float64Array | None = None,
+    limit: float = 1.0,
+) -> str:
+    """Return `draw_parts` as a data URI."""
+    return overlays.data_uri(draw_parts(workspace, picture, view, size, cells, limit), 88)

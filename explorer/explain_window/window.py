@@ -1,4 +1,4 @@
-"""The explain window: evidence, comparison, sweeps, and search by a region, in the tabs of one movable panel."""
+"""The explain window: evidence, heatmaps, comparison, sweeps, and search by a region, in the tabs of one movable panel."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import viser
 from explorer import reports, session_state
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import Worker
-from explorer.explain_window import comparison, evidence, region, sweep_page
+from explorer.explain_window import activation, comparison, evidence, region, sweep_page
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
 from explorer.reports import Reporter
@@ -27,6 +27,8 @@ from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Ranking
 
+_EVIDENCE, _HEATMAPS, _COMPARISON, _SWEEP = "Why", "Heatmaps", "True or wrong", "Turn, shift, zoom"
+_REGION, _MODELS = "Search by a region", "Two models"
 _MAX_SIZE = (1000, 900)
 # Seconds between two drawings of a sweep in progress.
 _DRAW_INTERVAL = 0.15
@@ -95,6 +97,7 @@ class ExplainWindow:
         viewport: the size of the stage.
         reporter: makes reports of the shown analysis.
         requests: gives access to the networks for this browser.
+        open_tab: makes the page show a tab by its name.
     """
 
     def __init__(
@@ -106,29 +109,32 @@ class ExplainWindow:
         viewport: Viewport,
         reporter: Reporter,
         requests: RequestContext,
+        open_tab: Callable[[str], None],
     ) -> None:
         self._workspace, self._change, self._viewport, self._reporter = workspace, change, viewport, reporter
         self._model = requests.queued(workspace.model, background=True)
         self._model_comparison = (
             None if workspace.second_workspace is None else ModelComparison(workspace.second_workspace, requests)
         )
+        self._open_tab = open_tab
         self._lock = Lock()
         self._content: WindowContent | None = None
         self._open = False
         tabs: list[tuple[str, Any, Callable[[WindowContent], str]]] = [
-            ("Why", viser.Icon.ZOOM_QUESTION, lambda content: evidence.page(content.analysis, workspace)),
-            ("True or wrong", viser.Icon.SCALE, self._comparison_html),
-            ("Turn, shift, zoom", viser.Icon.CHART_LINE, self._sweep_html),
-            ("Search by a region", viser.Icon.BRUSH, lambda content: region.page(content.analysis, workspace)),
+            (_EVIDENCE, viser.Icon.ZOOM_QUESTION, lambda content: evidence.page(content.analysis, workspace)),
+            (_HEATMAPS, viser.Icon.GRID_DOTS, lambda content: activation.page(content.analysis, workspace)),
+            (_COMPARISON, viser.Icon.SCALE, self._comparison_html),
+            (_SWEEP, viser.Icon.CHART_LINE, self._sweep_html),
+            (_REGION, viser.Icon.BRUSH, lambda content: region.page(content.analysis, workspace)),
         ]
         if self._model_comparison is not None:
-            tabs.append(("Two models", viser.Icon.COLUMNS_2, self._models_html))
+            tabs.append((_MODELS, viser.Icon.COLUMNS_2, self._models_html))
         self._panel = client.gui.add_panel(visible=False)
         self._tabs: list[_Tab] = []
         for name, icon, content in tabs:
             with self._panel.add_tab(name, icon):
                 self._tabs.append(_Tab(client.gui, self._renderer(content)))
-        self._comparison_tab, self._sweep_tab = self._tabs[1:3]
+        self._comparison_tab, self._sweep_tab = self._tabs[2:4]
         self._worker = Worker(self._compute, on_error)
         # The second model runs in its own thread, so that the first model's answer need not wait for it.
         self._models_worker = Worker(self._draw_models, on_error)
@@ -139,6 +145,7 @@ class ExplainWindow:
         return {
             "close": lambda _: self._change(lambda state: replace(state, why=False)),
             "part": self._choose_part,
+            "scale": self._choose_scale,
             "compare": self._compare,
             "query": self._choose_query,
             "weigh": self._use_weights,
@@ -155,16 +162,21 @@ class ExplainWindow:
         if self._workspace.model is None:
             return []
         sweep_commands = [
-            (f"Sweep: {label.lower()}", self._command(self._request_sweep, over))
+            (f"Sweep: {label.lower()}", self._command(_SWEEP, self._request_sweep, over))
             for over, label in sweep_page.CHOICES.items()
         ]
         return [
+            ("Heatmaps: activation part by part", self._command(_HEATMAPS)),
+            ("Heatmaps: same scale for query and tile, or each its own", self._command(_HEATMAPS, self._flip_scale)),
             *sweep_commands,
-            ("Stop the sweep", self._command(self._cancel_sweep)),
-            ("Test on all queries the weights that put the true tile first", self._command(self._request_effect)),
-            ("Use the weights that put the true tile first", self._command(self._use_weights)),
-            ("Search by the whole query, not a region", self._command(self._search_region, [])),
-            ("Save a report of this query", self._command(self._report)),
+            ("Stop the sweep", self._command(_SWEEP, self._cancel_sweep)),
+            (
+                "Test on all queries the weights that put the true tile first",
+                self._command(_COMPARISON, self._request_effect),
+            ),
+            ("Use the weights that put the true tile first", self._command(_COMPARISON, self._use_weights)),
+            ("Search by the whole query, not a region", self._command(_REGION, self._search_region, [])),
+            ("Save a report of this query", self._command(_EVIDENCE, self._report)),
         ]
 
     def leave(self) -> None:
@@ -185,7 +197,7 @@ class ExplainWindow:
                 now.sweep.request.cancelled.set()
                 self._content = replace(self._content, sweep=None)
         if is_open:
-            for tab in self._tabs[:4]:
+            for tab in self._tabs[:5]:
                 tab.draw()
             if self._model_comparison is not None:
                 self._models_worker.wake()
@@ -287,11 +299,14 @@ class ExplainWindow:
             self._content = replace(self._content, pair=new)
         self._comparison_tab.draw()
 
-    def _command(self, handler: Callable[[Any], None], value: Any = None) -> Callable[[], None]:
-        """Return a palette command that opens the window and calls a handler."""
+    def _command(
+        self, tab: str, handler: Callable[[Any], None] = lambda _: None, value: Any = None
+    ) -> Callable[[], None]:
+        """Return a palette command that opens the window at a tab and calls a handler."""
 
         def run() -> None:
             self._change(lambda state: replace(state, why=True))
+            self._open_tab(tab)
             handler(value)
 
         return run
@@ -333,6 +348,13 @@ class ExplainWindow:
         part = session_state.integer(value, 0, self._workspace.spec.n_parts - 1)
         if part is not None or value is None:
             self._change(lambda state: replace(state, heat_part=part))
+
+    def _choose_scale(self, value: Any) -> None:
+        if isinstance(value, bool):
+            self._change(lambda state: replace(state, same_scale=value))
+
+    def _flip_scale(self, _: Any) -> None:
+        self._change(session_state.flip_same_scale)
 
     def _compare(self, value: Any) -> None:
         content = self._content

@@ -76,6 +76,18 @@ def evidence_scale(width: int, height: int) -> UInt8Array:
     return with_evidence(np.full((height, width, 3), 40, np.uint8), values, 1.0)
 
 
+def heat_cells(values: FloatingArray, low: float, high: float) -> UInt8Array:
+    """Return the colours of cells (h, w) from `low` to `high` in viridis, (h, w, 4) RGBA; NaN is transparent.
+
+    Viridis is perceptually uniform: equal steps of a value are equal steps of colour. The released code uses it for its heatmaps
+    (wtyhub/LPN heatmap.py:49).
+    """
+    share = np.nan_to_num((values - low) / max(high - low, 1e-12)) if high > low else np.full(values.shape, 0.5)
+    levels = np.round(255 * np.clip(share, 0, 1)).astype(np.uint8)
+    colours = cv2.cvtColor(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
+    return np.dstack([colours, np.where(np.isnan(values), 0, 255).astype(np.uint8)])
+
+
 def with_rings(picture: UInt8Array, partition: Partition, map_size: tuple[int, int], thickness: int = 2) -> UInt8Array:
     """Draw the boundary of each part in its colour, with a dark outline that is visible on bright ground."""
     height, width = picture.shape[:2]
@@ -116,3 +128,9 @@ def data_uri(picture: UInt8Array, quality: int = 80) -> str:
     """Return a picture, (H, W, 3) uint8, as the data URI of a JPEG."""
     encoded = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()
+
+
+def png_data_uri(cells: UInt8Array) -> str:
+    """Return a picture with transparency, (H, W, 4) RGBA uint8, as the data URI of a PNG, which is exact."""
+    encoded = cv2.imencode(".png", cv2.cvtColor(cells, cv2.COLOR_RGBA2BGRA))[1]
+    return "data:image/png;base64," + base64.b64encode(encoded.tobytes()).decode()

@@ -63,6 +63,45 @@ def test_evidence_of_the_compared_pair_is_exact_and_its_cursor_linked(explorer: 
     expect(explorer.page.locator("#lpn-why .lpn-map").first).to_be_hidden()
 
 
+def test_each_part_has_a_heatmap_of_query_and_tile_and_both_may_share_a_scale(explorer: ExplorerPage) -> None:
+    open_window(explorer)
+    explorer.tab("Heatmaps")
+    page = explorer.page.locator("#lpn-heatmaps")
+    cells = page.locator("img.cells")
+    expect(cells).to_have_count(2 * 4)
+
+    def scales(side: str) -> list[list[str]]:
+        bars = page.locator(f'figure[data-side="{side}"] svg:has(image)')
+        return bars.evaluate_all(
+            "bars => bars.map(bar => [...bar.querySelectorAll('text')].map(text => text.textContent))"
+        )
+
+    for side in ("query", "tile"):
+        assert [len(labels) for labels in scales(side)] == [3] * 4
+        for low, middle, high in scales(side):
+            assert float(low) < float(middle) < float(high)
+    own = scales("query"), scales("tile")
+    assert own[0] != own[1]
+    box = page.get_by_role("checkbox", name="Same scale for query and tile")
+    box.click()
+    explorer.eventually(lambda: _assert_equal(scales("query"), scales("tile")))
+    expect(box).to_be_checked()
+    for part, (low, _, high) in enumerate(scales("tile")):
+        # The labels are rounded, and the shared scale may be too long for a digit after the point.
+        assert float(low) == pytest.approx(min(float(side[part][0]) for side in own), abs=0.6)
+        assert float(high) == pytest.approx(max(float(side[part][2]) for side in own), abs=0.6)
+    cells.first.hover()
+    expect(page.locator(".lpn-value")).to_have_text(
+        re.compile(r"query, activation of part 1 centre, row \d, column \d: ")
+    )
+    box.click()
+    explorer.eventually(lambda: _assert_equal((scales("query"), scales("tile")), own))
+
+
+def _assert_equal(found: object, expected: object) -> None:
+    assert found == expected
+
+
 def test_evidence_follows_the_chosen_tile_and_part(explorer: ExplorerPage) -> None:
     maps = open_window(explorer)
     before = maps.first.get_attribute("data-cells")

@@ -48,6 +48,7 @@ def any_state(workspace: Workspace, rng: Random) -> SessionState:
         heat=rng.choice(chance),
         heat_kind=rng.choice(["activation", "evidence"]),
         heat_part=rng.choice([None, 0, 3]),
+        same_scale=rng.choice(chance),
         opacity=round(rng.random(), 2),
         rings=rng.choice(chance),
         exploded=rng.choice(chance),

@@ -89,6 +89,16 @@
     lpn.hover(map, event, true);
   };
 
+  // Show the value of the cell of a heatmap under the mouse.
+  lpn.value = (map, event) => {
+    const read = map.closest(".lpn").querySelector(".lpn-value");
+    const cell = lpn.cell(map, event);
+    const [, columns] = sized(map);
+    const value = event.type === "mouseleave" ? null : numbers(map, "cells")[cell];
+    const place = ", row " + (Math.floor(cell / columns) + 1) + ", column " + ((cell % columns) + 1) + ": ";
+    read.textContent = value === null ? read.dataset.hint : map.alt + place + String(value).replace("-", "\u2212");
+  };
+
   // The first cell of a stroke decides whether the stroke paints or erases; the server receives whole strokes.
   lpn.stroke = (map, event) => {
     if (event.type === "pointerdown") {

@@ -82,5 +82,13 @@
     if (!target?.offsetHeight) return setTimeout(() => lpn.reveal(selector, tries - 1), 250);
     setTimeout(() => target.scrollIntoView({ block: "start", behavior: "smooth" }), 300);
   };
+  // Open a tab of a window by its name, as soon as the window is in the page.
+  lpn.tab = (name, tries = 40) => {
+    const tabs = [...document.querySelectorAll('[role="tab"]')];
+    const tab = tabs.find((one) => one.textContent.trim() === name && one.offsetHeight);
+    if (!tab) return tries && setTimeout(() => lpn.tab(name, tries - 1), 250);
+    tab.click();
+    if (phone.matches) setTimeout(() => tab.scrollIntoView({ block: "start", behavior: "smooth" }), 300);
+  };
   phone.addEventListener("change", () => setTimeout(lpn.watch, 300));
 })();

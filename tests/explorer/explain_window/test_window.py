@@ -17,7 +17,7 @@ import pytest
 
 from explorer import session_state
 from explorer.compute.request_context import RequestContext
-from explorer.explain_window import comparison, evidence, region, sweep_page
+from explorer.explain_window import activation, comparison, evidence, region, sweep_page
 from explorer.explain_window.sweep_request import SweepRequest
 from explorer.explain_window.window import ExplainWindow
 from explorer.opening import open_model
@@ -77,6 +77,32 @@ def test_the_page_holds_every_cell_and_its_mate(workspace: Workspace) -> None:
     of_part = evidence.page(analysed(workspace, heat_part=1), workspace)
     assert data_of(of_part, "cells") != cells
     assert f"{found.score:+.3f}" in html
+
+
+def test_heatmaps_hold_the_channel_sum_of_each_part_s_cells(workspace: Workspace) -> None:
+    analysis = analysed(workspace)
+    assert analysis.query.trace is not None
+    assert analysis.tile.trace is not None
+    html = activation.page(analysis, workspace)
+    held = [json.loads(found) for found in re.findall('data-cells="([^"]*)"', html)]
+    assert len(held) == 2 * 4
+    for side, described in enumerate((analysis.query, analysis.tile)):
+        assert described.trace is not None
+        total = described.trace.features[0].sum(axis=0).ravel()
+        for part in range(4):
+            cells = np.array(held[2 * part + side], float)
+            inside = ~np.isnan(cells)
+            weights = workspace.spec.partition(analysis.task.views[side]).weights(4, 4)
+            np.testing.assert_array_equal(inside, weights[part].ravel() > 0)
+            np.testing.assert_allclose(cells[inside], total[inside], rtol=1e-3)
+    assert '"checkbox" checked' not in html
+    same = activation.page(analysed(workspace, same_scale=True), workspace)
+    assert '"checkbox" checked' in same
+    scales = re.findall('aria-label="scale ([^"]*)"', same)
+    assert len(scales) == 8
+    assert scales[::2] == scales[1::2]
+    own = re.findall('aria-label="scale ([^"]*)"', html)
+    assert own[::2] != own[1::2]
 
 
 def test_a_comparison_is_between_the_positive_and_the_chosen_tile(workspace: Workspace) -> None:
@@ -290,6 +316,7 @@ def window(workspace: Workspace) -> Iterator[tuple[ExplainWindow, WindowGui]]:
         Viewport(),
         SimpleNamespace(),  # type: ignore[arg-type]
         RequestContext(workspace.inference),
+        lambda _: None,
     )
     yield window, gui
     window.leave()

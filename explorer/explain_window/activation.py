@@ -1,0 +1,47 @@
+"""The tab "Heatmaps": the activation of each part as a heatmap of its own, for query and tile."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from markupsafe import Markup
+
+from explorer.explain_window._pictures import draw_parts
+from explorer.web.render import render
+from explorer.workspace import StateAnalysis, Workspace
+from lpn.drawing import heatmaps
+from lpn.drawing.heatmaps import PictureActivation
+from lpn.explain.part_activation import part_activation
+
+HINT = "Move over a cell to read its value."
+_SIZE = 300, 900
+
+
+def page(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Render the tab; without a network it says that there is no activation."""
+    pictures = []
+    for name, described, view in zip(
+        ("query", "tile"), (analysis.query, analysis.tile), analysis.task.views, strict=True
+    ):
+        if described.trace is not None:
+            maps = part_activation(described.trace.features[0], workspace.spec.partition(view))
+            pictures.append(PictureActivation(name, maps, draw_parts(workspace, described.picture, view, _SIZE)))
+    same_scale = analysis.state.same_scale
+    return render(
+        "explain/activation",
+        heatmaps=heatmaps.draw(pictures, workspace.part_names, same_scale, _attributes) if pictures else None,
+        same_scale=same_scale,
+        note=heatmaps.NOTE,
+        hint=HINT,
+        safa=workspace.spec.pooling == "safa",
+    )
+
+
+def _attributes(picture: PictureActivation, part: int) -> Markup:
+    """Make a heatmap show the value of the cell under the mouse."""
+    maps = picture.maps[part]
+    cells = [None if np.isnan(value) else float(f"{value:.4g}") for value in maps.ravel().tolist()]
+    return Markup(
+        'data-size="{},{}" data-cells="{}" onmousemove="lpn.value(this,event)" onmouseleave="lpn.value(this,event)"'
+    ).format(*maps.shape, json.dumps(cells, separators=(",", ":")))

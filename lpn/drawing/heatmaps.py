@@ -1,0 +1,108 @@
+"""The parts' activation of a pair as heatmaps side by side, each with a colour bar, for the app and for reports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from jinja2 import Template
+from markupsafe import Markup
+
+from lpn.core.arrays import Float32Array, UInt8Array
+from lpn.core.templates import environment
+from lpn.drawing import charts, overlays
+from lpn.explain.part_activation import value_ranges
+
+NOTE = (
+    "Activation is the channel sum of the last feature map in the cells of a part (the paper’s Figure 7). It has no unit, and it "
+    "belongs to one picture: evidence, under Why, belongs to the pair."
+)
+# From this ratio of width to height on, a picture is a panorama, and fewer fit in a row.
+_PANORAMA = 2.0
+_IN_A_ROW, _PANORAMAS_IN_A_ROW = 5, 2
+
+
+@dataclass(frozen=True, eq=False)
+class PictureActivation:
+    """One picture of a pair.
+
+    Attributes:
+        name: "query" or "tile".
+        maps: the activation of each part, (n, h, w), see `lpn.explain.part_activation`.
+        shown: the picture with its parts, (H, W, 3) uint8.
+    """
+
+    name: str
+    maps: Float32Array
+    shown: UInt8Array
+
+
+@dataclass(frozen=True)
+class ColourBar:
+    """A colour bar: its picture, and the place of each label in percent of its width."""
+
+    picture: str
+    ticks: list[tuple[float, str]]
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """One heatmap; without a colour bar, the picture itself."""
+
+    side: str
+    picture: str
+    bar: ColourBar | None = None
+    attributes: Markup | str = ""
+
+
+def draw(
+    pictures: Sequence[PictureActivation],
+    names: Sequence[str],
+    shared: bool = False,
+    attributes: Callable[[PictureActivation, int], Markup] | None = None,
+) -> Markup:
+    """Draw the pictures of a pair, and the heatmap of each of their n parts with its colour bar.
+
+    Args:
+        names: of the parts.
+        shared: a part has one scale for all pictures; otherwise each heatmap has its own.
+        attributes: HTML attributes of the heatmap of a picture's part; none by default.
+    """
+    ranges = value_ranges([picture.maps for picture in pictures], shared)
+    columns = [("", "", [_Panel(picture.name, overlays.data_uri(picture.shown, 88)) for picture in pictures])]
+    for part, name in enumerate(names):
+        panels = [
+            _Panel(
+                picture.name,
+                overlays.png_data_uri(overlays.heat_cells(picture.maps[part], low, high)),
+                colour_bar(low, high),
+                attributes(picture, part) if attributes else "",
+            )
+            for picture, (low, high) in zip(pictures, ranges[:, part].tolist(), strict=True)
+        ]
+        columns.append((f"part {name}", charts.part_colour(part), panels))
+    height, width = pictures[0].shown.shape[:2]
+    most = _PANORAMAS_IN_A_ROW if width >= _PANORAMA * height else _IN_A_ROW
+    rows = math.ceil(len(columns) / most)
+    return Markup(
+        _template().render(columns=columns, in_a_row=math.ceil(len(columns) / rows), aspect=f"{width} / {height}")
+    )
+
+
+def colour_bar(low: float, high: float) -> ColourBar:
+    """Return the colours from `low` to `high`, with labels at both ends and in the middle; of one value, with one label."""
+    gradient = overlays.png_data_uri(overlays.heat_cells(np.linspace(low, high, 256)[None], low, high))
+    if high <= low:
+        return ColourBar(gradient, [(50.0, f"{low:.3g}")])
+    decimals = max(0, 1 - math.floor(math.log10((high - low) / 2)))
+    return ColourBar(
+        gradient, [(50.0 * i, f"{low + i * (high - low) / 2:.{decimals}f}".replace("-", "−")) for i in range(3)]
+    )
+
+
+@cache
+def _template() -> Template:
+    return environment("lpn.drawing").get_template("heatmaps.html.j2")
