@@ -34,7 +34,7 @@ class ReproduceCommand:
     """Random seeds: one training for each, and the mean is reported."""
     epochs: int | None = None
     """Epochs of every training, instead of the scale's."""
-    backbone: Literal["resnet18", "resnet50", "vgg16_bn"] | None = None
+    backbone: Literal["resnet18", "resnet50", "vgg16", "vgg16_bn"] | None = None
     """Backbone of every training, instead of the scale's."""
     batch: int | None = None
     """Places per step of every training, instead of the scale's; at most the number of training places."""
@@ -64,6 +64,8 @@ class ReproduceCommand:
         changes: dict[str, Any] = {name: value for name, value in numbers.items() if value is not None}
         if self.backbone:
             changes |= {"backbone": self.backbone, "last_layer": "layer4"}
+            # SAFA's recipe has a dropout in its VGG-16.
+            changes |= {} if self.backbone.startswith("vgg16") else {"backbone_dropout": 0.0}
         made = Reproduction(
             self.data, self.out, _by_name(self.model), self.init, self.seeds, scale, changes, self.train, self.queries
         ).run(keys)

@@ -1,4 +1,4 @@
-"""The backbones of LPN: ResNet-18, ResNet-50, and VGG-16 with batch normalisation.
+"""The backbones of LPN and SAFA: ResNet-18, ResNet-50, and VGG-16 with and without batch normalisation.
 
 Parameter names are torchvision's, so its weights and the published checkpoints load unchanged. There are no final pooling
 and class layers, because LPN reads the last feature map.
@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from lpn.core.errors import InputError
 
-BackboneName = Literal["resnet18", "resnet50", "vgg16_bn"]
+BackboneName = Literal["resnet18", "resnet50", "vgg16", "vgg16_bn"]
 LastLayer = Literal["layer3", "layer4"]
 
 # Channels of the last feature map, by backbone and last layer.
@@ -22,6 +22,7 @@ CHANNELS: dict[tuple[str, str], int] = {
     ("resnet18", "layer4"): 512,
     ("resnet50", "layer3"): 1024,
     ("resnet50", "layer4"): 2048,
+    ("vgg16", "layer4"): 512,
     ("vgg16_bn", "layer4"): 512,
 }
 
@@ -100,27 +101,48 @@ class ResNet(nn.Module):
 
 
 class VGG16(nn.Module):
-    """VGG-16 with batch normalisation up to its last pooling: (B, 3, H, W) -> (B, 512, H/32, W/32)."""
+    """VGG-16 up to its last pooling: (B, 3, H, W) -> (B, 512, h, w), each pooling halving both sides.
+
+    Args:
+        batch_norm: normalise after each convolution.
+        dropout: probability, in training only, after each of the six convolutions from conv4_1 to conv5_3.
+        ceil_mode: round halves up, so that the poolings of odd maps keep the last row and column; torchvision rounds down.
+    """
 
     channels = 512
 
-    def __init__(self) -> None:
+    def __init__(self, batch_norm: bool, dropout: float = 0.0, ceil_mode: bool = False) -> None:
         super().__init__()
         layers: list[nn.Module] = []
         channels = 3
-        for width, depth in ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3)):
+        for width, depth, rate in ((64, 2, 0), (128, 2, 0), (256, 3, 0), (512, 3, dropout), (512, 3, dropout)):
             for _ in range(depth):
-                layers += [nn.Conv2d(channels, width, 3, padding=1), nn.BatchNorm2d(width), nn.ReLU(inplace=True)]
+                layers.append(nn.Conv2d(channels, width, 3, padding=1))
+                if batch_norm:
+                    layers.append(nn.BatchNorm2d(width))
+                relu = nn.ReLU(inplace=True)
+                # Within the activation's entry, dropout leaves torchvision's numbers of the layers as they are.
+                layers.append(nn.Sequential(relu, nn.Dropout(rate)) if rate else relu)
                 channels = width
-            layers.append(nn.MaxPool2d(2, 2))
+            layers.append(nn.MaxPool2d(2, 2, ceil_mode=ceil_mode))
         self.features = nn.Sequential(*layers)
 
     def forward(self, x: Tensor) -> Tensor:
         return cast(Tensor, self.features(x))
 
 
-def build_backbone(name: BackboneName, last_layer: LastLayer = "layer4", last_stride: int = 1) -> ResNet | VGG16:
+def build_backbone(
+    name: BackboneName,
+    last_layer: LastLayer = "layer4",
+    last_stride: int = 1,
+    dropout: float = 0.0,
+    ceil_mode: bool = False,
+) -> ResNet | VGG16:
     """Build the named network with random weights (He initialisation).
+
+    Args:
+        last_layer, last_stride: of a ResNet.
+        dropout, ceil_mode: of a VGG-16.
 
     Raises:
         InputError: if the name is unknown.
@@ -130,10 +152,10 @@ def build_backbone(name: BackboneName, last_layer: LastLayer = "layer4", last_st
         network = ResNet(BasicBlock, [2, 2, 2, 2], last_layer, last_stride)
     elif name == "resnet50":
         network = ResNet(Bottleneck, [3, 4, 6, 3], last_layer, last_stride)
-    elif name == "vgg16_bn":
-        network = VGG16()
+    elif name in ("vgg16", "vgg16_bn"):
+        network = VGG16(name == "vgg16_bn", dropout, ceil_mode)
     else:
-        raise InputError(f"The backbone is {name!r}; expected resnet18, resnet50, or vgg16_bn.")
+        raise InputError(f"The backbone is {name!r}; expected resnet18, resnet50, vgg16, or vgg16_bn.")
     for module in network.modules():
         if isinstance(module, nn.Conv2d):
             nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")

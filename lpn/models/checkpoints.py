@@ -7,7 +7,7 @@ import pickle
 import re
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -171,12 +171,15 @@ def epochs_of(path: Path) -> int | None:
 
 
 def backbone_in(path: Path) -> str:
-    """Return the backbone in a file of backbone weights or of a whole model: "resnet18", "resnet50", or "vgg16_bn".
+    """Return the backbone in a file of backbone weights or of a whole model: "resnet18", "resnet50", "vgg16", or "vgg16_bn".
 
     Raises:
         ModelFileError: if the file cannot be read or holds none of them.
     """
-    state = _read_weights(path)
+    return _infer_backbone(_read_weights(path), path)
+
+
+def _infer_backbone(state: State, path: Path) -> str:
     prefix = "model_1.model." if any(key.startswith("model_1.model.") for key in state) else ""
     return infer_backbone({key.removeprefix(prefix) for key in state}, path.name)[0]
 
@@ -199,10 +202,18 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
         weights, at least in part.
 
     Raises:
-        ModelFileError: if the file cannot be read or nothing in it fits.
+        ModelFileError: if the file cannot be read, holds another backbone, or nothing in it fits.
     """
     path = Path(path)
     state = _read_weights(path)
+    # Some layers of another backbone would fit.
+    own = held = network.spec.backbone
+    with suppress(ModelFileError):
+        held = _infer_backbone(state, path)
+    if held != own:
+        raise ModelFileError(
+            f"{path.name} holds {held}; the network has {own}. Give weights of {own}, or train with --backbone {held}."
+        )
     filled = total = 0
     missing: dict[str, None] = {}
     for view in network.spec.views:

@@ -49,7 +49,12 @@ class Branch(nn.Module):
     def __init__(self, spec: ModelSpec, partition: Partition) -> None:
         super().__init__()
         self.model = build_backbone(
-            cast(BackboneName, spec.backbone), cast(LastLayer, spec.last_layer), spec.last_stride
+            cast(BackboneName, spec.backbone),
+            cast(LastLayer, spec.last_layer),
+            spec.last_stride,
+            spec.backbone_dropout,
+            # Released SAFA pools with TensorFlow's padding SAME: 112 x 616 pixels give 4 x 20 cells, not 3 x 19.
+            ceil_mode=spec.pooling == "safa",
         )
         if spec.pooling == "safa":
             height, width = map_size(self.model, spec.input_size)

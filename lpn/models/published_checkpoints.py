@@ -90,19 +90,19 @@ def infer_backbone(keys: set[str], name: str) -> tuple[str, str]:
     Raises:
         ModelFileError: if the backbone is unknown.
     """
-    if {
-        "features.0.weight",
-        "features.1.running_mean",
-        "features.40.weight",
-    } <= keys and "features.43.weight" not in keys:
+    normalised = "features.1.running_mean" in keys
+    if normalised and {"features.0.weight", "features.40.weight"} <= keys and "features.43.weight" not in keys:
         return "vgg16_bn", "layer4"
+    # VGG-19 has no convolution at 17, and VGG-13 none at 28.
+    if not normalised and {"features.0.weight", "features.17.weight", "features.28.weight"} <= keys:
+        return "vgg16", "layer4"
     last = "layer4" if any(k.startswith("layer4.") for k in keys) else "layer3"
     if "layer1.0.conv3.weight" in keys and "layer3.5.conv1.weight" in keys and "layer3.6.conv1.weight" not in keys:
         return "resnet50", last
     if "layer1.1.conv2.weight" in keys and not {"layer1.0.conv3.weight", "layer1.2.conv1.weight"} & keys:
         return "resnet18", last
     raise ModelFileError(
-        f"The backbone in {name} is not one of resnet18, resnet50, vgg16_bn, or entries of it are missing."
+        f"The backbone in {name} is not one of resnet18, resnet50, vgg16, vgg16_bn, or entries of it are missing."
     )
 
 

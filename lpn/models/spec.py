@@ -22,7 +22,7 @@ Pooling = Literal["average", "safa"]
 SLOPES: dict[Activation, float] = {"none": 1.0, "relu": 0.0, "leaky_relu": 0.1}
 
 _ALLOWED: dict[str, tuple[Any, ...]] = {
-    "backbone": ("resnet18", "resnet50", "vgg16_bn"),
+    "backbone": ("resnet18", "resnet50", "vgg16", "vgg16_bn"),
     "last_layer": ("layer3", "layer4"),
     "shared": (True, False),
     "layout": ("university", "cvusa", "strips"),
@@ -48,7 +48,7 @@ class ModelSpec:
     """The architecture of an LPN.
 
     Attributes:
-        backbone: "resnet18", "resnet50", or "vgg16_bn".
+        backbone: "resnet18", "resnet50", "vgg16", or "vgg16_bn".
         last_layer: the last stage of a ResNet, "layer3" or "layer4".
         last_stride: stride of a ResNet's layer4, 1 (published) or 2.
         views: the views with a branch, in the order satellite, street, drone.
@@ -58,8 +58,9 @@ class ModelSpec:
             the street), or "strips" (columns for every view, the paper's Figure 4).
         pooling: "average" embeds the mean of each part by its head (LPN). "safa" describes each part by `maps` sums over its
             cells, weighted by spatial-aware layers (Shi et al. 2019), without a head; its parts are columns, which
-            overlap if n does not divide the map.
-        maps: weighted sums per part with "safa"; the embedding then has maps x channels numbers.
+            overlap if n does not divide the map, and a VGG-16 keeps the last row and column of odd maps.
+        maps: weighted sums per part with "safa", as released 8 for SAFA and 1 for SAFA + LPN; the embedding then has
+            maps x channels numbers.
         polar: whether satellite tiles are unrolled around their centre first, by `images.polar`.
         weighting: the average over a ring, see `Partition`.
         activation: between BatchNorm and Dropout in the head: "none" as released, "relu" as the paper draws it, or
@@ -67,6 +68,7 @@ class ModelSpec:
         embedding: dimension D of a part's embedding.
         classes: size of the class layer used in training.
         dropout: its probability in the head, in training only.
+        backbone_dropout: its probability after conv4_1 to conv5_3 of a VGG-16, in training only.
         input_size: (height, width) of the network input in pixels.
     """
 
@@ -86,6 +88,7 @@ class ModelSpec:
     pooling: Pooling = "average"
     maps: int = 8
     polar: bool = False
+    backbone_dropout: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.views or any(view not in VIEWS for view in self.views):
@@ -103,8 +106,15 @@ class ModelSpec:
                 raise InputError(
                     f"The model's {name} is {getattr(self, name)!r}; expected one of {', '.join(map(str, allowed))}."
                 )
-        if not isinstance(self.dropout, int | float) or not 0 <= self.dropout < 1:
-            raise InputError(f"The model's dropout is {self.dropout!r}; expected a number from 0 up to 1.")
+        for name in ("dropout", "backbone_dropout"):
+            rate = getattr(self, name)
+            if not isinstance(rate, int | float) or not 0 <= rate < 1:
+                raise InputError(f"The model's {name} is {rate!r}; expected a number from 0 up to 1.")
+        if self.backbone_dropout and not self.backbone.startswith("vgg16"):
+            raise InputError(
+                f"The model's backbone_dropout is {self.backbone_dropout} with {self.backbone}, which has no dropout; set it "
+                "to 0, or use vgg16."
+            )
 
     def partition(self, view: View) -> Partition:
         """Return the partition of the feature map of `view`."""

@@ -24,7 +24,7 @@ from lpn.training.trainer import Trainer
 
 FORMAT = "lpn-job/1"
 # Estimated time of a training step per pixel relative to ResNet-18, for the time left.
-_COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16_bn": 8.5}
+_COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16": 8.5, "vgg16_bn": 8.5}
 
 
 class _JobFile(msgspec.Struct):

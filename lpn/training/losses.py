@@ -76,13 +76,17 @@ def triplet_loss(first: Tensor, second: Tensor, margin: float, hardest: bool = F
 def soft_margin_loss(first: Tensor, second: Tensor, alpha: float, hardest: bool = False) -> Tensor:
     """Weighted soft-margin triplet loss (Hu et al. 2018): log(1 + exp(alpha (d_positive^2 - d_negative^2))).
 
-    It is averaged over the batch in both directions. The arguments are those of `triplet_loss`.
+    It is averaged over the batch in both directions. The arguments are those of `triplet_loss`. As released with SAFA, the
+    sum over B (B - 1) negatives also has each positive against itself, which adds log(2) / (B - 1) and no gradient; with
+    `hardest` it has not.
     """
     squared = _squared_distances(first, second)
-    terms = [
-        F.softplus(alpha * (d.diagonal()[:, None] - _negatives(d, hardest, torch.amin))).mean()
-        for d in (squared, squared.T)
-    ]
+    b = len(squared)
+    terms = []
+    for d in (squared, squared.T):
+        negatives = _negatives(d, hardest, torch.amin) if hardest else d
+        losses = F.softplus(alpha * (d.diagonal()[:, None] - negatives))
+        terms.append(losses.mean() if hardest else losses.sum() / (b * (b - 1)))
     return torch.stack(terms).mean()
 
 
@@ -100,25 +104,33 @@ def total_loss(outputs: Mapping[str, tuple[Tensor, Tensor]], labels: Mapping[str
         )
         loss = loss + recipe.instance * (terms.sum() if recipe.reduction == "sum" else terms.mean())
     if (recipe.infonce or recipe.metric != "none") and "satellite" in outputs:
-        described = {name: descriptors(parts.float()) for name, (parts, _) in outputs.items()}
-        tiles = described.pop("satellite")
-        loss = loss + torch.stack([_pair_loss(tiles, others, recipe) for others in described.values()]).mean()
+        embeddings = {name: parts.float() for name, (parts, _) in outputs.items()}
+        tiles = embeddings.pop("satellite")
+        loss = loss + torch.stack([_pair_loss(tiles, others, recipe) for others in embeddings.values()]).mean()
     return loss
 
 
 def _pair_loss(tiles: Tensor, others: Tensor, recipe: Recipe) -> Tensor:
-    """Sum the recipe's losses on descriptors of two views."""
+    """Sum the recipe's losses on the part embeddings (B, n, D) of two views."""
     loss = torch.zeros((), device=tiles.device)
     if recipe.infonce:
-        loss = loss + recipe.infonce * infonce_loss(tiles, others, recipe.temperature, recipe.label_smoothing)
+        similar = infonce_loss(descriptors(tiles), descriptors(others), recipe.temperature, recipe.label_smoothing)
+        loss = loss + recipe.infonce * similar
+    if recipe.metric != "none":
+        size = 1 if recipe.metric_per_part else tiles.shape[1]
+        pairs = zip(torch.split(tiles, size, 1), torch.split(others, size, 1), strict=True)
+        terms = [_metric_loss(descriptors(first), descriptors(second), recipe) for first, second in pairs]
+        loss = loss + torch.stack(terms).mean()
+    return loss
+
+
+def _metric_loss(first: Tensor, second: Tensor, recipe: Recipe) -> Tensor:
     hardest = recipe.mining == "hardest"
     if recipe.metric == "contrastive":
-        loss = loss + contrastive_loss(tiles, others, recipe.margin, hardest)
-    elif recipe.metric == "triplet":
-        loss = loss + triplet_loss(tiles, others, recipe.margin, hardest)
-    elif recipe.metric == "soft_margin":
-        loss = loss + soft_margin_loss(tiles, others, recipe.alpha, hardest)
-    return loss
+        return contrastive_loss(first, second, recipe.margin, hardest)
+    if recipe.metric == "triplet":
+        return triplet_loss(first, second, recipe.margin, hardest)
+    return soft_margin_loss(first, second, recipe.alpha, hardest)
 
 
 def _squared_distances(first: Tensor, second: Tensor) -> Tensor:

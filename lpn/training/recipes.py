@@ -24,7 +24,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     "size": (32, _MAX, "32 or more"),
     **dict.fromkeys(("scale", "margin"), (0, 2, "a number from 0 to 2")),
     **dict.fromkeys(("lr", "temperature", "alpha"), (_ABOVE_ZERO, _MAX, "a number above 0")),
-    **dict.fromkeys(("dropout", "ema"), (0, _BELOW_ONE, "a number from 0 up to, not including, 1")),
+    **dict.fromkeys(("dropout", "backbone_dropout", "ema"), (0, _BELOW_ONE, "a number from 0 up to, not including, 1")),
     **dict.fromkeys(
         ("label_smoothing", "warmup_start", "black_corners", "own_canvas", "shift", "colour", "compression"),
         (0, 1, "a number from 0 to 1"),
@@ -54,7 +54,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
 class Recipe:
     """Every setting of a training. The defaults are the recipe `paper`."""
 
-    backbone: Literal["resnet18", "resnet50", "vgg16_bn"] = "resnet50"
+    backbone: Literal["resnet18", "resnet50", "vgg16", "vgg16_bn"] = "resnet50"
     """The backbone network."""
     last_layer: Literal["layer3", "layer4"] = "layer4"
     """Last layer of a ResNet; layer3 takes about half the time, and its map has the same resolution."""
@@ -74,7 +74,7 @@ class Recipe:
     pooling: Pooling = "average"
     """Pooling of a part: average (mean, then a head) or safa (sums weighted by spatial-aware layers)."""
     maps: int = 8
-    """Number of weighted sums per part with safa pooling."""
+    """Number of weighted sums per part with safa pooling (released: 8 with SAFA, 1 with SAFA + LPN)."""
     polar: bool = False
     """Unroll satellite tiles around their centre into the shape of a panorama."""
     google: bool = True
@@ -85,6 +85,8 @@ class Recipe:
     """Width of the network's input in pixels; 0 means the height."""
     dropout: float = 0.75
     """Probability of dropout in the heads."""
+    backbone_dropout: float = 0.0
+    """Dropout after conv4_1 to conv5_3 of a VGG-16 (0.2 in released SAFA)."""
 
     sampling: Literal["places", "pictures"] = "pictures"
     """Sampling of a batch: places (one picture of every set of each place of the batch) or pictures (each set is shuffled on
@@ -129,6 +131,8 @@ class Recipe:
     metric: Literal["none", "contrastive", "triplet", "soft_margin"] = "none"
     """Metric loss between each view's descriptors and the satellite's, over the batch: contrastive, triplet, or weighted
     soft-margin triplet."""
+    metric_per_part: bool = False
+    """Compute the metric loss on each part alone and average over the parts, instead of once on the whole descriptor."""
     margin: float = 0.3
     """Margin of the contrastive and the triplet loss, in Euclidean distance (0 to 2)."""
     alpha: float = 10.0
@@ -173,8 +177,16 @@ class Recipe:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise InputError(f"The recipe has {name} = {value}; expected {expected}.")
-        if self.backbone == "vgg16_bn" and self.last_layer != "layer4":
-            raise InputError("The recipe has last_layer = layer3 with vgg16_bn, which has no such layer; use layer4.")
+        vgg = self.backbone.startswith("vgg16")
+        if vgg and self.last_layer != "layer4":
+            raise InputError(
+                f"The recipe has last_layer = layer3 with {self.backbone}, which has no such layer; use layer4."
+            )
+        if self.backbone_dropout and not vgg:
+            raise InputError(
+                f"The recipe has backbone_dropout = {self.backbone_dropout} with {self.backbone}, which has no dropout; set "
+                "it to 0, or use vgg16."
+            )
         if self.instance <= 0 and self.infonce <= 0 and self.metric == "none":
             raise InputError(
                 "The recipe has no loss, as instance and infonce are 0 and metric is none; set one of them."
@@ -228,7 +240,8 @@ _CVUSA: dict[str, Any] = {
     "warmup_start": 0.1,
 }
 _SAFA_RECIPE = Recipe(
-    backbone="vgg16_bn",
+    backbone="vgg16",
+    backbone_dropout=0.2,
     n_parts=1,
     activation="none",
     shared=False,
@@ -342,8 +355,8 @@ METHODS: dict[str, dict[str, Any]] = {
     "soft-margin": {**_METRIC_LOSS, "metric": "soft_margin"},
     "lpn-cvusa": {**_INSTANCE_LOSS, "layout": "cvusa", "n_parts": 8, "shared": False},
     "lpn-strips": {**_INSTANCE_LOSS, "layout": "strips", "n_parts": 8, "shared": False, "polar": True},
-    "safa": {**_SAFA, "n_parts": 1},
-    "safa-lpn": {**_SAFA, "n_parts": 8},
+    "safa": {**_SAFA, "n_parts": 1, "maps": 8},
+    "safa-lpn": {**_SAFA, "n_parts": 8, "maps": 1, "metric_per_part": True},
 }
 
 

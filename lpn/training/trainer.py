@@ -345,6 +345,7 @@ def _spec(recipe: Recipe, places: TrainingSet) -> ModelSpec:
         pooling=recipe.pooling,
         maps=recipe.maps,
         polar=recipe.polar,
+        backbone_dropout=recipe.backbone_dropout,
     )
     if recipe.pooling == "safa":
         return replace(spec, embedding=spec.maps * CHANNELS[spec.backbone, spec.last_layer])

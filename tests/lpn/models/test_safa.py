@@ -12,14 +12,15 @@ import torch
 
 import lpn
 from lpn.core.arrays import UInt8Array
-from lpn.core.errors import InputError
+from lpn.core.errors import InputError, ModelFileError
 from lpn.core.images import load_picture, polar
 from lpn.datasets import open_dataset
 from lpn.descriptors import describe
+from lpn.models.backbones import VGG16
 from lpn.models.base import normalise
 from lpn.models.checkpoints import TorchModel, save
 from lpn.models.export import export
-from lpn.models.network import LPN, SpatialAware
+from lpn.models.network import LPN, SpatialAware, map_size
 from lpn.models.partition import Partition
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture
@@ -57,14 +58,54 @@ def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "model.safetensors"
 
 
+@pytest.mark.parametrize(("kind", "n", "maps"), [("safa", 1, 8), ("safa_lpn", 8, 1)])
+def test_the_released_graph_gives_the_same_numbers(kind: str, n: int, maps: int) -> None:
+    """The numbers come from wtyhub/SAFA_LPN's own graph, run in TensorFlow with these weights and this picture."""
+    released = np.load(seeded.DATA / "parity_safa.npz")
+    built = LPN(
+        ModelSpec(
+            "vgg16", views=("street",), n_parts=n, pooling="safa", maps=maps, embedding=maps * 512, input_size=(112, 616),
+            backbone_dropout=0.2,
+        )
+    )  # fmt: skip
+    built.load_state_dict(seeded.entries({name: list(value.shape) for name, value in built.state_dict().items()}))
+    model = TorchModel(built)
+    images = seeded.pictures(7, 1, 112, 616)
+    parts, features, _ = model.run(images, "street")
+    assert features.shape[2:] == model.map_size("street") == tuple(released[f"{kind}.map"][1:3]) == (4, 20)
+    raw, descriptor = released[f"{kind}.raw"], released[f"{kind}.descriptor"]
+    assert parts.shape == raw.shape
+    assert np.abs(parts - raw).max() <= 1e-4 * np.abs(raw).max()
+    # Released strips have norm 1; ours have 1 / sqrt(n), so that the descriptor has norm 1.
+    found = normalise(parts) * np.sqrt(n)
+    assert np.abs(found - descriptor).max() <= 1e-4 * np.abs(descriptor).max()
+
+
+def test_poolings_of_vgg_keep_the_last_row_and_column_in_safa_only() -> None:
+    with torch.device("meta"):
+        for name in ("vgg16", "vgg16_bn"):
+            sizes = {"safa": (4, 20), "average": (3, 19)}
+            for pooling, size in sizes.items():
+                spec = replace(
+                    SPEC, backbone=name, last_layer="layer4", pooling=pooling, embedding=3 * 512, input_size=(112, 616)
+                )
+                assert map_size(LPN(spec).branch("drone").model, (112, 616)) == size
+                assert map_size(LPN(spec).branch("drone").model, (256, 256)) == (8, 8)
+    # Padding takes part in no maximum, even below zero.
+    below = -1 - torch.rand(1, 2, 5, 7)
+    pooled = VGG16(batch_norm=False, ceil_mode=True).features[4](below)
+    expected = [[below[..., i : i + 2, j : j + 2].amax((2, 3)) for j in range(0, 7, 2)] for i in range(0, 5, 2)]
+    torch.testing.assert_close(pooled, torch.stack([torch.stack(row, -1) for row in expected], -2))
+
+
 def test_layers_have_the_published_shapes_and_start() -> None:
     torch.manual_seed(0)
-    layers = SpatialAware(57, 8)
+    layers = SpatialAware(80, 8)
     assert [tuple(parameter.shape) for parameter in layers.parameters()] == [
-        (8, 57, 28),
-        (8, 1, 28),
-        (8, 28, 57),
-        (8, 1, 57),
+        (8, 80, 40),
+        (8, 1, 40),
+        (8, 40, 80),
+        (8, 1, 80),
     ]
     for weight in (layers.weight1.detach(), layers.weight2.detach()):
         # A normal of 0.005 cut at two standard deviations has 0.88 of its deviation left.
@@ -223,6 +264,33 @@ def test_a_saved_and_an_exported_model_answer_as_the_network(model_file: Path) -
     for model in (saved, exported):
         with pytest.raises(InputError, match="SAFA"):
             model.heads("drone")
+
+
+@pytest.mark.slow
+def test_an_exported_vgg_keeps_the_last_row_and_column(tmp_path: Path) -> None:
+    spec = replace(SHARED, backbone="vgg16", last_layer="layer4", maps=1, embedding=512, input_size=(48, 136))
+    original = TorchModel(network(spec))
+    save(original.network, tmp_path / "model.safetensors")
+    export(tmp_path / "model.safetensors", tmp_path / "model.onnx")
+    exported = lpn.load(tmp_path / "model.onnx")
+    assert original.map_size("drone") == exported.map_size("drone") == (2, 5)
+    images = seeded.pictures(5, 2, 48, 136)
+    for view in SPEC.views:
+        (parts, features, attention), found = original.run(images, view), exported.run(images, view)
+        for ours, theirs in zip((parts, features, attention), found, strict=True):
+            assert ours is not None
+            assert theirs is not None
+            assert np.abs(theirs - ours).max() <= 1e-4 * np.abs(ours).max()
+
+
+def test_a_file_made_for_another_map_is_refused_in_words(tmp_path: Path) -> None:
+    spec = replace(SPEC, backbone="vgg16", last_layer="layer4", n_parts=1, maps=1, embedding=512, input_size=(48, 64))
+    smaller = network(spec)
+    for branch in (smaller.branch(view) for view in SPEC.views):
+        branch.aware = torch.nn.ModuleList([SpatialAware(1 * 2, 1)])
+    save(smaller, tmp_path / "model.safetensors")
+    with pytest.raises(ModelFileError, match=r"aware.0.weight1 has shape \(1, 2, 1\); expected \(1, 4, 2\)"):
+        lpn.load(tmp_path / "model.safetensors")
 
 
 def test_a_mirrored_picture_is_not_added(model_file: Path) -> None:

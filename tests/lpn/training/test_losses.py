@@ -3,8 +3,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from lpn.core.errors import InputError
@@ -18,6 +20,7 @@ from lpn.training.losses import (
     triplet_loss,
 )
 from lpn.training.recipes import METHODS, RECIPES, method
+from tools.fixtures import seeded
 
 B = 6
 
@@ -79,7 +82,9 @@ def test_soft_margin_loss_by_hand(pair: tuple[Tensor, Tensor], hardest: bool) ->
             wrong = [row[j] for j in range(B) if j != i]
             for x in [min(wrong)] if hardest else wrong:
                 total, count = total + math.log(1 + math.exp(10 * (row[i] ** 2 - x**2))), count + 1
-    assert float(soft_margin_loss(*pair, 10.0, hardest)) == pytest.approx(total / count)
+    # The released sum over all pictures has each positive against itself, too.
+    own = 0 if hardest else math.log(2) / (B - 1)
+    assert float(soft_margin_loss(*pair, 10.0, hardest)) == pytest.approx(total / count + own)
 
 
 @pytest.mark.parametrize("hardest", [False, True])
@@ -119,6 +124,24 @@ def test_the_instance_loss_takes_each_set_s_own_labels() -> None:
     )
 
 
+def test_soft_margin_losses_are_the_released_ones() -> None:
+    """The numbers come from wtyhub/SAFA_LPN's own compute_loss and compute_multi_loss, run in TensorFlow on these embeddings."""
+    released = np.load(seeded.DATA / "parity_safa.npz")
+    rng = np.random.default_rng(11)
+    first = rng.standard_normal((32, 8, 64))
+    second = first + 3 * rng.standard_normal((32, 8, 64))
+    tiles, panoramas = (torch.from_numpy(parts.astype(np.float32)).requires_grad_() for parts in (first, second))
+    outputs = {name: (parts, parts[..., :0]) for name, parts in (("satellite", tiles), ("street", panoramas))}
+    labels = dict.fromkeys(outputs, torch.arange(32))
+    loss = total_loss(outputs, labels, method("safa-lpn", RECIPES["safa-released"]))
+    assert float(loss.detach()) == pytest.approx(float(released["loss.multi"]), rel=1e-5)
+    loss.backward()  # type: ignore[no-untyped-call]
+    assert isinstance(tiles.grad, Tensor)
+    np.testing.assert_allclose(tiles.grad[0], released["loss.multi.gradient"], atol=1e-7)
+    whole = [F.normalize(parts.detach().flatten(1), dim=1) for parts in (tiles, panoramas)]
+    assert float(soft_margin_loss(*whole, 10.0)) == pytest.approx(float(released["loss.single"]), rel=1e-5)
+
+
 def test_every_method_has_the_loss_it_is_named_after() -> None:
     places = torch.arange(B)
     outputs = {name: (drawn(i, B, 1, 16), drawn(9 + i, B, 1, B)) for i, name in enumerate(("satellite", "drone"))}
@@ -140,6 +163,7 @@ def test_every_method_has_the_loss_it_is_named_after() -> None:
 @pytest.mark.parametrize("recipe", RECIPES)
 def test_a_method_is_the_same_network_and_loss_in_every_recipe(recipe: str) -> None:
     baseline, safa = ("average", "university", False, 1), ("safa", "university", True)
+    summed = {"safa": (8, False), "safa-lpn": (1, True)}
     expected: dict[str, tuple[tuple[object, ...], tuple[float, str]]] = {
         "lpn": (("average", "university", False, RECIPES[recipe].n_parts), (1.0, "none")),
         "instance": (baseline, (1.0, "none")),
@@ -157,6 +181,7 @@ def test_a_method_is_the_same_network_and_loss_in_every_recipe(recipe: str) -> N
         made = method(name, RECIPES[recipe])
         assert (made.pooling, made.layout, made.polar, made.n_parts) == network, name
         assert (made.instance, made.metric, made.infonce) == (*loss, 0.0), name
+        assert (made.maps, made.metric_per_part) == summed.get(name, (8, False)), name
 
 
 def test_a_recipe_that_cannot_be_trained_is_refused() -> None:
