@@ -84,7 +84,10 @@ def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
     assert recipes["panorama-safa-lpn"].input_size == (112, 616)
     made = {name: recipes[f"panorama-{name}"] for name in ("safa", "safa-lpn")}
     assert {recipe.backbone for recipe in made.values()} == {"vgg16"}
-    assert [(recipe.n_parts, recipe.maps, recipe.metric_per_part) for recipe in made.values()] == [(1, 8, False), (8, 1, True)]
+    assert [(recipe.n_parts, recipe.maps, recipe.metric_per_part) for recipe in made.values()] == [
+        (1, 8, False),
+        (8, 1, True),
+    ]
 
 
 def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: Path, tmp_path: Path) -> None:
