@@ -154,7 +154,7 @@ def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> N
     state = SessionState("drone-to-satellite", 4)
     left_out = {"n_parts", "upload", "find", "page"}
     named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
-    named |= {"heat_part": "part", "dark": "theme"}
+    named |= {"heat_part": "part", "dark": "theme", "same_scale": "scale"}
     fields = set(vars(state)) - left_out
     assert {named.get(field, field) for field in fields} == set(links.keys)
 

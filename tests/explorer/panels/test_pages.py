@@ -63,7 +63,7 @@ def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
     assert not any("see the map" in step.html for step in live)
     assert any("square rings" in step.html for step in live)
     mapped = open_model(small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "mapped")), model_file)
-    assert any("map" in step.html for step in tour.steps(mapped))
+    assert any("see the map" in step.html for step in tour.steps(mapped))
     save_result(tmp_path / "r.mat", data, model_file)
     saved = tour.steps(open_saved(data, load_saved(tmp_path / "r.mat", 4)))
     assert len(saved) == 5
