@@ -26,7 +26,7 @@ from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.log import conceal
-from lpn.core.resources import limit_malloc_arenas, port_error, return_memory
+from lpn.core.resources import ProviderName, limit_malloc_arenas, port_error, return_memory
 from lpn.core.shutdown import writes_finished
 from lpn.retrieval.published_results import load_saved
 
@@ -105,17 +105,19 @@ def run(
     port: int = 8080,
     second_model: Path | None = None,
     authenticator: Authenticator | None = None,
+    provider: ProviderName = "auto",
 ) -> None:
     """Open a model and a data set, print the address of the explorer, and serve it until KeyboardInterrupt.
 
     Args:
         second_model: a second model for comparisons.
         authenticator: the access rules; by default those of `App`.
+        provider: what computes the networks, see `lpn.load`.
 
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
-    _serve(lambda: open_model(data, model, query, second_model), host, port, authenticator)
+    _serve(lambda: open_model(data, model, query, second_model, provider), host, port, authenticator)
 
 
 def run_saved(

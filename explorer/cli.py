@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from lpn.core.demo import DEMO, DEMO_QUERY
 from lpn.core.errors import InputError
+from lpn.core.resources import ProviderName
 
 
 @dataclass
@@ -22,6 +23,8 @@ class Explore:
     """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth; by default the demo's, for the demo."""
     beside: Path | None = None
     """Second trained LPN to compare on every query (key Y, tab Two models), such as one with other parts."""
+    provider: ProviderName = "auto"
+    """What computes the network: auto (a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     saved: Path | None = None
     """Result of the published test code, pytorch_result.mat, to explore in place of a model; needs --data."""
     n_parts: int | None = None
@@ -63,4 +66,13 @@ class Explore:
                 "The demo is not part of this installation; give a data set with --data and a model with --model."
             )
         query = DEMO_QUERY if self.data is None and self.query is None else self.query
-        run(self.data or DEMO, self.model or DEMO / "lpn.onnx", query, self.host, self.port, self.beside, authenticator)
+        run(
+            self.data or DEMO,
+            self.model or DEMO / "lpn.onnx",
+            query,
+            self.host,
+            self.port,
+            self.beside,
+            authenticator,
+            self.provider,
+        )

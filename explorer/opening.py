@@ -14,6 +14,7 @@ from explorer.workspace import Workspace
 from lpn.analysis.task import Task, gallery_geometry, offered_tasks, open_task
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.resources import ProviderName
 from lpn.datasets import open_dataset
 from lpn.datasets.city_model import CityModel, city_model
 from lpn.models.spec import Layout, ModelSpec
@@ -25,19 +26,26 @@ log = logging.getLogger(__name__)
 SAVED_MAP = (16, 16)
 
 
-def open_model(data: Path, model: Path, query: str | None = None, second_model: Path | None = None) -> Workspace:
+def open_model(
+    data: Path,
+    model: Path,
+    query: str | None = None,
+    second_model: Path | None = None,
+    provider: ProviderName = "auto",
+) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
 
     Args:
         query: name of the query of the first task that a new browser shows; by default the task's first query.
         second_model: another model to compare with on the same data.
+        provider: what computes the networks, see `lpn.load`.
 
     Raises:
         LPNError: when model or data set cannot be used, or there is no such query.
     """
     data_name = printable(data.resolve().name)
     with _status(f"Opening {printable(model.name)} and {data_name}"):
-        opened = lpn.load(model)
+        opened = lpn.load(model, provider)
         dataset = open_dataset(data)
     names = offered_tasks(opened, dataset)
     if not names:
@@ -59,7 +67,7 @@ def open_model(data: Path, model: Path, query: str | None = None, second_model: 
     )
     workspace.choose_first_query(query)
     if second_model is not None:
-        workspace.second_workspace = open_model(data, second_model)
+        workspace.second_workspace = open_model(data, second_model, provider=provider)
     return workspace
 
 

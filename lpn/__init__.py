@@ -22,6 +22,7 @@ from lpn.core.errors import LPNError, MissingPackageError
 from lpn.core.version import __version__
 
 if TYPE_CHECKING:
+    from lpn.core.resources import ProviderName
     from lpn.core.views import View
     from lpn.datasets import open_dataset
     from lpn.explain import evidence
@@ -68,24 +69,33 @@ if not TYPE_CHECKING:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def load(path: str | Path) -> Model:
+def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = False) -> Model:
     """Open a trained LPN: an exported `.onnx`, our `.safetensors`, or a published `.pth`.
 
-    An `.onnx` runs on the CPU without torch. The others need the extra `train`, and use a GPU if there is one.
+    An `.onnx` needs no torch; the others need the extra `train`.
+
+    Args:
+        provider: what computes: "auto" (a GPU if one works, else the CPU), "cpu", "cuda", or, for an `.onnx`, "tensorrt".
+        compiled: run a `.safetensors` or `.pth` by torch.compile.
 
     Raises:
         ModelFileError: if the file is missing, is not a model, is truncated, or lacks entries.
+        InputError: if the named provider or a compiler is missing or does not work.
         MissingPackageError: if torch is needed and not installed.
     """
     if Path(path).suffix == ".onnx":
         from lpn.models.onnx_engine import Engine
 
-        return Engine(path)
+        if compiled:
+            raise errors.InputError(
+                f"torch.compile is for .safetensors and .pth, and {Path(path).name} is exported; leave --compile out."
+            )
+        return Engine(path, provider=provider)
     try:
-        from lpn.models.checkpoints import best_device, load_torch
+        from lpn.models.checkpoints import device_of, load_torch
     except ModuleNotFoundError as error:
         raise MissingPackageError(
             f"Opening {Path(path).name} needs the package {error.name}; "
             "pip install 'lpn-explorer[train]', or export the model to .onnx where torch is installed."
         ) from error
-    return load_torch(path, best_device())
+    return load_torch(path, device_of(provider, Path(path).name), compiled)

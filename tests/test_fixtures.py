@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from lpn.descriptors.cache import cache_folder
+from lpn.core.files import cache_folder
 
 
 @pytest.fixture(scope="module")

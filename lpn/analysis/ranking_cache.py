@@ -22,8 +22,7 @@ import numpy as np
 from lpn.analysis.task import Task
 from lpn.core.arrays import AnyArray
 from lpn.core.errors import OutputError
-from lpn.core.files import write_atomic
-from lpn.descriptors import cache_folder
+from lpn.core.files import cache_folder, write_atomic
 from lpn.retrieval import metrics
 from lpn.retrieval.metrics import Retrieval
 from lpn.retrieval.ranks import Ranked

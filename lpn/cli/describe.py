@@ -8,6 +8,7 @@ from typing import Literal
 
 import lpn
 from lpn.core.errors import InputError
+from lpn.core.resources import ProviderName
 from lpn.core.views import View
 
 _FOR_RAY = ("address", "workers", "threads", "shard", "positions")
@@ -27,6 +28,10 @@ class DescribeCommand:
     """Folder of the store; with --engine ray folder or address of the shards, which every machine must see."""
     precision: Literal["float32", "float16", "int8"] = "float32"
     """Numbers on disk; float16 halves the store, int8 quarters it (not with --engine ray)."""
+    provider: ProviderName = "auto"
+    """What computes the network: auto (a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    compile: bool = False
+    """Run a .safetensors or .pth by torch.compile; worth it from some thousand pictures on."""
     engine: Literal["local", "ray"] = "local"
     """local describes on this machine, and refuses broken pictures before anything is computed. ray describes with many workers,
     lists broken pictures in broken.csv, and ends with status 1 if there are any."""
@@ -57,18 +62,20 @@ class DescribeCommand:
             raise InputError(f"--{given[0]} is for many workers; give it with --engine ray.")
         if "://" in self.images + self.out:
             raise InputError("Only --engine ray reads and writes addresses; give folders, or --engine ray.")
-        model, root, out = lpn.load(self.model), Path(self.images), Path(self.out)
+        model, root, out = lpn.load(self.model, self.provider, self.compile), Path(self.images), Path(self.out)
         model.check_view(self.view)
         files = descriptors.pictures_below(root)
         store = descriptors.describe(model, files, self.view, out, root=root, precision=self.precision)
         shape = " x ".join(map(str, store.descriptors.shape))
-        print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")
+        print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions. Computed on {model.device}.")
         return 0
 
     def _shards(self) -> int:
         from lpn.cluster.driver import describe_shards
         from lpn.cluster.shards import BROKEN
 
+        if self.compile or self.provider not in ("auto", "cpu"):
+            raise InputError("Ray's workers compute on the CPU; leave --provider and --compile out, or --engine ray.")
         if self.precision == "int8":
             raise InputError("Shards hold float32 or float16; give one of these as --precision.")
         summary = describe_shards(

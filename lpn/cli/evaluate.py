@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from lpn.retrieval.evaluate import Result
     from lpn.retrieval.protocol import Protocol
 
+from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName, View
 from lpn.retrieval.published_results import check_n_parts
 
@@ -26,6 +27,10 @@ class EvaluateCommand:
     """Data set; see docs/evaluation.md for the kinds."""
     model: Path | None = None
     """Trained LPN: .onnx, .safetensors, or .pth."""
+    provider: ProviderName = "auto"
+    """What computes the network: auto (a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    compile: bool = False
+    """Run a .safetensors or .pth by torch.compile; worth it from some thousand pictures on."""
     saved: Path | None = None
     """Result of the published test code, pytorch_result.mat, in place of --data and --model."""
     n_parts: int | None = None
@@ -96,7 +101,7 @@ class EvaluateCommand:
             raise InputError(
                 "There is nothing to evaluate; give --data and --model, or a pytorch_result.mat with --saved."
             )
-        model, dataset = lpn.load(self.model), open_dataset(self.data)
+        model, dataset = lpn.load(self.model, self.provider, self.compile), open_dataset(self.data)
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
         title = f"{self.model.name} ({model.describe()}) on {self.data.resolve().name}"

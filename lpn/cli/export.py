@@ -7,6 +7,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Literal
 
+from lpn.core.resources import ProviderName
+
 
 @dataclass
 class ExportCommand:
@@ -36,10 +38,13 @@ class QuantizeCommand:
     """File to write, ending in .onnx; views with weights of their own get files beside it."""
     pictures: int = 128
     """Number of calibration pictures, spread evenly over the training split, or the test split if there is none."""
+    provider: ProviderName = "auto"
+    """What computes the calibration: auto (a GPU if one works, else the CPU), cpu, cuda, or tensorrt."""
 
     def run(self) -> None:
         dataset = import_module("lpn.datasets").open_dataset(self.data)
-        files, agreement = import_module("lpn.models.quantize").quantize(self.model, dataset, self.out, self.pictures)
+        quantize = import_module("lpn.models.quantize").quantize
+        files, agreement = quantize(self.model, dataset, self.out, self.pictures, self.provider)
         print(f"Wrote {', '.join(file.name for file in files)} to {self.out.parent}.")
         cosines = ", ".join(f"{view} {cosine:.4f}" for view, cosine in agreement.items())
         print(f"Mean cosine with the float32 descriptors of calibration pictures: {cosines}.")

@@ -11,6 +11,7 @@ import lpn
 from lpn.cli.explain import part_values
 from lpn.core.arrays import Float32Array
 from lpn.core.files import printable
+from lpn.core.resources import ProviderName
 from lpn.core.views import View
 
 if TYPE_CHECKING:
@@ -94,6 +95,8 @@ class SearchCommand:
     """Weight of each part, such as 1,1,0,1; equal by default."""
     top: int = 10
     """Number of listed tiles."""
+    provider: ProviderName = "auto"
+    """What computes the network: auto (a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     box: tuple[float, float, float, float] | None = None
     """South, west, north, and east bounds in degrees; west > east crosses the antimeridian."""
     effort: int | None = None
@@ -116,7 +119,7 @@ class SearchCommand:
         check_effort(self.effort, self.depth)
         if self.json is not None:
             check_writable(self.json)
-        model = lpn.load(self.model)
+        model = lpn.load(self.model, self.provider)
         model.check_view(self.view)
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
         with open_index(self.index, model.fingerprint, self.effort, self.depth) as index:

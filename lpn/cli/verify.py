@@ -17,8 +17,7 @@ class VerifyCommand:
     """Files and folders, searched recursively; by default the cache of descriptors."""
 
     def run(self) -> int:
-        from lpn.core.files import printable
-        from lpn.descriptors import cache_folder
+        from lpn.core.files import cache_folder, printable
         from lpn.doctor.verify import verify
 
         damaged = 0

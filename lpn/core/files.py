@@ -42,6 +42,22 @@ _OPEN_FILES = 65_536
 _OPEN_FILES_MACOS = 10_240
 
 
+def cache_folder() -> Path:
+    """Return the folder of the user's cache.
+
+    Raises:
+        OutputError: if the user has no home folder, and neither LPN_CACHE nor XDG_CACHE_HOME is set.
+    """
+    if given := os.environ.get("LPN_CACHE"):
+        return Path(given)
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpn-explorer"
+    except RuntimeError as error:
+        raise OutputError(
+            "This user has no home folder for a cache; set LPN_CACHE to a folder that can be written."
+        ) from error
+
+
 def fingerprint(*paths: Path, also: str = "") -> str:
     """Return the first 16 hexadecimal digits of the SHA-256 of files and of a text that affects how they are read."""
     digest = hashlib.sha256(also.encode())

@@ -11,6 +11,8 @@ from pathlib import Path
 from lpn.core.files import printable
 
 NAME = "lpn-explorer"
+# Packages that stand in for a required one, as they hold the same modules.
+_STAND_INS = {"onnxruntime": "onnxruntime-gpu"}
 _PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 
@@ -83,12 +85,26 @@ def _packages(lines: list[str]) -> Iterator[Package]:
         requirement = Requirement(line)
         wanted = str(requirement.specifier)
         try:
-            found = metadata.version(requirement.name)
+            found = _version(requirement.name)
             yield Package(requirement.name, wanted, found, requirement.specifier.contains(found, prereleases=True))
         except metadata.PackageNotFoundError:
             yield Package(requirement.name, wanted, None, False)
         except (InvalidVersion, TypeError):  # remains of a broken installation
             yield Package(requirement.name, wanted, "unknown", False)
+
+
+def _version(name: str) -> str:
+    """Return the installed version of a package, or of its stand-in.
+
+    Raises:
+        PackageNotFoundError: if neither is installed.
+    """
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        if name not in _STAND_INS:
+            raise
+        return metadata.version(_STAND_INS[name])
 
 
 def _from_checkout() -> tuple[str, list[str], dict[str, list[str]]] | None:

@@ -9,7 +9,10 @@ import os
 import socket
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+# What computes a network: a GPU if one works, else the CPU (auto), or one of the others alone.
+ProviderName = Literal["auto", "cpu", "cuda", "tensorrt"]
 
 _CGROUPS, _OWN_CGROUP = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 # Options of mallopt in <malloc.h>: at most two arenas (M_ARENA_MAX); arrays from 4 MiB on are mapped (M_MMAP_THRESHOLD), as

@@ -15,7 +15,7 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import OutputError, StoreError
-from lpn.core.files import printable
+from lpn.core.files import cache_folder, printable
 from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors.partial_store import complete_store
@@ -180,19 +180,3 @@ def _from_complete_store(
         return None
     some = np.array(wanted, np.int64)
     return StoredDescriptors(store.rows(some), hashlib.sha256(store.identity.encode() + some.tobytes()).hexdigest())
-
-
-def cache_folder() -> Path:
-    """Return the folder of the user's cache.
-
-    Raises:
-        OutputError: if the user has no home folder, and neither LPN_CACHE nor XDG_CACHE_HOME is set.
-    """
-    if given := os.environ.get("LPN_CACHE"):
-        return Path(given)
-    try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpn-explorer"
-    except RuntimeError as error:
-        raise OutputError(
-            "This user has no home folder for a cache; set LPN_CACHE to a folder that can be written."
-        ) from error

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from lpn.core import requirements, resources
 from lpn.core.errors import LPNError, OutputError
-from lpn.core.files import check_writable, printable
+from lpn.core.files import cache_folder, check_writable, printable
 
 Level = Literal["OK", "note", "problem"]
 # The explorer's default address.
@@ -68,6 +68,7 @@ def check_environment(demo: Path) -> Iterator[Finding]:
     checks: dict[str, Callable[[], Iterator[Finding]]] = {
         "Python and packages": _python_and_packages,
         "PyTorch": _torch,
+        "ONNX Runtime": _onnx_runtime,
         "machine": _machine,
         "cache": _cache,
         "port": _port,
@@ -188,6 +189,24 @@ def _torch() -> Iterator[Finding]:
     yield Finding("GPU", "OK", f"torch {torch.__version__} on {names}")
 
 
+def _onnx_runtime() -> Iterator[Finding]:
+    import onnxruntime as ort
+
+    from lpn.models import providers
+
+    built = providers.available()
+    message = f"{ort.__version__} with the providers {', '.join(built)}"
+    if "cuda" in built or not _has_nvidia_driver():
+        yield Finding("ONNX Runtime", "OK", message)
+    else:
+        remedy = f"to use the GPU of this machine for .onnx models: {providers.INSTALL}"
+        yield Finding("ONNX Runtime", "note", message, remedy)
+
+
+def _has_nvidia_driver() -> bool:
+    return Path("/proc/driver/nvidia/version").exists() or shutil.which("nvidia-smi") is not None
+
+
 def _machine() -> Iterator[Finding]:
     yield Finding("cores", "OK", f"{resources.usable_cores()} of {os.cpu_count() or 1} can be used")
     if (memory := resources.memory()) is None:
@@ -202,8 +221,6 @@ def _machine() -> Iterator[Finding]:
 
 
 def _cache() -> Iterator[Finding]:
-    from lpn.descriptors import cache_folder
-
     try:
         folder = cache_folder()
     except OutputError as error:

@@ -55,6 +55,7 @@ class Model(ABC):
         spec: the architecture.
         fingerprint: hexadecimal digest of the model file; only descriptors with the same fingerprint are comparable.
         precision: the precision of its convolutions, "float32" or "int8".
+        device: what it computes on, "cpu", "cuda", or "tensorrt".
         parallel: whether several threads can call it in parallel, each on one core.
         batch: the best batch size for `descriptors`.
     """
@@ -62,12 +63,14 @@ class Model(ABC):
     spec: ModelSpec
     fingerprint: str
     precision: str = "float32"
+    device: str = "cpu"
     parallel: bool = False
     batch: int = 4
 
     def describe(self) -> str:
-        """Return one line for a header or a log: the architecture, and the precision if it is not float32."""
-        return self.spec.describe() + ("" if self.precision == "float32" else f", {self.precision}")
+        """Return one line for a header or a log: the architecture, a precision other than float32, and the GPU."""
+        precision = "" if self.precision == "float32" else f", {self.precision}"
+        return self.spec.describe() + precision + ("" if self.device == "cpu" else f", on {self.device}")
 
     @property
     def n_parts(self) -> int:

@@ -21,6 +21,7 @@ from lpn.core.checksums import SEAL, UNSEALED, check_claimed_size, check_entries
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import fingerprint, write_atomic
 from lpn.core.formats import is_newer, newer_version
+from lpn.core.resources import ProviderName
 from lpn.core.views import BRANCH, View
 from lpn.models.base import ForwardPass, Heads, Model
 from lpn.models.network import LPN, map_size
@@ -47,14 +48,11 @@ class TorchModel(Model):
         self.network = network.eval()
         self.spec = network.spec
         self.fingerprint = fingerprint
-        self.device = next(network.parameters()).device
-        self.batch = 64 if self.device.type == "cuda" else 8
+        self._device = next(network.parameters()).device
+        self.device = self._device.type
+        self.batch = 64 if self.device == "cuda" else 8
         if compiled:
             compile_backbones(network)
-
-    def describe(self) -> str:
-        """Return one line for a header or a log: the architecture, and the GPU if there is one."""
-        return super().describe() + ("" if self.device.type == "cpu" else f", on {self.device.type.upper()}")
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Run one forward pass of images (B, 3, H, W)."""
@@ -69,7 +67,7 @@ class TorchModel(Model):
         """Return the network's outputs on its device."""
         # Only full batches recur often enough to repay the benchmark of their shape.
         with exact_inference(benchmark=len(images) == self.batch):
-            return self.network.embed(torch.tensor(images, device=self.device), view)
+            return self.network.embed(torch.tensor(images, device=self._device), view)
 
     def map_size(self, view: View) -> tuple[int, int]:
         """Return (h, w) of the feature map of an image of the model's input size."""
@@ -149,6 +147,24 @@ def load_torch(path: str | Path, device: torch.device | str = "cpu", compiled: b
 def best_device() -> torch.device:
     """Return the GPU if there is one, else the CPU."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def device_of(provider: ProviderName, name: str) -> torch.device:
+    """Return the device that computes a model of PyTorch.
+
+    Args:
+        name: of the model's file, for the message.
+
+    Raises:
+        InputError: if the provider is not PyTorch's, or torch finds no GPU.
+    """
+    if provider == "tensorrt":
+        raise InputError(f"TensorRT computes exported models, not {name}; lpn export it, or give --provider cuda.")
+    if provider == "cuda" and not torch.cuda.is_available():
+        raise InputError(
+            f"torch {torch.__version__} finds no GPU; install its driver and a torch for CUDA, or give --provider cpu."
+        )
+    return best_device() if provider == "auto" else torch.device(provider)
 
 
 def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None) -> None:

@@ -6,6 +6,7 @@ evidence can be computed with ONNX Runtime alone.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -16,13 +17,16 @@ import onnxruntime as ort
 from lpn.core.arrays import Float32Array
 from lpn.core.checksums import SEAL, check_seal
 from lpn.core.errors import InputError, ModelFileError
-from lpn.core.files import fingerprint
+from lpn.core.files import cache_folder, fingerprint
 from lpn.core.formats import is_newer, newer_version
-from lpn.core.resources import usable_cores
+from lpn.core.resources import ProviderName, usable_cores
 from lpn.core.views import View
+from lpn.models import providers
 from lpn.models.base import ForwardPass, Heads, Model
 from lpn.models.onnx_check import check_self_contained
 from lpn.models.spec import ModelSpec
+
+log = logging.getLogger(__name__)
 
 FORMAT = "lpn-explorer-onnx/1"
 # The metadata entry of a quantised file, see `lpn.models.quantize`.
@@ -39,17 +43,19 @@ def extra_outputs(spec: ModelSpec) -> tuple[str, ...]:
 
 
 class Engine(Model):
-    """A model that runs from `.onnx` files on the CPU, without torch.
+    """A model that runs from `.onnx` files, without torch.
 
     Args:
         path: the file written by `lpn export`; files of further view groups lie beside it.
-        threads: threads per forward pass; default: all usable cores.
+        threads: threads per forward pass on the CPU; default: all usable cores.
+        provider: "auto" takes CUDA if it works, else the CPU. TensorRT is taken only when named, as it compiles for minutes.
 
     Raises:
         ModelFileError: if a file is missing, damaged, or not written by `lpn export`.
+        InputError: if the named provider is missing or does not work.
     """
 
-    def __init__(self, path: str | Path, threads: int | None = None) -> None:
+    def __init__(self, path: str | Path, threads: int | None = None, provider: ProviderName = "cpu") -> None:
         path = self._path = Path(path)
         options = ort.SessionOptions()
         options.log_severity_level = 4
@@ -71,6 +77,25 @@ class Engine(Model):
             _check_shapes(session, self.spec, file)
             self._sessions.update(dict.fromkeys(group, session))
         self.fingerprint = fingerprint(*files)
+        if provider != "cpu":
+            self._move_to_gpu(provider, files, groups)
+
+    def _move_to_gpu(self, provider: ProviderName, files: list[Path], groups: list[tuple[View, ...]]) -> None:
+        """Replace the sessions by those of a GPU; with "auto" the CPU stays where CUDA does not work."""
+        wanted: ProviderName = "cuda" if provider == "auto" else provider
+        if provider == "auto" and wanted not in providers.available():
+            return
+        cache = cache_folder() / "tensorrt" / self.fingerprint
+        try:
+            opened = [providers.open_on_gpu(file, wanted, self.input_size, cache) for file in files]
+        except InputError as error:
+            if provider != "auto":
+                raise
+            log.warning("%s computes on the CPU: %s", self._path.name, error)
+            return
+        for group, session in zip(groups, opened, strict=True):
+            self._sessions.update(dict.fromkeys(group, session))
+        self.device, self.parallel, self.batch = wanted, False, providers.GPU_BATCH
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Run one forward pass of images (B, 3, H, W) of the model's input size."""
@@ -84,8 +109,13 @@ class Engine(Model):
         return self._outputs(["parts"], images, view)[0]
 
     def for_parallel_inference(self) -> Model:
-        """Return the same model with one thread per forward pass."""
-        return self if self.parallel else Engine(self._path, threads=1)
+        """Return the same model with one thread per forward pass; on a GPU, itself."""
+        return self if self.parallel or self.device != "cpu" else Engine(self._path, threads=1)
+
+    def calibration_providers(self) -> list[tuple[str, dict[str, str]]]:
+        """Return ONNX Runtime's providers with their options for other graphs of this model, as in a quantisation."""
+        # TensorRT would compile each of them for minutes.
+        return providers.settings("cpu" if self.device == "cpu" else "cuda", self.input_size, Path())
 
     def map_size(self, view: View) -> tuple[int, int]:
         """Return (h, w) of the feature map, as the graph declares it."""
@@ -108,6 +138,11 @@ class Engine(Model):
         try:
             outputs = cast("list[Float32Array]", session.run(names, {"images": images}))
         except Exception as error:  # see `_open`
+            if self.device != "cpu":
+                reason = str(error).strip().partition("\n")[0][:300]
+                raise InputError(
+                    f"{self._path.name} cannot be computed on {self.device} ({reason}); give --provider cpu."
+                ) from error
             raise ModelFileError(f"{self._path.name} cannot be computed, so it is damaged; {_AGAIN}.") from error
         declared = {output.name: output.shape for output in session.get_outputs()}
         if not all(_agrees(array.shape, declared[name]) for name, array in zip(names, outputs, strict=True)):

@@ -22,6 +22,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.checksums import SEAL, UNSEALED, with_seal
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import check_writable, printable, write_atomic
+from lpn.core.resources import ProviderName
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import check_whole
@@ -33,7 +34,7 @@ _QUANTISED = frozenset({"Conv", "Relu", "Add", "MaxPool"})
 
 
 def quantize(
-    model: str | Path, dataset: Dataset, out: str | Path, pictures: int = PICTURES
+    model: str | Path, dataset: Dataset, out: str | Path, pictures: int = PICTURES, provider: ProviderName = "cpu"
 ) -> tuple[list[Path], dict[View, float]]:
     """Quantize an exported model so that its convolutions compute in 8 bits.
 
@@ -42,13 +43,15 @@ def quantize(
         dataset: the source of calibration pictures, see `calibration_pictures`.
         out: the file to write; further view groups get files beside it.
         pictures: the number of calibration pictures for each group of views.
+        provider: what computes the calibration, see `Engine`. The 8-bit model is compared on the CPU, which it is for.
 
     Returns:
         The files written, and for each view the mean cosine (-1 .. 1) between both models' descriptors of calibration
         pictures.
 
     Raises:
-        InputError: if `out` does not end in .onnx or is `model`, `model` is not stored as float32, or there are no pictures.
+        InputError: if `out` does not end in .onnx or is `model`, `model` is not stored as float32, there are no pictures, or
+            the named provider is missing or does not work.
         ModelFileError: if the model cannot be loaded.
         PictureError: if calibration pictures are broken.
         OutputError: if `out` cannot be written.
@@ -61,7 +64,7 @@ def quantize(
     if pictures < 1:
         raise InputError(f"{pictures} calibration pictures were asked for; give at least one, such as {PICTURES}.")
     check_writable(out)
-    engine = Engine(model)
+    engine = Engine(model, provider=provider)
     groups = engine.spec.groups()
     chosen = [calibration_pictures(dataset, group, pictures) for group in groups]
     check_whole([picture.path for some in chosen for _, picture in some], f"pictures of {dataset.root.name}")
@@ -148,6 +151,7 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,
             nodes_to_quantize=names,
+            calibration_providers=engine.calibration_providers(),
         )
         result = onnx.load_model(made)
     del result.metadata_props[:]

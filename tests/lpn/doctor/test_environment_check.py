@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnxruntime
 import pytest
 
 from lpn.analysis import ranking_cache
@@ -23,7 +24,7 @@ from lpn.cli import main
 from lpn.core import requirements, resources
 from lpn.core.demo import DEMO
 from lpn.core.errors import OutputError
-from lpn.descriptors import cache_folder
+from lpn.core.files import cache_folder
 from lpn.doctor import environment_check
 from lpn.doctor.environment_check import Finding, healthy
 from tools.fixtures.tasks import descriptor_task
@@ -232,6 +233,42 @@ def test_an_installed_package_knows_its_ranges_without_a_checkout(
     assert [package.requirement for package in found.base] == ["numpy>=1.26"]
     assert found.base[0] == next(package for package in there.base if package.name == "numpy")
     assert [(package.name, package.fits) for package in found.extras["train"]] == [("torch", False)]
+
+
+def test_onnx_runtime_s_providers_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(environment_check, "_has_nvidia_driver", lambda: False)
+    assert re.fullmatch(
+        r"OK      ONNX Runtime: \d+\.\d+\.\d+ with the providers cpu\.",
+        of("ONNX Runtime", environment_check._onnx_runtime).line,
+    )
+    monkeypatch.setattr(environment_check, "_has_nvidia_driver", lambda: True)
+    found = of("ONNX Runtime", environment_check._onnx_runtime)
+    assert (found.level, "pip install onnxruntime-gpu" in found.remedy) == ("note", True)
+    names = ["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"]
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: names)
+    found = of("ONNX Runtime", environment_check._onnx_runtime)
+    assert (found.level, found.message.endswith("cpu, cuda, tensorrt")) == ("OK", True)
+
+
+def test_the_onnx_runtime_for_gpus_is_as_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    version = metadata.version
+    installed = {"onnxruntime-gpu": "1.22.0"}
+
+    def told(name: str) -> str:
+        if name == "onnxruntime" or (name == "onnxruntime-gpu" and not installed):
+            raise metadata.PackageNotFoundError(name)
+        return installed.get(name) or version(name)
+
+    monkeypatch.setattr(metadata, "version", told)
+
+    def fits() -> list[bool]:
+        found = requirements.read_requirements()
+        assert found is not None
+        return [package.fits for package in found.base if package.name == "onnxruntime"]
+
+    assert fits() == [True]
+    installed.clear()
+    assert fits() == [False]
 
 
 def test_little_room_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,213 @@
+"""The choice of what computes a network. There is no GPU here: ONNX Runtime's list of providers is a stub, its CPU is real."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime as ort
+import pytest
+import torch
+
+import lpn
+from lpn.cli import main
+from lpn.core.errors import InputError
+from lpn.datasets import open_dataset
+from lpn.models import providers
+from lpn.models.checkpoints import save
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.onnx_engine import Engine
+from lpn.models.quantize import quantize
+from lpn.models.spec import ModelSpec
+from tools.fixtures import seeded
+
+CUDA, TENSORRT, CPU = "CUDAExecutionProvider", "TensorrtExecutionProvider", "CPUExecutionProvider"
+PICTURES = seeded.pictures(3, 2, 64, 64)
+
+
+@pytest.fixture(autouse=True)
+def _no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ort, "get_available_providers", lambda: [CPU])
+
+
+class FakeGpu:
+    """Stands for a GPU: sessions compute on the CPU, and say that they have the provider that was asked for."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, broken: tuple[str, ...] = ()) -> None:
+        self.asked: list[tuple[Path, ort.SessionOptions, dict[str, dict[str, str]]]] = []
+        self.computed: list[int] = []
+        self.broken = broken
+        monkeypatch.setattr(ort, "get_available_providers", lambda: [TENSORRT, CUDA, CPU])
+        monkeypatch.setattr(providers, "_create", self.create)
+
+    def create(self, path: Path, options: ort.SessionOptions, wanted: list[tuple[str, Any]]) -> FakeSession:
+        self.asked.append((path, options, dict(wanted)))
+        started = [name for name, _ in wanted if name not in self.broken]
+        return FakeSession(ort.InferenceSession(str(path), providers=[CPU]), started, self.computed)
+
+
+class FakeSession:
+    def __init__(self, real: ort.InferenceSession, started: list[str], computed: list[int]) -> None:
+        self.real, self.started, self.computed = real, started, computed
+
+    def get_providers(self) -> list[str]:
+        return self.started
+
+    def run(self, names: list[str], inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
+        self.computed.append(len(inputs["images"]))
+        if len(inputs["images"]) > providers.GPU_BATCH:
+            raise RuntimeError("out of memory\nand a stack of C++")
+        return self.real.run(names, inputs)  # type: ignore[no-any-return]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.real, name)
+
+
+def test_without_a_gpu_auto_is_the_cpu(model_file: Path) -> None:
+    model = lpn.load(model_file)
+    assert model.device == "cpu"
+    assert "on " not in model.describe()
+    np.testing.assert_array_equal(
+        model.descriptors(PICTURES, "drone"), lpn.load(model_file, "cpu").descriptors(PICTURES, "drone")
+    )
+
+
+@pytest.mark.parametrize(("wanted", "name"), [("cuda", CUDA), ("tensorrt", TENSORRT)])
+def test_a_provider_that_is_not_built_in_is_one_sentence(model_file: Path, wanted: str, name: str) -> None:
+    with pytest.raises(InputError, match=f"has no {name}, but .*{CPU}; install .*onnxruntime-gpu") as caught:
+        lpn.load(model_file, wanted)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).endswith("or give --provider cpu.")
+
+
+def test_auto_takes_cuda_and_says_so(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = Engine(model_file).descriptors(PICTURES, "drone")
+    gpu = FakeGpu(monkeypatch)
+    model = lpn.load(model_file)
+    ((path, options, asked),) = gpu.asked
+    assert path == model_file
+    assert list(asked) == [CUDA, CPU]
+    assert asked[CUDA]["use_tf32"] == "0"
+    assert asked[CUDA]["arena_extend_strategy"] == "kSameAsRequested"
+    assert (options.intra_op_num_threads, options.inter_op_num_threads) == (1, 1)
+    assert gpu.computed == [1]  # it was tried
+    assert (model.device, model.batch, model.parallel) == ("cuda", providers.GPU_BATCH, False)
+    assert model.for_parallel_inference() is model
+    assert model.describe().endswith(", on cuda")
+    np.testing.assert_array_equal(model.descriptors(PICTURES, "drone"), expected)
+    assert gpu.computed == [1, 2, 2]
+
+
+def test_tensorrt_is_taken_by_name_only_and_caches_engines_by_weights(
+    model_file: Path, one_part_model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("NVIDIA_TF32_OVERRIDE", raising=False)
+    gpu = FakeGpu(monkeypatch)
+    models = [lpn.load(file, "tensorrt") for file in (model_file, one_part_model_file)]
+    assert os.environ.pop("NVIDIA_TF32_OVERRIDE") == "0"
+    assert [model.device for model in models] == ["tensorrt"] * 2
+    folders = []
+    for _, _, asked in gpu.asked:
+        assert list(asked) == [TENSORRT, CUDA, CPU]
+        options = asked[TENSORRT]
+        assert options["trt_profile_min_shapes"] == "images:1x3x64x64"
+        assert options["trt_profile_max_shapes"] == f"images:{providers.GPU_BATCH}x3x64x64"
+        folders.append(Path(options["trt_engine_cache_path"]))
+    assert [folder.name for folder in folders] == [model.fingerprint for model in models]
+    assert all(folder.is_dir() and folder.is_relative_to(tmp_path / "cache") for folder in folders)
+
+
+def test_cuda_without_its_libraries_is_the_cpu_with_auto_and_an_error_by_name(
+    model_file: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    FakeGpu(monkeypatch, broken=(CUDA, TENSORRT))
+    with caplog.at_level(logging.WARNING):
+        model = lpn.load(model_file)
+    assert model.device == "cpu"
+    (record,) = caplog.records
+    assert f"{model_file.name} computes on the CPU: {CUDA} of ONNX Runtime" in record.getMessage()
+    with pytest.raises(InputError, match=r"was not started.*install CUDA 12 and cuDNN 9, or give --provider cpu"):
+        lpn.load(model_file, "cuda")
+
+
+@pytest.mark.filterwarnings("ignore:Specified provider")
+def test_onnx_runtime_s_own_refusal_is_one_sentence(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A list that names CUDA, on an ONNX Runtime that cannot start it: here, one that was built without it."""
+    monkeypatch.setattr(ort, "get_available_providers", lambda: [CUDA, CPU])
+    with pytest.raises(InputError, match=f"{CUDA} of ONNX Runtime .* does not work here") as caught:
+        Engine(model_file, provider="cuda")
+    assert "\n" not in str(caught.value)
+    assert Engine(model_file, provider="auto").device == "cpu"
+
+
+def test_a_gpu_that_fails_later_is_no_damaged_file(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    FakeGpu(monkeypatch)
+    model = lpn.load(model_file)
+    with pytest.raises(InputError, match=r"cannot be computed on cuda \(out of memory\); give --provider cpu"):
+        model.run(seeded.pictures(0, providers.GPU_BATCH + 1, 64, 64), "drone")
+
+
+@pytest.mark.slow
+def test_each_group_of_views_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=2, input_size=(64, 64))
+    save(LPN(spec), tmp_path / "model.safetensors")
+    files = export(tmp_path / "model.safetensors", tmp_path / "model.onnx")
+    expected = Engine(files[0]).descriptors(PICTURES, "street")
+    gpu = FakeGpu(monkeypatch)
+    model = Engine(files[0], provider="cuda")
+    assert [path for path, _, _ in gpu.asked] == files
+    np.testing.assert_array_equal(model.descriptors(PICTURES, "street"), expected)
+    assert gpu.computed == [1, 1, 2, 2]
+
+
+def test_quantisation_calibrates_on_the_chosen_provider(
+    model_file: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[Any] = []
+    module = __import__("lpn.models.quantize", fromlist=["quantize_static"])
+    original = module.quantize_static
+
+    def spy(*arguments: Any, calibration_providers: Any, **options: Any) -> None:
+        given.append([name for name, _ in calibration_providers])
+        original(*arguments, calibration_providers=[CPU], **options)
+
+    monkeypatch.setattr(module, "quantize_static", spy)
+    FakeGpu(monkeypatch)
+    quantize(model_file, open_dataset(data), tmp_path / "int8.onnx", 4, "cuda")
+    quantize(model_file, open_dataset(data), tmp_path / "again.onnx", 4)
+    assert given == [[CUDA, CPU], [CPU]]
+
+
+def test_models_of_pytorch_take_the_same_option(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    safetensors = model_file.with_suffix(".safetensors")
+    assert lpn.load(safetensors, "cpu").device == "cpu"
+    with pytest.raises(InputError, match=r"TensorRT computes exported models, not model\.safetensors; lpn export"):
+        lpn.load(safetensors, "tensorrt")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(InputError, match="finds no GPU; install its driver"):
+        lpn.load(safetensors, "cuda")
+    with pytest.raises(InputError, match=r"model\.onnx is exported; leave --compile out"):
+        lpn.load(model_file, compiled=True)
+
+
+def test_the_commands_pass_the_option_on(
+    model_file: Path, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures = data / "test" / "gallery_satellite"
+    describe = ["describe", "--model", str(model_file), "--images", str(pictures), "--view", "satellite"]
+    describe += ["--out", str(tmp_path / "store"), "--provider"]
+    evaluate = ["evaluate", "--model", str(model_file), "--data", str(data), "--provider"]
+    quantized = ["quantize", "--model", str(model_file), "--data", str(data), "--out", str(tmp_path / "int8.onnx")]
+    explore = ["explore", "--model", str(model_file), "--data", str(data), "--port", "0", "--provider"]
+    for command in (describe, evaluate, [*quantized, "--provider"], explore):
+        assert main.main([*command, "cuda"]) == 2
+        assert f"has no {CUDA}" in capsys.readouterr().err
+    assert not (tmp_path / "store").exists()
+    assert not (tmp_path / "int8.onnx").exists()
+    FakeGpu(monkeypatch)
+    assert main.main([*describe, "auto"]) == 0
+    assert "Computed on cuda." in capsys.readouterr().out
