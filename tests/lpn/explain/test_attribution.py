@@ -46,6 +46,11 @@ SPECS = {
         "resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=3, maps=2, embedding=2 * 256,
         input_size=(48, 128), pooling="safa", polar=True,
     ),
+    # A map of 2 x 5, whose last row and column reach beyond the picture.
+    "safa-lpn": ModelSpec(
+        "vgg16", views=("satellite", "street"), shared=False, n_parts=3, maps=1, embedding=512,
+        input_size=(48, 136), pooling="safa", polar=True,
+    ),
 }  # fmt: skip
 
 

@@ -61,7 +61,15 @@ ON_PANORAMAS: dict[str, dict[str, Any]] = {
     "lpn-strips": {"width": 256},
     "safa": {"size": 64, "width": 256},
     "safa-lpn": {"size": 64, "width": 256},
-    "safa-lpn on vgg16": {"size": 64, "width": 256, "backbone": "vgg16_bn", "last_layer": "layer4"},
+    "safa-lpn on vgg16_bn": {"size": 64, "width": 256, "backbone": "vgg16_bn", "last_layer": "layer4"},
+    "safa-lpn on vgg16": {
+        "size": 64,
+        "width": 256,
+        "backbone": "vgg16",
+        "last_layer": "layer4",
+        "backbone_dropout": 0.2,
+        "lr": 1e-4,
+    },
 }
 
 
