@@ -41,6 +41,8 @@ class TrainCommand:
     method: MethodName | None = None
     """One of the methods that the paper compares, by default the recipe's: lpn, the instance-loss baseline, the baseline with
     another loss, strips, or SAFA."""
+    compare_recipes: tuple[str, str] | None = None
+    """Print the settings in which two recipes differ, each with its source, and train nothing."""
     init: Path | None = None
     """Weights of the backbone trained on ImageNet (.safetensors or .pth, torchvision's names), loaded as far as they fit."""
     from_scratch: bool = False
@@ -58,6 +60,9 @@ class TrainCommand:
     settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
 
     def run(self) -> None:
+        if self.compare_recipes is not None:
+            print(import_module("lpn.training.recipe_sources").difference(*self.compare_recipes))
+            return
         trainer = import_module("lpn.training.trainer").Trainer
         dataset = import_module("lpn.datasets").open_dataset(self.data)
         group = import_module("lpn.training.multi_process").join()
@@ -97,7 +102,9 @@ def parse_train(arguments: list[str], program: str) -> TrainCommand:
     """
     name, chosen = _given(arguments, "--recipe") or recipes.DEFAULT, _given(arguments, "--method")
     settings = recipes.find(name, chosen)
-    named = TrainCommand(tyro.MISSING, tyro.MISSING, cast(Any, name), method=cast(Any, chosen), settings=settings)
+    # A comparison of recipes needs neither data nor a folder.
+    folder = Path() if _given(arguments, "--compare-recipes") else tyro.MISSING
+    named = TrainCommand(folder, folder, cast(Any, name), method=cast(Any, chosen), settings=settings)
     return tyro.cli(TrainCommand, args=arguments, prog=program, default=named)
 
 

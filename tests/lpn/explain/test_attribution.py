@@ -34,6 +34,9 @@ SPECS = {
     "leaky": ModelSpec(
         "resnet18", "layer3", n_parts=4, embedding=24, classes=5, input_size=(64, 64), activation="leaky_relu"
     ),
+    "relu": ModelSpec(
+        "resnet18", "layer3", n_parts=4, embedding=24, classes=5, input_size=(64, 64), activation="relu"
+    ),
     "rings and rows": ModelSpec(
         "vgg16_bn", views=("satellite", "street"), shared=False, layout="cvusa", n_parts=4, embedding=24, classes=5,
         input_size=(64, 64),
@@ -102,7 +105,7 @@ def test_cells_and_constants_add_up_to_each_cosine_on_both_sides(name: str) -> N
         assert np.abs(found.query.constants).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", ["rings", "leaky", "columns", "safa"])
+@pytest.mark.parametrize("name", ["rings", "leaky", "relu", "columns", "safa"])
 def test_links_add_up_to_each_cell_and_turn_around_with_the_pair(name: str) -> None:
     model = TorchModel(network(SPECS[name]))
     query, tile = pair(model)
@@ -140,7 +143,7 @@ def test_a_counterpart_is_the_other_picture_s_cell_of_the_same_part_that_agrees_
     np.testing.assert_array_equal(forth.cells == -1, labels == 0)
 
 
-@pytest.mark.parametrize("name", ["rings", "leaky", "safa"])
+@pytest.mark.parametrize("name", ["rings", "leaky", "relu", "safa"])
 def test_a_region_s_search_orders_by_what_its_cells_add_to_each_score(name: str) -> None:
     model = TorchModel(network(SPECS[name]))
     query, _ = pair(model)
@@ -197,15 +200,29 @@ def test_a_randomised_network_has_other_maps(tmp_path: Path) -> None:
     assert np.mean(alike) < 0.3
 
 
+def test_a_part_whose_relu_passes_nothing_adds_nothing() -> None:
+    made = network(SPECS["relu"])
+    made.heads[1].add_block[1].bias.data -= 100
+    query, tile = pair(TorchModel(made))
+    found = evidence(query, tile)
+    assert found.cosines[1] == 0
+    assert not found.query.cells[1].any()
+    assert found.query.constants[1] == 0
+    assert query.trace is not None
+    assert tile.trace is not None
+    assert not explain.cell_similarities(query.trace, tile.trace, 1).any()
+
+
+@pytest.mark.parametrize("activation", ["leaky", "relu"])
 @pytest.mark.parametrize("storage", ["float32", "int8"])
-def test_an_exported_model_accounts_without_torch_s_model(storage: str, tmp_path: Path) -> None:
-    save(network(SPECS["leaky"]), tmp_path / "model.safetensors")
+def test_an_exported_model_accounts_without_torch_s_model(storage: str, activation: str, tmp_path: Path) -> None:
+    save(network(SPECS[activation]), tmp_path / "model.safetensors")
     export(tmp_path / "model.safetensors", tmp_path / "model.onnx", storage)  # type: ignore[arg-type]
     query, tile = pair(Engine(tmp_path / "model.onnx"))
     found = evidence(query, tile)
     np.testing.assert_allclose(found.query.cells.sum(axis=(1, 2)) + found.query.constants, found.cosines, atol=1e-5)
     if storage == "float32":
-        original = evidence(*pair(TorchModel(network(SPECS["leaky"]))))
+        original = evidence(*pair(TorchModel(network(SPECS[activation]))))
         np.testing.assert_allclose(found.query.cells, original.query.cells, atol=1e-4)
 
 

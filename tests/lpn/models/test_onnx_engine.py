@@ -32,11 +32,12 @@ def close(found: np.ndarray, expected: np.ndarray) -> None:
         ModelSpec(
             "resnet18", "layer3", views=("satellite", "drone"), n_parts=4, activation="leaky_relu", input_size=(64, 64)
         ),
+        ModelSpec("resnet18", "layer3", views=("satellite", "drone"), activation="relu", input_size=(64, 64)),
         ModelSpec(
             "vgg16_bn", views=("satellite", "street"), shared=False, n_parts=8, layout="cvusa", input_size=(64, 64)
         ),
     ],
-    ids=["two views", "street apart", "leaky", "cvusa"],
+    ids=["two views", "street apart", "leaky", "relu", "cvusa"],
 )
 def test_engine_equals_torch(spec: ModelSpec, tmp_path: Path) -> None:
     torch.manual_seed(3)

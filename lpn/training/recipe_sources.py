@@ -1,0 +1,344 @@
+"""The source of every setting of the published recipes: the paper, a line of the released code, or ours.
+
+Line numbers are those of wtyhub/LPN at c4f521a, wtyhub/SAFA_LPN at 631b186, and layumi/University1652-Baseline at de38d35.
+"""
+
+from __future__ import annotations
+
+import io
+import shutil
+from dataclasses import asdict
+from typing import cast
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from lpn.training.recipes import find
+
+# Pairs of a recipe of a paper's text and the recipe of its released code.
+PAIRS = (("paper", "released"), ("cvusa-paper", "cvusa-released"), ("safa-paper", "safa-released"))
+_RELEASED = dict(PAIRS)
+
+# The record of a paper's text does not state a setting that the paper of another recipe does.
+_SILENT = ""
+
+_STATED = "paper, implementation details"
+_LPN = "wtyhub/LPN"
+_SAFA = "wtyhub/SAFA_LPN script"
+_NOT_USED = "ours: not used"
+_OFF = "ours: off, in neither the paper nor the code"
+
+# By setting: its source by recipe; "*" for all others. Where the text of a paper is silent, its recipe has the source of the
+# released code.
+_SOURCES: dict[str, dict[str, str]] = {
+    "backbone": {
+        "paper": f"{_STATED}: ResNet-50, the stride of conv5_1 changed from 2 to 1",
+        "released": f"{_LPN} run.sh:8, model.py:435-439",
+        "cvusa-paper": "paper, Table II: VGG16",
+        "cvusa-released": f"{_LPN} run_cvusa.sh:9, model.py:165",
+        "safa-paper": "paper, Table II: VGG16",
+        "safa-released": f"{_SAFA}/VGG.py:63",
+    },
+    "last_layer": {
+        "released": f"{_LPN} model.py:450-457",
+        "cvusa-released": f"{_LPN} model.py:180",
+        "safa-released": f"{_SAFA}/VGG.py:63",
+    },
+    "n_parts": {
+        "paper": f"{_STATED}: n = 4",
+        "released": f"{_LPN} run.sh:14",
+        "cvusa-paper": _SILENT,
+        "cvusa-released": f"{_LPN} run_cvusa.sh:13",
+        "safa-released": f"{_SAFA}/spatial_net.py:33: SAFA alone has one part",
+    },
+    "weighting": {
+        "paper": "paper, equation 3: the mean over the ring itself",
+        "released": f"{_LPN} model.py:492-497: the box around the ring is averaged, its inside set to zero",
+        "cvusa-released": f"{_LPN} model.py:217-222: as for University-1652",
+        "*": _NOT_USED,
+    },
+    "activation": {
+        "paper": "paper, the drawing of the network: a ReLU between BatchNorm and dropout",
+        "released": f"{_LPN} model.py:37, 660: no activation, the default",
+        "cvusa-released": f"{_LPN} model.py:37, 562: no activation, the default",
+        "*": _NOT_USED,
+    },
+    "shared": {
+        "released": f"{_LPN} run.sh:7, model.py:643-644",
+        "cvusa-released": f"{_LPN} run_cvusa.sh has no --share, model.py:545",
+        "safa-released": f"{_SAFA}/spatial_net.py:35, 47",
+    },
+    "layout": {
+        "paper": "paper, section III-B: square rings in every view",
+        "released": f"{_LPN} model.py:473-513",
+        "cvusa-paper": _SILENT,
+        "cvusa-released": f"{_LPN} model.py:521, 528, 545: rings of the tile, outermost first, and rows of the panorama",
+        "*": _NOT_USED,
+    },
+    "pooling": {
+        "paper": "paper, equation 3",
+        "released": f"{_LPN} train.py:41, model.py:476",
+        "cvusa-released": f"{_LPN} train_cvusa.py:40, model.py:201",
+        "safa-released": f"{_SAFA}/spatial_net.py:5-30",
+    },
+    "maps": {
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:14, 134: the last digit of the network's name",
+        "*": _NOT_USED,
+    },
+    "polar": {"safa-released": f"{_SAFA}/train_cvusa_lpn.py:15", "*": _OFF},
+    "google": {
+        "paper": "paper, Table I: LPN is trained with google, LPN without Google has a row of its own",
+        "released": f"{_LPN} run.sh:13, model.py:689: google goes through the street branch",
+        "cvusa-paper": "ours: CVUSA has no such set",
+        "*": "ours: CVUSA has no such set",
+    },
+    "size": {
+        "paper": f"{_STATED}: 256",
+        "released": f"{_LPN} run.sh:9",
+        "cvusa-released": f"{_LPN} run_cvusa.sh:7",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:124",
+    },
+    "width": {
+        "paper": f"{_STATED}: 256",
+        "released": f"{_LPN} run.sh:10",
+        "cvusa-released": f"{_LPN} run_cvusa.sh:8",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:124",
+    },
+    "dropout": {
+        "released": f"{_LPN} run.sh:6",
+        "cvusa-released": f"{_LPN} train_cvusa.py:57, the default",
+        "*": "ours: not used, as SAFA has no heads",
+    },
+    "backbone_dropout": {
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:44, VGG.py:92-110: each value is kept with probability 0.8",
+        "*": _OFF,
+    },
+    "sampling": {
+        "released": f"{_LPN} train.py:149-151, 217: one shuffled loader for each set, over its pictures",
+        "cvusa-released": f"{_LPN} train_cvusa.py:145-147, 211: one shuffled loader for each set",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:204: pairs",
+    },
+    "epochs": {
+        "paper": f"{_STATED}: 120",
+        "released": f"{_LPN} train.py:438",
+        "cvusa-released": f"{_LPN} train_cvusa.py:438",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:34",
+    },
+    "batch": {
+        "paper": f"{_STATED}: 32; the text does not say whether of each set or of all four, which 8 of each would be",
+        "released": f"{_LPN} train.py:45, the default, of each of the four loaders",
+        "cvusa-paper": f"{_STATED}: 32, without an exception for CVUSA",
+        "cvusa-released": f"{_LPN} run_cvusa.sh:6",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:31",
+    },
+    "optimizer": {
+        "paper": f"{_STATED}: SGD, momentum 0.9; Nesterov from {_LPN} train.py:405",
+        "released": f"{_LPN} train.py:405",
+        "cvusa-released": f"{_LPN} train_cvusa.py:404",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:159",
+    },
+    "lr": {
+        "paper": f"{_STATED}: 0.01 for new layers",
+        "released": f"{_LPN} run.sh:15, train.py:403",
+        "cvusa-released": f"{_LPN} run_cvusa.sh:12, train_cvusa.py:402",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:43",
+    },
+    "backbone_ratio": {
+        "paper": f"{_STATED}: 0.001 for the backbone",
+        "released": f"{_LPN} train.py:399",
+        "cvusa-released": f"{_LPN} train_cvusa.py:398",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:159: one rate",
+    },
+    "schedule": {
+        "paper": f"{_STATED}: decay by 0.1 after 80 epochs",
+        "released": f"{_LPN} train.py:408",
+        "cvusa-released": f"{_LPN} train_cvusa.py:406",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:43: no decay without --lr_decay",
+    },
+    "decay_epoch": {
+        "paper": f"{_STATED}: 80",
+        "released": f"{_LPN} train.py:408: step_size=80",
+        "cvusa-released": f"{_LPN} train_cvusa.py:406: step_size=80",
+        "*": _NOT_USED,
+    },
+    "warmup_epochs": {
+        "released": f"{_LPN} train.py:54, the default: none",
+        "cvusa-released": f"{_LPN} run_cvusa.sh:5",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:43: none",
+    },
+    "warmup": {
+        "cvusa-released": f"{_LPN} train_cvusa.py:268-270: the factor multiplies the loss",
+        "*": _NOT_USED,
+    },
+    "warmup_start": {
+        "cvusa-released": f"{_LPN} train_cvusa.py:190",
+        "*": _NOT_USED,
+    },
+    "weight_decay": {
+        "paper": f"{_STATED}: 0.0005",
+        "released": f"{_LPN} train.py:405",
+        "cvusa-released": f"{_LPN} train_cvusa.py:404",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:152, 159: the regularisers' terms are never added to the loss",
+    },
+    "ema": {
+        "released": f"{_LPN} train.py:56, the default: none",
+        "cvusa-released": f"{_LPN} train_cvusa.py:56, the default: none",
+        "*": _OFF,
+    },
+    "joint_views": {
+        "released": f"{_LPN} model.py:667-692: one pass for each set",
+        "cvusa-released": f"{_LPN} model.py:583-590: one pass for each set",
+        "safa-released": f"{_SAFA}/spatial_net.py:36, 48: one pass for each view",
+    },
+    "instance": {
+        "paper": "paper, equation 4",
+        "released": f"{_LPN} train.py:186",
+        "cvusa-released": f"{_LPN} train_cvusa.py:181",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:152: no class layer",
+    },
+    "reduction": {
+        "paper": "paper, equation 4",
+        "released": f"{_LPN} train.py:186, 274, 277: parts and views are summed",
+        "cvusa-released": f"{_LPN} train_cvusa.py:181, 260: parts and views are summed",
+        "*": _NOT_USED,
+    },
+    "label_smoothing": {
+        "released": f"{_LPN} train.py:432: CrossEntropyLoss()",
+        "cvusa-released": f"{_LPN} train_cvusa.py:432: CrossEntropyLoss()",
+        "*": _OFF,
+    },
+    "infonce": {"*": _OFF},
+    "temperature": {"*": _NOT_USED},
+    "metric": {"safa-released": f"{_SAFA}/train_cvusa_lpn.py:67-107", "*": _OFF},
+    "metric_per_part": {
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:141-152: SAFA + LPN with --multi_loss has one loss for each strip",
+        "*": _NOT_USED,
+    },
+    "margin": {"*": _NOT_USED},
+    "alpha": {"safa-released": f"{_SAFA}/train_cvusa_lpn.py:33", "*": _NOT_USED},
+    "mining": {"safa-released": f"{_SAFA}/train_cvusa_lpn.py:67: batch_hard_count=0", "*": _NOT_USED},
+    "rotation": {"*": _OFF},
+    "satellite_rotation": {
+        "paper": f"{_STATED}: random crop and random horizontal flip only",
+        "released": f"{_LPN} train.py:105: RandomAffine(90)",
+        "cvusa-released": f"{_LPN} train_cvusa.py:105: RandomAffine(90)",
+        "safa-released": f"{_SAFA}/input_data_cvusa.py: no augmentation",
+    },
+    "place_rotation": {"*": _OFF},
+    "black_corners": {
+        "paper": _NOT_USED,
+        "released": f"{_LPN} train.py:105: RandomAffine fills with black",
+        "cvusa-released": f"{_LPN} train_cvusa.py:105: RandomAffine fills with black",
+        "*": _NOT_USED,
+    },
+    "own_canvas": {
+        "paper": _NOT_USED,
+        "released": f"{_LPN} train.py:103-105: rotated after resizing and padding",
+        "cvusa-released": f"{_LPN} train_cvusa.py:103-105: rotated after resizing and padding",
+        "*": _NOT_USED,
+    },
+    "interpolation": {
+        "paper": _NOT_USED,
+        "released": f"{_LPN} train.py:105: RandomAffine's default, nearest",
+        "cvusa-released": f"{_LPN} train_cvusa.py:105: RandomAffine's default, nearest",
+        "*": _NOT_USED,
+    },
+    "padding": {
+        "paper": f"{_STATED}: random crop; the 10 pixels are those of {_LPN} train.py:47, 95-96",
+        "released": f"{_LPN} train.py:47, 95-96, 104-106",
+        "cvusa-released": f"{_LPN} train_cvusa.py:46, 95-96, 104-106",
+        "safa-released": f"{_SAFA}/input_data_cvusa.py: no augmentation",
+    },
+    "shift": {"*": _OFF},
+    "scale": {"*": _OFF},
+    "colour": {
+        "released": f"{_LPN} train.py:121: no --color_jitter",
+        "cvusa-released": f"{_LPN} train_cvusa.py:121: no --color_jitter",
+        "*": _OFF,
+    },
+    "compression": {"*": _OFF},
+    "flip": {
+        "paper": f"{_STATED}: random horizontal flip",
+        "released": f"{_LPN} train.py:97, 107: each picture on its own",
+        "cvusa-released": f"{_LPN} train_cvusa.py:97, 107: each picture on its own",
+        "safa-released": f"{_SAFA}/input_data_cvusa.py: no augmentation",
+    },
+    "precision": {
+        "released": f"{_LPN} run.sh:11, train.py:430: Apex O1",
+        "cvusa-released": f"{_LPN} run_cvusa.sh:10, train_cvusa.py:430: Apex O1",
+        "safa-released": f"{_SAFA}/train_cvusa_lpn.py:124: tf.float32",
+    },
+    "seed": {"*": "ours: the released code sets no seed"},
+}
+
+# Sources of the settings in which the released code trains another method of `METHODS`, see `recipes.find`.
+_OF_METHOD = {
+    ("released", "instance", "lr"): f"{_LPN} run.sh:36, the baseline",
+    ("cvusa-released", "instance", "lr"): "layumi/University1652-Baseline README.md:225, the baseline",
+}
+
+
+# Recipes whose sources are tried in turn, before those of the released code that belongs to a paper.
+_CHAINS: dict[str, tuple[str, ...]] = {
+    "paper": ("paper",),
+    "released": ("released",),
+    "cvusa-paper": ("cvusa-paper", "paper"),
+    "cvusa-released": ("cvusa-released",),
+    "safa-paper": ("safa-paper",),
+    "safa-released": ("safa-released",),
+}
+
+
+def source(recipe: str, setting: str, method: str | None = None) -> str:
+    """Return the source of a setting: "paper, ...", a file and line of released code, or "ours: ...".
+
+    Args:
+        recipe: one of `lpn.training.recipes.RECIPES`; the others than the published ones are ours.
+        method: one of `lpn.training.recipes.METHODS`, for which the released code may have another value.
+    """
+    if recipe not in _CHAINS:
+        return "ours"
+    if method is not None and (recipe, method, setting) in _OF_METHOD:
+        return _OF_METHOD[recipe, method, setting]
+    of = _SOURCES[setting]
+    stated = next((of[name] for name in _CHAINS[recipe] if name in of), _SILENT)
+    if stated:
+        return stated
+    if recipe in _RELEASED and _RELEASED[recipe] in of:
+        return f"{of[_RELEASED[recipe]]}; the paper is silent"
+    return of["*"]
+
+
+def difference(first: str, second: str) -> str:
+    """Return the settings in which two recipes differ, each with its value and source, as text.
+
+    Raises:
+        InputError: if there is no such recipe.
+    """
+    recipes = {name: asdict(find(name)) for name in (first, second)}
+    differs = [setting for setting in recipes[first] if recipes[first][setting] != recipes[second][setting]]
+    if not differs:
+        return f"The recipes {first} and {second} have the same settings."
+    table = Table("setting", first, second, box=box.SIMPLE_HEAD)
+    for setting in differs:
+        table.add_row(setting, *(f"{of[setting]}\n{source(name, setting)}\n" for name, of in recipes.items()))
+    console = Console(width=max(100, shutil.get_terminal_size().columns), file=io.StringIO(), markup=False)
+    console.print(table)
+    return cast(io.StringIO, console.file).getvalue().rstrip()
+
+
+def table(first: str, second: str) -> str:
+    """Return a Markdown table of two recipes, with the source of each setting; those without effect in both stand below it."""
+    recipes = {name: asdict(find(name)) for name in (first, second)}
+    rows, unused = [f"| setting | `{first}` | source | `{second}` | source |", "|---|---|---|---|---|"], []
+    for setting in recipes[first]:
+        sources = {name: source(name, setting) for name in recipes}
+        if all(of in (_OFF, _NOT_USED) for of in sources.values()):
+            unused.append(f"`{setting}`")
+            continue
+        if sources[first] == f"{sources[second]}; the paper is silent":
+            sources[first] = "silent: as released"
+        cells = (cell for name, of in recipes.items() for cell in (f"{of[setting]}", sources[name]))
+        rows.append(f"| `{setting}` | {' | '.join(cells)} |")
+    return "\n".join([*rows, "", f"Off in both, or without effect: {', '.join(unused)}."])
