@@ -207,14 +207,15 @@ def resize(picture: UInt8Array, height: int, width: int) -> UInt8Array:
 def polar(picture: UInt8Array, height: int, width: int) -> UInt8Array:
     """Unroll a north-up square tile around its centre, as SAFA does, into a panorama's shape: (height, width, 3).
 
-    Row i, column j samples a tile of side S at S/2 (height - 1 - i) / height pixels from its centre, in the direction
-    360 j / width degrees clockwise from south. North is in the middle column, the centre in the bottom row.
+    Row i, column j samples a tile of side S at S/2 (height - 1 - i) / height pixels from the middle, in the direction
+    360 j / width degrees clockwise from south. North is in the middle column, the middle in the bottom row. As released, the
+    middle is pixel (S/2, S/2), half a pixel south-east of the true centre.
     """
     side = min(picture.shape[:2])
     radius = side / 2 * (height - 1 - np.arange(height)) / height
     angle = 2 * np.pi * np.arange(width) / width
-    columns = (picture.shape[1] - 1) / 2 - radius[:, None] * np.sin(angle)
-    rows = (picture.shape[0] - 1) / 2 + radius[:, None] * np.cos(angle)
+    columns = picture.shape[1] / 2 - radius[:, None] * np.sin(angle)
+    rows = picture.shape[0] / 2 + radius[:, None] * np.cos(angle)
     shown = cv2.remap(
         picture, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
