@@ -90,14 +90,15 @@ soak: $(VENV)/.browser
 	$(BIN)/python -m tools.soak $(if $(MINUTES),--minutes $(MINUTES)) $(if $(CLIENTS),--clients $(CLIENTS)) $(if $(PAGES),--pages $(PAGES)) \
 	  $(if $(SEED),--seed $(SEED)) $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(OUT),--out "$(OUT)")
 
-# The demo made again, in runs/: a city rendered, a network trained on it, both packed. Every step goes on where it stopped.
-# INIT=file: ImageNet weights of a ResNet-18, with torchvision's names; without it the network starts from random weights.
+# The demo made again, in runs/: a city rendered, LPN and its baseline trained alike on it, all packed. Every step goes on where
+# it stopped. INIT=file: ImageNet weights of a ResNet-18, with torchvision's names; without it networks start from random weights.
+DEMO_TRAIN = $(BIN)/lpn train --data runs/world --recipe world $(if $(INIT),--init "$(INIT)",--from-scratch)
 demo: $(VENV)/.world
 	$(BIN)/lpn world --out runs/world --seed 0 --buildings 460 --views 8 --tile-pixels 384 --samples 4
-	$(BIN)/lpn train --data runs/world --out runs/demo --recipe world $(if $(INIT),--init "$(INIT)",--from-scratch) \
-	  $(if $(wildcard runs/demo/state.pt),--resume)
-	$(BIN)/lpn export --model runs/demo/last.safetensors --out runs/demo/lpn.onnx --storage int8
-	test -d runs/demo/packed || $(BIN)/python assets/pack.py runs/world runs/demo/lpn.onnx runs/demo/packed
+	$(DEMO_TRAIN) --out runs/demo/lpn $(if $(wildcard runs/demo/lpn/state.pt),--resume)
+	$(DEMO_TRAIN) --out runs/demo/baseline --n-parts 1 $(if $(wildcard runs/demo/baseline/state.pt),--resume)
+	test -d runs/demo/packed \
+	  || $(BIN)/python assets/pack.py runs/world runs/demo/lpn/last.safetensors runs/demo/baseline/last.safetensors runs/demo/packed
 
 # Known weaknesses of the packages that people install, and their licenses. It needs the network, so no test calls it.
 $(VENV)/.audit: | $(BIN)/python

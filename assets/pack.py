@@ -1,7 +1,8 @@
-"""Makes `assets/demo` from a rendered world and a model: `python assets/pack.py WORLD MODEL.onnx OUT`.
+"""Makes `assets/demo` from a rendered world and two models: `python assets/pack.py WORLD LPN BASELINE OUT`.
 
-The demo holds the test split's drone pictures as queries and its tiles as gallery, their positions, the model, and the
-descriptors of all pictures, so that the explorer has nothing to compute before it shows its page.
+LPN and BASELINE are the `last.safetensors` of two trainings, with n = 4 and n = 1. The demo holds the test split's drone pictures
+as queries and its tiles as gallery, and their positions. It holds each model as `.onnx` for the explorer and as `.safetensors`
+for `lpn train --init`, and its descriptors of all pictures, so that the explorer has nothing to compute before it shows its page.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from lpn import descriptors
 from lpn.core import images
 from lpn.core.files import write_atomic
 from lpn.datasets import open_dataset
+from lpn.descriptors import STORES
+from lpn.models.checkpoints import load_torch, save
+from lpn.models.export import export
 from lpn.world.atlas import Settings, make_atlas
 from lpn.world.model3d import city_model, test_window
 
@@ -28,10 +32,13 @@ QUALITY = {"drone": 62, "satellite": 72}
 LARGEST_CITY = 2_800_000
 """Bytes of city.glb."""
 
+LARGEST = {".onnx": 4_000_000, ".safetensors": 7_000_000}
+"""Bytes of a model's file."""
+
 
 def main() -> None:
     """Copy, shrink, describe."""
-    world, model, out = (Path(argument) for argument in sys.argv[1:4])
+    world, model, baseline, out = (Path(argument) for argument in sys.argv[1:5])
     if out.exists():
         sys.exit(f"{out} is there already; delete it or choose another place.")
     whole, out = out, out.with_name(out.name + ".part")
@@ -54,17 +61,28 @@ def main() -> None:
     write_atomic(out / "world.json", json.dumps(plan, separators=(",", ":")).encode())
     atlas = make_atlas(Settings(**plan["settings"]))
     write_atomic(out / "city.glb", city_model(atlas.city, atlas.site, test_window(atlas), LARGEST_CITY))
-    shutil.copy(model, out / "lpn.onnx")
-    opened, dataset = lpn.load(out / "lpn.onnx"), open_dataset(out)
+    pack_model(model, "lpn", out, out / STORES)
+    pack_model(baseline, "baseline", out, out / STORES / "baseline")
+    out.rename(whole)
+
+
+def pack_model(trained: Path, name: str, out: Path, stores: Path) -> None:
+    """Write a model in both formats, and its descriptors of the pictures in `out`."""
+    export(trained, out / f"{name}.onnx", "int8")
+    save(load_torch(trained).network, out / f"{name}.safetensors", half=True)
+    for suffix, largest in LARGEST.items():
+        if (size := (out / name).with_suffix(suffix).stat().st_size) > largest:
+            sys.exit(
+                f"{name}{suffix} has {size:,} bytes, and the demo's may have {largest:,}; train a smaller network."
+            )
+    opened, dataset = lpn.load(out / f"{name}.onnx"), open_dataset(out)
     # Distances are shown of the gallery's; those of the queries only rank each one for the header and the picker.
     for folder, view, pictures, precision in (
         ("query_drone", "drone", dataset.queries("drone"), "int8"),
         ("gallery_satellite", "satellite", dataset.gallery("satellite"), "float16"),
     ):
-        root = out / "test" / folder
         files = [picture.path for picture in pictures]
-        descriptors.describe(opened, files, view, out / "descriptors" / folder, root=root, precision=precision)
-    out.rename(whole)
+        descriptors.describe(opened, files, view, stores / folder, root=out / "test" / folder, precision=precision)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 from collections import Counter
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,23 +15,86 @@ import trimesh
 import lpn
 from lpn import descriptors
 from lpn.core import images
-from lpn.core.demo import DEMO, DEMO_QUERY
+from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_QUERY
+from lpn.core.files import cache_folder
+from lpn.core.views import View
 from lpn.datasets import open_dataset
 from lpn.datasets.city_model import city_model
 from lpn.datasets.geo import Positions, on_plane
+from lpn.doctor import environment_check
+from lpn.models.checkpoints import save
+from tools.fixtures import seeded, small_worlds
+
+_spec = spec_from_file_location("pack", DEMO.parent / "pack.py")
+assert _spec is not None
+assert _spec.loader is not None
+pack = module_from_spec(_spec)
+_spec.loader.exec_module(pack)
 
 
-@pytest.mark.parametrize(("folder", "view"), [("query_drone", "drone"), ("gallery_satellite", "satellite")])
-def test_the_demo_s_descriptors_are_its_model_s(folder: str, view: str) -> None:
-    model, dataset = lpn.load(DEMO / "lpn.onnx"), open_dataset(DEMO)
+MODELS = [
+    DEMO / "lpn.onnx",
+    pytest.param(
+        DEMO_BASELINE, marks=pytest.mark.skipif(not DEMO_BASELINE.is_file(), reason="the demo has no baseline yet")
+    ),
+]
+
+
+@pytest.mark.parametrize("file", MODELS, ids=["lpn", "baseline"])
+@pytest.mark.parametrize("view", ["drone", "satellite"])
+def test_the_demo_s_descriptors_are_its_models_(view: View, file: Path) -> None:
+    model, dataset = lpn.load(file), open_dataset(DEMO)
     pictures = dataset.queries("drone") if view == "drone" else dataset.gallery("satellite")
-    shipped = descriptors.shipped_descriptors(model, pictures, view, DEMO / "descriptors" / folder)  # type: ignore[arg-type]
+    folder = DEMO / "descriptors" / ("" if file != DEMO_BASELINE else "baseline")
+    store = folder / ("query_drone" if view == "drone" else "gallery_satellite")
+    shipped = descriptors.shipped_descriptors(model, pictures, view, store)
     assert shipped is not None
     some = range(0, len(pictures), max(1, len(pictures) // 6))
     prepared = np.stack([images.prepare(images.load_picture(pictures[i].path), model.input_size) for i in some])
-    found = model.descriptors(prepared, view)  # type: ignore[arg-type]
+    found = model.descriptors(prepared, view)
     error = 1e-2 if view == "drone" else 1e-3  # 8 bits and 16
     np.testing.assert_allclose(shipped[list(some)], found, atol=error * float(np.abs(found).max()))
+
+
+@pytest.mark.parametrize("file", MODELS, ids=["lpn", "baseline"])
+def test_the_demo_s_models_are_small_and_of_one_training(file: Path) -> None:
+    assert file.stat().st_size < pack.LARGEST[".onnx"]
+    weights = file.with_suffix(".safetensors")
+    if not weights.is_file():
+        assert not DEMO_BASELINE.is_file(), f"{weights.name} is missing; make demo packs it"
+        pytest.skip("the demo has no .safetensors yet")
+    assert weights.stat().st_size < pack.LARGEST[".safetensors"]
+    exported, trained, pictures = lpn.load(file), lpn.load(weights), seeded.pictures(0, 1, 256, 256)
+    assert exported.n_parts == trained.n_parts == (1 if file == DEMO_BASELINE else 4)
+    cosines = (exported.descriptors(pictures, "drone") * trained.descriptors(pictures, "drone")).sum((1, 2))
+    assert cosines.min() > 0.99  # 8 bits against 16
+
+
+@pytest.mark.slow
+def test_both_models_are_packed_with_descriptors_that_the_explorer_finds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = small_worlds.make_dataset(tmp_path / "world", train=1, test=3)
+    for name, parts, stores in (("lpn", 4, root / "descriptors"), ("baseline", 1, root / "descriptors" / "baseline")):
+        save(small_worlds.make_network(n_parts=parts), tmp_path / f"{name}.safetensors")
+        pack.pack_model(tmp_path / f"{name}.safetensors", name, root, stores)
+    dataset = open_dataset(root)
+    for name, parts in (("lpn", 4), ("baseline", 1)):
+        model = lpn.load(root / f"{name}.onnx")
+        assert model.n_parts == lpn.load(root / f"{name}.safetensors").n_parts == parts
+        for role, view, pictures in (
+            ("query", "drone", dataset.queries("drone")),
+            ("gallery", "satellite", dataset.gallery("satellite")),
+        ):
+            found = descriptors.stored_descriptors(model, pictures, view, root, role)  # type: ignore[arg-type]
+            assert found.shape == (len(pictures), parts, 512)
+    assert not cache_folder().exists()  # nothing was described again
+    assert environment_check._demo_error(root) is None
+    (root / "baseline.onnx").write_bytes((root / "lpn.onnx").read_bytes())
+    assert "baseline.onnx is not the model that descriptors/baseline" in str(environment_check._demo_error(root))
+    monkeypatch.setattr(pack, "LARGEST", {".onnx": 1_000})
+    with pytest.raises(SystemExit, match="the demo's may have 1,000"):
+        pack.pack_model(tmp_path / "lpn.safetensors", "other", root, tmp_path / "stores")
 
 
 def test_the_demo_is_all_there() -> None:
@@ -59,4 +124,6 @@ def test_every_picture_of_the_demo_has_its_position() -> None:
     dataset, where = open_dataset(DEMO), Positions(DEMO)
     for pictures in (dataset.queries("drone"), dataset.gallery("satellite")):
         assert len(where.of(pictures)) == len(pictures) > 0
-    assert sum(file.stat().st_size for file in DEMO.parent.rglob("*") if file.is_file()) < 40e6
+    # With the baseline and both .safetensors it is some 16 MB more.
+    most = 48e6 if DEMO_BASELINE.is_file() else 40e6
+    assert sum(file.stat().st_size for file in DEMO.parent.rglob("*") if file.is_file()) < most

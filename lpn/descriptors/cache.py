@@ -24,7 +24,8 @@ from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.descriptors.writer import describe
 from lpn.models.base import Model
 
-# The folder of a data set that may hold stores of its test split: `query_drone`, `gallery_satellite`, ...
+# The folder of a data set that may hold stores of its test split: `query_drone`, `gallery_satellite`, ...; those of further
+# models are in folders of their own, such as `baseline/query_drone`.
 STORES = "descriptors"
 
 Role = Literal["query", "gallery"]
@@ -124,8 +125,10 @@ def shipped_or_cached(
     model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role
 ) -> StoredDescriptors:
     """Return the descriptors of queries or gallery: those shipped with the data set in `root`, else from the cache."""
-    found = _shipped(model, pictures, view, root / STORES / f"{role}_{view}")
-    return _cached(model, pictures, view, UNCHANGED) if found is None else found
+    for store in _stores(root, f"{role}_{view}"):
+        if (found := _shipped(model, pictures, view, store)) is not None:
+            return found
+    return _cached(model, pictures, view, UNCHANGED)
 
 
 def stored_descriptors(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> Float32Array:
@@ -140,13 +143,18 @@ def descriptor_reader(root: Path) -> Reader:
     """
 
     def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> Float32Array:
-        for store in [] if change else sorted((root / STORES).glob(f"*_{view}")):
+        for store in [] if change else _stores(root, f"*_{view}"):
             found = shipped_descriptors(model, pictures, view, store, exact=True)
             if found is not None:
                 return found
         return cached_descriptors(model, pictures, view, change)
 
     return read
+
+
+def _stores(root: Path, name: str) -> list[Path]:
+    """Return the shipped stores whose names match a pattern: of the first model, then of others in folders of their own."""
+    return [store for pattern in (name, f"*/{name}") for store in sorted((root / STORES).glob(pattern))]
 
 
 def temporary_descriptors(

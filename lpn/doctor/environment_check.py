@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lpn.core import requirements, resources
+from lpn.core.demo import DEMO_BASELINE
 from lpn.core.errors import LPNError, OutputError
 from lpn.core.files import cache_folder, check_writable, printable
 
@@ -268,16 +269,23 @@ def _demo_error(demo: Path) -> str | None:
         if not verdict.whole:
             return verdict.message
     try:
-        model = lpn.load(demo / "lpn.onnx")
-        for store in sorted(path for path in (demo / STORES).iterdir() if path.is_dir()):
-            manifest = open_store(store).manifest
-            if manifest.fingerprint != model.fingerprint:
-                return f"lpn.onnx is not the model that {STORES}/{store.name} was made with, so one of them is damaged"
-            role = store.name.partition("_")[0]
-            for row in manifest.rows:
-                picture = demo / "test" / f"{role}_{manifest.view}" / row.file
-                if not picture.is_file() or picture.stat().st_size != row.size:
-                    return f"{picture.relative_to(demo)} is missing or another"
+        for file, stores in (
+            (demo / "lpn.onnx", demo / STORES),
+            (demo / DEMO_BASELINE.name, demo / STORES / "baseline"),
+        ):
+            if file.name == DEMO_BASELINE.name and not file.is_file():
+                continue
+            fingerprint = lpn.load(file, "cpu").fingerprint
+            for store in sorted(path for path in stores.iterdir() if path.is_dir() and path.name != "baseline"):
+                manifest = open_store(store).manifest
+                name = store.relative_to(demo)
+                if manifest.fingerprint != fingerprint:
+                    return f"{file.name} is not the model that {name} was made with, so one of them is damaged"
+                role = store.name.partition("_")[0]
+                for row in manifest.rows:
+                    picture = demo / "test" / f"{role}_{manifest.view}" / row.file
+                    if not picture.is_file() or picture.stat().st_size != row.size:
+                        return f"{picture.relative_to(demo)} is missing or another"
     except LPNError as error:
         return str(error)
     except FileNotFoundError as error:

@@ -167,13 +167,26 @@ def device_of(provider: ProviderName, name: str) -> torch.device:
     return best_device() if provider == "auto" else torch.device(provider)
 
 
-def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None) -> None:
+def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None, half: bool = False) -> None:
     """Write a network and its description atomically as `.safetensors`.
 
-    `extra` is stored as further metadata (recipe, figures). Weights that branches share are stored once.
+    Weights that branches share are stored once.
+
+    Args:
+        extra: further metadata (recipe, figures).
+        half: store matrices and kernels as float16, and no class layers, which retrieval does not use.
+
+    Raises:
+        InputError: if `half`, and a weight exceeds the range of float16.
     """
     own = _own_keys(network)
     tensors = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items() if k in own}
+    if half:
+        # The statistics of BatchNorm are few and span more than the range of float16.
+        tensors = {k: v.half() if v.ndim > 1 else v for k, v in tensors.items() if ".classifier." not in k}
+        for key, tensor in tensors.items():
+            if not bool(tensor.isfinite().all()):
+                raise InputError(f"The weights {key} are too large for float16; store them as float32.")
     metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json(), SEAL: UNSEALED}
     write_atomic(Path(path), with_seal(save_tensors(tensors, metadata)))
 

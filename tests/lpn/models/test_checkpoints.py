@@ -172,6 +172,31 @@ def test_a_backbone_is_loaded_as_far_as_it_goes(tmp_path: Path) -> None:
         load_backbone(network, tmp_path / "nothing.pth")
 
 
+def test_a_model_in_half_precision_is_small_and_opens_and_fills_a_backbone(tmp_path: Path) -> None:
+    network = small_worlds.make_network(classes=300)
+    for half in (False, True):
+        save(network, tmp_path / f"{half}.safetensors", half=half)
+    sizes = [(tmp_path / f"{half}.safetensors").stat().st_size for half in (True, False)]
+    assert sizes[0] / sizes[1] < 0.45  # half of what retrieval uses
+    pictures = seeded.pictures(1, 2, 64, 64)
+    found, expected = (
+        lpn.load(tmp_path / f"{half}.safetensors").descriptors(pictures, "drone") for half in (True, False)
+    )
+    assert 0 < np.abs(found - expected).max() < 1e-2 * np.abs(expected).max()
+    other = small_worlds.make_network(n_parts=1, seed=1)
+    heads = [head.add_block[0].weight.detach().clone() for head in other.heads]
+    filled, total, missing = load_backbone(other, tmp_path / "True.safetensors")
+    assert (filled, missing) == (total, [])
+    for name, tensor in other.branch("drone").model.state_dict().items():
+        own = network.branch("drone").model.state_dict()[name]
+        torch.testing.assert_close(tensor, own.half().float() if own.ndim > 1 else own, rtol=0, atol=0)
+    assert all(torch.equal(head.add_block[0].weight, before) for head, before in zip(other.heads, heads, strict=True))
+    network.heads[0].add_block[0].weight.data.fill_(7e4)
+    with pytest.raises(InputError, match=r"classifier0\.add_block\.0\.weight are too large for float16"):
+        save(network, tmp_path / "large.safetensors", half=True)
+    assert not (tmp_path / "large.safetensors").exists()
+
+
 def _cudnn() -> tuple[bool, bool, bool]:
     cudnn = torch.backends.cudnn
     return cudnn.enabled, cudnn.benchmark, cudnn.allow_tf32
@@ -212,14 +237,15 @@ def test_compiled_backbones_give_the_same_descriptors(tmp_path: Path) -> None:
     pictures = seeded.pictures(1, 3, 64, 64)
     eager = load_torch(tmp_path / "model.safetensors")
     compiled = load_torch(tmp_path / "model.safetensors", compiled=True)
-    counts = torch._dynamo.utils.counters["stats"]
-    before = counts["unique_graphs"]
+    counters = torch._dynamo.utils.counters
+    counters.clear()
     found, expected = compiled.descriptors(pictures, "drone"), eager.descriptors(pictures, "drone")
     np.testing.assert_allclose(found, expected, atol=1e-5)
-    assert counts["unique_graphs"] > before
+    assert counters["stats"]["unique_graphs"] > 0
     assert compiled.fingerprint == eager.fingerprint
     save(compiled.network, tmp_path / "again.safetensors")
-    assert load_torch(tmp_path / "again.safetensors").fingerprint == eager.fingerprint
+    again = load_torch(tmp_path / "again.safetensors").network.state_dict()
+    assert all(torch.equal(again[name], tensor) for name, tensor in eager.network.state_dict().items())
 
 
 def test_compiling_without_a_compiler_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -301,6 +301,18 @@ def test_init_says_how_far_it_goes(places: Path, tmp_path: Path) -> None:
         trainer(places, tmp_path / "other", init=tmp_path / "absent.pth")
 
 
+def test_init_from_a_whole_model_fills_its_backbone_and_no_head(places: Path, tmp_path: Path) -> None:
+    model = small_worlds.make_network()
+    save(model, tmp_path / "init.safetensors", half=True)
+    run, said = trainer(places, tmp_path / "run", init=tmp_path / "init.safetensors")
+    plain, _ = trainer(places, tmp_path / "plain")
+    assert "init.safetensors fills 90 of the backbone's 90 tensors.\n" in said.getvalue()
+    weight = run.network.branch("drone").model.state_dict()["layer1.0.conv1.weight"]
+    assert torch.equal(weight, model.branch("drone").model.state_dict()["layer1.0.conv1.weight"].half().float())
+    for found, initial in zip(run.network.heads, plain.network.heads, strict=True):
+        assert torch.equal(found.add_block[0].weight, initial.add_block[0].weight)
+
+
 def test_three_views_and_google_train_and_missing_counterparts_are_named(tmp_path: Path) -> None:
     for label in range(1, 6):
         for name in ("satellite", "drone", "street", "google"):
