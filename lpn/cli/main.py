@@ -22,7 +22,7 @@ from lpn.cli.export import ExportCommand, QuantizeCommand
 from lpn.cli.failures import FailuresCommand
 from lpn.cli.index import IndexCommand, SearchCommand
 from lpn.cli.report import ReportCommand
-from lpn.cli.reproduce import ReproduceCommand
+from lpn.cli.reproduce import ReproduceCommand, parse_reproduce
 from lpn.cli.sweep import SweepCommand
 from lpn.cli.train import TrainCommand, parse_train
 from lpn.cli.verify import VerifyCommand
@@ -142,9 +142,11 @@ _AGAIN = "Nothing is half-written; give the same command again."
 
 
 def _parse(command: Callable[..., Any], arguments: list[str], program: str) -> Any:
-    return (
-        parse_train(arguments, program) if command is TrainCommand else tyro.cli(command, args=arguments, prog=program)
-    )
+    if command is TrainCommand:
+        return parse_train(arguments, program)
+    if command is ReproduceCommand:
+        return parse_reproduce(arguments, program)
+    return tyro.cli(command, args=arguments, prog=program)
 
 
 # The extra that installs each package beyond the base installation.

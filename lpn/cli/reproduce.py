@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, get_args
 
 import tyro
 
+from lpn.cli.train import flag_value
 from lpn.core.errors import InputError
+from lpn.training.recipes import RECIPES, Recipe
+
+_Scale = Literal["auto", "paper", "released", "reduced"]
 
 
 @dataclass
@@ -24,56 +28,90 @@ class ReproduceCommand:
     once for each data set."""
     out: Path = Path("runs/reproduce")
     """Folder for trainings, measurements, and the tables."""
+    recipe: _Scale = "auto"
+    """Recipes: paper (as the papers state), released (as the released scripts train), or reduced (ResNet-18, 30 epochs); auto is
+    reduced for a rendered world and paper for everything else."""
     model: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A network to use instead of training one: FILE for the LPN, or NAME=FILE, such as instance=net_119.pth; once for each."""
     init: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
     """ImageNet weights a backbone starts from (.safetensors or .pth, torchvision's names); once for each backbone."""
-    scale: Literal["auto", "paper", "reduced"] = "auto"
-    """Size of networks and trainings; auto is reduced for a rendered world and the paper's for everything else."""
+    from_scratch: bool = False
+    """Start from random weights instead of --init."""
     seeds: tuple[int, ...] = (0,)
     """Random seeds: one training for each, and the mean is reported."""
-    epochs: int | None = None
-    """Epochs of every training, instead of the scale's."""
-    backbone: Literal["resnet18", "resnet50", "vgg16", "vgg16_bn"] | None = None
-    """Backbone of every training, instead of the scale's."""
-    batch: int | None = None
-    """Places per step of every training, instead of the scale's; at most the number of training places."""
+    tune: bool = True
+    """Choose the settings of Table I's losses on training places that are held out; otherwise the recipe's are used."""
     train: bool = True
     """Train missing models; otherwise their rows are left out."""
     queries: tuple[str, ...] = ()
-    """Queries shown in figures 7 and 8, by name."""
+    """Queries shown in figures 7 (a) and 8, by name."""
+    settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
+    given: tyro.conf.Suppress[tuple[str, ...]] = ()
 
     def run(self) -> None:
         import_module("torch")
         from lpn.reproduce.command import KEYS, Reproduction
         from lpn.reproduce.sources import is_world
-        from lpn.reproduce.tables import SCALES
+        from lpn.reproduce.tables import ROW_SETTINGS, SCALES
 
         if not self.what or not self.data:
             raise InputError(
                 f"Say what to reproduce ({', '.join(KEYS)}, or all) and on which data: lpn reproduce table1 --data FOLDER."
             )
+        if not self.seeds:
+            raise InputError("--seeds is empty; give at least one seed.")
+        if fixed := [name for name in self.given if name in ROW_SETTINGS]:
+            other = (
+                "give --seeds" if fixed[0] == "seed" else "train that network with lpn train and give it with --model"
+            )
+            raise InputError(
+                f"--{fixed[0].replace('_', '-')} tells the rows of the tables apart, so it cannot be changed for all of them; "
+                f"leave it out, or {other}."
+            )
         keys = KEYS if self.what == ("all",) else tuple(dict.fromkeys(self.what))
         rendered = {is_world(given) for given in self.data}
-        if len(rendered) > 1 and self.scale == "auto":
+        if len(rendered) > 1 and self.recipe == "auto":
             raise InputError(
-                "--data names a rendered world and others; say with --scale whether it is paper or reduced."
+                "--data names a rendered world and others; say with --recipe whether it is paper, released, or reduced."
             )
-        scale = SCALES[self.scale if self.scale != "auto" else "reduced" if True in rendered else "paper"]
-        numbers = {"epochs": self.epochs, "batch": self.batch}
-        changes: dict[str, Any] = {name: value for name, value in numbers.items() if value is not None}
-        if self.backbone:
-            changes |= {"backbone": self.backbone, "last_layer": "layer4"}
-            # SAFA's recipe has a dropout in its VGG-16.
-            changes |= {} if self.backbone.startswith("vgg16") else {"backbone_dropout": 0.0}
+        name = self.recipe if self.recipe != "auto" else "reduced" if True in rendered else "paper"
+        scale = replace(SCALES[name], changes={name: getattr(self.settings, name) for name in self.given})
         made = Reproduction(
-            self.data, self.out, _by_name(self.model), self.init, self.seeds, scale, changes, self.train, self.queries
+            self.data,
+            self.out,
+            _by_name(self.model),
+            self.init,
+            self.seeds,
+            scale,
+            self.train,
+            self.queries,
+            self.from_scratch,
+            self.tune,
         ).run(keys)
         print(f"Wrote {', '.join(file.name for file in made)} to {self.out}.")
 
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""
         return f"Whole epochs and measurements in {self.out} are kept; the same command goes on."
+
+
+def parse_reproduce(arguments: list[str], program: str) -> ReproduceCommand:
+    """Parse the options of a reproduction; `given` names the settings of the recipes that are among them.
+
+    Raises:
+        InputError: if the recipe is unknown.
+    """
+    name = flag_value(arguments, "--recipe") or "auto"
+    if name not in get_args(_Scale):
+        raise InputError(f"There is no recipe {name!r} to reproduce with; choose one of {', '.join(get_args(_Scale))}.")
+    # Settings that do not depend on each other, so that any single change of any recipe can be parsed.
+    settings = RECIPES["released" if name == "released" else "paper"]
+    command = tyro.cli(
+        ReproduceCommand, args=arguments, prog=program, default=ReproduceCommand(tyro.MISSING, settings=settings)
+    )
+    flags = {argument.partition("=")[0] for argument in arguments if argument.startswith("--")}
+    names = {flag.removeprefix("--").replace("-", "_").removeprefix("no_") for flag in flags}
+    return replace(command, given=tuple(field.name for field in fields(Recipe) if field.name in names))
 
 
 def _by_name(given: Sequence[str]) -> dict[str, Path]:

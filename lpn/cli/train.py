@@ -100,15 +100,15 @@ def parse_train(arguments: list[str], program: str) -> TrainCommand:
     Raises:
         InputError: if the recipe or the method is unknown.
     """
-    name, chosen = _given(arguments, "--recipe") or recipes.DEFAULT, _given(arguments, "--method")
+    name, chosen = flag_value(arguments, "--recipe") or recipes.DEFAULT, flag_value(arguments, "--method")
     settings = recipes.find(name, chosen)
     # A comparison of recipes needs neither data nor a folder.
-    folder = Path() if _given(arguments, "--compare-recipes") else tyro.MISSING
+    folder = Path() if flag_value(arguments, "--compare-recipes") else tyro.MISSING
     named = TrainCommand(folder, folder, cast(Any, name), method=cast(Any, chosen), settings=settings)
     return tyro.cli(TrainCommand, args=arguments, prog=program, default=named)
 
 
-def _given(arguments: Sequence[str], flag: str) -> str | None:
+def flag_value(arguments: Sequence[str], flag: str) -> str | None:
     """Return the value of a flag before the other flags are parsed."""
     value = None
     for position, argument in enumerate(arguments):

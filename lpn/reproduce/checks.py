@@ -36,9 +36,10 @@ class NetworkUse:
         return NetworkUse(training, f"{table.title}, {row.label}", frozenset(views))
 
     @staticmethod
-    def of_figure(key: str, training: Training) -> NetworkUse:
-        """Make the use of a figure."""
-        return NetworkUse(training, key, frozenset(("drone", "satellite")))
+    def of_figure(name: str, training: Training) -> NetworkUse:
+        """Make the use of a drawn figure."""
+        ground: View = "drone" if training.role == "places" else "street"
+        return NetworkUse(training, name, frozenset((ground, "satellite")))
 
     def check_views(self, available: Collection[View], source: str) -> None:
         """Raise InputError if a needed view is missing from those of `source`."""
@@ -100,10 +101,14 @@ def check_trainings(jobs: Sequence[TrainingJob], uses: Sequence[NetworkUse]) -> 
     """
     for job in jobs:
         places, batch = job.source.places(job.recipe.google), job.recipe.batch
-        if not job.done and len(places) < batch:
+        held = round(job.held_out * len(places))
+        left = len(places) - held
+        if not job.done and (left < batch or (job.held_out and held < 2)):
+            without = f" without the {held} held out to tune it" if job.held_out else ""
+            untuned = ", or do not tune (--no-tune)" if job.held_out else ""
             raise InputError(
-                f"{job.training.name} takes {batch} places a step, and {job.source.name} has {len(places)} to train on; give "
-                "more places, or at most as many with --batch."
+                f"{job.training.name} takes {batch} places a step, and {job.source.name} has {left} to train on{without}; give "
+                f"more places, or at most as many with --batch{untuned}."
             )
         for use in uses:
             if use.training.name == job.training.name:

@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -14,19 +13,18 @@ import lpn
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, exclusive_lock, write_atomic
 from lpn.models.base import Model
-from lpn.reproduce import checks, footnotes, paper_figures, pretrained, report, trainings
+from lpn.reproduce import checks, footnotes, paper_figures, pretrained, report, trainings, tuning
 from lpn.reproduce.checks import NetworkUse
-from lpn.reproduce.measure import MeasurementStore
-from lpn.reproduce.paper_values import LANDMARKS, Values
-from lpn.reproduce.report import MeasuredColumn
+from lpn.reproduce.measure import MeasuredFigures, MeasurementStore
+from lpn.reproduce.paper_values import LANDMARKS
+from lpn.reproduce.record import Provenance, RowRecord, TableRecord, row_record
 from lpn.reproduce.sources import Sources, open_sources
-from lpn.reproduce.tables import SCALES, PaperTable, Scale, TableRow, Training, find, tables
-from lpn.training.recipes import Recipe
+from lpn.reproduce.tables import DRAWN, SCALES, SHOWN, PaperTable, Scale, TableRow, Training, find, tables
+from lpn.reproduce.trainings import TrainingJob
+from lpn.training.trainer import check_start
 
-# The trainings of Table I that each picture shows.
-_SHOWN = {"figure7": ("instance", "lpn"), "figure8": ("lpn",)}
 # All tables and figures that can be reproduced.
-KEYS = (*tables(SCALES["paper"]), *_SHOWN)
+KEYS = tuple(dict.fromkeys((*tables(SCALES["paper"]), *DRAWN)))
 
 
 @dataclass
@@ -39,10 +37,11 @@ class Reproduction:
         models: given networks, by the name of the training they replace.
         init: files of pretrained weights, one for each backbone.
         seeds: seeds of each training; tables report the mean.
-        scale: one of `SCALES`.
-        changes: changes of all recipes.
+        scale: one of `SCALES`, with the user's changes of its recipes.
         train: train missing networks; otherwise their rows are not run.
         queries: queries shown in figures 7 and 8.
+        from_scratch: train from random weights, without `init`.
+        tune: choose the settings of Table I's losses on held-out training places first.
     """
 
     data: Sequence[str]
@@ -51,61 +50,71 @@ class Reproduction:
     init: Sequence[Path]
     seeds: Sequence[int]
     scale: Scale
-    changes: Mapping[str, Any]
     train: bool = True
     queries: Sequence[str] = ()
+    from_scratch: bool = False
+    tune: bool = True
     console: Console = field(default_factory=Console)
 
     def run(self, keys: Sequence[str]) -> list[Path]:
         """Make the named tables and figures, and return the written files.
 
+        Several processes may make the same ones in the same folder; they share the trainings.
+
         Raises:
-            LPNError: when data, models, or settings do not fit, before anything is trained, or when another process works in
-                `out`.
+            LPNError: when data, models, or settings do not fit, before anything is trained.
         """
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError(
                 "lpn reproduce is one process; train with torchrun -m lpn train, and give it with --model."
             )
-        wanted = [find(key, self.scale) for key in keys if key not in _SHOWN]
+        wanted = [find(key, self.scale) for key in keys if key != "figure8"]
         check_writable(self.out / "measured.json")
-        with exclusive_lock(self.out, wait=False):
-            return self._run(wanted, [key for key in keys if key in _SHOWN])
-
-    def _run(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[Path]:
-        self._notebook = MeasurementStore(self.out / "measured.json")
-        self._sources: Sources = open_sources(self.data, self.out)
+        with exclusive_lock(self.out, wait=True):
+            self._store = MeasurementStore(self.out / "measured.json")
+            self._sources: Sources = open_sources(self.data, self.out)
         self._starts = pretrained.by_backbone(self.init)
+        drawn = self._drawn(keys)
         uses = self._uses(wanted, drawn)
         self._given = self._load(uses)
         self._check(wanted, drawn)
-        self._jobs = self._planned(uses)
-        ours = {job.recipe.backbone for job in self._jobs}
-        untrained = [self._alone.backbone for table in wanted for row in table.rows if row.training is None]
-        checks.check_starts(self._starts, ours.union(untrained))
-        for job in self._jobs:
-            job.check_same()
-        to_come = [job for job in self._jobs if self.train and not job.diverged]
-        checks.check_trainings([job for job in self._jobs if job.done or job in to_come], uses)
-        self._say_ahead([job for job in to_come if not job.done], drawn)
+        self._plan(wanted, drawn, uses)
         if self.train:
+            trainings.train([trial.job for trials in self._trials.values() for trial in trials], self.console)
+            # The trials decide the recipes of some trainings.
+            self._jobs = self._planned(uses)
+            for job in self._jobs:
+                job.check_same()
             trainings.train(self._jobs, self.console)
+        return self._write(wanted, drawn)
+
+    def _write(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[Path]:
+        if self._trials:
+            tuning.write(self._trials, self.out / "tuning.json")
         written = [self._table(table) for table in wanted]
-        figures = [file for key in drawn if (file := self._figure(key)) is not None]
+        figures = [file for name in drawn if (file := self._figure(name)) is not None]
         # Print last: an error of the terminal must not keep a file from being written.
         for files in written:
             self.console.print(files[0].read_text(encoding="utf-8"), markup=False)
         return [file for files in written for file in files] + figures
 
+    def _drawn(self, keys: Sequence[str]) -> list[str]:
+        """Return the pictures to draw, and print which ones lack their data set."""
+        names = [name for key in keys for name in DRAWN.get(key, ())]
+        lacking = [name for name in names if SHOWN[name][0].role not in self._sources.roles]
+        # Without places there is nothing of the figure, which is an error; panoramas are a part of it.
+        if absent := [name for name in lacking if SHOWN[name][0].role == "panoramas"]:
+            self.console.print(f"{', '.join(absent)} not drawn: no panoramas are given with --data.")
+        return [name for name in names if name not in absent]
+
     def _uses(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[NetworkUse]:
         """List the networks that tables and figures need."""
-        of_name = {training.name: training for training in find("table1", self.scale).trainings}
-        uses = [NetworkUse.of_figure(key, of_name[name]) for key in drawn for name in _SHOWN[key]]
+        uses = [NetworkUse.of_figure(name, training) for name in drawn for training in SHOWN[name]]
         return uses + [
             NetworkUse.of_row(table, row, row.training)
             for table in wanted
             for row in table.rows
-            if row.training and not self._is_copy(table, row.training)
+            if row.training and not self._is_copy(row.training)
         ]
 
     def _load(self, uses: Sequence[NetworkUse]) -> dict[str, Model]:
@@ -118,7 +127,7 @@ class Reproduction:
         found = {name: lpn.load(file) for name, file in self.models.items()}
         for use in uses:
             if use.training.name in found:
-                recipe = self.scale.recipe(use.training, 0, self.changes)
+                recipe = self.scale.recipe(use.training, 0)
                 checks.check_fits(found[use.training.name], self.models[use.training.name], use, recipe)
         return found
 
@@ -127,118 +136,179 @@ class Reproduction:
         for measure in dict.fromkeys(table.measure for table in wanted):
             for source in self._sources.of(measure):
                 source.check(measure)
-        if drawn:
-            places = self._sources.role("places")
-            places.check("both ways")
-            paper_figures.named(places.dataset, self.queries)
+        for role in dict.fromkeys(SHOWN[name][0].role for name in drawn):
+            source = self._sources.role(role)
+            source.check("both ways" if role == "places" else "ground")
+            if role == "places":
+                paper_figures.named(source.dataset, "drone", self.queries)
 
-    def _planned(self, uses: Sequence[NetworkUse]) -> list[trainings.TrainingJob]:
-        """Plan the trainings of networks that are not given."""
+    def _plan(self, wanted: Sequence[PaperTable], drawn: Sequence[str], uses: Sequence[NetworkUse]) -> None:
+        """Plan the trials and the trainings, check them, and print the plan."""
+        needed = {use.training.name: use.training for use in uses if use.training.name not in self._given}
+        self._trials = {
+            name: found
+            for name, training in needed.items()
+            if self.tune and (found := self._trials_of(training)) and (self.train or tuning.best(found))
+        }
+        self._jobs = self._planned(uses)
+        ours = {job.recipe.backbone for job in self._jobs}
+        untrained = [self.scale.base.backbone for table in wanted for row in table.rows if row.training is None]
+        checks.check_starts(self._starts, ours.union(untrained))
+        trials = [trial.job for of_network in self._trials.values() for trial in of_network]
+        for job in trials:
+            job.check_same()
+        for job in self._jobs:
+            # Until its trials end, a tuned training has other settings.
+            if all(trial.job.done or trial.job.diverged for trial in self._trials.get(job.training.name, ())):
+                job.check_same()
+        to_come = [job for job in (*trials, *self._jobs) if self.train and not job.diverged]
+        checks.check_trainings([job for job in (*trials, *self._jobs) if job.done or job in to_come], uses)
+        left = [job for job in to_come if not job.done]
+        for job in left:
+            check_start(job.start, self.from_scratch)
+        self._say_ahead(left, len(trials) + len(self._jobs), drawn)
+
+    def _trials_of(self, training: Training) -> list[tuning.Trial]:
+        source = self._sources.role(training.role)
+        return tuning.plan(training, self.scale, self.seeds[0], self.out / "tuning", source, self._starts)
+
+    def _planned(self, uses: Sequence[NetworkUse]) -> list[TrainingJob]:
+        """Plan the trainings of networks that are not given, with the settings that their trials chose."""
+        chosen = {name: trial for name, trials in self._trials.items() if (trial := tuning.best(trials))}
+        scale = replace(self.scale, tuned={name: trial.settings for name, trial in chosen.items()})
         jobs = []
         for seed in self.seeds:
             for training in {use.training.name: use.training for use in uses}.values():
                 if training.name not in self._given:
-                    recipe = self.scale.recipe(training, seed, self.changes)
+                    recipe = scale.recipe(training, seed)
                     folder = self.out / "runs" / f"{training.name}-seed{seed}"
                     source, start = self._sources.role(training.role), self._starts.get(recipe.backbone)
-                    jobs.append(trainings.TrainingJob(training, seed, recipe, folder, source, start))
+                    jobs.append(TrainingJob(training, seed, recipe, folder, source, start))
         return jobs
 
-    def _say_ahead(self, to_come: Sequence[trainings.TrainingJob], drawn: Sequence[str]) -> None:
-        """Print the pretrained weights of each training, and which figures cannot be drawn."""
-        for backbone, start in {job.recipe.backbone: job.start for job in to_come}.items():
+    def _say_ahead(self, left: Sequence[TrainingJob], total: int, drawn: Sequence[str]) -> None:
+        """Print the plan, the pretrained weights of each training, and which figures cannot be drawn."""
+        if left:
+            epochs = sum(job.recipe.epochs - len(job.seconds()) for job in left)
+            trials = sum(1 for job in left if job.held_out)
+            known = [*left, *self._jobs, *(trial.job for found in self._trials.values() for trial in found)]
+            self.console.print(
+                f"Plan: {len(left)} of {total} trainings are left, {trials} of them short trials: {epochs} epochs, "
+                f"{trainings.said_left(left, known)} for one process. A second process with the same command shares them.",
+                soft_wrap=True,
+            )
+            for job in left:
+                done = len(job.seconds())
+                begun = f", {done} done" if done else ""
+                self.console.print(f"  {job.name}: {job.recipe.epochs} epochs{begun}", markup=False, highlight=False)
+        for backbone, start in {job.recipe.backbone: job.start for job in left}.items():
             self.console.print(
                 f"{backbone} starts from {start.name if start else 'random weights'}.", markup=False, soft_wrap=True
             )
         if not self.train:
             there = {*self._given, *(job.training.name for job in self._jobs if job.done)}
-            for key in drawn:
-                self._say_lacking(key, [name for name in _SHOWN[key] if name not in there])
+            for name in drawn:
+                self._say_lacking(name, [network.name for network in SHOWN[name] if network.name not in there])
 
-    def _say_lacking(self, key: str, lacking: Sequence[str]) -> None:
+    def _say_lacking(self, figure: str, lacking: Sequence[str]) -> None:
         if lacking:
-            how = "not drawn" if len(lacking) == len(_SHOWN[key]) else "drawn with the others"
+            how = "not drawn" if len(lacking) == len(SHOWN[figure]) else "drawn with the others"
             self.console.print(
-                f"{key} {how}: there is no network {' or '.join(lacking)}; give it as --model {lacking[0]}=FILE, or train it.",
+                f"{figure} {how}: there is no network {' or '.join(lacking)}; give it as --model {lacking[0]}=FILE, or train "
+                "it.",
                 markup=False, soft_wrap=True,
             )  # fmt: skip
 
-    @property
-    def _alone(self) -> Recipe:
-        """The recipe whose backbone is measured without training."""
-        return replace(self.scale.places, **self.changes)
+    def _is_copy(self, training: Training) -> bool:
+        """Check whether a network would repeat the LPN, for lack of google pictures."""
+        return training.name == "lpn-without-google" and not self._sources.role("places").has_google
 
-    def _is_copy(self, table: PaperTable, training: Training) -> bool:
-        """Check whether a row of Table I would repeat the one above, for lack of google pictures."""
-        ours = training.name == "lpn" and training.name not in self.models
-        return table.key == "table1" and ours and not self._sources.role("places").has_google
-
-    def _models(self, table: PaperTable, row: TableRow) -> dict[str, Model]:
+    def _models(self, row: TableRow) -> dict[str, Model]:
         """Return the networks of a row by seed, or the given one."""
-        training = row.training
-        if training is None:
-            start = self._starts.get(self._alone.backbone)
-            return {} if start is None else {"given": pretrained.features_alone(self._alone, start)}
-        return {} if self._is_copy(table, training) else self._networks(training.name)
+        if row.training is None:
+            base = self.scale.base
+            start = self._starts.get(base.backbone)
+            return {} if start is None else {"given": pretrained.features_alone(base, start)}
+        return self._networks(row.training.name)
 
     def _networks(self, name: str) -> dict[str, Model]:
         """Return the networks of a training by seed, or the given one."""
         if name in self._given:
             return {"given": self._given[name]}
-        own = [job for job in self._jobs if job.training.name == name and job.done]
-        return {f"seed {job.seed}": lpn.load(job.model) for job in own}
+        return {f"seed {job.seed}": lpn.load(job.model) for job in self._own(name)}
+
+    def _own(self, name: str) -> list[TrainingJob]:
+        return [job for job in self._jobs if job.training.name == name and job.done]
 
     def _table(self, table: PaperTable) -> list[Path]:
         data = self._sources.of(table.measure)
-        measured: dict[str, dict[str, Values]] = {}
+        rows: list[RowRecord] = []
         protocols: dict[str, str] = {}
         for row in table.rows:
             found = {
-                name: self._notebook.figures(row, table.measure, model, data)
-                for name, model in self._models(table, row).items()
+                name: self._store.figures(row, table.measure, model, data) for name, model in self._models(row).items()
             }
+            rows.append(self._row(row, found))
             if found:
-                measured[row.label] = {name: figures.values for name, figures in found.items()}
                 protocols[row.label] = next(iter(found.values())).protocol
-        if table.measure != "landmarks":
-            table = replace(table, title=f"{table.title}, on {data[0].kind}")
+        columns, beside, alone = self._columns(table)
+        title = table.title if table.measure == "landmarks" else f"{table.title}, on {data[0].kind}"
         notes = [footnotes.protocol(protocols), *footnotes.about(table, data), *self._of_networks(table)]
-        return report.write(table, measured, self._columns(table), notes, self.out)
+        record = TableRecord(table.key, title, columns, beside, tuple(rows), tuple(notes), alone)
+        self._store.keep(record)
+        return report.write(record, self.out)
 
-    def _columns(self, table: PaperTable) -> list[MeasuredColumn]:
-        """Return the measured columns, each with its column of the paper."""
+    def _row(self, row: TableRow, found: Mapping[str, MeasuredFigures]) -> RowRecord:
+        trained: dict[str, Provenance] = {}
+        if row.training is not None and row.training.name not in self._given:
+            trained = {f"seed {job.seed}": job.made for job in self._own(row.training.name) if job.made}
+        values = {name: figures.values for name, figures in found.items()}
+        made = {name: figures.made for name, figures in found.items()}
+        return row_record(row.label, values, row.paper, row.note, trained, made)
+
+    def _columns(self, table: PaperTable) -> tuple[tuple[str, ...], tuple[int | None, ...], dict[int, str]]:
+        """Return the measured columns, each with its column of the paper, and the paper's others."""
         data = self._sources.of(table.measure)
+        if table.measure == "centre":
+            return table.columns, (None,) * len(table.columns), {}
         if table.measure != "landmarks":
             # CVACT is not what the paper's Table II is of.
             same = data[0].dataset.kind != "CVACT"
-            return [MeasuredColumn(title, index if same else None) for index, title in enumerate(table.columns)]
+            return table.columns, tuple(index if same else None for index in range(len(table.columns))), {}
         of_kind = {"Oxford5k": LANDMARKS.index("Oxford mAP"), "Paris6k": LANDMARKS.index("Paris mAP")}
-        return [MeasuredColumn(f"{source.name} mAP", of_kind.get(source.dataset.kind)) for source in data]
+        beside = tuple(of_kind.get(source.dataset.kind) for source in data)
+        alone = {index: title for index, title in enumerate(table.columns) if index not in beside}
+        return tuple(f"{source.name} mAP" for source in data), beside, alone
 
     def _of_networks(self, table: PaperTable) -> list[str]:
         """Describe where the table's networks come from."""
         names = {row.training.name for row in table.rows if row.training}
         given = [f"{n} = {self.models[n]} ({self._given[n].describe()})" for n in sorted(names & set(self._given))]
         notes = [f"Networks given: {', '.join(given)}."] if given else []
-        own = [job for job in self._jobs if job.training.name in names]
-        notes += footnotes.networks(own, self.scale, self.changes, self.seeds)
-        own_lpn = table.measure == "both ways" and "lpn" in names and "lpn" not in self._given
-        if own_lpn and not self._sources.role("places").has_google:
-            notes.append("There is no train/google, so LPN is trained without it.")
+        notes += footnotes.networks([job for job in self._jobs if job.training.name in names], self.scale, self.seeds)
+        if tuned := tuning.note({name: trials for name, trials in self._trials.items() if name in names}):
+            notes.append(tuned)
+        of_places = table.measure in ("both ways", "centre")
+        if of_places and names - set(self._given) and not self._sources.role("places").has_google:
+            notes.append("There is no train/google, so all networks are trained without it.")
         return notes
 
-    def _figure(self, key: str) -> Path | None:
+    def _figure(self, name: str) -> Path | None:
         """Draw a figure with the available networks, and return its file; None without any."""
-        of = {name: networks for name in _SHOWN[key] if (networks := self._networks(name))}
+        of = {network.name: networks for network in SHOWN[name] if (networks := self._networks(network.name))}
         if self.train:
-            self._say_lacking(key, [name for name in _SHOWN[key] if name not in of])
+            self._say_lacking(name, [network.name for network in SHOWN[name] if network.name not in of])
         if not of:
             return None
-        places = self._sources.role("places").dataset
-        shown = [(name, next(iter(networks.values()))) for name, networks in of.items()]
-        if key == "figure7":
-            data = paper_figures.heatmaps(shown, places, self.queries)
+        dataset = self._sources.role(SHOWN[name][0].role).dataset
+        shown = [(network, next(iter(networks.values()))) for network, networks in of.items()]
+        if name == "figure7a":
+            data = paper_figures.heatmaps(shown, dataset, "drone", self.queries)
+        elif name == "figure7b":
+            data = paper_figures.heatmaps(shown, dataset, "street")
+        elif name == "figure8":
+            data = paper_figures.retrievals(shown[0][1], dataset, ("drone", "satellite"), self.queries)
         else:
-            data = paper_figures.retrievals(shown[0][1], places, self.queries)
-        write_atomic(self.out / f"{key}.png", data)
-        return self.out / f"{key}.png"
+            data = paper_figures.retrievals(shown[0][1], dataset, ("street",), top=3)
+        write_atomic(self.out / f"{name}.png", data)
+        return self.out / f"{name}.png"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from lpn.reproduce.sources import Source, counted
 from lpn.reproduce.tables import PaperTable, Scale
@@ -12,16 +11,23 @@ from lpn.reproduce.trainings import TrainingJob
 # Notes on single tables.
 _APART = {
     "table1": (
-        "Losses on distances compare satellites with drone and with street pictures, both ways; pairs and triplets are mined in "
+        "All rows but LPN without google are trained with google, as the baseline of 58.49 is in the released script. Losses on "
+        "distances compare satellites with drone and with street pictures, both ways; pairs and triplets are mined in "
         "the batch: each place's own pictures are true, all others of the batch are wrong.",
     ),
     "table2": ("SAFA and SAFA + LPN are described without their mirror.",),
-    "table4": ("Queries are turned counter-clockwise by the degrees named, on their own canvas, corners black.",),
+    "table4": (
+        "Queries are turned counter-clockwise by the degrees named, on their own canvas, corners black. A drop is not "
+        "significant here if it is at most the largest of the paper's own in the same column. The paper has no rows of the "
+        "baseline.",
+    ),
     "table5": ("The parts named, counted from the centre, are compared and no others.",),
     "table6": (
         "Both sides are described by the branch named; ImageNet alone: the mean over the last feature map. Baseline and LPN are "
-        "trained alike, both without google.",
+        "those of Table I, both with google.",
     ),
+    "figure5": ("The paper's values are those of Table I; for other n it draws a curve only.",),
+    "figure7": ("An even map has 25 %; the paper shows heatmaps of single pictures and gives no number.",),
 }
 
 
@@ -59,7 +65,7 @@ def about(table: PaperTable, data: Sequence[Source]) -> list[str]:
     return notes
 
 
-def networks(own: Sequence[TrainingJob], scale: Scale, changes: Mapping[str, Any], seeds: Sequence[int]) -> list[str]:
+def networks(own: Sequence[TrainingJob], scale: Scale, seeds: Sequence[int]) -> list[str]:
     """Describe the trainings of the networks that were not given."""
     notes: list[str] = []
     done = [job for job in own if job.done]
@@ -68,8 +74,8 @@ def networks(own: Sequence[TrainingJob], scale: Scale, changes: Mapping[str, Any
         of = {job.recipe.backbone: job.start for job in done}
         begin = [f"{name} from {start.name if start else 'random weights'}" for name, start in of.items()]
         notes.append(f"Before training: {', '.join(begin)}.")
-        if changes:
-            notes.append(f"Changed: {', '.join(f'{name} = {value}' for name, value in changes.items())}.")
+        if scale.changes:
+            notes.append(f"Changed: {', '.join(f'{name} = {value}' for name, value in scale.changes.items())}.")
         if len(seeds) > 1:
             notes.append("Mean of the seeds trained so far, ± half of the distance between the lowest and the highest.")
     if lost := [job.name for job in own if job.diverged]:

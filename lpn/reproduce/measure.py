@@ -1,22 +1,23 @@
-"""Measured figures, cached in a file so that nothing is measured twice."""
+"""Measured figures and tables, kept in a file so that nothing is measured twice."""
 
 from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
 
 import msgspec
 
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import InputError
-from lpn.core.files import write_atomic
+from lpn.core.files import exclusive_lock, write_atomic
 from lpn.core.formats import decode_json
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
+from lpn.reproduce.centre import centre_shares
 from lpn.reproduce.paper_values import Values
+from lpn.reproduce.record import Provenance, TableRecord, here
 from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import Measure, TableRow
 from lpn.retrieval.evaluate import Result, evaluate
@@ -24,7 +25,11 @@ from lpn.retrieval.protocol import Protocol
 
 log = logging.getLogger(__name__)
 
-FORMAT = "lpn-measured/1"
+FORMAT = "lpn-measured/2"
+_CENTRE = (
+    "Protocol: the last feature map of each test picture without its mirror, summed over channels; the share of the sum in the "
+    "cells whose centres lie in the middle half of height and width, a quarter of the area; mean over pictures."
+)
 
 
 class MeasuredFigures(msgspec.Struct, frozen=True):
@@ -33,20 +38,25 @@ class MeasuredFigures(msgspec.Struct, frozen=True):
     Attributes:
         values: in percent, one for each column of the table.
         protocol: the evaluation protocol in one sentence.
+        made: where the figures come from.
     """
 
     values: Values
     protocol: str
+    made: Provenance
 
 
 class _MeasurementsFile(msgspec.Struct):
     format: str
     checksum: int
     figures: dict[str, MeasuredFigures]
+    tables: dict[str, TableRecord]
 
 
 class MeasurementStore:
-    """A cache of measured figures by what they were measured on, in one JSON file with a checksum.
+    """A cache of measured figures by what they were measured on, and the tables made of them, in one JSON file.
+
+    Several processes may use the same file: each reads it again before it adds to it.
 
     Raises:
         InputError: when a later version of lpn wrote the file.
@@ -54,51 +64,68 @@ class MeasurementStore:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._figures: dict[str, MeasuredFigures] = {}
-        try:
-            file = decode_json(path.read_bytes(), _MeasurementsFile, path, FORMAT, InputError)
-            if file.checksum != crc_of_values(msgspec.to_builtins(file.figures)):
-                raise ValueError("another checksum")
-            self._figures = file.figures
-        except FileNotFoundError:
-            pass
-        except (OSError, ValueError, RecursionError):
-            log.warning("%s cannot be read or is damaged; its figures are measured again.", path)
+        self._file = self._read()
 
     def figures(self, row: TableRow, measure: Measure, model: Model, data: Sequence[Source]) -> MeasuredFigures:
         """Return a row's figures, measuring them if they are not cached."""
         digests = [source.test_digest(measure) for source in data]
         key = json.dumps([model.fingerprint, measure, digests, row.rotate, row.parts, row.branch])
-        if key not in self._figures:
-            results = _measure(row, measure, model, data)
-            values = [value for result in results for value in _values(result, measure)]
-            self._figures[key] = MeasuredFigures(tuple(values), results[0].sentence)
-            figures = msgspec.to_builtins(self._figures)
-            file = _MeasurementsFile(FORMAT, crc_of_values(figures), self._figures)
-            write_atomic(self.path, msgspec.json.format(msgspec.json.encode(file), indent=1) + b"\n")
-        return self._figures[key]
+        if key not in self._file.figures:
+            self._add(_measured(row, measure, model, data), key)
+        return self._file.figures[key]
+
+    def keep(self, table: TableRecord) -> None:
+        """Write a finished table into the file."""
+        self._add(table, table.key)
+
+    def _add(self, value: MeasuredFigures | TableRecord, key: str) -> None:
+        with exclusive_lock(self.path.parent, wait=True):
+            self._file = self._read()
+            if isinstance(value, TableRecord):
+                self._file.tables[key] = value
+            else:
+                self._file.figures[key] = value
+            self._file.checksum = _checksum(self._file)
+            write_atomic(self.path, msgspec.json.format(msgspec.json.encode(self._file), indent=1) + b"\n")
+
+    def _read(self) -> _MeasurementsFile:
+        try:
+            return read_measurements(self.path)
+        except FileNotFoundError:
+            pass
+        except (OSError, ValueError, RecursionError):
+            log.warning("%s cannot be read or is damaged; its figures are measured again.", self.path)
+        return _MeasurementsFile(FORMAT, 0, {}, {})
 
 
-def _measure(row: TableRow, measure: Measure, model: Model, data: Sequence[Source]) -> list[Result]:
+def read_measurements(path: Path) -> _MeasurementsFile:
+    """Read a file of measured figures.
+
+    Raises:
+        InputError: when a later version of lpn wrote it.
+        OSError, ValueError, RecursionError: when it cannot be read, or is damaged.
+    """
+    file = decode_json(path.read_bytes(), _MeasurementsFile, path, FORMAT, InputError)
+    if file.checksum != _checksum(file):
+        raise ValueError("another checksum")
+    return file
+
+
+def _checksum(file: _MeasurementsFile) -> int:
+    return crc_of_values(json.loads(msgspec.json.encode([file.figures, file.tables])))
+
+
+def _measured(row: TableRow, measure: Measure, model: Model, data: Sequence[Source]) -> MeasuredFigures:
+    if measure == "centre":
+        return MeasuredFigures(centre_shares(model, data[0].dataset), _CENTRE, here())
     protocol = Protocol(Change(row.rotate), row.parts, row.branch)
-    return [evaluate(model, source.dataset, task, protocol) for source in data for task in TASKS[measure]]
+    results = [evaluate(model, source.dataset, task, protocol) for source in data for task in TASKS[measure]]
+    return MeasuredFigures(
+        tuple(value for result in results for value in _values(result, measure)), results[0].sentence, here()
+    )
 
 
 def _values(result: Result, measure: Measure) -> Values:
     if measure == "both ways":
         return result.recall["1"], result.ap
     return tuple(result.recall[key] for key in ("1", "5", "10", "1%")) if measure == "ground" else (result.ap,)
-
-
-def spread(values: Sequence[float]) -> tuple[float, float]:
-    """Return the mean of the seeds' values, and half the distance between the lowest and the highest."""
-    return sum(values) / len(values), (max(values) - min(values)) / 2
-
-
-def by_column(seeds: Sequence[Values]) -> list[tuple[float, float]]:
-    """Return mean and spread of each column."""
-    return [spread(cast("tuple[float, ...]", column)) for column in zip(*seeds, strict=True)]
-
-
-# The values of each network, by its seed or "given", for each row's label.
-Measured = Mapping[str, Mapping[str, Values]]

@@ -19,54 +19,62 @@ from lpn.retrieval import scoring
 TRUE, FALSE = "#f2c200", "#2f6fdb"
 
 
-def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, names: Sequence[str]) -> bytes:
-    """Draw Figure 7 as a PNG: drone picture and satellite tile of some places under each network's channel sum.
+def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, view: View, names: Sequence[str] = ()) -> bytes:
+    """Draw Figure 7 as a PNG: query and satellite tile of some places under each network's channel sum.
 
     Args:
         models: name and network.
-        names: queries of the drone-to-satellite task.
+        view: view of the queries, drone for (a) and street for (b).
+        names: queries to show; without any, four spread over the list.
 
     Raises:
         InputError: when there is no such query.
     """
     tiles = {picture.label: picture for picture in dataset.gallery("satellite")}
-    chosen = named(dataset, names)
+    chosen = named(dataset, view, names)
     shown, axes = pyplot().subplots(
-        2 * len(chosen), 1 + len(models), figsize=(2.1 * (1 + len(models)), 4.2 * len(chosen)), layout="constrained",
+        2 * len(chosen),
+        1 + len(models),
+        figsize=((2.1 if view == "drone" else 3.4) * (1 + len(models)), 4.2 * len(chosen)),
+        layout="constrained",
         squeeze=False,
-    )  # fmt: skip
+    )
     for row, query in enumerate(chosen):
-        views: tuple[tuple[Picture, View], ...] = ((query, "drone"), (tiles[query.label], "satellite"))
-        for line, (entry, view) in enumerate(views):
+        views: tuple[tuple[Picture, View], ...] = ((query, view), (tiles[query.label], "satellite"))
+        for line, (entry, of_view) in enumerate(views):
             picture = images.load_picture(entry.path)
             for column in range(1 + len(models)):
                 cell = axes[2 * row + line][column]
-                cell.imshow(picture)
                 cell.set_axis_off()
+                # A polar network sees the unrolled tile.
+                seen = models[column - 1][1].as_partitioned(picture, of_view) if column else picture
+                cell.imshow(seen)
                 if column:
-                    seen = retrieval.describe_picture(models[column - 1][1], picture, view).activation
-                    height, width = picture.shape[:2]
+                    heat = retrieval.describe_picture(models[column - 1][1], picture, of_view).activation
+                    height, width = seen.shape[:2]
                     cell.imshow(
-                        seen, cmap="inferno", alpha=0.55, extent=(0, width, height, 0), interpolation="bilinear"
+                        heat, cmap="inferno", alpha=0.55, extent=(0, width, height, 0), interpolation="bilinear"
                     )
                 if row == line == 0:
                     cell.set_title(models[column - 1][0] if column else "picture", fontsize=9)
     return png(shown, 100)
 
 
-def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 5) -> bytes:
-    """Draw Figure 8 as a PNG: queries of both tasks and their nearest pictures, framed yellow if true and blue if false.
+def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Sequence[str] = (), top: int = 5) -> bytes:
+    """Draw Figure 8 as a PNG: queries and their nearest pictures, framed yellow if true and blue if false.
 
     Args:
-        names: queries of the drone-to-satellite task; satellite-to-drone shows the same places.
+        views: the views of the queries. Satellite queries search drone pictures, all others search tiles.
+        names: queries of the first view to show; the other views show the same places.
+        top: number of nearest pictures.
 
     Raises:
         InputError: when there is no such query.
     """
-    chosen = named(dataset, names)
+    chosen = named(dataset, views[0], names)
     labels = {picture.label for picture in chosen}
-    shown_queries: list[tuple[Picture, View, View]] = [(picture, "drone", "satellite") for picture in chosen]
-    shown_queries += [(p, "satellite", "drone") for p in dataset.queries("satellite") if p.label in labels]
+    shown_queries = [(picture, views[0]) for picture in chosen]
+    shown_queries += [(p, view) for view in views[1:] for p in dataset.queries(view) if p.label in labels]
     shown, axes = pyplot().subplots(
         len(shown_queries),
         1 + top,
@@ -74,16 +82,18 @@ def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 
         layout="constrained",
         squeeze=False,
     )
-    for row, (query, view, other) in zip(axes, shown_queries, strict=True):
+    for row, (query, view) in zip(axes, shown_queries, strict=True):
+        other: View = "drone" if view == "satellite" else "satellite"
         gallery = dataset.gallery(other)
         described = descriptors.cached_descriptors(model, gallery, other)
         found = retrieval.describe_picture(model, images.load_picture(query.path), view)
         cosines = scoring.part_cosines(found.descriptor, described)
         order = np.argsort(-cosines.mean(axis=1), kind="stable")[:top]
-        for cell, entry in zip(row, [query, *(gallery[index] for index in order)], strict=False):
-            cell.imshow(images.shrink(images.load_picture(entry.path), 256))
+        for cell in row:
             cell.set_xticks([])
             cell.set_yticks([])
+        for cell, entry in zip(row, [query, *(gallery[index] for index in order)], strict=False):
+            cell.imshow(images.shrink(images.load_picture(entry.path), 256))
             right = entry.label == query.label
             query_cell = cell is row[0]
             title = f"{view} {query.name}" if query_cell else f"{'✓' if right else '✗'} {entry.name}"
@@ -93,14 +103,14 @@ def retrievals(model: Model, dataset: Dataset, names: Sequence[str], top: int = 
     return png(shown, 100)
 
 
-def named(dataset: Dataset, names: Sequence[str]) -> list[Picture]:
-    """Return drone queries with a satellite tile by their names; without names, four spread over the list.
+def named(dataset: Dataset, view: View, names: Sequence[str] = ()) -> list[Picture]:
+    """Return queries of a view with a satellite tile by their names; without names, four spread over the list.
 
     Raises:
         InputError: when there is no such query, or it has no tile.
     """
     tiles = {picture.label for picture in dataset.gallery("satellite")}
-    queries = dataset.queries("drone")
+    queries = dataset.queries(view)
     pictures = [picture for picture in queries if picture.label in tiles]
     by_name = {picture.name: picture for picture in pictures}
     for name in names:

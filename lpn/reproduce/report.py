@@ -1,152 +1,93 @@
-"""A table as Markdown, CSV, and a chart: measured values beside the paper's, and verdicts on the paper's claims."""
+"""A measured table as Markdown, CSV, and a chart: measured values beside the paper's, and verdicts on the paper's claims."""
 
 from __future__ import annotations
 
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from lpn.core.files import write_atomic
 from lpn.drawing.plots import png, pyplot
-from lpn.reproduce.measure import Measured, by_column
-from lpn.reproduce.paper_values import CLAIMS, Claim
-from lpn.reproduce.tables import PaperTable
+from lpn.reproduce.claims import verdicts
+from lpn.reproduce.record import TableRecord
 
 _COLOURS = ("#1f5fbf", "#7fb2e5", "#c2571a", "#eba968")
 
 
-@dataclass(frozen=True)
-class MeasuredColumn:
-    """A measured column.
-
-    Attributes:
-        title: its name.
-        paper: index of the paper's column beside it, None if there is none.
-    """
-
-    title: str
-    paper: int | None
-
-
-def write(
-    table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn], foot: Sequence[str], out: Path
-) -> list[Path]:
-    """Write `<key>.md`, `<key>.csv`, and `<key>.png` into a folder and return their paths.
-
-    Args:
-        measured: the values of each network, for each row's label; other rows are shown as not run.
-        columns: the measured columns.
-        foot: the notes below the table.
-    """
-    files = [out / f"{table.key}.{suffix}" for suffix in ("md", "csv", "png")]
-    write_atomic(files[0], markdown(table, measured, columns, foot).encode())
-    write_atomic(files[1], _csv(table, measured, columns))
-    write_atomic(files[2], figure(table, measured, columns))
+def write(record: TableRecord, out: Path) -> list[Path]:
+    """Write `<key>.md`, `<key>.csv`, and `<key>.png` into a folder and return their paths."""
+    files = [out / f"{record.key}.{suffix}" for suffix in ("md", "csv", "png")]
+    write_atomic(files[0], markdown(record).encode())
+    write_atomic(files[1], _csv(record))
+    write_atomic(files[2], figure(record))
     return files
 
 
-def markdown(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn], foot: Sequence[str]) -> str:
+def markdown(record: TableRecord) -> str:
     """Format the table, its notes, and the verdicts on the paper's claims."""
     titles: list[str] = []
     # (True, i) is measured column i, (False, i) the paper's; the paper's without a neighbour come last.
     cells: list[tuple[bool, int]] = []
-    any_paper = any(row.paper for row in table.rows)
-    for index, column in enumerate(columns):
-        titles.append(column.title)
+    any_paper = any(row.paper for row in record.rows)
+    for index, (title, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
+        titles.append(title)
         cells.append((True, index))
-        if any_paper and column.paper is not None:
+        if any_paper and beside is not None:
             titles.append("paper")
-            cells.append((False, column.paper))
-    if table.measure == "landmarks":
-        beside = {column.paper for column in columns}
-        for index, title in enumerate(table.columns):
-            if index not in beside:
-                titles.append(f"paper, {title}")
-                cells.append((False, index))
-    lines = [f"### {table.title}", "", "| | " + " | ".join(titles) + " |", "|---|" + "---:|" * len(titles)]
-    for row in table.rows:
-        values = by_column(list(measured[row.label].values())) if row.label in measured else None
+            cells.append((False, beside))
+    for index, title in record.alone.items():
+        titles.append(f"paper, {title}")
+        cells.append((False, index))
+    lines = [f"### {record.title}", "", "| | " + " | ".join(titles) + " |", "|---|" + "---:|" * len(titles)]
+    for row in record.rows:
         texts = []
         for here, index in cells:
             if here:
-                texts.append("not run" if values is None else _format(*values[index]))
+                texts.append(_format(row.mean[index], row.spread[index]) if row.mean else "not run")
             else:
                 texts.append(f"{row.paper[index]:.2f}" if index < len(row.paper) else "")
-        lines.append(f"| {row.label} | " + " | ".join(texts) + " |")
-    lines += ["", *(f"{sentence}  " for sentence in foot)]
-    claims = verdicts(table, measured, columns)
+        lines.append(f"| {row.shown} | " + " | ".join(texts) + " |")
+    lines += ["", *(f"{sentence}  " for sentence in record.notes)]
+    claims = verdicts(record)
     if claims:
         lines += ["", *(f"- {claim}" for claim in claims)]
     return "\n".join(lines) + "\n"
-
-
-def verdicts(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn]) -> list[str]:
-    """State for each of the paper's claims whether it held, with the figures."""
-    return [_verdict(claim, measured, columns) for claim in CLAIMS.get(table.key, ())]
-
-
-def _verdict(claim: Claim, measured: Measured, columns: Sequence[MeasuredColumn]) -> str:
-    labels = (claim.better, *claim.worse)
-    missing = [label for label in labels if label not in measured]
-    if missing:
-        return f"{claim.text}: not known; {', '.join(missing)} was not run."
-    index = min(claim.column, len(columns) - 1)
-    mean = {label: by_column(list(measured[label].values()))[index] for label in labels}
-    best, own = mean[claim.better]
-    gaps = {label: best - mean[label][0] for label in claim.worse}
-    figures = ", ".join(f"{label} {mean[label][0]:.1f}" for label in claim.worse)
-    once = [label for label in labels if len(measured[label]) == 1]
-    networks = (
-        "" if not once else "; one network each" if len(once) == len(labels) else f"; one network of {', '.join(once)}"
-    )
-    comparison = f"{columns[index].title} {best:.1f} against {figures}{networks}"
-    if claim.keeps:
-        worst = max(gaps.values())
-        verdict = "held" if worst <= claim.keeps else f"did not hold, {worst:.1f} points are lost"
-        return f"{claim.text} (within {claim.keeps:g} points): **{verdict}** ({comparison})."
-    if min(gaps.values()) <= 0:
-        return f"{claim.text}: **did not hold** ({comparison})."
-    close = [label for label in claim.worse if gaps[label] <= own + mean[label][1]]
-    if close:
-        return f"{claim.text}: **held in the mean, but within the spread of the seeds** for {', '.join(close)} ({comparison})."
-    return f"{claim.text}: **held** ({comparison})."
 
 
 def _format(mean: float, spread: float) -> str:
     return f"{mean:.2f} ± {spread:.2f}" if spread else f"{mean:.2f}"
 
 
-def _csv(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn]) -> bytes:
+def _csv(record: TableRecord) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    names = list(dict.fromkeys(name for values in measured.values() for name in values))
+    names = list(dict.fromkeys(name for row in record.rows for name in row.values))
     writer.writerow(["row", "column", "paper", "mean", *names])
-    for row in table.rows:
-        values = measured.get(row.label, {})
-        for index, column in enumerate(columns):
-            paper = row.paper[column.paper] if column.paper is not None and column.paper < len(row.paper) else ""
-            found = [f"{values[name][index]:.4f}" if name in values else "" for name in names]
-            mean = f"{by_column(list(values.values()))[index][0]:.4f}" if values else ""
-            writer.writerow([row.label, column.title, paper, mean, *found])
+    for row in record.rows:
+        for index, (title, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
+            paper = row.paper[beside] if beside is not None and beside < len(row.paper) else ""
+            found = [f"{row.values[name][index]:.4f}" if name in row.values else "" for name in names]
+            writer.writerow([row.shown, title, paper, f"{row.mean[index]:.4f}" if row.mean else "", *found])
     return text.getvalue().encode()
 
 
-def figure(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColumn]) -> bytes:
+def figure(record: TableRecord) -> bytes:
     """Draw the table as a PNG: bars, or lines where the rows are steps of one quantity."""
-    labels = [row.label for row in table.rows]
-    steps = table.key in ("table3", "table4", "figure5")
+    labels = [row.shown for row in record.rows]
+    steps = record.key in ("table3", "figure5")
     shown, axes = pyplot().subplots(
         figsize=(8.2, 3.9) if steps else (8.2, 0.5 * len(labels) + 1.6), layout="constrained"
     )
-    for index, column in enumerate(columns):
-        of_row = {label: by_column(list(values.values()))[index] for label, values in measured.items()}
-        run = [(place, of_row[label]) for place, label in enumerate(labels) if label in of_row]
-        at = column.paper
-        paper = [(n, row.paper[at]) for n, row in enumerate(table.rows) if at is not None and at < len(row.paper)]
-        _draw(axes, steps, index, len(columns), column.title, _COLOURS[index % len(_COLOURS)], run, paper)
+    for index, (column, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
+        run = [(place, (row.mean[index], row.spread[index])) for place, row in enumerate(record.rows) if row.mean]
+        paper = [
+            (place, row.paper[beside])
+            for place, row in enumerate(record.rows)
+            if beside is not None and beside < len(row.paper)
+        ]
+        _draw(axes, steps, index, len(record.columns), column, _COLOURS[index % len(_COLOURS)], run, paper)
     if steps:
         axes.set_xticks(range(len(labels)), labels)
         axes.set_ylabel("%")
@@ -157,7 +98,7 @@ def figure(table: PaperTable, measured: Measured, columns: Sequence[MeasuredColu
         axes.set_xlabel("%")
         axes.set_xlim(0, 100)
         axes.grid(axis="x", alpha=0.25)
-    axes.set_title(table.title, loc="left", fontsize=11)
+    axes.set_title(record.title, loc="left", fontsize=11)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
     return png(shown, 110)

@@ -26,6 +26,7 @@ TASKS: dict[Measure, tuple[str, ...]] = {
     "both ways": ("drone-to-satellite", "satellite-to-drone"),
     "ground": ("street-to-satellite",),
     "landmarks": ("street-to-street",),
+    "centre": ("drone-to-satellite", "satellite-to-drone"),
 }
 
 
@@ -127,7 +128,7 @@ class Sources:
                     "--streets 4."
                 )
             return sorted(self.landmarks, key=lambda source: source.dataset.kind)
-        return [self.role("places" if measure == "both ways" else "panoramas")]
+        return [self.role("panoramas" if measure == "ground" else "places")]
 
     def role(self, role: Role) -> Source:
         """Return the data set of a role.

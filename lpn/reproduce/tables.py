@@ -9,10 +9,11 @@ from typing import Any, Literal
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.reproduce import paper_values
-from lpn.training.recipes import RECIPES, Recipe, method
+from lpn.training import recipes
+from lpn.training.recipes import RECIPES, Recipe, RecipeName
 
 Role = Literal["places", "panoramas"]
-Measure = Literal["both ways", "ground", "landmarks"]
+Measure = Literal["both ways", "ground", "landmarks", "centre"]
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Training:
         name: of its run, such as "lpn" or "instance".
         method: one of `lpn.training.recipes.METHODS`.
         role: the training data: places seen by satellite, drone, and from the street, or pairs of panorama and tile.
-        changes: further changes of the recipe.
+        changes: the settings of the recipe that tell it from its method's other networks.
     """
 
     name: str
@@ -37,9 +38,10 @@ class TableRow:
     """A network, and how it is measured.
 
     Attributes:
-        label: as in the table.
+        label: as in the paper's table, with which claims name it.
         training: the network; None for the pretrained backbone's features without training.
         paper: the paper's values, empty if it has no such row.
+        note: what differs here, printed after the label.
         rotate: rotation of the queries in degrees counter-clockwise.
         parts: 1-based parts used, None for all.
         branch: the branch that describes landmarks.
@@ -48,6 +50,7 @@ class TableRow:
     label: str
     training: Training | None
     paper: paper_values.Values = ()
+    note: str = ""
     rotate: float = 0.0
     parts: tuple[int, ...] | None = None
     branch: View | None = None
@@ -78,41 +81,62 @@ class PaperTable:
 
 @dataclass(frozen=True)
 class Scale:
-    """The scale of a reproduction.
+    """The recipes of a reproduction.
 
     Attributes:
-        name: "paper" or "reduced".
-        places, panoramas: the recipe of each role, before a method's changes.
+        name: "paper", "released", or "reduced".
+        places, panoramas: the recipe of each role before a method's changes, or its name.
         safa: SAFA's own recipe, if it has one.
         sizes: input size used for each of Table III's.
         note: one sentence for the table's notes.
+        changes: the user's changes of every recipe.
+        tuned: for networks tuned on held-out places, the settings that were chosen.
     """
 
     name: str
-    places: Recipe
-    panoramas: Recipe
-    safa: Recipe | None
+    places: Recipe | RecipeName
+    panoramas: Recipe | RecipeName
+    safa: RecipeName | None
     sizes: Mapping[int, int]
     note: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    tuned: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
-    def recipe(self, training: Training, seed: int, changes: Mapping[str, Any]) -> Recipe:
-        """Return the recipe of a training; `changes` are the user's and are applied last."""
+    def recipe(self, training: Training, seed: int) -> Recipe:
+        """Return the recipe of a training. What tells the rows apart comes after the user's changes."""
         base = self.places if training.role == "places" else self.panoramas
         if training.method.startswith("safa") and self.safa is not None:
             base = self.safa
-        return replace(method(training.method, base), **{**training.changes, "seed": seed, **changes})
+        named = recipes.find(base, training.method) if isinstance(base, str) else recipes.method(training.method, base)
+        return replace(named, **{**self.changes, **self.tuned.get(training.name, {}), **training.changes, "seed": seed})
 
+    @property
+    def base(self) -> Recipe:
+        """The recipe of places, with the user's changes."""
+        return replace(RECIPES[self.places] if isinstance(self.places, str) else self.places, **self.changes)
+
+
+# Settings that tell the rows of the tables apart; the user cannot change them for all rows.
+ROW_SETTINGS = ("n_parts", "layout", "pooling", "polar", "google", "instance", "metric", "margin", "seed")
 
 _REDUCED = replace(RECIPES["world"], epochs=30, infonce=0.0)
 
 SCALES: dict[str, Scale] = {
     "paper": Scale(
         "paper",
-        RECIPES["paper"],
-        RECIPES["cvusa-paper"],
-        RECIPES["safa-paper"],
+        "paper",
+        "cvusa-paper",
+        "safa-paper",
         {size: size for size in paper_values.TABLE3},
-        "The paper's scale: ResNet-50 on places and VGG-16 on panoramas, 120 epochs; SAFA by its own recipe, 100 epochs of Adam.",
+        "Recipes paper, cvusa-paper, and safa-paper: what the papers state.",
+    ),
+    "released": Scale(
+        "released",
+        "released",
+        "cvusa-released",
+        "safa-released",
+        {size: size for size in paper_values.TABLE3},
+        "Recipes released, cvusa-released, and safa-released: as the released scripts train.",
     ),
     "reduced": Scale(
         "reduced",
@@ -129,119 +153,117 @@ SCALES: dict[str, Scale] = {
 _UNROLLED = {"shared": False, "polar": True, "size": 112, "width": 616}
 _LPN = Training("lpn", "lpn", changes={"n_parts": 4})
 _LPN_ONLY = Training("lpn-without-google", "lpn", changes={"n_parts": 4, "google": False})
-_BASELINE = Training("instance", "instance", changes={"google": False})
+_BASELINE = Training("instance", "instance")
+_PANORAMA_LPN = Training("panorama-lpn", "lpn-cvusa", "panoramas")
+_SAFA = Training("panorama-safa", "safa", "panoramas")
+_SAFA_LPN = Training("panorama-safa-lpn", "safa-lpn", "panoramas")
+
+# The networks that each drawn picture shows, by name of the file. The first is Figure 8's.
+SHOWN: dict[str, tuple[Training, ...]] = {
+    "figure7a": (_BASELINE, _LPN),
+    "figure7b": (_SAFA, _SAFA_LPN),
+    "figure8": (_LPN,),
+    "figure8-panoramas": (_PANORAMA_LPN,),
+}
+# The pictures of each drawn figure.
+DRAWN = {"figure7": ("figure7a", "figure7b"), "figure8": ("figure8", "figure8-panoramas")}
 
 
 def _of_parts(n: int) -> Training:
     if n == 1:
         return _BASELINE
-    return _LPN_ONLY if n == 4 else Training(f"lpn-{n}-parts", "lpn", changes={"n_parts": n, "google": False})
+    return _LPN if n == 4 else Training(f"lpn-{n}-parts", "lpn", changes={"n_parts": n})
 
 
 def tables(scale: Scale) -> dict[str, PaperTable]:
-    """Return all tables and figures by key."""
+    """Return all tables and measured figures by key."""
     by_loss = {"contrastive": "Contrastive loss", "triplet-0.3": "Triplet loss, margin 0.3"}
     by_loss |= {"triplet-0.5": "Triplet loss, margin 0.5", "soft-margin": "Weighted soft-margin triplet loss"}
     of_table1 = [("Instance loss (baseline)", _BASELINE)]
-    of_table1 += [(label, Training(name, name, changes={"google": False})) for name, label in by_loss.items()]
+    of_table1 += [(label, Training(name, name)) for name, label in by_loss.items()]
     of_table1 += [("LPN without google", _LPN_ONLY), ("LPN", _LPN)]
     of_table2 = [
         ("Instance loss (baseline)", Training("panorama-instance", "instance", "panoramas", {"shared": False})),
-        ("LPN, rings and rows", Training("panorama-lpn", "lpn-cvusa", "panoramas")),
+        ("LPN, rings and rows", _PANORAMA_LPN),
         ("Instance loss, unrolled tiles", Training("panorama-instance-unrolled", "instance", "panoramas", _UNROLLED)),
         ("LPN, strips of unrolled tiles", Training("panorama-lpn-strips", "lpn-strips", "panoramas", _UNROLLED)),
-        ("SAFA", Training("panorama-safa", "safa", "panoramas")),
-        ("SAFA + LPN", Training("panorama-safa-lpn", "safa-lpn", "panoramas")),
+        ("SAFA", _SAFA),
+        ("SAFA + LPN", _SAFA_LPN),
     ]
-    return {
-        table.key: table
-        for table in (
-            PaperTable(
-                "table1",
-                "Table I: losses and LPN",
-                "both ways",
-                paper_values.BOTH_WAYS,
-                tuple(TableRow(label, training, paper_values.TABLE1[label]) for label, training in of_table1),
-            ),
-            PaperTable(
-                "table2",
-                "Table II: ground to satellite",
-                "ground",
-                paper_values.GROUND,
-                tuple(TableRow(label, training, paper_values.TABLE2.get(label, ())) for label, training in of_table2),
-            ),
-            PaperTable(
-                "table3",
-                "Table III: input size",
-                "both ways",
-                paper_values.BOTH_WAYS,
-                tuple(_of_size(size, scale, values) for size, values in paper_values.TABLE3.items()),
-            ),
-            PaperTable(
-                "table4",
-                "Table IV: turned queries",
-                "both ways",
-                paper_values.BOTH_WAYS,
-                tuple(
-                    TableRow(str(angle), _LPN, values, rotate=angle) for angle, values in paper_values.TABLE4.items()
-                ),
-            ),
-            PaperTable(
-                "table5",
-                "Table V: parts used",
-                "both ways",
-                paper_values.BOTH_WAYS,
-                tuple(
-                    TableRow(label, _LPN, values, parts=tuple(int(part) for part in label.split("+")))
-                    for label, values in paper_values.TABLE5.items()
-                ),
-            ),
-            PaperTable(
-                "table6",
-                "Table VI: features carried over to landmarks",
-                "landmarks",
-                paper_values.LANDMARKS,
-                _carried(),
-            ),
-            PaperTable(
-                "figure5",
-                "Figure 5: number of parts",
-                "both ways",
-                paper_values.BOTH_WAYS,
-                tuple(TableRow(f"n = {n}", _of_parts(n)) for n in (1, 2, 4, 6, 8)),
-            ),
-        )
+    both_ways = {
+        "table1": (
+            "Table I: losses and LPN",
+            [TableRow(label, training, paper_values.TABLE1[label]) for label, training in of_table1],
+        ),
+        "table3": (
+            "Table III: input size",
+            [_of_size(size, scale, values) for size, values in paper_values.TABLE3.items()],
+        ),
+        "table4": (
+            "Table IV: turned queries",
+            [TableRow(f"LPN, {angle}°", _LPN, values, rotate=angle) for angle, values in paper_values.TABLE4.items()]
+            + [TableRow(f"Baseline, {angle}°", _BASELINE, rotate=angle) for angle in paper_values.TABLE4],
+        ),
+        "table5": (
+            "Table V: parts used",
+            [
+                TableRow(label, _LPN, values, parts=tuple(int(part) for part in label.split("+")))
+                for label, values in paper_values.TABLE5.items()
+            ],
+        ),
+        "figure5": (
+            "Figure 5: number of parts",
+            [TableRow(f"n = {n}", _of_parts(n), paper_values.FIGURE5.get(n, ())) for n in (1, 2, 4, 6, 8)],
+        ),
     }
+    found = {
+        key: PaperTable(key, title, "both ways", paper_values.BOTH_WAYS, tuple(rows))
+        for key, (title, rows) in both_ways.items()
+    }
+    found["table2"] = PaperTable(
+        "table2",
+        "Table II: ground to satellite",
+        "ground",
+        paper_values.GROUND,
+        tuple(TableRow(label, training, paper_values.TABLE2.get(label, ())) for label, training in of_table2),
+    )
+    found["table6"] = PaperTable(
+        "table6", "Table VI: features carried over to landmarks", "landmarks", paper_values.LANDMARKS, _carried()
+    )
+    found["figure7"] = PaperTable(
+        "figure7",
+        "Figure 7: activation in the centre",
+        "centre",
+        paper_values.CENTRE,
+        (TableRow("Baseline, n = 1", _BASELINE), TableRow("LPN, n = 4", _LPN)),
+    )
+    return dict(sorted(found.items(), key=lambda item: (item[0].startswith("figure"), item[0])))
 
 
 def _of_size(size: int, scale: Scale, values: paper_values.Values) -> TableRow:
     ours = scale.sizes[size]
-    same = ours == scale.places.size
-    label = str(size) if ours == size else f"{size} (here {ours})"
-    return TableRow(
-        label, _LPN if same else Training(f"lpn-{ours}-pixels", "lpn", changes={"n_parts": 4, "size": ours}), values
-    )
+    same = ours == scale.base.size
+    training = _LPN if same else Training(f"lpn-{ours}-pixels", "lpn", changes={"n_parts": 4, "size": ours})
+    return TableRow(str(size), training, values, "" if ours == size else f"here {ours}")
 
 
 def _carried() -> tuple[TableRow, ...]:
     labels = list(paper_values.TABLE6)
     branches: tuple[View, View] = ("satellite", "street")
     rows = [TableRow(labels[0], None, paper_values.TABLE6[labels[0]], branch="street")]
-    of_branch = [(training, branch) for training in (_BASELINE, _LPN_ONLY) for branch in branches]
+    of_branch = [(training, branch) for training in (_BASELINE, _LPN) for branch in branches]
     for label, (training, branch) in zip(labels[1:], of_branch, strict=True):
         rows.append(TableRow(label, training, paper_values.TABLE6[label], branch=branch))
     return tuple(rows)
 
 
 def find(key: str, scale: Scale) -> PaperTable:
-    """Return the table or figure of a key.
+    """Return the table or measured figure of a key.
 
     Raises:
         InputError: when there is none.
     """
     known = tables(scale)
     if key not in known:
-        raise InputError(
-            f"There is no {key!r} to reproduce; choose one of {', '.join(known)}, figure7, figure8, or all."
-        )
+        raise InputError(f"There is no {key!r} to reproduce; choose one of {', '.join(known)}, figure8, or all.")
     return known[key]

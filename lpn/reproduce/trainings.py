@@ -1,4 +1,7 @@
-"""The trainings of a reproduction: each in its own folder, resumable, with an estimate of the time left."""
+"""The trainings of a reproduction: each in its own folder, resumable, with an estimate of the time left.
+
+Several processes may work on the same trainings: each takes one that no other process has, and at the end waits for theirs.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,9 @@ import csv
 import json
 import shutil
 import statistics
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -14,22 +19,26 @@ from typing import Any, Literal
 import msgspec
 from rich.console import Console
 
-from lpn.core.errors import DivergedError, InputError
-from lpn.core.files import fingerprint, write_atomic
+from lpn.core.errors import DivergedError, InputError, OutputError
+from lpn.core.files import exclusive_lock, fingerprint, write_atomic
 from lpn.core.formats import decode_json
+from lpn.reproduce.record import Provenance, here
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.training.recipes import Recipe
 from lpn.training.trainer import Trainer
 
-FORMAT = "lpn-job/1"
+FORMAT = "lpn-job/2"
 # Estimated time of a training step per pixel relative to ResNet-18, for the time left.
 _COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16": 8.5, "vgg16_bn": 8.5}
+# Seconds between two looks at trainings that other processes have.
+_POLL = 5.0
 
 
 class _JobFile(msgspec.Struct):
     ended: Literal["finished", "diverged"] | None
     identity: dict[str, Any]
+    made: Provenance
     format: str = FORMAT
 
 
@@ -41,6 +50,7 @@ class TrainingJob:
         folder: of the run.
         source: the training data.
         start: pretrained weights of its backbone, None for random ones.
+        held_out: share of the training places that are held out, and measured after the last epoch.
     """
 
     training: Training
@@ -49,11 +59,12 @@ class TrainingJob:
     folder: Path
     source: Source
     start: Path | None
+    held_out: float = 0.0
 
     @property
     def name(self) -> str:
-        """Name such as "lpn, seed 0"."""
-        return f"{self.training.name}, seed {self.seed}"
+        """Name such as "lpn, seed 0", or that of a trial's folder."""
+        return self.folder.name if self.held_out else f"{self.training.name}, seed {self.seed}"
 
     @property
     def done(self) -> bool:
@@ -68,6 +79,19 @@ class TrainingJob:
         return file is not None and file.ended == "diverged"
 
     @property
+    def made(self) -> Provenance | None:
+        """Where the training was begun; None before."""
+        file = self._file()
+        return file.made if file is not None else None
+
+    @property
+    def score(self) -> float | None:
+        """R@1 on the held-out places after the last epoch, in percent; None if it was not measured."""
+        rows = self._log()
+        scores = [float(value) for name, value in (rows[-1] if rows else {}).items() if "held out" in name and value]
+        return scores[0] if self.done and scores else None
+
+    @property
     def model(self) -> Path:
         """Path of the trained network."""
         return self.folder / "last.safetensors"
@@ -80,10 +104,7 @@ class TrainingJob:
 
     def seconds(self) -> list[float]:
         """Seconds of each epoch on disk."""
-        if not (self.folder / "log.csv").is_file():
-            return []
-        with (self.folder / "log.csv").open(encoding="utf-8", newline="") as file:
-            return [float(row["seconds"]) for row in csv.DictReader(file)]
+        return [float(row["seconds"]) for row in self._log()]
 
     def identity(self) -> dict[str, Any]:
         """Everything that decides the result of the training."""
@@ -91,6 +112,7 @@ class TrainingJob:
             **json.loads(self.recipe.to_json()),
             "pictures": self.source.training_digest(self.recipe.google),
             "start": fingerprint(self.start) if self.start else None,
+            "held_out": self.held_out,
         }
 
     def check_same(self) -> None:
@@ -114,8 +136,45 @@ class TrainingJob:
 
     def write(self, ended: Literal["finished", "diverged"] | None) -> None:
         """Write job.json: what is trained in the folder, and how it ended, if it has."""
-        values = {"format": FORMAT, "ended": ended, "identity": self.identity()}
-        write_atomic(self.folder / "job.json", (json.dumps(values, indent=1) + "\n").encode())
+        file = _JobFile(ended, self.identity(), self.made or here())
+        write_atomic(self.folder / "job.json", msgspec.json.format(msgspec.json.encode(file), indent=1) + b"\n")
+
+    def train(self, console: Console) -> None:
+        """Train to the last epoch, from the last whole one on disk; a training that diverges is given up.
+
+        Raises:
+            LPNError: as `lpn.training.trainer.Trainer`, except for a divergence.
+        """
+        resume = (self.folder / "state.pt").is_file()
+        if not resume:
+            # The run was killed before its first epoch was on disk. The folder stays, as its lock is held.
+            for path in self.folder.iterdir():
+                shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
+        self.write(None)
+        ended: Literal["finished", "diverged"] = "finished"
+        try:
+            Trainer(
+                self.source.dataset,
+                self.folder,
+                self.recipe,
+                self.start,
+                resume,
+                evaluate_every=self.recipe.epochs if self.held_out else 0,
+                console=console,
+                validate=self.held_out,
+                test=False,
+                from_scratch=self.start is None,
+            ).run()
+        except DivergedError as error:
+            ended = "diverged"
+            console.print(f"{self.name} is given up. {error}", markup=False)
+        self.write(ended)
+
+    def _log(self) -> list[dict[str, str]]:
+        if not (self.folder / "log.csv").is_file():
+            return []
+        with (self.folder / "log.csv").open(encoding="utf-8", newline="") as file:
+            return list(csv.DictReader(file))
 
     def _file(self) -> _JobFile | None:
         path = self.folder / "job.json"
@@ -126,35 +185,48 @@ class TrainingJob:
 
 
 def train(work: Sequence[TrainingJob], console: Console) -> None:
-    """Train what is not trained yet, one after the other; a training that diverges is given up.
+    """Train what is not trained yet, one after the other, and wait for what other processes train.
 
     Raises:
         LPNError: as `lpn.training.trainer.Trainer`, except for a divergence.
     """
-    left = [job for job in work if not job.done and not job.diverged]
-    for position, job in enumerate(left):
-        console.rule(f"{job.name} ({position + 1} of {len(left)} trainings; {_said_left(left[position:], work)})")
-        resume = (job.folder / "state.pt").is_file()
-        if not resume:
-            # The run was killed before its first epoch was on disk.
-            shutil.rmtree(job.folder, ignore_errors=True)
-        job.write(None)
-        ended: Literal["finished", "diverged"] = "finished"
+    said = False
+    while left := [job for job in work if not job.done and not job.diverged]:
+        if any(_train_alone(job, work, console) for job in left):
+            continue
+        if not said:
+            console.print(f"Waiting for another process, which trains {', '.join(job.name for job in left)}.")
+            said = True
+        time.sleep(_POLL)
+
+
+def _train_alone(job: TrainingJob, work: Sequence[TrainingJob], console: Console) -> bool:
+    """Train unless another process does, and return whether it was free."""
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with suppress(_TakenError):
+        with _own(job.folder):
+            if not job.done and not job.diverged:
+                left = [other for other in work if not other.done and not other.diverged]
+                place = len(work) - len(left) + 1
+                console.rule(f"{job.name} ({place} of {len(work)} trainings; {said_left(left, work)})")
+                job.train(console)
+        return True
+    return False
+
+
+class _TakenError(Exception):
+    """Another process has the training."""
+
+
+@contextmanager
+def _own(folder: Path) -> Iterator[None]:
+    """Lock a training's folder; _TakenError if another process has it."""
+    with ExitStack() as stack:
         try:
-            Trainer(
-                job.source.dataset,
-                job.folder,
-                job.recipe,
-                job.start,
-                resume=resume,
-                console=console,
-                test=False,
-                from_scratch=job.start is None,
-            ).run()
-        except DivergedError as error:
-            ended = "diverged"
-            console.print(f"{job.name} is given up. {error}", markup=False)
-        job.write(ended)
+            stack.enter_context(exclusive_lock(folder, wait=False))
+        except OutputError as error:
+            raise _TakenError from error
+        yield
 
 
 def seconds_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> float | None:
@@ -165,8 +237,9 @@ def seconds_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> f
     return sum(job.work * (job.recipe.epochs - len(job.seconds())) for job in left) / statistics.median(speeds)
 
 
-def _said_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> str:
+def said_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> str:
+    """Say about how much time one process needs for the trainings that are left."""
     seconds = seconds_left(left, known)
     if seconds is None:
-        return "time left not known yet"
+        return "time left not known before the first epoch"
     return f"about {seconds / 3600:.1f} h left" if seconds > 5400 else f"about {max(seconds / 60, 1):.0f} min left"

@@ -80,8 +80,6 @@ class Trainer:
         compiled: bool = False,
         from_scratch: bool = False,
     ) -> None:
-        if init is not None and from_scratch:
-            raise InputError("--init and --from-scratch exclude each other; give one of them.")
         self.group = group or single_process()
         self.console = (console or Console()) if self.group.is_leader else Console(quiet=True)
         self.dataset, self.out, self.recipe, self.evaluate_every = dataset, out, recipe, evaluate_every
@@ -91,11 +89,8 @@ class Trainer:
         if resume and there and "state.pt" not in there and _first_epoch_alone(out):
             self.console.print(f"The run in {out} was stopped during its first epoch, so it starts anew.")
             resume, there = False, []
-        if init is None and not from_scratch and not resume:
-            raise InputError(
-                "Every recipe starts from a backbone trained on ImageNet; give its weights with --init FILE, or say "
-                "--from-scratch to start from random weights."
-            )
+        if not resume or from_scratch:
+            check_start(init, from_scratch)
         if not resume and there:
             raise InputError(
                 f"{out} holds {there[0]} of a training run already; add --resume to continue it, or choose another --out."
@@ -118,7 +113,7 @@ class Trainer:
         self.history: list[EpochMetrics] = []
         self.first_loss = math.nan
         tasks = [task for task in dataset.tasks() if set(views_of(task)) <= set(self.places.views)]
-        self.test_split = TestSplit(dataset, tasks) if tasks and (test or evaluate_every) else None
+        self.test_split = TestSplit(dataset, tasks) if tasks and (test or (evaluate_every and not held)) else None
         self.validator: Validator | None = HeldOut(held) if held else self.test_split
         self._places_digest = self.places.digest(dataset.root)
         if resume:
@@ -319,6 +314,17 @@ class Trainer:
                 soft_wrap=True,
             )
         self.console.print(f"Resuming after epoch {len(self.history)} of {self.recipe.epochs}.")
+
+
+def check_start(init: Path | None, from_scratch: bool) -> None:
+    """Raise InputError unless a training is given the weights that it starts from, or is to start from random ones."""
+    if init is not None and from_scratch:
+        raise InputError("--init and --from-scratch exclude each other; give one of them.")
+    if init is None and not from_scratch:
+        raise InputError(
+            "Every recipe starts from a backbone trained on ImageNet; give its weights with --init FILE, or say "
+            "--from-scratch to start from random weights."
+        )
 
 
 def _first_epoch_alone(out: Path) -> bool:

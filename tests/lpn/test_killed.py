@@ -167,7 +167,7 @@ def test_train(places: Path, tmp_path: Path, killer: Killer) -> None:
 @pytest.mark.slow
 def test_reproduce(places: Path, tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
-    settings = ["--scale", "reduced", "--epochs", "1", "--batch", "4", "--backbone", "resnet18"]
+    settings = ["--recipe", "reduced", "--epochs", "1", "--batch", "4", "--from-scratch", "--no-tune"]
     arguments = ["reproduce", "table4", "--data", str(places), "--out", str(out), *settings]
 
     def written() -> object:

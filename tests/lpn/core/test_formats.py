@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import onnx
 import pytest
@@ -30,6 +31,7 @@ from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
 from lpn.reproduce.measure import FORMAT, MeasuredFigures, MeasurementStore
+from lpn.reproduce.record import Provenance
 from lpn.training.recipes import RECIPES
 from lpn.training.resume_state import ResumeState, read_state
 from lpn.world.atlas import Settings
@@ -179,13 +181,15 @@ def test_measurements_are_read_and_those_of_a_later_version_are_left_alone(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     file = tmp_path / "measured.json"
-    figures = {"key": {"values": [1.0, 2.0], "protocol": "As published."}}
-    expected = {"key": MeasuredFigures((1.0, 2.0), "As published.")}
-    file.write_text(json.dumps({"format": FORMAT, "checksum": crc_of_values(figures), "figures": figures}))
-    assert MeasurementStore(file)._figures == expected
+    made = Provenance("lpn reproduce table1", "0", "CPU, 1 cores", "2026-11-22")
+    figures = {"key": {"values": [1.0, 2.0], "protocol": "As published.", "made": msgspec.structs.asdict(made)}}
+    expected = {"key": MeasuredFigures((1.0, 2.0), "As published.", made)}
+    checksum = crc_of_values([figures, {}])
+    file.write_text(json.dumps({"format": FORMAT, "checksum": checksum, "figures": figures, "tables": {}}))
+    assert MeasurementStore(file)._file.figures == expected
     assert not caplog.records
     change(file, lambda values: values["figures"]["key"].update(values=[3.0, 2.0]))
-    assert MeasurementStore(file)._figures == {}
+    assert MeasurementStore(file)._file.figures == {}
     assert "is damaged; its figures are measured again" in caplog.text
     of_later(file)
     with pytest.raises(InputError, match=r"measured\.json was written " + LATER):
@@ -225,5 +229,5 @@ def test_a_damaged_plan_of_a_world_is_one_sentence(plan: str, tmp_path: Path) ->
 @pytest.mark.parametrize("held", ['{"key": {"values": [1' + "0" * 400 + '], "protocol": ""}}', "[" * 100_000])
 def test_measurements_that_are_none_are_made_again(held: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "measured.json").write_text(held)
-    assert MeasurementStore(tmp_path / "measured.json")._figures == {}
+    assert MeasurementStore(tmp_path / "measured.json")._file.figures == {}
     assert "its figures are measured again" in caplog.text

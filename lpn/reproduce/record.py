@@ -1,0 +1,145 @@
+"""The record of a measured table: everything that its page needs, and where each figure comes from."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+import msgspec
+import torch
+
+import lpn
+from lpn.reproduce.paper_values import Values
+
+
+class Provenance(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Where a figure comes from.
+
+    Attributes:
+        command: the command line.
+        version: of lpn, with the commit where the package lies in a checkout.
+        machine: kind of processors and accelerator.
+        date: year, month, and day.
+    """
+
+    command: str
+    version: str
+    machine: str
+    date: str
+
+
+class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A row of a measured table.
+
+    Attributes:
+        label: with which claims name it.
+        mean: for each column; empty if the row was not run.
+        spread: half of the distance between the lowest and the highest network, for each column.
+        paper: the paper's values, empty if it has no such row.
+        note: printed after the label.
+        networks: number of networks that were measured.
+        values: for each network, "seed 0" or "given", its value in each column.
+        trained, measured: for each network, where it and its figures come from.
+    """
+
+    label: str
+    mean: Values = ()
+    spread: Values = ()
+    paper: Values = ()
+    note: str = ""
+    networks: int = 1
+    values: dict[str, Values] = {}
+    trained: dict[str, Provenance] = {}
+    measured: dict[str, Provenance] = {}
+
+    @property
+    def shown(self) -> str:
+        """The label with its note."""
+        return f"{self.label} ({self.note})" if self.note else self.label
+
+
+class TableRecord(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A measured table.
+
+    Attributes:
+        key: such as "table1".
+        title: with the data set.
+        columns: titles of the measured columns.
+        beside: for each measured column, the index of the paper's column beside it, None if there is none.
+        alone: titles of the paper's columns that no measured column stands beside, by index.
+        notes: sentences below the table.
+    """
+
+    key: str
+    title: str
+    columns: tuple[str, ...]
+    beside: tuple[int | None, ...]
+    rows: tuple[RowRecord, ...]
+    notes: tuple[str, ...] = ()
+    alone: dict[int, str] = {}
+
+    def row(self, label: str) -> RowRecord | None:
+        """Return a row that was run; None if it was not."""
+        return next((row for row in self.rows if row.label == label and row.mean), None)
+
+
+def row_record(
+    label: str,
+    values: Mapping[str, Values],
+    paper: Values = (),
+    note: str = "",
+    trained: Mapping[str, Provenance] | None = None,
+    measured: Mapping[str, Provenance] | None = None,
+) -> RowRecord:
+    """Make the record of a row from the values of its networks."""
+    columns: list[Sequence[float]] = list(zip(*values.values(), strict=True))
+    return RowRecord(
+        label,
+        tuple(sum(column) / len(column) for column in columns),
+        tuple((max(column) - min(column)) / 2 for column in columns),
+        paper,
+        note,
+        len(values),
+        dict(values),
+        dict(trained or {}),
+        dict(measured or {}),
+    )
+
+
+@cache
+def here() -> Provenance:
+    """Return the provenance of figures that this process measures."""
+    arguments = [Path(sys.argv[0]).name, *sys.argv[1:]]
+    return Provenance(shlex.join(arguments), _version(), machine(), time.strftime("%Y-%m-%d"))
+
+
+def machine() -> str:
+    """Describe processors and accelerator, such as "AMD EPYC 7763, 2 cores" or the same with a GPU's name."""
+    name, info = "CPU", Path("/proc/cpuinfo")
+    if info.is_file():
+        models = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line]
+        name = models[0] if models else name
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    gpu = f", {torch.cuda.get_device_name()}" if torch.cuda.is_available() else ""
+    return f"{name}, {cores} cores{gpu}"
+
+
+def _version() -> str:
+    """Return the version, and the commit of the checkout that the package lies in."""
+    root = Path(lpn.__file__).parents[1]
+    if not (root / ".git").exists():
+        return lpn.__version__
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
+            capture_output=True, text=True, timeout=10, check=True,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return lpn.__version__
+    return f"{lpn.__version__}, commit {done.stdout.strip()}"

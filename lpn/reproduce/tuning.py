@@ -1,0 +1,131 @@
+"""Tuning of the losses of Table I: the same number of short trainings each, judged on training places that are held out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from lpn.core.files import write_atomic
+from lpn.reproduce.record import here
+from lpn.reproduce.sources import Source
+from lpn.reproduce.tables import Scale, Training
+from lpn.reproduce.trainings import TrainingJob
+
+# Share of the training places that a trial does not train on.
+HELD_OUT = 0.2
+# A trial takes this fraction of a training's epochs.
+FRACTION = 1 / 3
+# The settings tried for each network, "rate" as a factor of the recipe's learning rate. The first are the recipe's own, and
+# win a tie. Margins of triplets tell rows of Table I apart, so negatives are mined in two ways instead.
+TRIALS: dict[str, tuple[dict[str, Any], ...]] = {
+    "instance": ({"rate": 1.0}, {"rate": 0.1}, {"rate": 0.3}, {"rate": 3.0}),
+    "contrastive": (
+        {"rate": 1.0, "margin": 1.0},
+        {"rate": 0.3, "margin": 1.0},
+        {"rate": 1.0, "margin": 0.5},
+        {"rate": 0.3, "margin": 0.5},
+    ),
+    **dict.fromkeys(
+        ("triplet-0.3", "triplet-0.5"),
+        (
+            {"rate": 1.0, "mining": "all"},
+            {"rate": 0.3, "mining": "all"},
+            {"rate": 1.0, "mining": "hardest"},
+            {"rate": 0.3, "mining": "hardest"},
+        ),
+    ),
+    "soft-margin": (
+        {"rate": 1.0, "alpha": 10.0},
+        {"rate": 0.3, "alpha": 10.0},
+        {"rate": 1.0, "alpha": 20.0},
+        {"rate": 0.3, "alpha": 20.0},
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One short training of a network, with the settings that it tries."""
+
+    settings: Mapping[str, Any]
+    job: TrainingJob
+
+
+def plan(
+    training: Training, scale: Scale, seed: int, out: Path, source: Source, starts: Mapping[str, Path]
+) -> list[Trial]:
+    """Plan the trials of a network; empty if it is not tuned.
+
+    Args:
+        out: folder of all trials.
+        starts: pretrained weights by backbone.
+    """
+    recipe = scale.recipe(training, seed)
+    epochs = max(round(recipe.epochs * FRACTION), 1)
+    trials = []
+    for number, tried in enumerate(TRIALS.get(training.name, ()), 1):
+        settings = {"lr": recipe.lr * tried["rate"], **{name: tried[name] for name in tried if name != "rate"}}
+        job = TrainingJob(
+            training,
+            seed,
+            replace(recipe, **settings, epochs=epochs),
+            out / f"{training.name}-{number}",
+            source,
+            starts.get(recipe.backbone),
+            HELD_OUT,
+        )
+        trials.append(Trial(settings, job))
+    return trials
+
+
+def best(trials: Sequence[Trial]) -> Trial | None:
+    """Return the first trial with the highest score; None if none has one."""
+    scored = [trial for trial in trials if trial.job.score is not None]
+    return max(scored, key=lambda trial: trial.job.score or 0.0, default=None)
+
+
+def write(trials: Mapping[str, Sequence[Trial]], path: Path) -> None:
+    """Write all trials and the chosen ones as JSON."""
+    chosen = {name: best(of_network) for name, of_network in trials.items()}
+    values = {
+        "held out": HELD_OUT,
+        "command": here().command,
+        "trials": {
+            name: [
+                {
+                    **trial.settings,
+                    "epochs": trial.job.recipe.epochs,
+                    "seed": trial.job.seed,
+                    "held-out R@1": trial.job.score,
+                    "chosen": trial is chosen[name],
+                }
+                for trial in of_network
+            ]
+            for name, of_network in trials.items()
+        },
+    }
+    write_atomic(path, (json.dumps(values, indent=1) + "\n").encode())
+
+
+def note(trials: Mapping[str, Sequence[Trial]]) -> str:
+    """Say in one paragraph what was tried and chosen; empty without trials."""
+    if not trials:
+        return ""
+    counts = {len(of_network) for of_network in trials.values()}
+    said = []
+    for name, of_network in trials.items():
+        chosen = best(of_network)
+        if chosen is None:
+            said.append(f"{name}: no trial ended, so the recipe's own settings")
+            continue
+        scores = ", ".join("diverged" if t.job.score is None else f"{t.job.score:.1f}" for t in of_network)
+        settings = ", ".join(f"{setting} {value:g}" if isinstance(value, float) else f"{setting} {value}"
+                             for setting, value in chosen.settings.items())  # fmt: skip
+        said.append(f"{name}: {settings} (R@1 {chosen.job.score:.1f} of {scores})")
+    return (
+        f"Tuned by {'/'.join(map(str, sorted(counts)))} short trainings each, a third of the epochs, and chosen by R@1 on "
+        f"{HELD_OUT:.0%} of the training places held out: {'; '.join(said)}. LPN keeps its recipe, untuned."
+    )

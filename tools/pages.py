@@ -1,0 +1,158 @@
+"""The pages with measured figures, rendered from their data: `python -m tools.pages [--run runs/reproduce] [--check]`.
+
+`docs/measured/<page>.md.j2` is the page's text, and `docs/measured/<page>.json` holds its figures, each with its command, seed,
+version, machine, and date. With `--run`, the tables and drawings of a run of `lpn reproduce` replace the page's own first. With
+`--check`, nothing is written: a page that differs from its data, and a figure in the text alone, end it with status 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import msgspec
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from lpn.core.arrays import UInt8Array
+from lpn.core.files import write_atomic
+from lpn.reproduce import report
+from lpn.reproduce.measure import read_measurements
+from lpn.reproduce.record import Provenance, TableRecord
+
+PAGES = ("reproduction", "evaluation")
+FORMAT = "lpn-page/1"
+
+# Drawings of a run, and the pictures of the page.
+_DRAWINGS = {
+    "figure5": "figure5.png",
+    "figure7a": "figure7.jpg",
+    "figure7b": "figure7b.jpg",
+    "figure8": "figure8.jpg",
+    "figure8-panoramas": "figure8-panoramas.jpg",
+}
+_SOURCE = "<!-- Rendered from docs/measured by python -m tools.pages; edit the template and the data there. -->\n"
+
+
+def render(page: str, docs: Path) -> str:
+    """Return the text of a page."""
+    data = json.loads((docs / "measured" / f"{page}.json").read_bytes())
+    environment = Environment(
+        loader=FileSystemLoader(docs / "measured"), undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    environment.tests["match"] = lambda text, pattern: re.match(pattern, text) is not None
+    environment.filters |= {"figure": _figure, "mean": _mean, "cells": _cells}
+    records = {key: _record(value) for key, value in data.pop("tables", {}).items()}
+    drawings = [picture for picture in _DRAWINGS.values() if (docs / picture).is_file()]
+    text = environment.get_template(f"{page}.md.j2").render(
+        **data, tables=records, table=lambda key: table(records[key]), drawings=drawings
+    )
+    return text.rstrip("\n") + "\n\n" + _SOURCE
+
+
+def table(record: TableRecord) -> str:
+    """Format a measured table as `lpn reproduce` writes it, and where its figures come from."""
+    return report.markdown(record).rstrip("\n") + "\n\n" + "".join(f"{line}  \n" for line in origins(record))
+
+
+def origins(record: TableRecord) -> list[str]:
+    """Say where the figures of a table come from, each place once."""
+    said: dict[str, None] = {}
+    for verb, by_network in (("Trained", "trained"), ("Measured", "measured")):
+        places: dict[Provenance, set[str]] = {}
+        for row in record.rows:
+            found: Mapping[str, Provenance] = getattr(row, by_network)
+            for network, made in found.items():
+                places.setdefault(made, set()).add(network)
+        for made, networks in places.items():
+            seeds = sorted(networks - {"given"})
+            of = f" ({', '.join(seeds)})" if seeds else ""
+            said[f"{verb}{of} by `{made.command}`, lpn {made.version}, on {made.machine}, {made.date}."] = None
+    return list(said)
+
+
+def copy_run(run: Path, docs: Path) -> None:
+    """Take the tables and drawings of a run of `lpn reproduce` over into the page's data."""
+    path = docs / "measured" / "reproduction.json"
+    data = json.loads(path.read_bytes())
+    data["tables"] |= json.loads(msgspec.json.encode(read_measurements(run / "measured.json").tables))
+    data["tables"] = dict(sorted(data["tables"].items(), key=lambda item: (item[0].startswith("figure"), item[0])))
+    if (run / "tuning.json").is_file():
+        data["tuning"] = json.loads((run / "tuning.json").read_bytes())
+    write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
+    for name, picture in _DRAWINGS.items():
+        if (drawn := run / f"{name}.png").is_file():
+            cv2.imwrite(str(docs / picture), cast(UInt8Array, cv2.imread(str(drawn))))
+
+
+def stray_figures(template: str) -> list[str]:
+    """Return lines of a template with a figure of its own: a decimal number outside of code, or a number in a table."""
+    text = re.sub(r"\{\{.*?\}\}|\{%.*?%\}|\{#.*?#\}", "", template, flags=re.DOTALL)
+    text = re.sub(r"^    .*$", "", text, flags=re.MULTILINE)
+    text = re.sub(r"`[^`\n]*`", "", text)
+    wrong = []
+    for line in text.splitlines():
+        cells = line.split("|")[2:-1] if line.startswith("|") else []
+        numbers = any(re.fullmatch(r"[\s*]*[-+]?\d[\d.,]*[\s*%]*", cell) for cell in cells)
+        if numbers or re.search(r"(?<![\d.])\d+\.\d(?!\.)", line):
+            wrong.append(line)
+    return wrong
+
+
+def _record(value: Any) -> TableRecord:
+    # JSON knows no keys but strings, which msgspec reads back.
+    return msgspec.json.decode(msgspec.json.encode(value), type=TableRecord)
+
+
+def _figure(value: Any, digits: int = 1) -> str:
+    """Format a number, or numbers with commas between them."""
+    if isinstance(value, list):
+        return ", ".join(_figure(single, digits) for single in value)
+    return f"{value:.{digits}f}"
+
+
+def _cells(values: list[float], digits: int = 1) -> str:
+    """Format numbers as the cells of a table's row."""
+    return " | ".join(_figure(value, digits) for value in values)
+
+
+def _mean(values: list[float], digits: int = 1) -> str:
+    """Format the mean of seeds with half of the distance between the lowest and the highest."""
+    return f"{sum(values) / len(values):.{digits}f} ± {(max(values) - min(values)) / 2:.{digits}f}"
+
+
+def errors(page: str, docs: Path) -> list[str]:
+    """Return what keeps a page from being its data: a difference, or figures in the text alone."""
+    stray = stray_figures((docs / "measured" / f"{page}.md.j2").read_text(encoding="utf-8"))
+    found = [f"docs/measured/{page}.md.j2 has a figure of its own; move it into {page}.json: {line}" for line in stray]
+    if (docs / f"{page}.md").read_text(encoding="utf-8") != render(page, docs):
+        found.append(f"docs/{page}.md differs from its data in docs/measured; run python -m tools.pages.")
+    return found
+
+
+def main() -> int:
+    """Render the pages, after taking over a run, or check them."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--run", type=Path, help="folder of a finished lpn reproduce")
+    parser.add_argument("--check", action="store_true", help="write nothing, and fail on a difference")
+    parser.add_argument("--docs", type=Path, default=Path(__file__).parents[1] / "docs")
+    given = parser.parse_args()
+    if given.check:
+        found = [error for page in PAGES for error in errors(page, given.docs)]
+        print("\n".join(found) or "The pages are what their data say.")
+        return int(bool(found))
+    if given.run is not None:
+        copy_run(given.run, given.docs)
+    for page in PAGES:
+        write_atomic(given.docs / f"{page}.md", render(page, given.docs).encode())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
