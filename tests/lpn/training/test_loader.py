@@ -17,12 +17,15 @@ from lpn.core import images
 from lpn.core.errors import InputError, PictureError
 from lpn.datasets import open_dataset
 from lpn.training.loader import Loader, TrainingBatch, choose_workers
-from lpn.training.recipes import RECIPES
+from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.training_set import TrainingSet
 from tools.fixtures import small_worlds
 
 CPU = torch.device("cpu")
 RECIPE = replace(RECIPES["world"], size=32, batch=4)
+# Pictures as they are, so that a batch tells which files it has.
+INDEPENDENT = replace(RECIPES["released"], size=32, batch=4, padding=0, satellite_rotation=0.0, flip="none")
+BOTH = pytest.mark.parametrize("recipe", [RECIPE, INDEPENDENT], ids=["places", "pictures"])
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +33,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_worlds.make_dataset(tmp_path_factory.mktemp("loader") / "places", train=10, test=0)
 
 
-def loader(data: Path, **options: Any) -> Loader:
-    return Loader(TrainingSet(open_dataset(data), Console(quiet=True)), RECIPE, CPU, **options)
+def loader(data: Path, recipe: Recipe = RECIPE, **options: Any) -> Loader:
+    return Loader(TrainingSet(open_dataset(data), Console(quiet=True)), recipe, CPU, **options)
 
 
 def same(one: TrainingBatch, two: TrainingBatch) -> bool:
@@ -40,21 +43,62 @@ def same(one: TrainingBatch, two: TrainingBatch) -> bool:
     )
 
 
-def test_batches_do_not_depend_on_the_number_of_workers_or_on_where_a_run_begins(data: Path) -> None:
-    one, many = (list(loader(data, workers=n).stream(0, 3)) for n in (1, 5))
+@BOTH
+def test_batches_do_not_depend_on_the_number_of_workers_or_on_where_a_run_begins(data: Path, recipe: Recipe) -> None:
+    one, many = (list(loader(data, recipe, workers=n).stream(0, 3)) for n in (1, 5))
     assert len(one) == 3 * (10 // 4)
     assert all(same(a, b) for a, b in zip(one, many, strict=True))
-    resumed = list(loader(data, workers=2).stream(2, 3))
+    resumed = list(loader(data, recipe, workers=2).stream(2, 3))
     assert all(same(a, b) for a, b in zip(one[-2:], resumed, strict=True))
     assert not same(one[0], one[2])
 
 
-def test_processes_shares_make_the_batch(data: Path) -> None:
-    whole = next(loader(data).stream(0, 1))
-    first, second = (next(loader(data, share=rows).stream(0, 1)) for rows in (slice(0, 2), slice(2, 4)))
+@BOTH
+def test_processes_shares_make_the_batch(data: Path, recipe: Recipe) -> None:
+    whole = next(loader(data, recipe).stream(0, 1))
+    first, second = (next(loader(data, recipe, share=rows).stream(0, 1)) for rows in (slice(0, 2), slice(2, 4)))
     for name, pictures in whole.sets.items():
         assert torch.equal(torch.cat([first.sets[name], second.sets[name]]), pictures)
         assert torch.equal(first.labels[name], whole.labels[name])
+
+
+def test_sets_are_shuffled_on_their_own_over_their_pictures_with_their_own_labels(tmp_path: Path) -> None:
+    """Places have one satellite and three drone pictures each; an epoch ends with the satellites."""
+    for label in range(1, 11):
+        counts = {"satellite": 1, "drone": 3, "street": 2, "google": 1 if label > 2 else 4}
+        for seed, (name, count) in enumerate(counts.items()):
+            for number in range(count):
+                picture = small_worlds.place(1000 * seed + 100 * number + label)
+                small_worlds.write(tmp_path / "train" / name / f"{label:04d}" / f"{number}.png", picture)
+    made = loader(tmp_path, INDEPENDENT)
+    assert made.steps == 10 // 4
+    files = {
+        images.normalise(images.resize(images.load_picture(file), 32, 32)).tobytes(): (name, number, file)
+        for name, places in made.places.files.items()
+        for number, place in enumerate(places)
+        for file in place
+    }
+    assert len(files) == 10 * 6 + 8 + 8
+    drawn: list[tuple[int, str, Path]] = []
+    apart = 0
+    for step, batch in enumerate(made.stream(0, 20)):
+        assert set(batch.sets) == {"satellite", "street", "drone", "google"}
+        for name, pictures in batch.sets.items():
+            for row, picture in enumerate(pictures):
+                set_of, number, file = files[picture.contiguous().numpy().tobytes()]
+                assert (set_of, number) == (name, int(batch.labels[name][row]))
+                drawn.append((step // made.steps, name, file))
+        apart += not torch.equal(batch.labels["satellite"], batch.labels["drone"])
+    # Within an epoch no picture is drawn twice; over all epochs each is drawn, and sets differ in their order.
+    assert len(drawn) == len(set(drawn)) == 20 * 2 * 4 * 4
+    assert {file for _, _, file in drawn} == {file for _, _, file in files.values()}
+    assert apart == 40
+
+
+def test_a_batch_larger_than_the_smallest_set_is_refused(data: Path) -> None:
+    for recipe, what in ((RECIPE, "10 places"), (INDEPENDENT, "10 pictures in the smallest set")):
+        with pytest.raises(InputError, match=f"There are {what} and a batch of 12; set --batch to at most 10"):
+            loader(data, replace(recipe, batch=12))
 
 
 def test_pictures_are_normalised_as_everywhere_and_channels_last(data: Path) -> None:

@@ -12,7 +12,7 @@ from safetensors.torch import load_file
 
 from lpn.core.errors import InputError
 from lpn.training.multi_process import ProcessGroup
-from tests.lpn.training.two_processes import trainer
+from tests.lpn.training.two_processes import INDEPENDENT, trainer
 from tools.fixtures import small_worlds
 
 ROOT = Path(__file__).parents[3]
@@ -52,6 +52,14 @@ def test_two_processes_train_as_one_does(places: Path, shared: Path, tmp_path: P
     weights = torch.load(shared / "weights0.pt", weights_only=True)
     for name, alone in run.network.named_parameters():
         torch.testing.assert_close(weights[name], alone.detach(), rtol=1e-3, atol=1e-5)
+
+
+def test_two_processes_share_sets_that_are_shuffled_on_their_own(places: Path, shared: Path, tmp_path: Path) -> None:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    trainer(places, tmp_path / "alone", recipe=INDEPENDENT).run()
+    torch.set_num_threads(threads)
+    assert losses(shared / "independent") == pytest.approx(losses(tmp_path / "alone"), rel=1e-4)
 
 
 def test_both_processes_have_the_same_weights(shared: Path) -> None:

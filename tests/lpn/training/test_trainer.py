@@ -76,11 +76,26 @@ def test_training_improves_retrieval_of_the_training_places(tmp_path: Path, n_pa
     assert load_torch(model).spec.classes == 24
 
 
+# Sets shuffled on their own, and a warm-up of the loss that the cut falls into.
+RELEASED = replace(
+    RECIPES["released"],
+    backbone="resnet18",
+    last_layer="layer3",
+    size=64,
+    epochs=3,
+    batch=4,
+    warmup_epochs=2,
+    warmup="loss",
+    precision="float32",
+)
+
+
+@pytest.mark.parametrize("recipe", [QUICK, pytest.param(RELEASED, marks=pytest.mark.slow)], ids=["small", "released"])
 def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
-    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recipe: Recipe
 ) -> None:
-    trainer(places, tmp_path / "whole")[0].run()
-    run, _ = trainer(places, tmp_path / "cut")
+    trainer(places, tmp_path / "whole", recipe)[0].run()
+    run, _ = trainer(places, tmp_path / "cut", recipe)
     original = Trainer._epoch
 
     def killed(self: Trainer, epoch: int, *rest: object) -> dict[str, float]:
@@ -93,7 +108,7 @@ def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
         with pytest.raises(KeyboardInterrupt):
             run.run()
     assert len(losses(tmp_path / "cut")) == 1
-    resumed, said = trainer(places, tmp_path / "cut", resume=True)
+    resumed, said = trainer(places, tmp_path / "cut", recipe, resume=True)
     resumed.run()
     assert "after epoch 1 of 3" in said.getvalue()
     assert losses(tmp_path / "cut") == losses(tmp_path / "whole")
@@ -368,6 +383,25 @@ def test_a_compiled_training_has_the_losses_of_an_eager_one(places: Path, tmp_pa
     load_torch(run.run())
     trainer(places, tmp_path / "eager", two_steps, test=False)[0].run()
     assert losses(tmp_path / "compiled") == pytest.approx(losses(tmp_path / "eager"), rel=1e-3)
+
+
+def test_a_run_starts_from_given_weights_or_says_that_it_does_not(places: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--init FILE, or say --from-scratch"):
+        trainer(places, tmp_path / "run", from_scratch=False)
+    save(small_worlds.make_network(), tmp_path / "init.safetensors")
+    with pytest.raises(InputError, match="exclude each other"):
+        trainer(places, tmp_path / "run", init=tmp_path / "init.safetensors", from_scratch=True)
+    # A run that was killed in its first epoch starts anew, so it needs its weights again.
+    (tmp_path / "run").mkdir(exist_ok=True)
+    (tmp_path / "run" / "log.csv").write_text("epoch,loss\n1,2.0\n")
+    with pytest.raises(InputError, match="--init FILE, or say --from-scratch"):
+        trainer(places, tmp_path / "run", from_scratch=False, resume=True)
+
+
+def test_a_cpu_says_that_it_does_not_compute_in_float16(places: Path, tmp_path: Path) -> None:
+    run, said = trainer(places, tmp_path / "run", replace(QUICK, precision="float16"))
+    run._print_setup()
+    assert f"Computing in {run.learner.mixed_precision.name} on cpu (float16 needs a CUDA device);" in said.getvalue()
 
 
 def test_the_paper_s_recipe_is_the_default() -> None:

@@ -13,7 +13,7 @@ from torch import nn
 
 from lpn.datasets import open_dataset
 from lpn.training.multi_process import ProcessGroup, join
-from lpn.training.recipes import RECIPES
+from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.trainer import Trainer
 
 RECIPE = replace(
@@ -30,11 +30,19 @@ RECIPE = replace(
 )
 
 
-def trainer(data: Path, out: Path, group: ProcessGroup | None = None, resume: bool = False) -> Trainer:
+# Sets shuffled on their own, each with its own labels.
+INDEPENDENT = replace(
+    RECIPE, epochs=1, sampling="pictures", infonce=0.0, flip="picture", place_rotation=0.0, joint_views=False
+)
+
+
+def trainer(
+    data: Path, out: Path, group: ProcessGroup | None = None, resume: bool = False, recipe: Recipe = RECIPE
+) -> Trainer:
     """Make a training with frozen BatchNorm, so that the division of a batch changes nothing."""
     with (out.parent / f"{out.name}.txt").open("a") as said:
         run = Trainer(
-            open_dataset(data), out, RECIPE, resume=resume, console=Console(file=said), group=group, from_scratch=True
+            open_dataset(data), out, recipe, resume=resume, console=Console(file=said), group=group, from_scratch=True
         )
     run.console = Console(quiet=True)
     for module in run.network.modules():
@@ -49,6 +57,7 @@ def main(data: Path, out: Path) -> None:
     run = trainer(data, out / "whole", group)
     run.run()
     torch.save(dict(run.network.named_parameters()), out / f"weights{group.rank}.pt")
+    trainer(data, out / "independent", group, recipe=INDEPENDENT).run()
     run = trainer(data, out / "cut", group)
     original = Trainer._epoch
 
