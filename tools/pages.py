@@ -11,6 +11,7 @@ import argparse
 import json
 import re
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -18,12 +19,13 @@ from typing import Any, cast
 import cv2
 import msgspec
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from safetensors import safe_open
 
 from lpn.core.arrays import UInt8Array
 from lpn.core.files import write_atomic
 from lpn.reproduce import report
 from lpn.reproduce.measure import read_measurements
-from lpn.reproduce.record import Provenance, TableRecord
+from lpn.reproduce.record import Provenance, TableRecord, machine
 
 PAGES = ("reproduction", "evaluation")
 FORMAT = "lpn-page/1"
@@ -91,6 +93,48 @@ def copy_run(run: Path, docs: Path) -> None:
             cv2.imwrite(str(docs / picture), cast(UInt8Array, cv2.imread(str(drawn))))
 
 
+def copy_ablation(runs: Path, commit: str, docs: Path) -> None:
+    """Take the runs of the ablation over into the page's data: the folders `<method>-seed<k>` that have both tasks' JSON files.
+
+    Only seeds that both methods have are taken.
+    """
+    of_seed: dict[int, dict[str, list[float]]] = {}
+    for folder in sorted(runs.glob("*-seed*")):
+        method, _, seed = folder.name.partition("-seed")
+        tasks = [folder / f"{task}.json" for task in ("drone-to-satellite", "satellite-to-drone")]
+        if all(file.is_file() for file in tasks):
+            found = [json.loads(file.read_bytes()) for file in tasks]
+            of_seed.setdefault(int(seed), {})[method] = [task[key] for task in found for key in ("recall@1", "ap")]
+    seeds = sorted(seed for seed, methods in of_seed.items() if len(methods) == 2)
+    with safe_open(runs / f"lpn-seed{seeds[0]}" / "last.safetensors", "np") as file:
+        recipe = json.loads(file.metadata()["recipe"])
+    path = docs / "measured" / "evaluation.json"
+    data = json.loads(path.read_bytes())
+    command = (
+        "lpn train --data university1652-mini --out runs/lpn-seed0 --recipe small --method lpn --infonce 0 --ema 0 "
+        f"--label-smoothing 0 --epochs {recipe['epochs']} --seed 0 --init resnet18_imagenet_to_layer3.safetensors"
+    )
+    data["ablation"] = {
+        "source": {
+            "command": [
+                command,
+                command.replace("lpn-seed0", "instance-seed0").replace("method lpn", "method instance"),
+            ],
+            "seed": seeds,
+            "commit": commit,
+            "machine": machine(),
+            "date": time.strftime("%Y-%m-%d", time.gmtime((runs / f"lpn-seed{seeds[-1]}" / "log.csv").stat().st_mtime)),
+            "epochs": recipe["epochs"],
+        },
+        "seeds": seeds,
+        "runs": {
+            method: [list(column) for column in zip(*(of_seed[seed][method] for seed in seeds), strict=True)]
+            for method in ("lpn", "instance")
+        },
+    }
+    write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
+
+
 def stray_figures(template: str) -> list[str]:
     """Return lines of a template with a figure of its own: a decimal number outside of code, or a number in a table."""
     text = re.sub(r"\{\{.*?\}\}|\{%.*?%\}|\{#.*?#\}", "", template, flags=re.DOTALL)
@@ -140,6 +184,8 @@ def main() -> int:
     """Render the pages, after taking over a run, or check them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--run", type=Path, help="folder of a finished lpn reproduce")
+    parser.add_argument("--ablation", type=Path, help="folder of the ablation's runs")
+    parser.add_argument("--commit", default="", help="commit of the ablation's runs")
     parser.add_argument("--check", action="store_true", help="write nothing, and fail on a difference")
     parser.add_argument("--docs", type=Path, default=Path(__file__).parents[1] / "docs")
     given = parser.parse_args()
@@ -149,6 +195,8 @@ def main() -> int:
         return int(bool(found))
     if given.run is not None:
         copy_run(given.run, given.docs)
+    if given.ablation is not None:
+        copy_ablation(given.ablation, given.commit, given.docs)
     for page in PAGES:
         write_atomic(given.docs / f"{page}.md", render(page, given.docs).encode())
     return 0

@@ -108,7 +108,11 @@ class Scale:
         if training.method.startswith("safa") and self.safa is not None:
             base = self.safa
         named = recipes.find(base, training.method) if isinstance(base, str) else recipes.method(training.method, base)
-        return replace(named, **{**self.changes, **self.tuned.get(training.name, {}), **training.changes, "seed": seed})
+        changes = {**self.changes, **self.tuned.get(training.name, {}), **training.changes, "seed": seed}
+        if not str(changes.get("backbone", "vgg16")).startswith("vgg16"):
+            # SAFA's recipe has a dropout in its VGG-16.
+            changes.setdefault("backbone_dropout", 0.0)
+        return replace(named, **changes)
 
     @property
     def base(self) -> Recipe:
@@ -117,7 +121,9 @@ class Scale:
 
 
 # Settings that tell the rows of the tables apart; the user cannot change them for all rows.
-ROW_SETTINGS = ("n_parts", "layout", "pooling", "polar", "google", "instance", "metric", "margin", "seed")
+ROW_SETTINGS = (
+    "n_parts", "layout", "pooling", "polar", "maps", "google", "instance", "metric", "metric_per_part", "margin", "seed"
+)  # fmt: skip
 
 _REDUCED = replace(RECIPES["world"], epochs=30, infonce=0.0)
 

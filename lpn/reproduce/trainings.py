@@ -9,12 +9,14 @@ import csv
 import json
 import shutil
 import statistics
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import msgspec
 from rich.console import Console
@@ -105,6 +107,27 @@ class TrainingJob:
     def seconds(self) -> list[float]:
         """Seconds of each epoch on disk."""
         return [float(row["seconds"]) for row in self._log()]
+
+    def epoch_seconds(self) -> float:
+        """Time a step, and return the seconds of an epoch of as many."""
+        with tempfile.TemporaryDirectory() as folder:
+            trainer = Trainer(
+                self.source.dataset,
+                Path(folder),
+                self.recipe,
+                console=Console(quiet=True),
+                test=False,
+                from_scratch=True,
+            )
+            trainer.network.train()
+            with closing(cast(Any, trainer.loader.stream(0, 1))) as stream:
+                # The first step of a process is slower.
+                for number, batch in enumerate(islice(stream, 2)):
+                    started = time.perf_counter()
+                    loss, _ = trainer.learner.step(batch, number, trainer.steps)
+                    # Reading the loss waits for a GPU.
+                    float(loss)
+            return (time.perf_counter() - started) * trainer.steps
 
     def identity(self) -> dict[str, Any]:
         """Everything that decides the result of the training."""
@@ -229,17 +252,14 @@ def _own(folder: Path) -> Iterator[None]:
         yield
 
 
-def seconds_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> float | None:
-    """Estimate the remaining seconds from the median speed of the epochs on disk; None if there are none."""
+def seconds_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> float:
+    """Estimate the remaining seconds from the median speed of the epochs on disk, or from a step of the first training."""
     speeds = [job.work / seconds for job in known for seconds in job.seconds()]
-    if not speeds:
-        return None
-    return sum(job.work * (job.recipe.epochs - len(job.seconds())) for job in left) / statistics.median(speeds)
+    speed = statistics.median(speeds) if speeds else left[0].work / left[0].epoch_seconds()
+    return sum(job.work * (job.recipe.epochs - len(job.seconds())) for job in left) / speed
 
 
 def said_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> str:
     """Say about how much time one process needs for the trainings that are left."""
     seconds = seconds_left(left, known)
-    if seconds is None:
-        return "time left not known before the first epoch"
     return f"about {seconds / 3600:.1f} h left" if seconds > 5400 else f"about {max(seconds / 60, 1):.0f} min left"

@@ -91,6 +91,9 @@ def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
     assert (recipes["panorama-lpn"].backbone, recipes["panorama-lpn"].n_parts) == ("vgg16_bn", 8)
     assert (recipes["panorama-safa-lpn"].pooling, recipes["panorama-safa-lpn"].optimizer) == ("safa", "adam")
     assert recipes["panorama-safa-lpn"].input_size == (112, 616)
+    small = replace(scale, changes={"backbone": "resnet18", "last_layer": "layer3"})
+    for table in tables(small).values():
+        assert {small.recipe(training, 0).backbone for training in table.trainings} == {"resnet18"}
     made = {name: recipes[f"panorama-{name}"] for name in ("safa", "safa-lpn")}
     assert {recipe.backbone for recipe in made.values()} == {"vgg16"}
     assert [(recipe.n_parts, recipe.maps, recipe.metric_per_part) for recipe in made.values()] == [
@@ -122,6 +125,7 @@ def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: P
     by_column = {row["column"]: float(row["seed 1"]) for row in rows if row["row"] == "LPN, 0°"}
     assert list(by_column.values()) == pytest.approx(expected, abs=1e-4)
     assert (tmp_path / "table4.png").read_bytes()[:4] == b"\x89PNG"
+    assert "Plan: 4 of 4 trainings are left, 0 of them short trials: 4 epochs, about 1 min left" in said(made)
     assert "4 of 4 trainings; about 1 min left" in said(made)
     # The rotation of 0 degrees and all parts are the same measurement.
     by_angle = text.split("| LPN, 0° |")[1].split("\n")[0]
