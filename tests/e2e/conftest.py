@@ -152,9 +152,10 @@ def panorama_app(tmp_path: Path) -> Iterator[RunningApp]:
         views=("satellite", "street"),
         shared=False,
         n_parts=4,
-        embedding=8 * 256,
+        embedding=256,
         input_size=(48, 256),
         pooling="safa",
+        maps=1,
         polar=True,
     )
     save(LPN(spec), tmp_path / "safa.safetensors")

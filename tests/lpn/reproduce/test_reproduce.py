@@ -603,7 +603,11 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
     assert main(["reproduce", "table1", "--data", str(places), *flags]) == 0
     assert seen[1].scale.changes == {"lr": 0.01, "joint_views": False, "label_smoothing": 0.0, "epochs": 3}
     assert seen[1].scale.name == "released"
-    for flag, expected in (("--n-parts", "tells the rows of the tables apart"), ("--seed", "give --seeds")):
+    for flag, expected in (
+        ("--n-parts", "tells the rows of the tables apart"),
+        ("--maps", "tells"),
+        ("--seed", "give --seeds"),
+    ):
         assert main(["reproduce", "table1", "--data", str(places), flag, "2"]) == 2
         assert expected in capsys.readouterr().err
     assert main(["reproduce", "table1", "--data", str(places), "--recipe", "small"]) == 2
