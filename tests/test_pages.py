@@ -61,6 +61,8 @@ def test_every_set_of_figures_names_its_source() -> None:
         rows = [row for row in table["rows"] if row.get("mean")]
         assert rows
         assert all(row["measured"] and all(map(made, row["measured"].values())) for row in rows)
-    for name, figures in json.loads((ROOT / "docs" / "measured" / "evaluation.json").read_bytes()).items():
-        if name not in ("format", "paper") and figures.get("runs", True):
+    for page in ("evaluation", "recipes"):
+        for name, figures in json.loads((ROOT / "docs" / "measured" / f"{page}.json").read_bytes()).items():
+            if name in ("format", "paper") or not figures.get("runs", True):
+                continue
             assert {"command", "seed", "commit", "machine", "date"} <= set(figures["source"]), name

@@ -1,8 +1,9 @@
 """The pages with measured figures, rendered from their data: `python -m tools.pages [--run runs/reproduce] [--check]`.
 
 `docs/measured/<page>.md.j2` is the page's text, and `docs/measured/<page>.json` holds its figures, each with its command, seed,
-version, machine, and date. With `--run`, the tables and drawings of a run of `lpn reproduce` replace the page's own first. With
-`--check`, nothing is written: a page that differs from its data, and a figure in the text alone, end it with status 1.
+version, machine, and date. The tables of docs/recipes.md come from `lpn.training.recipe_sources`. With `--run`, the tables and
+drawings of a run of `lpn reproduce` replace the page's own first. With `--check`, nothing is written: a page that differs from its
+data, and a figure in the text alone, end it with status 1.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ from lpn.core.files import write_atomic
 from lpn.reproduce import report
 from lpn.reproduce.measure import read_measurements
 from lpn.reproduce.record import Provenance, TableRecord, machine
+from lpn.training import recipe_sources, recipes
 
-PAGES = ("reproduction", "evaluation")
+PAGES = ("reproduction", "evaluation", "recipes")
 FORMAT = "lpn-page/1"
 
 # Drawings of a run, and the pictures of the page.
@@ -52,6 +54,7 @@ def render(page: str, docs: Path) -> str:
     environment.filters |= {"figure": _figure, "mean": _mean, "cells": _cells}
     records = {key: _record(value) for key, value in data.pop("tables", {}).items()}
     drawings = [picture for picture in _DRAWINGS.values() if (docs / picture).is_file()]
+    environment.globals |= {"recipe_table": recipe_sources.table, "source": recipe_sources.source, "find": recipes.find}
     text = environment.get_template(f"{page}.md.j2").render(
         **data, tables=records, table=lambda key: table(records[key]), drawings=drawings
     )
