@@ -2,8 +2,8 @@
 
 `docs/measured/<page>.md.j2` is the page's text, and `docs/measured/<page>.json` holds its figures, each with its command, seed,
 version, machine, and date. The tables of docs/recipes.md come from `lpn.training.recipe_sources`. With `--run`, the tables and
-drawings of a run of `lpn reproduce` replace the page's own first. With `--check`, nothing is written: a page that differs from its
-data, and a figure in the text alone, end it with status 1.
+drawings of a run of `lpn reproduce` replace the page's own first. With `--check`, nothing is written: a page that differs from
+its data, and a figure in the text alone, end it with status 1.
 """
 
 from __future__ import annotations
