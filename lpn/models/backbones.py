@@ -106,7 +106,7 @@ class VGG16(nn.Module):
     Args:
         batch_norm: normalise after each convolution.
         dropout: probability, in training only, after each of the six convolutions from conv4_1 to conv5_3.
-        ceil_mode: round halves up, so that the poolings of odd maps keep the last row and column; torchvision rounds down.
+        ceil_mode: round the size of a pooled map up, which keeps the last row and column of odd maps; torchvision rounds down.
     """
 
     channels = 512
@@ -121,7 +121,7 @@ class VGG16(nn.Module):
                 if batch_norm:
                     layers.append(nn.BatchNorm2d(width))
                 relu = nn.ReLU(inplace=True)
-                # Within the activation's entry, dropout leaves torchvision's numbers of the layers as they are.
+                # Dropout shares the activation's entry, so that torchvision's layer numbers stay valid.
                 layers.append(nn.Sequential(relu, nn.Dropout(rate)) if rate else relu)
                 channels = width
             layers.append(nn.MaxPool2d(2, 2, ceil_mode=ceil_mode))

@@ -205,10 +205,10 @@ def backbone_in(path: Path) -> str:
     Raises:
         ModelFileError: if the file cannot be read or holds none of them.
     """
-    return _infer_backbone(_read_weights(path), path)
+    return _backbone_of(_read_weights(path), path)
 
 
-def _infer_backbone(state: State, path: Path) -> str:
+def _backbone_of(state: State, path: Path) -> str:
     prefix = "model_1.model." if any(key.startswith("model_1.model.") for key in state) else ""
     return infer_backbone({key.removeprefix(prefix) for key in state}, path.name)[0]
 
@@ -238,7 +238,7 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
     # Some layers of another backbone would fit.
     own = held = network.spec.backbone
     with suppress(ModelFileError):
-        held = _infer_backbone(state, path)
+        held = _backbone_of(state, path)
     if held != own:
         raise ModelFileError(
             f"{path.name} holds {held}; the network has {own}. Give weights of {own}, or train with --backbone {held}."

@@ -77,8 +77,8 @@ def soft_margin_loss(first: Tensor, second: Tensor, alpha: float, hardest: bool 
     """Weighted soft-margin triplet loss (Hu et al. 2018): log(1 + exp(alpha (d_positive^2 - d_negative^2))).
 
     It is averaged over the batch in both directions. The arguments are those of `triplet_loss`. As released with SAFA, the
-    sum over B (B - 1) negatives also has each positive against itself, which adds log(2) / (B - 1) and no gradient; with
-    `hardest` it has not.
+    average over all B (B - 1) negatives also counts each positive against itself, which adds log(2) / (B - 1) and no
+    gradient; `hardest` does not.
     """
     squared = _squared_distances(first, second)
     b = len(squared)
