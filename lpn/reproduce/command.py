@@ -86,9 +86,14 @@ class Reproduction:
             for job in self._jobs:
                 job.check_same()
             trainings.train(self._jobs, self.console)
-        return self._write(wanted, drawn)
+        lock = self.out / ".tables"
+        lock.mkdir(exist_ok=True)
+        # A second process waits, and then finds all figures in measured.json.
+        with exclusive_lock(lock, wait=True):
+            return self._write(wanted, drawn)
 
     def _write(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[Path]:
+        self._store.reload()
         if self._trials:
             tuning.write(self._trials, self.out / "tuning.json")
         written = [self._table(table) for table in wanted]

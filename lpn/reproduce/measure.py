@@ -74,6 +74,10 @@ class MeasurementStore:
             self._add(_measured(row, measure, model, data), key)
         return self._file.figures[key]
 
+    def reload(self) -> None:
+        """Read the file again, for what other processes have added."""
+        self._file = self._read()
+
     def keep(self, table: TableRecord) -> None:
         """Write a finished table into the file."""
         self._add(table, table.key)
