@@ -35,7 +35,7 @@ _SOURCES: dict[str, dict[str, str]] = {
     "backbone": {
         "paper": f"{_STATED}: ResNet-50, the stride of conv5_1 changed from 2 to 1",
         "released": f"{_LPN} run.sh:8, model.py:435-439",
-        "cvusa-paper": "paper, Table II: VGG16",
+        "cvusa-paper": f"paper, Table II: VGG16; with BatchNorm as in {_LPN} model.py:165",
         "cvusa-released": f"{_LPN} run_cvusa.sh:9, model.py:165",
         "safa-paper": "paper, Table II: VGG16",
         "safa-released": f"{_SAFA}/VGG.py:63",
