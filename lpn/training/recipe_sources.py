@@ -73,7 +73,7 @@ _SOURCES: dict[str, dict[str, str]] = {
         "paper": "paper, section III-B: square rings in every view",
         "released": f"{_LPN} model.py:473-513",
         "cvusa-paper": _SILENT,
-        "cvusa-released": f"{_LPN} model.py:521, 528, 545: rings of the tile, outermost first, and rows of the panorama",
+        "cvusa-released": f"{_LPN} model.py:521, 527, 545: rings of the tile, outermost first, and rows of the panorama",
         "*": _NOT_USED,
     },
     "pooling": {
