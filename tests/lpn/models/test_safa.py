@@ -26,7 +26,7 @@ from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
-from tools.fixtures import seeded, small_worlds
+from tools.fixtures import released_safa, seeded, small_worlds
 
 SPEC = ModelSpec(
     "resnet18",
@@ -58,27 +58,11 @@ def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "model.safetensors"
 
 
-@pytest.mark.parametrize(("kind", "n", "maps"), [("safa", 1, 8), ("safa_lpn", 8, 1)])
-def test_the_released_graph_gives_the_same_numbers(kind: str, n: int, maps: int) -> None:
-    """The numbers come from wtyhub/SAFA_LPN's own graph, run in TensorFlow with these weights and this picture."""
-    released = np.load(seeded.DATA / "parity_safa.npz")
-    built = LPN(
-        ModelSpec(
-            "vgg16", views=("street",), n_parts=n, pooling="safa", maps=maps, embedding=maps * 512, input_size=(112, 616),
-            backbone_dropout=0.2,
-        )
-    )  # fmt: skip
-    built.load_state_dict(seeded.entries({name: list(value.shape) for name, value in built.state_dict().items()}))
-    model = TorchModel(built)
-    images = seeded.pictures(7, 1, 112, 616)
-    parts, features, _ = model.run(images, "street")
-    assert features.shape[2:] == model.map_size("street") == tuple(released[f"{kind}.map"][1:3]) == (4, 20)
-    raw, descriptor = released[f"{kind}.raw"], released[f"{kind}.descriptor"]
-    assert parts.shape == raw.shape
-    assert np.abs(parts - raw).max() <= 1e-4 * np.abs(raw).max()
-    # Released strips have norm 1; ours have 1 / sqrt(n), so that the descriptor has norm 1.
-    found = normalise(parts) * np.sqrt(n)
-    assert np.abs(found - descriptor).max() <= 1e-4 * np.abs(descriptor).max()
+@pytest.mark.parametrize("kind", ["safa", "safa-lpn"])
+def test_the_released_graph_gives_the_same_numbers(kind: released_safa.Kind) -> None:
+    model = TorchModel(released_safa.network(kind))
+    assert model.map_size("street") == (4, 20)
+    assert max(released_safa.differences(kind, model).values()) <= 1e-4
 
 
 def test_poolings_of_vgg_keep_the_last_row_and_column_in_safa_only() -> None:
@@ -227,6 +211,10 @@ def test_polar_rows_are_distances_from_the_centre() -> None:
     wide = np.zeros((60, 100, 3), np.uint8)
     wide[:, 20:80] = 255
     assert bool((polar(wide, 20, 40)[:, 1:] == 255).all())
+
+
+def test_tiles_are_unrolled_by_the_released_formula() -> None:
+    assert released_safa.unrolled([small_worlds.place(3)])["difference"] < 0.5
 
 
 def test_turning_a_tile_moves_its_polar_picture_sideways() -> None:

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from lpn.core.errors import InputError
@@ -20,7 +19,7 @@ from lpn.training.losses import (
     triplet_loss,
 )
 from lpn.training.recipes import METHODS, RECIPES, method
-from tools.fixtures import seeded
+from tools.fixtures import released_safa
 
 B = 6
 
@@ -125,21 +124,10 @@ def test_the_instance_loss_takes_each_set_s_own_labels() -> None:
 
 
 def test_soft_margin_losses_are_the_released_ones() -> None:
-    """The numbers come from wtyhub/SAFA_LPN's own compute_loss and compute_multi_loss, run in TensorFlow on these embeddings."""
-    released = np.load(seeded.DATA / "parity_safa.npz")
-    rng = np.random.default_rng(11)
-    first = rng.standard_normal((32, 8, 64))
-    second = first + 3 * rng.standard_normal((32, 8, 64))
-    tiles, panoramas = (torch.from_numpy(parts.astype(np.float32)).requires_grad_() for parts in (first, second))
-    outputs = {name: (parts, parts[..., :0]) for name, parts in (("satellite", tiles), ("street", panoramas))}
-    labels = dict.fromkeys(outputs, torch.arange(32))
-    loss = total_loss(outputs, labels, method("safa-lpn", RECIPES["safa-released"]))
-    assert float(loss.detach()) == pytest.approx(float(released["loss.multi"]), rel=1e-5)
-    loss.backward()  # type: ignore[no-untyped-call]
-    assert isinstance(tiles.grad, Tensor)
-    np.testing.assert_allclose(tiles.grad[0], released["loss.multi.gradient"], atol=1e-7)
-    whole = [F.normalize(parts.detach().flatten(1), dim=1) for parts in (tiles, panoramas)]
-    assert float(soft_margin_loss(*whole, 10.0)) == pytest.approx(float(released["loss.single"]), rel=1e-5)
+    released, ours = released_safa.released(), released_safa.losses()
+    for name in ("loss.multi", "loss.single"):
+        assert ours[name] == pytest.approx(float(released[name]), rel=1e-5)
+    np.testing.assert_allclose(ours["loss.multi.gradient"], released["loss.multi.gradient"], atol=1e-7)
 
 
 def test_every_method_has_the_loss_it_is_named_after() -> None:
