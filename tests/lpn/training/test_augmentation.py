@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
@@ -27,6 +28,18 @@ def test_compression_leaves_its_traces_as_often_as_it_is_told() -> None:
     often = Recipe(**{**STILL.__dict__, "compression": 0.5})
     touched = sum(not np.array_equal(changed(often, seed), small_worlds.place(7)) for seed in range(40))
     assert 8 < touched < 32
+
+
+@pytest.mark.parametrize("panorama", [True, False])
+def test_a_padded_picture_is_cropped_at_whole_pixels_in_panoramas_too(panorama: bool) -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (48, 96, 3), np.uint8)
+    recipe = Recipe(**{**STILL.__dict__, "size": 48, "width": 96, "padding": 5})
+    padded = np.pad(picture, ((5, 5), (5, 5), (0, 0)), mode="edge")
+    windows = {padded[y : y + 48, x : x + 96].tobytes(): (y, x) for y in range(11) for x in range(11)}
+    rng = np.random.default_rng(1)
+    found = [augment(picture, recipe, rng, 0.0, False, "street", panorama) for _ in range(200)]
+    places = [windows[crop.tobytes()] for crop in found]
+    assert {y for y, _ in places} == {x for _, x in places} == set(range(11))
 
 
 def test_a_turned_place_is_turned_alike_in_its_tile_and_its_panorama() -> None:
