@@ -1,7 +1,7 @@
 """Makes `assets/demo` from a rendered world and two models: `python assets/pack.py WORLD LPN BASELINE OUT`.
 
 LPN and BASELINE are the `last.safetensors` of two trainings, with n = 4 and n = 1. The demo holds the test split's drone pictures
-as queries and its tiles as gallery, and their positions. It holds each model as `.onnx` for the explorer and as `.safetensors`
+and tiles, each as queries and as gallery, and their positions. It holds each model as `.onnx` for the explorer and as `.safetensors`
 for `lpn train --init`, and its descriptors of all pictures, so that the explorer has nothing to compute before it shows its page.
 """
 
@@ -32,6 +32,9 @@ QUALITY = {"drone": 62, "satellite": 72}
 LARGEST_CITY = 2_800_000
 """Bytes of city.glb."""
 
+SAME = {"query_drone": "gallery_drone", "gallery_satellite": "query_satellite"}
+"""The other role of each folder's pictures, so that satellite-to-drone is offered too: a link."""
+
 LARGEST = {".onnx": 4_000_000, ".safetensors": 7_000_000}
 """Bytes of a model's file."""
 
@@ -51,10 +54,12 @@ def main() -> None:
             inside = source.relative_to(world)
             kept[inside.as_posix()] = inside.with_suffix(".webp").as_posix()
             write_atomic(out / kept[inside.as_posix()], data)
+    link_other_roles(out / "test")
     with (world / "geo.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
-    lines = [header, *([kept[row[0]], *row[1:]] for row in rows if row[0] in kept)]
-    write_atomic(out / "geo.csv", ("\n".join(",".join(line) for line in lines) + "\n").encode())
+    lines = [[kept[row[0]], *row[1:]] for row in rows if row[0] in kept]
+    lines += [[other_role(path), *values] for path, *values in lines]
+    write_atomic(out / "geo.csv", ("\n".join(",".join(line) for line in [header, *lines]) + "\n").encode())
     plan = json.loads((world / "world.json").read_bytes())
     plan["buildings"] = [building for building in plan["buildings"] if building["split"] == "test"]
     plan["pictures"] = [{**shot, "path": kept[shot["path"]]} for shot in plan["pictures"] if shot["path"] in kept]
@@ -76,13 +81,26 @@ def pack_model(trained: Path, name: str, out: Path, stores: Path) -> None:
                 f"{name}{suffix} has {size:,} bytes, and the demo's may have {largest:,}; train a smaller network."
             )
     opened, dataset = lpn.load(out / f"{name}.onnx"), open_dataset(out)
-    # Distances are shown of the gallery's; those of the queries only rank each one for the header and the picker.
+    # 8 bits change a part's cosine by less than 0.001, and halve the largest files.
     for folder, view, pictures, precision in (
         ("query_drone", "drone", dataset.queries("drone"), "int8"),
         ("gallery_satellite", "satellite", dataset.gallery("satellite"), "float16"),
     ):
         files = [picture.path for picture in pictures]
         descriptors.describe(opened, files, view, stores / folder, root=out / "test" / folder, precision=precision)
+    link_other_roles(stores)
+
+
+def link_other_roles(folder: Path) -> None:
+    """Give the pictures or descriptors of each role the other role as well."""
+    for name, other in SAME.items():
+        (folder / other).symlink_to(name, target_is_directory=True)
+
+
+def other_role(path: str) -> str:
+    """Return the path of a picture, test/<role>_<view>/..., in its other role."""
+    test, folder, *rest = path.split("/")
+    return "/".join([test, SAME[folder], *rest])
 
 
 if __name__ == "__main__":

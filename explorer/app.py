@@ -104,6 +104,7 @@ def run(
     host: str = "127.0.0.1",
     port: int = 8080,
     second_model: Path | None = None,
+    baseline: Path | None = None,
     authenticator: Authenticator | None = None,
     provider: ProviderName = "auto",
 ) -> None:
@@ -111,13 +112,14 @@ def run(
 
     Args:
         second_model: a second model for comparisons.
+        baseline: a model of one part to offer for comparisons.
         authenticator: the access rules; by default those of `App`.
         provider: what computes the networks, see `lpn.load`.
 
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
-    _serve(lambda: open_model(data, model, query, second_model, provider), host, port, authenticator)
+    _serve(lambda: open_model(data, model, query, second_model, baseline, provider), host, port, authenticator)
 
 
 def run_saved(

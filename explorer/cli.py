@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from lpn.core.demo import DEMO, DEMO_QUERY
+from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
 
@@ -66,6 +66,7 @@ class Explore:
                 "The demo is not part of this installation; give a data set with --data and a model with --model."
             )
         query = DEMO_QUERY if self.data is None and self.query is None else self.query
+        offers = self.data is None and self.model is None and DEMO_BASELINE.is_file()
         run(
             self.data or DEMO,
             self.model or DEMO / "lpn.onnx",
@@ -73,6 +74,7 @@ class Explore:
             self.host,
             self.port,
             self.beside,
+            DEMO_BASELINE if offers else None,
             authenticator,
             self.provider,
         )

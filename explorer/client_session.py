@@ -21,9 +21,8 @@ from explorer.failure_lab.window import FailureLabWindow
 from explorer.panels import shortcuts, tour
 from explorer.panels.glossary import Glossary
 from explorer.panels.panels import Panels
-from explorer.panels.query_panel import PAGE_SIZE
 from explorer.reports import Reporter
-from explorer.session_state import SessionState, StateChange
+from explorer.session_state import PAGE_SIZE, SessionState, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.stage.scene import SCENE, Stage
 from explorer.stage.viewport import Viewport
@@ -83,11 +82,13 @@ class ClientSession:
             )
             self._lab = FailureLabWindow(client, workspace, failure_lab, self.change, viewport, self._reporter)
             self._panels.navigation.order = self._lab.order
+            self._panels.query.compare_models = self._explain_window.compare_models
             glossary = Glossary(client.gui)
             handlers = {
                 "room": viewport.update,
                 "hello": self._on_greeting,
                 "small": self._fit,
+                "task": lambda name: self.change(self._panels.navigation.choose_task(name)),
                 "dark": lambda _: self.change(session_state.flip_dark),
                 "glossary": lambda _: glossary.show(),
             }
@@ -181,8 +182,8 @@ class ClientSession:
             return RETRY_AFTER
         finally:
             slow.cancel()
-        second, name = self._workspace.second_workspace, analysis.task.name
-        other = None if second is None else second.rankings.get(name)
+        second, name = self._workspace.second, analysis.task.name
+        other = None if second is None or second.workspace is None else second.workspace.rankings.get(name)
         self._ranking_progress.follow(self._workspace.rankings[name], other)
         if self._greeted:  # otherwise the page would lose the address that it has yet to send
             self._bridge.set_address(self._url_state.write(analysis.state), self._url_state.keys)

@@ -10,7 +10,7 @@ from rich.console import Console
 
 import lpn
 from explorer.compute.ranking_job import RankingJob
-from explorer.workspace import Workspace
+from explorer.workspace import SecondModel, Workspace
 from lpn.analysis.task import Task, gallery_geometry, offered_tasks, open_task
 from lpn.core.errors import DataError
 from lpn.core.files import printable
@@ -31,13 +31,15 @@ def open_model(
     model: Path,
     query: str | None = None,
     second_model: Path | None = None,
+    baseline: Path | None = None,
     provider: ProviderName = "auto",
 ) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
 
     Args:
         query: name of the query of the first task that a new browser shows; by default the task's first query.
-        second_model: another model to compare with on the same data.
+        second_model: another model to compare with on the same data; it is opened, too.
+        baseline: the model of one part to offer for comparison; it is opened when a browser asks for it.
         provider: what computes the networks, see `lpn.load`.
 
     Raises:
@@ -67,7 +69,11 @@ def open_model(
     )
     workspace.choose_first_query(query)
     if second_model is not None:
-        workspace.second_workspace = open_model(data, second_model, provider=provider)
+        second = open_model(data, second_model, provider=provider)
+        workspace.second = SecondModel(second.model_name, lambda: second)
+        workspace.second.open()
+    elif baseline is not None:
+        workspace.second = SecondModel("the baseline (n = 1)", lambda: open_model(data, baseline, provider=provider))
     return workspace
 
 

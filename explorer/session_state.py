@@ -17,6 +17,8 @@ from lpn.drawing.theme import DARK, LIGHT, Palette
 
 MAX_WEIGHT = 2.0
 MAX_ZOOM = 4.0
+# Number of pictures on one page of the picker.
+PAGE_SIZE = 12
 # The value of `selected` that follows the nearest positive; links contain it.
 POSITIVE: Final = "truth"
 HeatKind = Literal["activation", "evidence"]
@@ -168,11 +170,11 @@ def choose_query(state: SessionState, query: int, queries: int) -> SessionState:
     return replace(upright(state), query=query, upload=None, selected=None)
 
 
-def choose_task(state: SessionState, task: str) -> SessionState:
-    """Choose another task and its first query."""
+def choose_task(state: SessionState, task: str, query: int = 0) -> SessionState:
+    """Choose another task and one of its queries."""
     if task == state.task:
         return state
-    return replace(state, task=task, query=0, upload=None, selected=None, region=(), page=0)
+    return replace(state, task=task, query=query, upload=None, selected=None, region=(), page=query // PAGE_SIZE)
 
 
 def upright(state: SessionState) -> SessionState:

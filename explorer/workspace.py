@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 
+import numpy as np
+
 from explorer import session_state
+from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.inference_scheduler import InferenceScheduler
 from explorer.compute.ranking_job import RankingJob
@@ -68,8 +72,8 @@ class Workspace:
         self.model: QueuedModel | None = own
         self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else model.describe()
         self.first_query = 0
-        # The workspace of another model on the same data, for comparisons.
-        self.second_workspace: Workspace | None = None
+        # Another model on the same data to compare with, if there is one.
+        self.second: SecondModel | None = None
         self.part_names = self._part_names()
         self._tiles: SingleFlightCache[tuple[str, int], DescribedPicture] = SingleFlightCache(TILES)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
@@ -90,6 +94,13 @@ class Workspace:
         if query is not None and query not in names:
             raise InputError(f"{self.data_name} has no query {query}; names look like {names[0]}.")
         self.first_query = 0 if query is None else names.index(query)
+
+    def same_place(self, state: SessionState, task: str) -> int:
+        """Return the first query of another task that shows the place of the state's query; 0 if there is none."""
+        if state.upload is not None:
+            return 0
+        label = self.tasks[state.task].query_labels[state.query]
+        return int(np.argmax(self.tasks[task].query_labels == label))
 
     def supported_state(self, state: SessionState) -> SessionState:
         """Return the state without the features that this workspace cannot show.
@@ -146,6 +157,41 @@ class Workspace:
 
     def _make_thumbnail(self, path: Path) -> str:
         return overlays.data_uri(overlays.square(images.load_picture(path), 64))
+
+
+class SecondModel:
+    """A model to compare with on the same data, opened once for all browsers: at the start, or when a browser asks for it.
+
+    Args:
+        label: display name, such as "the baseline (n = 1)".
+        open_workspace: opens the model; it may take as long as the description of all pictures.
+    """
+
+    def __init__(self, label: str, open_workspace: Callable[[], Workspace]) -> None:
+        self.label = label
+        self._open, self._jobs = open_workspace, BackgroundJobs()
+        self._job: BackgroundJob[Workspace] | None = None
+
+    @property
+    def workspace(self) -> Workspace | None:
+        """The second model's workspace; None until it is open."""
+        return None if self._job is None else self._job.value
+
+    @property
+    def error(self) -> str:
+        """One sentence if the model could not be opened, else empty."""
+        return "" if self._job is None else self._job.error or ""
+
+    @property
+    def opening(self) -> bool:
+        """The model is being opened."""
+        return self._job is not None and not self._job.wait(0)
+
+    def open(self) -> BackgroundJob[Workspace]:
+        """Open the model in the background, unless it is open or being opened; after a failure, try again."""
+        self._jobs.forget_failed("open")
+        self._job = self._jobs.join("open", self, lambda _: self._open())
+        return self._job
 
 
 @dataclass(frozen=True, eq=False)

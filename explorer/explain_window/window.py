@@ -32,6 +32,8 @@ _REGION, _MODELS = "Search by a region", "Two models"
 _MAX_SIZE = (1000, 900)
 # Seconds between two drawings of a sweep in progress.
 _DRAW_INTERVAL = 0.15
+# Seconds between two looks at a second model that is being opened.
+_OPENING_INTERVAL = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +115,8 @@ class ExplainWindow:
     ) -> None:
         self._workspace, self._change, self._viewport, self._reporter = workspace, change, viewport, reporter
         self._model = requests.queued(workspace.model, background=True)
-        self._model_comparison = (
-            None if workspace.second_workspace is None else ModelComparison(workspace.second_workspace, requests)
-        )
+        self._requests = requests
+        self._model_comparison: ModelComparison | None = None
         self._open_tab = open_tab
         self._lock = Lock()
         self._content: WindowContent | None = None
@@ -127,7 +128,7 @@ class ExplainWindow:
             (_SWEEP, viser.Icon.CHART_LINE, self._sweep_html),
             (_REGION, viser.Icon.BRUSH, lambda content: region.page(content.analysis, workspace)),
         ]
-        if self._model_comparison is not None:
+        if workspace.second is not None:
             tabs.append((_MODELS, viser.Icon.COLUMNS_2, self._models_html))
         self._panel = client.gui.add_panel(visible=False)
         self._tabs: list[_Tab] = []
@@ -146,6 +147,7 @@ class ExplainWindow:
             "close": lambda _: self._change(lambda state: replace(state, why=False)),
             "part": self._choose_part,
             "scale": self._choose_scale,
+            "second": lambda _: self.compare_models(),
             "compare": self._compare,
             "query": self._choose_query,
             "weigh": self._use_weights,
@@ -165,7 +167,9 @@ class ExplainWindow:
             (f"Sweep: {label.lower()}", self._command(_SWEEP, self._request_sweep, over))
             for over, label in sweep_page.CHOICES.items()
         ]
+        second = self._workspace.second
         return [
+            *([] if second is None else [(f"Compare with {second.label}", self.compare_models)]),
             ("Heatmaps: activation part by part", self._command(_HEATMAPS)),
             ("Heatmaps: same scale for query and tile, or each its own", self._command(_HEATMAPS, self._flip_scale)),
             *sweep_commands,
@@ -178,6 +182,14 @@ class ExplainWindow:
             ("Search by the whole query, not a region", self._command(_REGION, self._search_region, [])),
             ("Save a report of this query", self._command(_EVIDENCE, self._report)),
         ]
+
+    def compare_models(self) -> None:
+        """Open the second model, unless it is open, and show the tab; without a second model, do nothing."""
+        if self._workspace.second is not None:
+            self._workspace.second.open()
+            self._change(lambda state: replace(state, why=True))
+            self._open_tab(_MODELS)
+            self._models_worker.wake()
 
     def leave(self) -> None:
         """Stop all computations; the browser has disconnected."""
@@ -199,7 +211,7 @@ class ExplainWindow:
         if is_open:
             for tab in self._tabs[:5]:
                 tab.draw()
-            if self._model_comparison is not None:
+            if self._workspace.second is not None:
                 self._models_worker.wake()
         if is_open != self._open:
             self._open = is_open
@@ -227,12 +239,22 @@ class ExplainWindow:
         return sweep_page.page(analysis, sweep.request.over, profile, sweep.total, names, sweep.stopped)
 
     def _models_html(self, content: WindowContent) -> str:
-        assert self._model_comparison is not None
+        second = self._workspace.second
+        assert second is not None
+        if second.workspace is None:
+            return render("explain/second_model", label=second.label, opening=second.opening, error=second.error)
+        if self._model_comparison is None:
+            self._model_comparison = ModelComparison(second.workspace, self._requests)
         return self._model_comparison.page(content.analysis, self._workspace)
 
-    def _draw_models(self) -> None:
-        if self._content is not None and self._content.analysis.state.why:
-            self._tabs[-1].draw()
+    def _draw_models(self) -> float | None:
+        """Draw the tab; return the seconds after which to look again while the second model is being opened."""
+        if self._content is None or not self._content.analysis.state.why:
+            return None
+        second = self._workspace.second
+        opening = second is not None and second.opening
+        self._tabs[-1].draw()
+        return _OPENING_INTERVAL if opening else None
 
     def _place(self) -> None:
         """Put the window over the stage, as large as fits."""

@@ -1,12 +1,13 @@
-"""Steps from one query to another."""
+"""Steps from one query to another, and from one task to another."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from random import Random
+from typing import Any
 
 from explorer import session_state
-from explorer.session_state import SessionState
+from explorer.session_state import SessionState, StateChange
 from explorer.workspace import Workspace
 from lpn.core.arrays import Int64Array
 
@@ -47,6 +48,16 @@ class Navigation:
         if chosen is None:
             self._notify("No failure", "Every query of this task has its true tile at rank 1.")
         return chosen
+
+    def choose_task(self, name: Any) -> StateChange:
+        """Return the change to another task, at a query of the same place if it has one; an unknown name changes nothing."""
+
+        def choose(state: SessionState) -> SessionState:
+            if name not in list(self._workspace.tasks):
+                return state
+            return session_state.choose_task(state, name, self._workspace.same_place(state, name))
+
+        return choose
 
     def _step(self, state: SessionState, by: int) -> SessionState:
         order, count = self.order(state), self._count(state)

@@ -1,4 +1,4 @@
-"""The panel Query: the task, the query picture, and how the stage draws it."""
+"""The panel Query: the query picture, and how the stage draws it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ from explorer.panels.controls import Controls
 from explorer.panels.navigation import Navigation
 from explorer.panels.upload_control import UploadControl
 from explorer.server.viser_compat import uuid_of
-from explorer.session_state import MAX_ZOOM, SessionState, StateChange
+from explorer.session_state import MAX_ZOOM, PAGE_SIZE, SessionState, StateChange
 from explorer.web.html import Html
 from explorer.workspace import StateAnalysis, Workspace
 
-# Number of pictures on one page of the picker.
-PAGE_SIZE = 12
 _HEAT_KINDS = {"Activation": "activation", "Evidence": "evidence"}
 _MAX_FIND = 200
 
@@ -30,6 +28,9 @@ class QueryPanel:
     Args:
         change: updates the browser's state with a function.
         notify_error: shows an error with a title and a text.
+
+    Attributes:
+        compare_models: called to compare with the second model.
     """
 
     def __init__(
@@ -44,8 +45,6 @@ class QueryPanel:
         self._workspace = workspace
         has_model = workspace.model is not None
         height, width = workspace.spec.input_size
-        tasks = {name: name for name in workspace.tasks}
-        controls.dropdown("Task", "task", tasks, visible=len(tasks) > 1, apply=session_state.choose_task)
         moves: dict[str, StateChange] = {
             "‹ Previous": navigation.previous,
             "Next ›": navigation.next,
@@ -56,6 +55,10 @@ class QueryPanel:
         buttons.on_click(lambda _: change(moves.get(buttons.value, lambda state: state)))
         laboratory = gui.add_button("Failure laboratory", icon=viser.Icon.FLASK)
         laboratory.on_click(lambda _: change(session_state.flip_lab))
+        self.compare_models: Callable[[], None] = lambda: None
+        if workspace.second is not None:
+            compare = gui.add_button(f"Compare with {workspace.second.label}", icon=viser.Icon.COLUMNS_2)
+            compare.on_click(lambda _: self.compare_models())
         controls.slider("Rotate", "angle", -180, 180, 1, visible=has_model)
         with gui.add_folder("Shift and zoom", expand_by_default=False, visible=has_model):
             controls.slider("Shift right", "shift", -(width // 2), width // 2, 1, whole=True)

@@ -68,7 +68,7 @@ def _changes(workspace: Workspace, panels: Panels) -> list[tuple[str, str | None
         ("Light or dark theme", "O", session_state.flip_dark),
     ]
     if len(workspace.tasks) > 1:
-        changes += [(f"Task: {name}", None, _choose_task(name)) for name in workspace.tasks]
+        changes += [(f"Task: {name}", None, navigation.choose_task(name)) for name in workspace.tasks]
     parts = list(enumerate(workspace.part_names))
     changes += [(f"Part {name} on or off", None, _flip_part(part)) for part, name in parts]
     changes.append(("All parts equal", None, session_state.equal_parts))
@@ -104,10 +104,6 @@ def _flip_map(workspace: Workspace, state: SessionState) -> SessionState:
 
 def _flip_city(workspace: Workspace, state: SessionState) -> SessionState:
     return replace(state, city=not state.city) if city_available(workspace, state) else state
-
-
-def _choose_task(name: str) -> StateChange:
-    return lambda state: session_state.choose_task(state, name)
 
 
 def _flip_part(part: int) -> StateChange:

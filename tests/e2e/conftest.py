@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -63,6 +64,7 @@ def started(
     saved: Path | None = None,
     beside: Path | None = None,
     options: Sequence[str] = (),
+    program: Sequence[str] = ("-m", "lpn"),
 ) -> Iterator[RunningApp]:
     """Run `lpn explore` as a process.
 
@@ -70,11 +72,12 @@ def started(
         default: name neither data nor model on the command line, which opens the demo.
         saved: a published result to open in place of the model.
         beside: a second model.
+        program: what Python runs.
     """
     source = ["--model", model] if saved is None else ["--saved", saved, "--n-parts", "4"]
     source += [] if beside is None else ["--beside", beside]
     inputs = [] if default else ["--data", data, *source]
-    command = [sys.executable, "-m", "lpn", "explore", *inputs, "--port", str(free_port()), *options]
+    command = [sys.executable, *program, "explore", *inputs, "--port", str(free_port()), *options]
     environment = {**os.environ, "LPN_CACHE": str(cache)}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert process.stdout is not None
@@ -114,6 +117,22 @@ def two_models(data: Path, model_file: Path, one_part_model_file: Path, tmp_path
 def demo_app(tmp_path: Path) -> Iterator[RunningApp]:
     """The app as it starts when nothing is chosen."""
     with started(DEMO, DEMO / "lpn.onnx", tmp_path / "cache", default=True) as running:
+        yield running
+
+
+@pytest.fixture
+def baseline_app(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
+    """The app as it starts when nothing is chosen, with a small demo that has a baseline."""
+    demo = tmp_path / "demo"
+    shutil.copytree(data, demo)
+    shutil.copy(model_file, demo / "lpn.onnx")
+    shutil.copy(one_part_model_file, demo / "baseline.onnx")
+    program = (
+        "import runpy; from pathlib import Path; import lpn.core.demo as demo; "
+        f"demo.DEMO = Path({str(demo)!r}); demo.DEMO_BASELINE = demo.DEMO / 'baseline.onnx'; demo.DEMO_QUERY = '0007'; "
+        "runpy.run_module('lpn', run_name='__main__', alter_sys=True)"
+    )
+    with started(demo, demo / "lpn.onnx", tmp_path / "cache", default=True, program=("-c", program)) as running:
         yield running
 
 

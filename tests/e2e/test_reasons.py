@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import BrowserContext, Locator, expect
+from playwright.sync_api import BrowserContext, Locator, Page, expect
 
 from lpn import datasets, explain, load, retrieval
 from lpn.core import images
@@ -226,6 +226,28 @@ def test_two_models_answer_the_same_query(two_models: RunningApp, contexts: Call
     query = row.get_attribute("data-query")
     row.click()
     explorer.expect_status("query", query or "")
+
+
+def test_one_click_compares_with_the_baseline_and_one_turns_the_task_around(
+    baseline_app: RunningApp, new_page: Callable[[], Page]
+) -> None:
+    explorer = ExplorerPage(new_page())
+    explorer.open(baseline_app.url)
+    explorer.expect_status("name", "0007")
+    explorer.page.get_by_role("button", name="Compare with the baseline (n = 1)").click()
+    shown = explorer.page.locator("#lpn-beside")
+    expect(shown).to_be_visible()  # without another click
+    for said in ("lpn.onnx", "baseline.onnx", "n = 4", "n = 1", "alone finds"):
+        expect(shown).to_contain_text(said)
+    explorer.key("y")
+    explorer.page.locator("#lpn-tasks a", has_text="satellite → drone").click()
+    expect(explorer.page.locator("#lpn-tasks a.chosen")).to_have_text("satellite → drone")
+    explorer.expect_status("name", "0007")  # the same place
+
+
+def test_nothing_is_offered_without_a_second_model(explorer: ExplorerPage) -> None:
+    expect(explorer.page.get_by_role("button", name="Failure laboratory")).to_be_visible()
+    expect(explorer.page.get_by_role("button", name="Compare with the baseline")).to_have_count(0)
 
 
 @pytest.mark.slow

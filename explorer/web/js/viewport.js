@@ -87,7 +87,7 @@
     const tabs = [...document.querySelectorAll('[role="tab"]')];
     const tab = tabs.find((one) => one.textContent.trim() === name && one.offsetHeight);
     if (!tab) return tries && setTimeout(() => lpn.tab(name, tries - 1), 250);
-    tab.click();
+    tab.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true })); // viser's tabs ignore a script's clicks
     if (phone.matches) setTimeout(() => tab.scrollIntoView({ block: "start", behavior: "smooth" }), 300);
   };
   phone.addEventListener("change", () => setTimeout(lpn.watch, 300));

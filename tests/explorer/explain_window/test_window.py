@@ -305,10 +305,10 @@ class WindowGui:
         return next((html.content for html in self.html if f'id="{identifier}"' in html.content), "")
 
 
-@pytest.fixture
-def window(workspace: Workspace) -> Iterator[tuple[ExplainWindow, WindowGui]]:
-    gui, errors = WindowGui(), []
-    window = ExplainWindow(
+def make_window(
+    workspace: Workspace, gui: WindowGui, errors: list[Exception], open_tab: Callable[[str], None] = lambda _: None
+) -> ExplainWindow:
+    return ExplainWindow(
         SimpleNamespace(gui=gui),  # type: ignore[arg-type]
         workspace,
         lambda _: None,
@@ -316,8 +316,14 @@ def window(workspace: Workspace) -> Iterator[tuple[ExplainWindow, WindowGui]]:
         Viewport(),
         SimpleNamespace(),  # type: ignore[arg-type]
         RequestContext(workspace.inference),
-        lambda _: None,
+        open_tab,
     )
+
+
+@pytest.fixture
+def window(workspace: Workspace) -> Iterator[tuple[ExplainWindow, WindowGui]]:
+    gui, errors = WindowGui(), []
+    window = make_window(workspace, gui, errors)
     yield window, gui
     window.leave()
     assert errors == []
