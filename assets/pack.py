@@ -1,8 +1,9 @@
 """Makes `assets/demo` from a rendered world and two models: `python assets/pack.py WORLD LPN BASELINE OUT`.
 
 LPN and BASELINE are the `last.safetensors` of two trainings, with n = 4 and n = 1. The demo holds the test split's drone pictures
-and tiles, each as queries and as gallery, and their positions. It holds each model as `.onnx` for the explorer and as `.safetensors`
-for `lpn train --init`, and its descriptors of all pictures, so that the explorer has nothing to compute before it shows its page.
+and tiles, each as queries and as gallery, and their positions. It holds each model as `.onnx` for the explorer and as
+`.safetensors` for `lpn train --init`, and its descriptors of all pictures, so that the explorer has nothing to compute before it
+shows its page.
 """
 
 from __future__ import annotations
