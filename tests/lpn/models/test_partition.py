@@ -114,3 +114,12 @@ def test_wrong_partitions_are_refused_in_words() -> None:
             Partition(*arguments)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="0 x 4"):
         Partition().weights(0, 4)
+
+
+def test_the_released_weighting_scales_each_ring_by_its_share_of_its_box() -> None:
+    released, stated = (Partition("rings", 4, weighting).weights(16, 16) for weighting in ("published", "area"))
+    for number in range(1, 5):
+        inside = stated[number - 1] > 0
+        ratio = released[number - 1][inside] / stated[number - 1][inside]
+        np.testing.assert_allclose(ratio, (2 * number - 1) / number**2, rtol=1e-5)
+    np.testing.assert_allclose(stated.sum(axis=(1, 2)), 1, rtol=1e-5)

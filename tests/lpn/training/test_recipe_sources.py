@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from lpn.cli import main
+from lpn.cli.train import parse_train
 from lpn.training import recipe_sources, recipes
 from lpn.training.recipe_sources import PAIRS, difference, source
 from lpn.training.recipes import RECIPES, Recipe, find
@@ -49,6 +50,9 @@ def test_the_released_code_s_other_methods_have_sources_too() -> None:
         0.01,
     )
     assert source("released", "lr", "instance") == "wtyhub/LPN run.sh:36, the baseline"
+    given = ["--data", "places", "--out", "run", "--recipe", "released", "--method", "instance"]
+    assert (parse_train(given, "lpn train").settings.lr, parse_train(given, "lpn train").settings.n_parts) == (0.01, 1)
+    assert parse_train([*given, "--lr", "0.02"], "lpn train").settings.lr == 0.02
 
 
 def test_the_released_runs_have_their_numbers_of_updates() -> None:
