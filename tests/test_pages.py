@@ -8,7 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from safetensors.numpy import save_file
+
+from lpn.reproduce.measure import MeasurementStore
+from lpn.reproduce.record import Provenance, TableRecord, row_record
 
 ROOT = Path(__file__).parents[1]
 
@@ -50,6 +55,52 @@ def test_a_figure_that_no_data_file_has_is_found(docs: Path) -> None:
         f"docs/{page}.md differs from its data in docs/measured; run python -m tools.pages."
         for page in ("reproduction", "evaluation")
     ]
+
+
+def test_a_run_s_tables_replace_the_page_s(docs: Path, tmp_path: Path) -> None:
+    made = Provenance("lpn reproduce figure7", "7.7", "CPU, 1 cores", "2026-11-22")
+    rows = tuple(
+        row_record(label, {"seed 0": (value, value)}, trained={"seed 0": made}, measured={"seed 0": made})
+        for label, value in (("Baseline, n = 1", 41.25), ("LPN, n = 4", 31.5))
+    )
+    columns = ("drone pictures, % of activation", "satellite tiles, % of activation")
+    run = tmp_path / "run"
+    run.mkdir()
+    MeasurementStore(run / "measured.json").keep(TableRecord("figure7", "Figure 7: new", columns, (None, None), rows))
+    done = pages("--run", str(run), "--docs", str(docs))
+    assert done.returncode == 0, done.stderr
+    text = (docs / "reproduction.md").read_text("utf-8")
+    assert "| Baseline, n = 1 | 41.25 | 41.25 |" in text
+    assert "Trained and measured (seed 0) by `lpn reproduce figure7`, lpn 7.7, on CPU, 1 cores, 2026-11-22." in text
+    assert (
+        "LPN to its surroundings too (Figure 7): **held** (drone pictures, % of activation: Baseline, n = 1 41.2"
+        in text
+    )
+    assert "### Table I: losses and LPN" in text
+    assert pages("--check", "--docs", str(docs)).returncode == 0
+
+
+def test_the_ablation_takes_seeds_that_both_methods_have(docs: Path, tmp_path: Path) -> None:
+    for name, value in (
+        ("lpn-seed0", 40),
+        ("lpn-seed1", 50),
+        ("lpn-seed2", 99),
+        ("instance-seed0", 30),
+        ("instance-seed1", 20),
+    ):
+        folder = tmp_path / "runs" / name
+        folder.mkdir(parents=True)
+        (folder / "log.csv").touch()
+        save_file({"a": np.zeros(1)}, folder / "last.safetensors", metadata={"recipe": '{"epochs": 7}'})
+        for task in ("drone-to-satellite", "satellite-to-drone"):
+            (folder / f"{task}.json").write_text(json.dumps({"recall@1": value, "ap": value + 1}))
+    done = pages("--ablation", str(tmp_path / "runs"), "--commit", "abc", "--docs", str(docs))
+    assert done.returncode == 0, done.stderr
+    text = (docs / "evaluation.md").read_text("utf-8")
+    assert "| n = 4 (LPN) | 45.00 ± 5.00 | 46.00 ± 5.00 | 45.00 ± 5.00 | 46.00 ± 5.00 |" in text
+    assert "| gain | 20.00 | 20.00 | 20.00 | 20.00 |" in text
+    assert "2 seeds each (seed 0, 1)" in text
+    assert "--method lpn --infonce 0 --ema 0 --label-smoothing 0 --epochs 7" in text
 
 
 def test_every_set_of_figures_names_its_source() -> None:

@@ -13,7 +13,6 @@ import json
 import re
 import sys
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -40,6 +39,8 @@ _DRAWINGS = {
     "figure8": "figure8.jpg",
     "figure8-panoramas": "figure8-panoramas.jpg",
 }
+# How the note of a table begins whose rows were defined otherwise when it was measured.
+_EARLIER = "**Earlier definition**"
 _SOURCE = "<!-- Rendered from docs/measured by python -m tools.pages; edit the template and the data there. -->\n"
 
 
@@ -50,13 +51,17 @@ def render(page: str, docs: Path) -> str:
         loader=FileSystemLoader(docs / "measured"), undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
-    environment.tests["match"] = lambda text, pattern: re.match(pattern, text) is not None
     environment.filters |= {"figure": _figure, "mean": _mean, "cells": _cells}
     records = {key: _record(value) for key, value in data.pop("tables", {}).items()}
     drawings = [picture for picture in _DRAWINGS.values() if (docs / picture).is_file()]
     environment.globals |= {"recipe_table": recipe_sources.table, "source": recipe_sources.source, "find": recipes.find}
+    earlier = [
+        record.title.partition(", on ")[0]
+        for record in records.values()
+        if any(note.startswith(_EARLIER) for note in record.notes)
+    ]
     text = environment.get_template(f"{page}.md.j2").render(
-        **data, tables=records, table=lambda key: table(records[key]), drawings=drawings
+        **data, tables=records, table=lambda key: table(records[key]), drawings=drawings, earlier=earlier
     )
     return text.rstrip("\n") + "\n\n" + _SOURCE
 
@@ -68,18 +73,15 @@ def table(record: TableRecord) -> str:
 
 def origins(record: TableRecord) -> list[str]:
     """Say where the figures of a table come from, each place once."""
-    said: dict[str, None] = {}
-    for verb, by_network in (("Trained", "trained"), ("Measured", "measured")):
-        places: dict[Provenance, set[str]] = {}
-        for row in record.rows:
-            found: Mapping[str, Provenance] = getattr(row, by_network)
+    places: dict[tuple[Provenance, str], dict[str, None]] = {}
+    for row in record.rows:
+        for verb, found in (("trained", row.trained), ("measured", row.measured)):
             for network, made in found.items():
-                places.setdefault(made, set()).add(network)
-        for made, networks in places.items():
-            seeds = sorted(networks - {"given"})
-            of = f" ({', '.join(seeds)})" if seeds else ""
-            said[f"{verb}{of} by `{made.command}`, lpn {made.version}, on {made.machine}, {made.date}."] = None
-    return list(said)
+                places.setdefault((made, "" if network == "given" else f" ({network})"), {})[verb] = None
+    return [
+        f"{' and '.join(verbs).capitalize()}{seed} by `{made.command}`, lpn {made.version}, on {made.machine}, {made.date}."
+        for (made, seed), verbs in places.items()
+    ]
 
 
 def copy_run(run: Path, docs: Path) -> None:

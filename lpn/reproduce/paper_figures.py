@@ -35,7 +35,7 @@ def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, view: View, 
     shown, axes = pyplot().subplots(
         2 * len(chosen),
         1 + len(models),
-        figsize=((2.1 if view == "drone" else 3.4) * (1 + len(models)), 4.2 * len(chosen)),
+        figsize=(2.1 * (1 + len(models)), 4.2 * len(chosen)) if view == "drone" else (10.2, 2.9 * len(chosen)),
         layout="constrained",
         squeeze=False,
     )
