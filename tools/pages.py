@@ -55,11 +55,8 @@ def render(page: str, docs: Path) -> str:
     records = {key: _record(value) for key, value in data.pop("tables", {}).items()}
     drawings = [picture for picture in _DRAWINGS.values() if (docs / picture).is_file()]
     environment.globals |= {"recipe_table": recipe_sources.table, "source": recipe_sources.source, "find": recipes.find}
-    earlier = [
-        record.title.partition(", on ")[0]
-        for record in records.values()
-        if any(note.startswith(_EARLIER) for note in record.notes)
-    ]
+    old = [record for record in records.values() if any(note.startswith(_EARLIER) for note in record.notes)]
+    earlier = [record.title.partition(", on ")[0] for record in old]
     text = environment.get_template(f"{page}.md.j2").render(
         **data, tables=records, table=lambda key: table(records[key]), drawings=drawings, earlier=earlier
     )
