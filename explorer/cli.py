@@ -53,6 +53,8 @@ class Explore:
                 raise InputError(
                     "A saved result is explored with its data set and without a model; give --saved and --data."
                 )
+            if self.provider != "auto":
+                raise InputError("A saved result needs no network; leave --provider out.")
             run_saved(
                 self.data, self.saved, check_n_parts(self.n_parts), self.query, self.host, self.port, authenticator
             )

@@ -83,6 +83,8 @@ class EvaluateCommand:
             raise InputError(
                 "A saved result already fixes data set, model, and task; leave --data, --model, and --task out."
             )
+        if self.provider != "auto" or self.compile:
+            raise InputError("A saved result needs no network; leave --provider and --compile out.")
         if protocol.average and self.n_parts is None:
             raise InputError(
                 "Averaging normalises each part, and a saved result does not contain the number of parts; give it with "

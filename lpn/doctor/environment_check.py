@@ -191,9 +191,10 @@ def _torch() -> Iterator[Finding]:
 
 
 def _onnx_runtime() -> Iterator[Finding]:
-    import onnxruntime as ort
+    with _silenced():
+        import onnxruntime as ort
 
-    from lpn.models import providers
+        from lpn.models import providers
 
     built = providers.available()
     message = f"{ort.__version__} with the providers {', '.join(built)}"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +22,8 @@ EXECUTION_PROVIDERS: dict[ProviderName, str] = {
 }
 # The largest batch for which TensorRT builds an engine, and the batch size of descriptors on a GPU.
 GPU_BATCH = 64
-INSTALL = "pip uninstall -y onnxruntime, then pip install onnxruntime-gpu"
-_LIBRARIES = {"cuda": "CUDA 12 and cuDNN 9", "tensorrt": "CUDA 12, cuDNN 9, and TensorRT 10"}
+INSTALL = "pip uninstall -y onnxruntime, then pip install 'onnxruntime-gpu[cuda,cudnn]'"
+_LIBRARIES = {"cuda": "CUDA and cuDNN", "tensorrt": "CUDA, cuDNN, and TensorRT"}
 
 
 def available() -> list[ProviderName]:
@@ -96,6 +98,7 @@ def open_on_gpu(path: Path, provider: ProviderName, input_size: tuple[int, int],
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     reason = "it is built in, but was not started"
     try:
+        _load_libraries()
         session = _create(path, options, settings(provider, input_size, cache))
         if session.get_providers()[0] == name:
             session.run(["parts"], {"images": np.zeros((1, 3, *input_size), np.float32)})
@@ -103,9 +106,16 @@ def open_on_gpu(path: Path, provider: ProviderName, input_size: tuple[int, int],
     except Exception as error:  # ONNX Runtime's errors have no common base
         reason = str(error).strip().partition("\n")[0][:300]
     raise InputError(
-        f"{name} of ONNX Runtime {ort.__version__} does not work here ({reason}); check the driver and install "
+        f"{name} of ONNX Runtime {ort.__version__} does not work here ({reason}); check the driver and the libraries of "
         f"{_LIBRARIES[provider]}, or give --provider cpu."
     )
+
+
+def _load_libraries() -> None:
+    """Load the CUDA libraries that pip installs beside ONNX Runtime, where the system does not look for them."""
+    if hasattr(ort, "preload_dlls"):  # from 1.21 on
+        with redirect_stdout(io.StringIO()):
+            ort.preload_dlls()
 
 
 def _create(path: Path, options: ort.SessionOptions, providers: list[tuple[str, Any]]) -> ort.InferenceSession:

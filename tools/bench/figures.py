@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import statistics
+import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -121,15 +122,28 @@ def show(title: str, figures: Iterable[Figure]) -> None:
     Console(width=150).print(table)
 
 
+def check_device(device: str) -> None:
+    """End the program with a sentence if torch finds no such GPU."""
+    import torch
+
+    if device != "cpu" and not torch.cuda.is_available():
+        raise SystemExit(
+            f"torch {torch.__version__} finds no GPU here, so nothing was measured; run this on a machine with one, or give "
+            "--device cpu."
+        )
+
+
 def machine() -> str:
-    """The machine, such as "2 cores, AMD EPYC"."""
+    """The machine, such as "2 cores, AMD EPYC", with its GPU if torch is in use and finds one."""
     name = platform.processor() or platform.machine()
     if (info := Path("/proc/cpuinfo")).is_file():
         named = [
             line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")
         ]
         name = named[0] if named else name
-    return f"{os.cpu_count()} cores, {name}"
+    torch = sys.modules.get("torch")
+    gpu = f", {torch.cuda.get_device_name()}" if torch is not None and torch.cuda.is_available() else ""
+    return f"{os.cpu_count()} cores, {name}{gpu}"
 
 
 def _number(value: float | None, unit: str) -> str:

@@ -1,22 +1,24 @@
-"""Images per second in training: `python -m tools.bench.train [DATA] [--resnet50]`.
+"""Images per second in training: `python -m tools.bench.train [DATA] [--resnet50] [--device cuda]`.
 
 The peer is the plain loop of the published recipe: each step takes one batch per view, its pictures decoded by Pillow one
 after the other, resized, padded, cropped, mirrored, and satellites turned; a float32 pass for each view, the cross-entropy
-of all parts and views summed, SGD with momentum. Ours is `lpn.training.trainer` with the same network, batch, and recipe, whose
-pictures are prepared by threads: `ours, first pass` decodes every picture, as the plain loop does, `ours` finds it kept,
-and `ours, float32` is that without mixed precision. All take turns in one process; the table gives medians: of the speed,
-and of its ratio to the plain loop in the same round, so that a busy moment distorts one round only. DATA is a data set in
-University-1652's layout with a train split; without it, synthetic JPEG files of that layout are made: satellites of
-512 x 512 pixels, drone pictures of 256 x 256.
+of all parts and views summed, SGD with momentum. On a GPU the peer is `ReleasedLoop`.
+
+Ours is `lpn.training.trainer` with the same network, batch, and recipe, whose pictures are prepared by threads: `ours, first
+pass` decodes every picture, as the plain loop does, `ours` finds it kept, and `ours, float32` is that without mixed precision.
+On a GPU there is `ours, compiled`, too. All take turns in one process; the table gives medians: of the speed, and of its ratio to
+the plain loop in the same round, so that a busy moment distorts one round only. DATA is a data set in University-1652's layout
+with a train split; without it, synthetic JPEG files of that layout are made: satellites of 512 x 512 pixels, drone pictures of
+256 x 256.
 """
 
 from __future__ import annotations
 
+import argparse
 import statistics
-import sys
 import tempfile
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -27,15 +29,18 @@ import torch
 import torch.nn.functional as F
 from PIL import Image
 from rich.console import Console
+from torch.utils.data import DataLoader, Dataset
 
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
+from lpn.core.views import View
 from lpn.datasets import open_dataset
 from lpn.models.network import LPN
+from lpn.training.multi_process import ProcessGroup
 from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import TrainingSet
-from tools.bench.figures import Figure, show, take_turns
+from tools.bench.figures import Figure, check_device, show, take_turns
 from tools.bench.pictures import make_train_split
 
 # More than a batch has, which takes each place once.
@@ -58,18 +63,7 @@ class PlainLoop:
         self.optimizer = torch.optim.SGD(groups, momentum=0.9, nesterov=True, weight_decay=recipe.weight_decay)
         self.rng = np.random.default_rng(0)
         self.device = next(network.parameters()).device
-
-    def picture(self, path: Path, satellite: bool) -> torch.Tensor:
-        """One augmented picture, (3, S, S)."""
-        size, pad = self.recipe.size, 10
-        with Image.open(path) as file:
-            picture = file.convert("RGB").resize((size, size), Image.Resampling.BICUBIC)
-        if satellite:
-            picture = picture.rotate(float(self.rng.uniform(-90, 90)))
-        padded = np.pad(np.asarray(picture), ((pad, pad), (pad, pad), (0, 0)), mode="edge")
-        top, left = (int(v) for v in self.rng.integers(0, 2 * pad + 1, 2))
-        crop = padded[top : top + size, left : left + size]
-        return torch.from_numpy(images.normalise(crop[:, ::-1] if self.rng.random() < 0.5 else crop))
+        self.scaler = torch.amp.GradScaler(self.device.type, enabled=False)
 
     def steps(self, count: int) -> None:
         """Some steps."""
@@ -78,19 +72,102 @@ class PlainLoop:
 
     def step(self) -> None:
         """One step over a random batch."""
+        with self.autocast():
+            loss = torch.zeros((), device=self.device)
+            for view, (pictures, places) in self.batches().items():
+                _, scores = self.network(pictures.to(self.device), view)
+                labels = places.to(self.device)
+                loss = loss + sum(F.cross_entropy(scores[:, part], labels) for part in range(scores.shape[1]))
+        self.optimizer.zero_grad()
+        self.scaler.scale(loss).backward()  # type: ignore[no-untyped-call]
+        self.scaler.step(self.optimizer)
+        self.scaler.update()
+        loss.item()
+
+    def batches(self) -> dict[View, tuple[torch.Tensor, torch.Tensor]]:
+        """Prepare pictures and places of each view, one picture after the other."""
         chosen = self.rng.permutation(len(self.places))[: self.recipe.batch]
-        places = torch.from_numpy(chosen).to(self.device)
-        loss = torch.zeros((), device=self.device)
-        for view in self.places.views:
+        found: dict[View, tuple[torch.Tensor, torch.Tensor]] = {}
+        for view in self.network.spec.views:
             files = self.places.files[view]
             paths = [files[place][int(self.rng.integers(len(files[place])))] for place in chosen]
-            batch = torch.stack([self.picture(path, view == "satellite") for path in paths]).to(self.device)
-            _, scores = self.network(batch, view)
-            loss = loss + sum(F.cross_entropy(scores[:, part], places) for part in range(scores.shape[1]))
-        self.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        self.optimizer.step()
-        loss.item()
+            pictures = [augmented(path, view == "satellite", self.recipe.size, self.rng) for path in paths]
+            found[view] = torch.stack(pictures), torch.from_numpy(chosen)
+        return found
+
+    def autocast(self) -> AbstractContextManager[object]:
+        """Context of the forward pass: float32."""
+        return nullcontext()
+
+
+class ReleasedLoop(PlainLoop):
+    """The released loop with `--fp16`: a DataLoader of four processes for each view, shuffled independently (wtyhub/LPN
+    train.py:149), cuDNN's benchmark (train.py:86), and float16 with a scaled loss (train.py:285).
+
+    Autocast stands for apex's O1, which is no longer kept up.
+    """
+
+    def __init__(self, network: LPN, places: TrainingSet, recipe: Recipe, workers: int = 4) -> None:
+        super().__init__(network, places, recipe)
+        self.scaler = torch.amp.GradScaler(self.device.type)
+        self.streams = {
+            view: _forever(
+                DataLoader(
+                    ViewPictures(places.files[view], view == "satellite", recipe.size),
+                    recipe.batch,
+                    shuffle=True,
+                    drop_last=True,
+                    num_workers=workers,
+                    persistent_workers=workers > 0,
+                )
+            )
+            for view in network.spec.views
+        }
+
+    def step(self) -> None:
+        """One step over the next batch of each view."""
+        with torch.backends.cudnn.flags(enabled=True, benchmark=True):
+            super().step()
+
+    def batches(self) -> dict[View, tuple[torch.Tensor, torch.Tensor]]:
+        """Return the next batch of each loader."""
+        return {view: next(stream) for view, stream in self.streams.items()}
+
+    def autocast(self) -> AbstractContextManager[object]:
+        """Context of the forward pass: float16."""
+        return torch.autocast(self.device.type, torch.float16)
+
+
+class ViewPictures(Dataset[tuple[torch.Tensor, int]]):
+    """All pictures of a view with the number of their place, augmented as released."""
+
+    def __init__(self, files: Sequence[Sequence[Path]], satellite: bool, size: int) -> None:
+        self.items = [(path, place) for place, paths in enumerate(files) for path in paths]
+        self.satellite, self.size = satellite, size
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __getitem__(self, index: int) -> tuple[torch.Tensor, int]:
+        path, place = self.items[index]
+        return augmented(path, self.satellite, self.size, np.random.default_rng()), place
+
+
+def _forever(loader: DataLoader[Any]) -> Iterator[Any]:
+    while True:
+        yield from loader
+
+
+def augmented(path: Path, satellite: bool, size: int, rng: np.random.Generator, pad: int = 10) -> torch.Tensor:
+    """Read, turn, crop, and mirror a picture, (3, S, S)."""
+    with Image.open(path) as file:
+        picture = file.convert("RGB").resize((size, size), Image.Resampling.BICUBIC)
+    if satellite:
+        picture = picture.rotate(float(rng.uniform(-90, 90)))
+    padded = np.pad(np.asarray(picture), ((pad, pad), (pad, pad), (0, 0)), mode="edge")
+    top, left = (int(v) for v in rng.integers(0, 2 * pad + 1, 2))
+    crop = padded[top : top + size, left : left + size]
+    return torch.from_numpy(images.normalise(crop[:, ::-1] if rng.random() < 0.5 else crop))
 
 
 class Unkept(TrainingSet):
@@ -100,39 +177,51 @@ class Unkept(TrainingSet):
         return images.load_picture(path)
 
 
-def ours(trainer: Trainer) -> Callable[[], None]:
+def ours(trainer: Trainer, count: int = STEPS) -> Callable[[], None]:
     """Steps of our trainer; the time includes all work of its threads."""
     trainer.network.train()
 
     def steps() -> None:
         with closing(cast(Any, trainer.loader.stream(0, 1_000_000))) as stream:
-            for batch in islice(stream, STEPS):
+            for batch in islice(stream, count):
                 loss, _ = trainer.learner.step(batch, 0, trainer.steps)
             loss.item()
 
     return steps
 
 
-def measure(data: Path, recipe: Recipe, folder: Path) -> dict[str, tuple[float, float]]:
+def measure(
+    data: Path, recipe: Recipe, folder: Path, device: torch.device, steps: int = STEPS
+) -> dict[str, tuple[float, float]]:
     """Median images per second of each loop, and their ratio to the plain loop."""
     quiet = Console(quiet=True)
 
-    def trainer(name: str, **changes: object) -> Trainer:
-        return Trainer(open_dataset(data), folder / name, replace(recipe, **changes), console=quiet, from_scratch=True)  # type: ignore[arg-type]
+    def trainer(name: str, compiled: bool = False, **changes: object) -> Trainer:
+        return Trainer(
+            open_dataset(data),
+            folder / name,
+            replace(recipe, **changes),  # type: ignore[arg-type]
+            console=quiet,
+            group=ProcessGroup(device),
+            compiled=compiled,
+            from_scratch=True,
+        )
 
     first = trainer("plain")
     places = first.places
-    plain = PlainLoop(LPN(first.network.spec).to(first.device), places, recipe)
+    peer = (ReleasedLoop if device.type == "cuda" else PlainLoop)(LPN(first.network.spec).to(device), places, recipe)
     cold = trainer("cold")
     cold.loader.places = Unkept(open_dataset(data), quiet)
     tasks: dict[str, Callable[[], object]] = {
-        "plain loop": lambda: plain.steps(STEPS),
-        "ours, first pass": ours(cold),
-        "ours": ours(trainer("kept")),
-        "ours, float32": ours(trainer("float32", precision="float32")),
+        "plain loop": lambda: peer.steps(steps),
+        "ours, first pass": ours(cold, steps),
+        "ours": ours(trainer("kept"), steps),
+        "ours, float32": ours(trainer("float32", precision="float32"), steps),
     }
+    if device.type == "cuda":
+        tasks["ours, compiled"] = ours(trainer("compiled", compiled=True), steps)
     times = take_turns(tasks, ROUNDS)
-    pictures = STEPS * recipe.batch * len(places.views)
+    pictures = steps * recipe.batch * len(places.views)
     plainly = times["plain loop"]
     return {
         name: (
@@ -143,7 +232,7 @@ def measure(data: Path, recipe: Recipe, folder: Path) -> dict[str, tuple[float, 
     }
 
 
-def figures(root: Path | None = None, resnet50: bool = False) -> list[Figure]:
+def figures(root: Path | None = None, resnet50: bool = False, device: str = "cpu") -> list[Figure]:
     """Measure each network; only our loop with cached pictures has a target."""
     networks = {"ResNet-18 to layer3": {"backbone": "resnet18", "last_layer": "layer3"}}
     if resnet50:
@@ -154,7 +243,7 @@ def figures(root: Path | None = None, resnet50: bool = False) -> list[Figure]:
         data = root or make_train_split(Path(folder) / "data", PLACES)
         for name, network in networks.items():
             recipe = replace(RECIPES["released"], batch=32, **network)  # type: ignore[arg-type]
-            result = measure(data, recipe, Path(folder) / name)
+            result = measure(data, recipe, Path(folder) / name, torch.device(device))
             plain, _ = result.pop("plain loop")
             for loop, (speed, ratio) in result.items():
                 what = f"training {name}, {recipe.batch} per view, {loop}"
@@ -164,5 +253,10 @@ def figures(root: Path | None = None, resnet50: bool = False) -> list[Figure]:
 
 
 if __name__ == "__main__":
-    folders = [Path(argument) for argument in sys.argv[1:] if not argument.startswith("--")]
-    show("Training", figures(folders[0] if folders else None, resnet50="--resnet50" in sys.argv))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("data", nargs="?", type=Path, help="a data set with a train split")
+    parser.add_argument("--resnet50", action="store_true", help="measure ResNet-50, too")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda")
+    options = parser.parse_args()
+    check_device(options.device)
+    show("Training", figures(options.data, options.resnet50, options.device))

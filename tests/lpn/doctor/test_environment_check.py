@@ -243,7 +243,7 @@ def test_onnx_runtime_s_providers_are_named(monkeypatch: pytest.MonkeyPatch) -> 
     )
     monkeypatch.setattr(environment_check, "_has_nvidia_driver", lambda: True)
     found = of("ONNX Runtime", environment_check._onnx_runtime)
-    assert (found.level, "pip install onnxruntime-gpu" in found.remedy) == ("note", True)
+    assert (found.level, "pip install 'onnxruntime-gpu" in found.remedy) == ("note", True)
     names = ["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"]
     monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: names)
     found = of("ONNX Runtime", environment_check._onnx_runtime)

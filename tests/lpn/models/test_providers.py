@@ -78,7 +78,7 @@ def test_without_a_gpu_auto_is_the_cpu(model_file: Path) -> None:
 
 @pytest.mark.parametrize(("wanted", "name"), [("cuda", CUDA), ("tensorrt", TENSORRT)])
 def test_a_provider_that_is_not_built_in_is_one_sentence(model_file: Path, wanted: str, name: str) -> None:
-    with pytest.raises(InputError, match=f"has no {name}, but .*{CPU}; install .*onnxruntime-gpu") as caught:
+    with pytest.raises(InputError, match=f"has no {name}, but {CPU}; install .*onnxruntime-gpu") as caught:
         lpn.load(model_file, wanted)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
     assert str(caught.value).endswith("or give --provider cpu.")
@@ -130,7 +130,7 @@ def test_cuda_without_its_libraries_is_the_cpu_with_auto_and_an_error_by_name(
     assert model.device == "cpu"
     (record,) = caplog.records
     assert f"{model_file.name} computes on the CPU: {CUDA} of ONNX Runtime" in record.getMessage()
-    with pytest.raises(InputError, match=r"was not started.*install CUDA 12 and cuDNN 9, or give --provider cpu"):
+    with pytest.raises(InputError, match=r"was not started.*libraries of CUDA and cuDNN, or give --provider cpu"):
         lpn.load(model_file, "cuda")
 
 
@@ -208,6 +208,10 @@ def test_the_commands_pass_the_option_on(
         assert f"has no {CUDA}" in capsys.readouterr().err
     assert not (tmp_path / "store").exists()
     assert not (tmp_path / "int8.onnx").exists()
+    saved = ["--saved", str(tmp_path / "pytorch_result.mat"), "--provider", "cuda"]
+    for command in (["evaluate", *saved], ["explore", "--data", str(data), *saved]):
+        assert main.main(command) == 2
+        assert "A saved result needs no network" in capsys.readouterr().err
     FakeGpu(monkeypatch)
     assert main.main([*describe, "auto"]) == 0
     assert "Computed on cuda." in capsys.readouterr().out

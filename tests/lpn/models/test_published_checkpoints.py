@@ -18,93 +18,19 @@ from lpn.models.network import LPN
 from lpn.models.published_checkpoints import infer_spec
 from lpn.models.spec import ModelSpec
 from tools.fixtures import published_network, seeded, small_worlds
+from tools.fixtures.parity import (
+    CASES,
+    CVUSA_OPTIONS,
+    TOLERANCE,
+    UNIVERSITY_OPTIONS,
+    ParityCase,
+    backbone,
+    descriptor,
+    difference,
+    picture,
+    state_dict,
+)
 from tools.fixtures.published_network import State
-
-UNIVERSITY_OPTIONS = """\
-DA: false
-LPN: true
-batchsize: 8
-block: {n}
-color_jitter: false
-data_dir: /data/University-Release/train
-droprate: 0.75
-erasing_p: 0
-extra_Google: true
-fp16: true
-gpu_ids: '0'
-h: {size}
-lr: 0.001
-moving_avg: 1.0
-name: three_view_long_share_d0.75_256_s1_google_lr0.001
-nclasses: 7
-pad: 10
-pool: avg
-resume: false
-share: true
-stride: {stride}
-train_all: false
-use_NAS: false
-use_dense: false
-views: 3
-w: {size}
-warm_epoch: 0
-"""
-CVUSA_OPTIONS = """\
-LPN: true
-batchsize: 16
-block: {n}
-data_dir: /data/CVUSA/train
-droprate: 0.5
-fp16: true
-gpu_ids: '3'
-h: 256
-name: usa_noshare_warm5_8LPN-s-r
-nclasses: 7
-pool: avg
-share: false
-stride: {stride}
-use_vgg16: {vgg}
-views: 2
-w: 256
-warm_epoch: 5
-"""
-
-
-@cache
-def backbone(name: str) -> State:
-    values = seeded.entries({f"model.{k}": shape for k, shape in published_network.backbone_shapes(name).items()})
-    return {k.removeprefix("model."): value for k, value in values.items()}
-
-
-@cache
-def street_backbone(name: str) -> State:
-    """Another network of the same kind: the same numbers, each moved on by one place."""
-    return {entry: tensor.roll(1) if tensor.ndim else tensor for entry, tensor in backbone(name).items()}
-
-
-def state_dict(name: str, views: int, n: int, baseline: bool = False) -> State:
-    """A checkpoint; satellite and drone share their weights, as one tensor each, and the street has its own."""
-    state = {f"model_1.model.{k}": v for k, v in backbone(name).items()}
-    state |= {f"model_2.model.{k}": v for k, v in street_backbone(name).items()}
-    if views == 3:
-        state |= {f"model_3.model.{k}": v for k, v in backbone(name).items()}
-    channels = 2048 if name == "resnet50" else 512
-    heads = ["classifier"] if baseline else [f"classifier{i}" for i in range(n)]
-    return state | seeded.entries(
-        {k: v for head in heads for k, v in published_network.head_shapes(head, channels).items()}
-    )
-
-
-@cache
-def picture(size: int) -> Tensor:
-    return torch.from_numpy(seeded.pictures(7, 1, size, size))
-
-
-@cache
-def feature_map(name: str, street: bool, size: int = 256, stride: int = 1, mirrored: bool = False) -> Tensor:
-    """What the published backbone makes of the picture or its mirror; the heads of every n stand on it."""
-    state = {f"model_1.model.{k}": v for k, v in (street_backbone if street else backbone)(name).items()}
-    return published_network.feature_map(state, "model_1", picture(size).flip(3) if mirrored else picture(size), stride)
 
 
 @cache
@@ -117,17 +43,8 @@ def golden_maps() -> tuple[Tensor, Tensor]:
     )
 
 
-def raw(state: State, view: str, name: str, size: int = 256, stride: int = 1, mirrored: bool = False) -> Tensor:
-    return published_network.embeddings(state, view, feature_map(name, view == "street", size, stride, mirrored))
-
-
-def descriptor(state: State, view: str, name: str) -> Tensor:
-    return published_network.descriptor(*(raw(state, view, name, mirrored=mirrored) for mirrored in (False, True)))
-
-
 def agree(found: np.ndarray, expected: Tensor) -> None:
-    assert found.shape == tuple(expected.shape)
-    assert np.abs(found - expected.numpy()).max() <= 1e-4 * float(expected.abs().max())
+    assert difference(found, expected) <= TOLERANCE
 
 
 @pytest.mark.parametrize("case", ["n4", "n1_baseline"])
@@ -141,25 +58,22 @@ def test_the_reference_answers_as_the_published_implementation(case: str) -> Non
     )
 
 
-@pytest.mark.parametrize(
-    ("n", "size", "stride", "view"),
-    [
-        (1, 256, 1, "drone"),
-        (4, 256, 1, "street"),
-        (10, 256, 1, "satellite"),
-        (4, 320, 1, "drone"),
-        (8, 384, 1, "satellite"),
-        (6, 256, 2, "drone"),
-    ],
-)
-def test_three_view_checkpoints(n: int, size: int, stride: int, view: str, tmp_path: Path) -> None:
-    state = state_dict("resnet50", 3, n)
-    torch.save(state, tmp_path / "net_119.pth")
-    if (size, stride) != (256, 1):
-        (tmp_path / "opts.yaml").write_text(UNIVERSITY_OPTIONS.format(n=n, size=size, stride=stride))
-    model = lpn.load(tmp_path / "net_119.pth")
-    assert (model.views, model.n_parts, model.input_size) == (("satellite", "street", "drone"), n, (size, size))
-    agree(model.part_embeddings(picture(size), view), raw(state, view, "resnet50", size, stride))  # type: ignore[arg-type]
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_a_checkpoint_gives_the_published_head_outputs(case: ParityCase, tmp_path: Path) -> None:
+    model = lpn.load(case.write(tmp_path), "cpu")
+    assert (model.views, model.n_parts, model.input_size) == (case.views, case.n, (case.size, case.size))
+    for view in case.compared:
+        agree(model.part_embeddings(case.pictures(), view), case.expected(view))
+
+
+def test_a_difference_of_the_head_outputs_would_be_seen(tmp_path: Path) -> None:
+    case = CASES[4]
+    model, expected = lpn.load(case.write(tmp_path), "cpu"), case.expected("satellite")
+    found = model.part_embeddings(case.pictures(), "satellite")
+    assert difference(found[:, ::-1], expected) > 100 * TOLERANCE
+    assert difference(found.astype(np.float16), expected) > TOLERANCE
+    with pytest.raises(ValueError, match="The shapes are"):
+        difference(found[:, :1], expected)
 
 
 def test_three_view_baseline_and_descriptors(tmp_path: Path) -> None:
@@ -169,28 +83,6 @@ def test_three_view_baseline_and_descriptors(tmp_path: Path) -> None:
     (tmp_path / "opts.yaml").write_text(options)
     found = lpn.load(tmp_path / "net_last.pth").descriptors(picture(256), "drone")
     agree(found, descriptor(state, "drone", "resnet50"))
-
-
-def test_three_view_vgg_resizes_its_map_corner_to_corner(tmp_path: Path) -> None:
-    state = state_dict("vgg16_bn", 3, 8)
-    torch.save(state, tmp_path / "net_119.pth")
-    found = lpn.load(tmp_path / "net_119.pth").part_embeddings(picture(256), "satellite")
-    agree(found, raw(state, "satellite", "vgg16_bn"))
-
-
-@pytest.mark.parametrize(
-    ("name", "n", "stride"),
-    [("vgg16_bn", 1, None), ("vgg16_bn", 6, None), ("resnet50", 8, 1), ("resnet50", 8, 2)],
-)
-def test_two_view_checkpoints(name: str, n: int, stride: int | None, tmp_path: Path) -> None:
-    state = state_dict(name, 2, n, baseline=n == 1)
-    torch.save(state, tmp_path / "net_119.pth")
-    if stride is not None:
-        (tmp_path / "opts.yaml").write_text(CVUSA_OPTIONS.format(n=n, stride=stride, vgg="false"))
-    model = lpn.load(tmp_path / "net_119.pth")
-    assert (model.views, model.n_parts) == (("satellite", "street"), n)
-    for view in model.views:
-        agree(model.part_embeddings(picture(256), view), raw(state, view, name, 256, stride or 1))
 
 
 @pytest.mark.slow

@@ -1,0 +1,60 @@
+"""The program for a machine with a GPU, tried without one. Tests reach tools only as processes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+ROWS = """
+from rich.console import Console
+from tools.bench.gpu import ParityRow, parity_table
+rows = [
+    ParityRow("good", {"float32": 1e-4, "float16": 0.02}),
+    ParityRow("bad", {"float32": 1.1e-4}),
+    ParityRow("provider", failure="no driver"),
+]
+assert [row.agrees for row in rows] == [True, False, False]
+Console(width=150).print(parity_table(rows))
+"""
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "CUDA_VISIBLE_DEVICES": ""}
+    folder = Path(__file__).parents[1]
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, env=environment, cwd=folder)
+
+
+@pytest.mark.parametrize("program", ["gpu", "train", "describe"])
+def test_without_a_gpu_a_bench_says_so_in_one_sentence(program: str) -> None:
+    done = run("-m", f"tools.bench.{program}", "--device", "cuda")
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert line.endswith(
+        "finds no GPU here, so nothing was measured; run this on a machine with one, or give --device cpu."
+    )
+    assert not done.stdout
+
+
+def test_the_table_tells_agreement_from_difference_and_from_nothing() -> None:
+    done = run("-c", ROWS)
+    lines = {line.split()[1]: line for line in done.stdout.splitlines() if line.startswith("│")}
+    assert done.returncode == 0, done.stderr
+    assert ["met" in lines[name] for name in ("good", "bad", "provider")] == [True, False, False]
+    assert "missed" in lines["bad"]
+    assert "not run" in lines["provider"]
+    assert "2.0e-02" in lines["good"]
+
+
+def test_parity_and_speed_at_tiny_size() -> None:
+    done = run("-m", "tools.bench.gpu", "--device", "cpu", "--tiny", "--pictures", "8")
+    assert done.returncode == 0, done.stderr
+    found = [line for line in done.stdout.splitlines() if " met " in line]
+    assert len(found) == 2  # a checkpoint, and one that is exported
+    for word in ("published arrays n4", "ONNX Runtime, cpu", "cpu, eager", "compiled", "ours, float32", "images/s"):
+        assert word in done.stdout

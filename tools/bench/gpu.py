@@ -1,0 +1,142 @@
+"""Parity and speed on a GPU, in two tables: `python -m tools.bench.gpu`.
+
+The first table has the 13 published checkpoints of `tools.fixtures.parity`, with the largest difference of the head outputs
+relative to the largest value: in float32, which must stay below 1e-4, and in mixed precision, which need not. Below them is the
+exported model by each of ONNX Runtime's providers. The second table has pictures per second of describing
+(`tools.bench.describe`) and of training (`tools.bench.train`) beside the released loops on the same GPU. Without a GPU the
+program says so in a sentence.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from lpn.core.errors import LPNError
+from lpn.models.checkpoints import load_torch
+from lpn.models.export import export
+from lpn.models.onnx_engine import Engine
+from lpn.models.providers import available
+from lpn.models.spec import ModelSpec
+from lpn.training.recipes import RECIPES
+from tools.bench import describe, train
+from tools.bench.figures import Figure, check_device, machine, show
+from tools.bench.pictures import make_train_split
+from tools.fixtures.parity import CASES, TOLERANCE, ParityCase, difference
+
+MIXED = {"float16": torch.float16, "bfloat16": torch.bfloat16}
+# The case that is exported, a ResNet-50 of three views with four parts.
+EXPORTED = CASES[3]
+TINY = ModelSpec("resnet18", "layer3", views=("satellite", "drone"), input_size=(64, 64))
+
+
+@dataclass(frozen=True)
+class ParityRow:
+    """The differences of one model from the published head outputs.
+
+    Attributes:
+        what: the checkpoint, or the provider.
+        differences: by precision, relative to the largest expected value.
+        failure: why there are none.
+    """
+
+    what: str
+    differences: dict[str, float] = field(default_factory=dict)
+    failure: str = ""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the float32 outputs are those published."""
+        return self.differences.get("float32", float("inf")) <= TOLERANCE
+
+
+def parity(device: torch.device, cases: Sequence[ParityCase]) -> Iterator[ParityRow]:
+    """Compare each case in float32 and in mixed precision."""
+    for case in cases:
+        with tempfile.TemporaryDirectory() as folder:
+            model = load_torch(case.write(Path(folder)), device)
+        found = dict.fromkeys(("float32", *MIXED), 0.0)
+        for view in case.compared:
+            expected = case.expected(view)
+            outputs = {"float32": model.part_embeddings(case.pictures(), view)}
+            for name, dtype in MIXED.items():
+                with torch.inference_mode(), torch.autocast(device.type, dtype):
+                    outputs[name] = model.network.embed(case.pictures().to(device), view)[0].float().cpu().numpy()
+            for name, array in outputs.items():
+                found[name] = max(found[name], difference(array, expected))
+        yield ParityRow(str(case), found)
+
+
+def provider_parity(case: ParityCase) -> Iterator[ParityRow]:
+    """Compare the exported case by each provider that ONNX Runtime was built with."""
+    view = case.compared[0]
+    with tempfile.TemporaryDirectory() as folder:
+        export(case.write(Path(folder)), Path(folder, "model.onnx"))
+        for provider in available():
+            what = f"exported, ONNX Runtime, {provider}"
+            try:
+                found = Engine(Path(folder, "model.onnx"), provider=provider).part_embeddings(case.pictures(), view)
+                yield ParityRow(what, {"float32": difference(found, case.expected(view))})
+            except LPNError as error:
+                yield ParityRow(what, failure=str(error))
+
+
+def parity_table(rows: Sequence[ParityRow]) -> Table:
+    """Return the table of differences."""
+    table = Table(
+        title=f"Largest difference from the published head outputs, relative to the largest value; {machine()}"
+    )
+    table.add_column("checkpoint")
+    for name in ("float32", f"at most {TOLERANCE:.0e}", *MIXED):
+        table.add_column(name, justify="right")
+    for row in rows:
+        cells = {name: f"{value:.1e}" for name, value in row.differences.items()}
+        verdict = "not run" if row.failure else "met" if row.agrees else "missed"
+        table.add_row(row.what, cells.get("float32", ""), verdict, *(cells.get(name, "") for name in MIXED))
+    return table
+
+
+def speed(device: str, pictures: int, tiny: bool) -> list[Figure]:
+    """Measure describing and training."""
+    if not tiny:
+        return describe.on_device(device, pictures) + train.figures(resnet50=True, device=device)
+    with tempfile.TemporaryDirectory() as folder:
+        data = make_train_split(Path(folder, "data"), 4)
+        recipe = replace(RECIPES["released"], backbone="resnet18", last_layer="layer3", size=64, batch=2)
+        found = train.measure(data, recipe, Path(folder, "run"), torch.device(device), steps=1)
+    return describe.on_device(device, pictures, spec=TINY) + [
+        Figure(f"training, {loop}", value, "images/s", found["plain loop"][0], more=True)
+        for loop, (value, _) in found.items()
+        if loop != "plain loop"
+    ]
+
+
+def main() -> None:
+    """Check parity, measure, and print both tables; ends with status 1 if float32 does not agree."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--device", default="cuda", help="cuda, or cpu to try the program")
+    parser.add_argument("--pictures", type=int, default=1024, help="how many are described in each turn")
+    parser.add_argument("--tiny", action="store_true", help="one checkpoint and a tiny network, to try the program")
+    options = parser.parse_args()
+    check_device(options.device)
+    rows = list(parity(torch.device(options.device), CASES[:1] if options.tiny else CASES))
+    rows += provider_parity(EXPORTED)
+    console = Console(width=150)
+    console.print(parity_table(rows))
+    for row in rows:
+        if row.failure:
+            console.print(f"{row.what} was not run: {row.failure}")
+    show("Speed", speed(options.device, options.pictures, options.tiny))
+    if not all(row.agrees for row in rows if not row.failure):
+        raise SystemExit("The float32 outputs of a checkpoint above are not those published; report this table.")
+
+
+if __name__ == "__main__":
+    main()
