@@ -97,7 +97,7 @@ class ClientSession:
             self._bridge = PageBridge(client.gui, handlers, properties, style.STYLE)
             commands = [*self._explain_window.commands(), *self._lab.commands(), ("Glossary", glossary.show)]
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, commands)
-            self._stage = Stage(client, workspace, viewport, self._on_select)
+            self._stage = Stage(client, workspace, self._on_select)
             self._worker = Worker(self._work, self._on_error)
             self._ranking_progress = RankingProgress(self._panels.answer.show_results, self._worker.wake)
             self._greeting_timeout = DelayedCall(_ADDRESS_TIMEOUT, self._worker.wake)

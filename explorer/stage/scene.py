@@ -16,7 +16,6 @@ from explorer.stage.camera import Viewpoint
 from explorer.stage.cards import SHOWN, Cards
 from explorer.stage.image_planes import UPRIGHT, Plane, Rotation, title
 from explorer.stage.map_view import GalleryMap
-from explorer.stage.viewport import Viewport
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
@@ -124,7 +123,6 @@ class Stage:
     """One browser's 3-D view.
 
     Args:
-        viewport: the size of the stage.
         on_select: called with the shown state and the gallery position of a clicked tile.
     """
 
@@ -132,10 +130,9 @@ class Stage:
         self,
         client: viser.ClientHandle,
         workspace: Workspace,
-        viewport: Viewport,
         on_select: Callable[[SessionState, int], None],
     ) -> None:
-        self._client, self._workspace, self._viewport = client, workspace, viewport
+        self._client, self._workspace = client, workspace
         self._n = workspace.spec.n_parts
         scene = client.scene
         scene.configure_default_lights(cast_shadow=False)
@@ -158,14 +155,12 @@ class Stage:
         self._viewpoint: Viewpoint | None = None
         self._map: GalleryMap | None = None
         client.camera.on_update(lambda _: self.fit())
-        viewport.watch(self.fit)
         self.fit()
 
     def fit(self) -> None:
         """Reset the camera if the window's aspect has changed; otherwise keep the user's orbit."""
         with self._framing:  # several threads call this on a resize, and the last aspect must win
-            viewport = self._viewport
-            aspect = viewport.width / viewport.height if viewport.reported else self._client.camera.aspect
+            aspect = self._client.camera.aspect
             if math.isfinite(aspect) and aspect > 0 and abs(aspect - self._aspect) >= 0.01:
                 self._aspect = aspect
                 self._point_camera()

@@ -16,17 +16,11 @@ _MAX_SIDE = 10_000
 class Viewport:
     """The stage's width and height in CSS pixels, as the page reports them.
 
-    viser's camera reports the size of the drawing buffer instead. It is smaller on slow machines, and out of date in the
-    message that viser sends while the stage is resized.
-
-    Attributes:
-        width, height: the size; a guess until the page has reported it.
-        reported: whether the page has reported it.
+    viser's camera reports another size: on slow machines, viser renders at a lower resolution.
     """
 
     def __init__(self) -> None:
         self.width, self.height = 780, 820
-        self.reported = False
         self._watchers: list[Callable[[], None]] = []
 
     def watch(self, on_resize: Callable[[], None]) -> None:
@@ -37,9 +31,8 @@ class Viewport:
         """Take the size from the page, [width, height]; anything else is ignored."""
         if isinstance(value, list) and len(value) == 2:
             size = tuple(session_state.integer(side, 1, _MAX_SIDE) for side in value)
-            if None not in size and not (self.reported and (self.width, self.height) == size):
+            if None not in size and (self.width, self.height) != size:
                 self.width, self.height = cast("tuple[int, int]", size)
-                self.reported = True
                 for on_resize in self._watchers:
                     on_resize()
 

@@ -19,14 +19,19 @@
     input.dispatchEvent(new Event("input", { bubbles: true }));
   };
 
-  // viser sends the control's last value every 50 ms, so messages wait until the one before is sent.
-  let free = 0;
+  // viser sends the control's last value every 50 ms, so each message waits until the one before is sent. Its timer starts
+  // only when that is written: timers that were set in advance expire together on a page that is busy.
+  const waiting = [];
+  let sending = false;
+  const next = () => {
+    sending = waiting.length > 0;
+    if (!sending) return;
+    write(...waiting.shift());
+    setTimeout(next, 60);
+  };
   lpn.send = (kind, value) => {
-    const now = performance.now();
-    const wait = Math.max(free - now, 0);
-    free = now + wait + 60;
-    if (wait) setTimeout(write, wait, kind, value);
-    else write(kind, value);
+    waiting.push([kind, value]);
+    if (!sending) next();
   };
 
   const sized = (map) => map.dataset.size.split(",").map(Number);

@@ -65,7 +65,11 @@
   const stage = new ResizeObserver(([entry]) => {
     const { width, height } = entry.contentRect;
     clearTimeout(stage.sending);
-    stage.sending = setTimeout(() => lpn.send("room", [Math.round(width), Math.round(height)]), 250);
+    stage.sending = setTimeout(() => {
+      lpn.send("room", [Math.round(width), Math.round(height)]);
+      // On a resize viser may report the camera with the size of before, and the stage would be framed for that.
+      window.__viserMutable?.sendCamera?.();
+    }, 250);
   });
   lpn.watch = () => {
     const canvas = document.querySelector("canvas[data-engine]");
