@@ -94,12 +94,13 @@ def test_the_ablation_takes_seeds_that_both_methods_have(docs: Path, tmp_path: P
         save_file({"a": np.zeros(1)}, folder / "last.safetensors", metadata={"recipe": '{"epochs": 7}'})
         for task in ("drone-to-satellite", "satellite-to-drone"):
             (folder / f"{task}.json").write_text(json.dumps({"recall@1": value, "ap": value + 1}))
+        (folder / "centre.json").write_text(json.dumps([value, 25]))
     done = pages("--ablation", str(tmp_path / "runs"), "--commit", "abc", "--docs", str(docs))
     assert done.returncode == 0, done.stderr
     text = (docs / "evaluation.md").read_text("utf-8")
-    assert "| n = 4 (LPN) | 45.00 ± 5.00 | 46.00 ± 5.00 | 45.00 ± 5.00 | 46.00 ± 5.00 |" in text
-    assert "| gain | 20.00 | 20.00 | 20.00 | 20.00 |" in text
-    assert "2 seeds each (seed 0, 1)" in text
+    assert "| n = 4 (LPN) | 45.00 ± 5.00 | 46.00 ± 5.00 | 45.00 ± 5.00 | 46.00 ± 5.00 | 45.0 ± 5.0 | 25.0 |" in text
+    assert "| gain | 20.00 | 20.00 | 20.00 | 20.00 | 20.0 | 0.0 |" in text
+    assert "2 seeds each (0, 1)" in text
     assert "--method lpn --infonce 0 --ema 0 --label-smoothing 0 --epochs 7" in text
 
 

@@ -98,7 +98,7 @@ def copy_run(run: Path, docs: Path) -> None:
 def copy_ablation(runs: Path, commit: str, docs: Path) -> None:
     """Take the runs of the ablation over into the page's data: the folders `<method>-seed<k>` that have both tasks' JSON files.
 
-    Only seeds that both methods have are taken.
+    Only seeds that both methods have are taken. A folder's `centre.json` holds `centre_shares` of its network.
     """
     of_seed: dict[int, dict[str, list[float]]] = {}
     for folder in sorted(runs.glob("*-seed*")):
@@ -106,7 +106,8 @@ def copy_ablation(runs: Path, commit: str, docs: Path) -> None:
         tasks = [folder / f"{task}.json" for task in ("drone-to-satellite", "satellite-to-drone")]
         if all(file.is_file() for file in tasks):
             found = [json.loads(file.read_bytes()) for file in tasks]
-            of_seed.setdefault(int(seed), {})[method] = [task[key] for task in found for key in ("recall@1", "ap")]
+            values = [task[key] for task in found for key in ("recall@1", "ap")]
+            of_seed.setdefault(int(seed), {})[method] = values + json.loads((folder / "centre.json").read_bytes())
     seeds = sorted(seed for seed, methods in of_seed.items() if len(methods) == 2)
     with safe_open(runs / f"lpn-seed{seeds[0]}" / "last.safetensors", "np") as file:
         recipe = json.loads(file.metadata()["recipe"])
@@ -169,7 +170,9 @@ def _cells(values: list[float], digits: int = 1) -> str:
 
 
 def _mean(values: list[float], digits: int = 1) -> str:
-    """Format the mean of seeds with half of the distance between the lowest and the highest."""
+    """Format the mean of seeds, with half of the distance between the lowest and the highest if they differ."""
+    if len(set(values)) == 1:
+        return _figure(values[0], digits)
     return f"{sum(values) / len(values):.{digits}f} ± {(max(values) - min(values)) / 2:.{digits}f}"
 
 
