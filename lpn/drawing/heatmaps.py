@@ -22,7 +22,7 @@ NOTE = (
 )
 # From this ratio of width to height on, a picture is a panorama, and fewer fit in a row.
 _PANORAMA = 2.0
-_IN_A_ROW, _PANORAMAS_IN_A_ROW = 5, 2
+_IN_A_ROW, _PANORAMAS_IN_A_ROW = 5, 3
 
 
 @dataclass(frozen=True, eq=False)

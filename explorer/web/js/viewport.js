@@ -91,7 +91,8 @@
     const tabs = [...document.querySelectorAll('[role="tab"]')];
     const tab = tabs.find((one) => one.textContent.trim() === name && one.offsetHeight);
     if (!tab) return tries && setTimeout(() => lpn.tab(name, tries - 1), 250);
-    tab.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true })); // viser's tabs ignore a script's clicks
+    tab.click(); // viser's tabs take it on a phone only, and a key elsewhere only
+    tab.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
     if (phone.matches) setTimeout(() => tab.scrollIntoView({ block: "start", behavior: "smooth" }), 300);
   };
   phone.addEventListener("change", () => setTimeout(lpn.watch, 300));

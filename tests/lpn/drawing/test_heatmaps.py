@@ -97,11 +97,11 @@ def test_a_shared_scale_is_shared_by_query_and_tile_of_each_part() -> None:
     assert float(labels[2][-1]) == pytest.approx(high, abs=0.06)
 
 
-def test_names_are_escaped_and_panoramas_are_two_in_a_row() -> None:
+def test_names_are_escaped_and_panoramas_are_three_in_a_row() -> None:
     wide = heatmaps.draw(pair(4, (40, 200)), ["<b>", "2", "3", "4"])
     assert "part &lt;b&gt;" in wide
     assert "<b>" not in wide
-    assert "--in-a-row:2;--aspect:200 / 40" in wide
+    assert "--in-a-row:3;--aspect:200 / 40" in wide
     assert "--in-a-row:5;" in heatmaps.draw(pair(4), list("abcd"))
     assert "--in-a-row:5;" in heatmaps.draw(pair(8), list("abcdefgh"))
     assert "--in-a-row:2;" in heatmaps.draw(pair(1), ["1 whole"])
