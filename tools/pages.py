@@ -25,6 +25,7 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.files import write_atomic
 from lpn.reproduce import report
 from lpn.reproduce.measure import read_measurements
+from lpn.reproduce.paper_values import largest_drop
 from lpn.reproduce.record import Provenance, TableRecord, machine
 from lpn.training import recipe_sources, recipes
 
@@ -58,7 +59,12 @@ def render(page: str, docs: Path) -> str:
     old = [record for record in records.values() if any(note.startswith(_EARLIER) for note in record.notes)]
     earlier = [record.title.partition(", on ")[0] for record in old]
     text = environment.get_template(f"{page}.md.j2").render(
-        **data, tables=records, table=lambda key: table(records[key]), drawings=drawings, earlier=earlier
+        **data,
+        tables=records,
+        table=lambda key: table(records[key]),
+        drawings=drawings,
+        earlier=earlier,
+        limits=[largest_drop(column) for column in range(4)],
     )
     return text.rstrip("\n") + "\n\n" + _SOURCE
 

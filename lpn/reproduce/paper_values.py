@@ -91,14 +91,14 @@ def _rising(*rows: str) -> tuple[Comparison, ...]:
     return tuple((better, worse) for worse, better in pairwise(rows))
 
 
-def _largest_loss(column: int) -> float:
-    """The largest loss of a turned query in Table IV, which the paper calls no significant drop."""
+def largest_drop(column: int) -> float:
+    """Return the largest drop of a turned query in a column of Table IV, which the paper does not call significant."""
     return round(max(TABLE4[0][column] - values[column] for values in TABLE4.values()), 2)
 
 
 def _no_drop(text: str, columns: tuple[int, int]) -> Claim:
     upright, *turned = (f"LPN, {angle}°" for angle in TABLE4)
-    return Claim(text, _ahead(upright, *turned), columns, (_largest_loss(columns[0]), _largest_loss(columns[1])))
+    return Claim(text, _ahead(upright, *turned), columns, (largest_drop(columns[0]), largest_drop(columns[1])))
 
 
 _METRIC_LOSSES = tuple(TABLE1)[1:5]

@@ -91,6 +91,16 @@ def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
     assert (recipes["panorama-lpn"].backbone, recipes["panorama-lpn"].n_parts) == ("vgg16_bn", 8)
     assert (recipes["panorama-safa-lpn"].pooling, recipes["panorama-safa-lpn"].optimizer) == ("safa", "adam")
     assert recipes["panorama-safa-lpn"].input_size == (112, 616)
+    released = SCALES["released"]
+    rates = {
+        training.name: (recipe.batch, recipe.lr)
+        for training in find("table1", released).trainings
+        for recipe in [released.recipe(training, 0)]
+    }
+    assert rates["lpn"] == (8, 0.001)
+    # wtyhub/LPN run.sh:36
+    assert rates["instance"] == (8, 0.01)
+    assert all(recipes[name].google for name in ("instance", "contrastive", "lpn-8-parts", "lpn-512-pixels"))
     small = replace(scale, changes={"backbone": "resnet18", "last_layer": "layer3"})
     for table in tables(small).values():
         assert {small.recipe(training, 0).backbone for training in table.trainings} == {"resnet18"}
