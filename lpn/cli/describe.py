@@ -31,7 +31,7 @@ class DescribeCommand:
     provider: ProviderName = "auto"
     """What computes the network: auto (a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     compile: bool = False
-    """Run a .safetensors or .pth by torch.compile; worth it from some thousand pictures on."""
+    """Run a .safetensors or .pth by torch.compile; worth it from some hundred pictures on."""
     engine: Literal["local", "ray"] = "local"
     """local describes on this machine, and refuses broken pictures before anything is computed. ray describes with many workers,
     lists broken pictures in broken.csv, and ends with status 1 if there are any."""

@@ -30,7 +30,7 @@ class EvaluateCommand:
     provider: ProviderName = "auto"
     """What computes the network: auto (a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     compile: bool = False
-    """Run a .safetensors or .pth by torch.compile; worth it from some thousand pictures on."""
+    """Run a .safetensors or .pth by torch.compile; worth it from some hundred pictures on."""
     saved: Path | None = None
     """Result of the published test code, pytorch_result.mat, in place of --data and --model."""
     n_parts: int | None = None

@@ -56,7 +56,7 @@ class TrainCommand:
     workers: int = 0
     """Threads that prepare pictures; 0 chooses by the machine. They do not affect the result."""
     compile: bool = False
-    """Compile the backbone by torch.compile; the first step then takes minutes, and losses differ by rounding."""
+    """Compile the backbone by torch.compile; the first step then takes seconds to minutes, and losses differ by rounding."""
     settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
 
     def run(self) -> None:

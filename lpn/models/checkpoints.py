@@ -38,7 +38,7 @@ class TorchModel(Model):
     """A model that runs in PyTorch, on the CPU or the GPU the network was put on.
 
     Args:
-        compiled: run the backbones by torch.compile, which takes a minute at the first batch of each size.
+        compiled: run the backbones by torch.compile, which compiles for seconds to minutes at the first batch of a size.
 
     Raises:
         InputError: if `compiled`, and torch finds no compiler.

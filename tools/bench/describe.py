@@ -196,7 +196,7 @@ def on_device(device: str, count: int = PICTURES, given: Path | None = None, spe
 def bare_on_device(model: TorchModel, pictures: int) -> None:
     """Run the forward passes alone, two for each picture, and wait for the last."""
     device = next(model.network.parameters()).device
-    batch = torch.zeros(min(model.batch, pictures), 3, *model.input_size, device=device)
+    batch = torch.randn(min(model.batch, pictures), 3, *model.input_size, device=device)
     with exact_inference(benchmark=True):
         for _ in range(2 * -(-pictures // len(batch))):
             parts = model.network.embed(batch, "drone")[0]
