@@ -18,7 +18,7 @@ from lpn.explain.part_activation import value_ranges
 
 NOTE = (
     "Activation is the channel sum of the last feature map in the cells of a part (the paper’s Figure 7). It has no unit, and it "
-    "belongs to one picture: evidence, under Why, belongs to the pair."
+    "belongs to one picture; evidence belongs to the pair."
 )
 # From this ratio of width to height on, a picture is a panorama, and fewer fit in a row.
 _PANORAMA = 2.0
@@ -72,7 +72,7 @@ def draw(
         attributes: HTML attributes of the heatmap of a picture's part; none by default.
     """
     ranges = value_ranges([picture.maps for picture in pictures], shared)
-    columns = [("", "", [_Panel(picture.name, overlays.data_uri(picture.shown, 88)) for picture in pictures])]
+    columns = [("", "", [_Panel(picture.name, overlays.data_uri(picture.shown, 75)) for picture in pictures])]
     for part, name in enumerate(names):
         panels = [
             _Panel(

@@ -9,12 +9,13 @@ from functools import lru_cache
 from lpn.analysis.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile, pair_evidence
 from lpn.analysis.query_outcomes import picture_columns
 from lpn.analysis.task import Task
-from lpn.core.arrays import UInt8Array
+from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Evidence, counterfactual, sweeps
 from lpn.explain.counterfactual import Effect, Margin, RanksWithoutParts, Reweighting
+from lpn.explain.part_activation import part_activation
 from lpn.explain.sweeps import SweepResult
 from lpn.retrieval import DescribedPicture, Match, Ranking
 
@@ -53,11 +54,13 @@ class Pair:
         match: the tile's entry in the ranking.
         picture: the tile's picture on which parts are drawn, see `Model.as_partitioned`.
         evidence: the evidence for the score; None without a network.
+        activation: of each part of the query and of the tile, (n, h, w) each, see `part_activation`; None without a network.
     """
 
     match: Match
     picture: UInt8Array
     evidence: Evidence | None
+    activation: tuple[Float32Array, Float32Array] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +170,15 @@ class Cases:
     def _pair(self, query: DescribedPicture, match: Match) -> Pair:
         tile = self._tile(match.index)
         evidence = pair_evidence(query, tile, self._task.part_weights)
-        return Pair(match, self._partitioned(tile.picture, 1), None if evidence is None else evidence.evidence)
+        activation = None
+        if query.trace is not None and tile.trace is not None:
+            of_query, of_tile = (self._task.spec.partition(view) for view in self._task.views)
+            activation = (
+                part_activation(query.trace.features[0], of_query),
+                part_activation(tile.trace.features[0], of_tile),
+            )
+        picture = self._partitioned(tile.picture, 1)
+        return Pair(match, picture, None if evidence is None else evidence.evidence, activation)
 
     def _facts(self, index: int | None) -> list[tuple[str, str]]:
         if index is None:

@@ -10,7 +10,8 @@ from markupsafe import Markup
 from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.arrays import FloatingArray, UInt8Array
-from lpn.drawing import charts, overlays, verdicts
+from lpn.drawing import charts, heatmaps, overlays, verdicts
+from lpn.drawing.heatmaps import PictureActivation
 from lpn.explain import Evidence
 from lpn.report._rendering import render, thumbnail
 from lpn.report.cases import Case
@@ -51,6 +52,8 @@ def section(case: Case, task: Task, number: int) -> Markup:
         evidence=_evidence(case, task),
         limit=_limit(case),
         scale=overlays.data_uri(overlays.evidence_scale(240, 20), 90),
+        heatmaps=_heatmaps(case, task),
+        heatmaps_note=heatmaps.NOTE,
         steps=charts.waterfall(case.margin.parts) if case.margin else [],
         profile=case.profile and charts.profile_charts(case.profile, task.part_names, _CHART_WIDTH),
         followed=followed and ("the true tile" if followed.true else f"tile {task.gallery[followed.tile].name}"),
@@ -127,10 +130,28 @@ def _evidence(case: Case, task: Task) -> list[_PairEvidence]:
     return drawn
 
 
+def _heatmaps(case: Case, task: Task) -> Markup | None:
+    """Draw the activation of each part of the query and of the first compared tile; None without a network."""
+    pair = case.pairs[0]
+    if pair.activation is None:
+        return None
+    pictures = [
+        PictureActivation(name, maps, _draw_parts(picture, task, side))
+        for side, (name, maps, picture) in enumerate(
+            zip(("query", "tile"), pair.activation, (case.picture, pair.picture), strict=True)
+        )
+    ]
+    return heatmaps.draw(pictures, task.part_names)
+
+
 def _with_parts(picture: UInt8Array, task: Task, side: int) -> str:
+    return overlays.data_uri(_draw_parts(picture, task, side), 70)
+
+
+def _draw_parts(picture: UInt8Array, task: Task, side: int) -> UInt8Array:
     view = task.views[side]
     shown = images.resize(picture, *_size(task, _LARGE))
-    return overlays.data_uri(overlays.with_rings(shown, task.spec.partition(view), task.map_sizes[view]), 70)
+    return overlays.with_rings(shown, task.spec.partition(view), task.map_sizes[view])
 
 
 def _with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float, task: Task, side: int) -> str:

@@ -94,10 +94,12 @@ def test_a_report_is_one_file_that_loads_nothing_else(task: Task) -> None:
     for _, attributes in page.elements:
         assert not any(name.startswith("on") for name in attributes)
         for name in ("src", "href", "xlink:href"):
-            assert (attributes.get(name) or "#").startswith(("#", "data:image/jpeg;base64,"))
+            assert (attributes.get(name) or "#").startswith(("#", "data:image/jpeg;base64,", "data:image/png;base64,"))
     assert "url(" not in page.text
     assert "@import" not in page.text
     pictures = page.all("img")
+    # Four parts' activation of query and compared tile, of two queries.
+    assert len([picture for picture in pictures if picture.get("class") == "cells"]) == 2 * 2 * 4
     # Query and two tiles, each pair's two maps, and the scale, of two queries; thumbnails beside them.
     assert len(pictures) >= 2 * (3 + 4 + 1 + 5)
     for picture in pictures:
