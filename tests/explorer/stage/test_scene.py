@@ -1,0 +1,39 @@
+"""The 3-D stage of a running app."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from explorer.app import App
+from explorer.opening import open_model
+from tools.fixtures.websocket_client import WebSocketClient
+
+
+@pytest.fixture
+def page(data: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[WebSocketClient]:
+    """A page of the app."""
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
+    app = App(open_model(data, model_file), "127.0.0.1", 0)
+    try:
+        with WebSocketClient(f"http://127.0.0.1:{app.server.get_port()}") as page:
+            yield page
+    finally:
+        app.close()
+
+
+def test_a_position_is_sent_although_the_page_reports_it_while_another_is_under_way(page: WebSocketClient) -> None:
+    def framed(width: int, height: int, position: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Report a size and a position of the camera, and return the position that the server sets."""
+        known = len(page.camera_positions)
+        page.camera(image_width=width, image_height=height, position=position)
+        page.wait(lambda: len(page.camera_positions) > known)
+        return page.camera_positions[-1]
+
+    wide = framed(1200, 600, (0.0, 0.0, 5.0))
+    narrow = framed(300, 600, wide)
+    assert narrow[2] > 2 * wide[2]
+    # The page is wide again before it has moved its camera to `narrow`.
+    assert framed(1200, 600, wide) == pytest.approx(wide)
