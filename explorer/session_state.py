@@ -171,10 +171,10 @@ def choose_query(state: SessionState, query: int, queries: int) -> SessionState:
 
 
 def choose_task(state: SessionState, task: str, query: int = 0) -> SessionState:
-    """Choose another task and one of its queries."""
+    """Choose another task and one of its queries: upright, and compared with its top match."""
     if task == state.task:
         return state
-    return replace(state, task=task, query=query, upload=None, selected=None, region=(), page=query // PAGE_SIZE)
+    return replace(upright(state), task=task, query=query, upload=None, selected=None, page=query // PAGE_SIZE)
 
 
 def upright(state: SessionState) -> SessionState:

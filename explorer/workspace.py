@@ -95,12 +95,17 @@ class Workspace:
             raise InputError(f"{self.data_name} has no query {query}; names look like {names[0]}.")
         self.first_query = 0 if query is None else names.index(query)
 
-    def same_place(self, state: SessionState, task: str) -> int:
-        """Return the first query of another task that shows the place of the state's query; 0 if there is none."""
+    def same_place(self, state: SessionState, task: str, preferred: int = 0) -> int:
+        """Return a query of another task that shows the place of the state's query.
+
+        Args:
+            preferred: the query to return if it shows the place; otherwise it is the first that does, or 0.
+        """
         if state.upload is not None:
             return 0
         label = self.tasks[state.task].query_labels[state.query]
-        return int(np.argmax(self.tasks[task].query_labels == label))
+        same = self.tasks[task].query_labels == label
+        return preferred if same[preferred] else int(np.argmax(same))
 
     def supported_state(self, state: SessionState) -> SessionState:
         """Return the state without the features that this workspace cannot show.

@@ -24,6 +24,7 @@ class Navigation:
 
     def __init__(self, workspace: Workspace, notify: Callable[[str, str], object]) -> None:
         self._workspace, self._notify, self._rng = workspace, notify, Random()
+        self._last_query: dict[str, int] = {}
         self.order: Callable[[SessionState], Int64Array | None] = lambda _: None
 
     def next(self, state: SessionState) -> SessionState:
@@ -50,12 +51,20 @@ class Navigation:
         return chosen
 
     def choose_task(self, name: Any) -> StateChange:
-        """Return the change to another task, at a query of the same place if it has one; an unknown name changes nothing."""
+        """Return the change to another task, at a query of the same place if it has one; an unknown name changes nothing.
+
+        Of several such queries, it chooses the one that the task showed last, else the first. The user's own picture
+        is dropped, with a notification.
+        """
 
         def choose(state: SessionState) -> SessionState:
-            if name not in list(self._workspace.tasks):
+            if name not in list(self._workspace.tasks) or name == state.task:
                 return state
-            return session_state.choose_task(state, name, self._workspace.same_place(state, name))
+            if state.upload is not None:
+                self._notify("Your picture is closed", "Load it again to search the tiles of this task.")
+            self._last_query[state.task] = state.query
+            query = self._workspace.same_place(state, name, self._last_query.get(name, 0))
+            return session_state.choose_task(state, name, query)
 
         return choose
 

@@ -24,7 +24,7 @@ class GalleryGeometry:
         queries, tiles: positions, in the order of the pictures.
         origin: the middle of the tiles.
         ground: centre of each tile in metres east and north of the origin, (G, 2).
-        width: side of a tile on the ground in metres; by default the median distance to the nearest neighbour.
+        width: side of a tile on the ground in metres; by default the median distance from a position to the nearest other.
     """
 
     queries: list[Position]
@@ -40,7 +40,8 @@ class GalleryGeometry:
         origin = Position((min(latitudes) + max(latitudes)) / 2, (min(longitudes) + max(longitudes)) / 2)
         ground = geo.on_plane(tiles, origin)
         widths = [tile.width for tile in tiles if tile.width is not None]
-        return cls(queries, tiles, origin, ground, float(np.median(widths)) if widths else _neighbour_distance(ground))
+        width = float(np.median(widths)) if widths else _neighbour_distance(ground[_distinct(ground)])
+        return cls(queries, tiles, origin, ground, width)
 
     def errors_m(self, query: int) -> Float64Array:
         """Metres from the place that a query shows to the centre of each tile, (G,)."""
@@ -55,14 +56,24 @@ class GalleryGeometry:
     def _radians(self) -> Float64Array:
         return geo.radians(self.tiles)
 
+    @cached_property
+    def places(self) -> Int64Array:
+        """The first tile at each position, in the order of the tiles; all drone pictures of a place share a position."""
+        return _distinct(self.ground)
+
     def bounds(self) -> tuple[float, float, float, float]:
         """West, south, east, and north border of all tiles, in metres from the origin."""
         low, high = self.ground.min(axis=0) - self.width / 2, self.ground.max(axis=0) + self.width / 2
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
+def _distinct(ground: Float64Array) -> Int64Array:
+    """The index of the first of all positions, (G, 2) in metres, that are equal to a decimetre; ascending."""
+    return np.sort(np.unique(ground.round(1), axis=0, return_index=True)[1])
+
+
 def _neighbour_distance(ground: Float64Array) -> float:
-    """The median distance to the nearest neighbour in metres, from an even sample of the tiles."""
+    """The median distance to the nearest neighbour in metres, from an even sample of distinct positions."""
     if len(ground) < 2:
         return _LONE_TILE_M
     sample = ground[:: max(1, len(ground) // _SAMPLE)]

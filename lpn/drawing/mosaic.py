@@ -20,13 +20,17 @@ _EARTH: theme.Colour = (38, 40, 42)
 
 
 def draw(geometry: GalleryGeometry, files: Sequence[Path]) -> UInt8Array:
-    """Draw the tiles' picture files north up: (H, W, 3) uint8, at most LARGEST pixels a side."""
+    """Draw the tiles' picture files on a map, north up: (H, W, 3) uint8, at most LARGEST pixels a side.
+
+    Of tiles at the same position, only the first is drawn. No tile is rotated.
+    """
     west, south, east, north = geometry.bounds()
     scale = LARGEST / max(east - west, north - south)
     canvas = np.empty((max(round((north - south) * scale), 1), max(round((east - west) * scale), 1), 3), np.uint8)
     canvas[:] = _EARTH
     side = max(round(geometry.width * scale), 1)
-    for index in range(0, len(files), max(1, len(files) // MOST_TILES)):
+    places = geometry.places
+    for index in places[:: max(1, len(places) // MOST_TILES)]:
         tile = overlays.square(images.load_picture(files[index]), side)
         x, y = geometry.ground[index]
         _paste(canvas, tile, round((x - west) * scale - side / 2), round((north - y) * scale - side / 2))

@@ -32,6 +32,13 @@ def test_another_query_starts_upright_with_its_top_match(state: SessionState) ->
     assert own.upload is None
 
 
+def test_another_task_starts_upright_with_its_top_match(state: SessionState) -> None:
+    moved = replace(state, shift=8, down=-8, zoom=2.0, region=(1, 2), heat_part=2)
+    chosen = session_state.choose_task(moved, "satellite-to-drone", 14)
+    assert chosen == SessionState("satellite-to-drone", 4, query=14, page=1, heat_part=2)
+    assert session_state.choose_task(moved, state.task, 14) is moved
+
+
 def test_a_tile_chosen_from_an_old_answer_is_not_compared_with_a_new_query(state: SessionState) -> None:
     assert session_state.compare(state, state, 5).selected == 5
     turned = session_state.turn(state, 5)

@@ -61,3 +61,17 @@ def test_a_width_that_is_not_given_is_the_usual_distance() -> None:
     tiles = [Position(0.0, i * 0.001) for i in range(6)]
     assert GalleryGeometry.of(tiles, tiles).width == pytest.approx(111.3, abs=0.1)
     assert GalleryGeometry.of(tiles[:1], tiles[:1]).width == 100
+
+
+def test_several_pictures_of_a_place_are_no_neighbours(tmp_path: Path) -> None:
+    tiles = [Position(0.0, place * 0.001) for place in (0, 0, 1, 1, 2, 2)]
+    laid = GalleryGeometry.of(tiles, tiles)
+    assert laid.width == pytest.approx(111.3, abs=0.1)
+    assert laid.places.tolist() == [0, 2, 4]
+    assert GalleryGeometry.of(tiles[:2], tiles[:2]).width == 100
+    files = [tmp_path / f"{index}.png" for index in range(len(tiles))]
+    for index, file in enumerate(files):
+        small_worlds.write(file, np.full((8, 8, 3), 100 + 20 * index, np.uint8))
+    picture = mosaic.draw(laid, files)
+    middle = picture[picture.shape[0] // 2, :, 0]
+    assert [int(middle[round(part * len(middle))]) for part in (1 / 6, 3 / 6, 5 / 6)] == [100, 140, 180]
