@@ -77,6 +77,10 @@ def test_a_run_s_tables_replace_the_page_s(docs: Path, tmp_path: Path) -> None:
         in text
     )
     assert "### Table I: losses and LPN" in text
+    # A table without figures of single networks was not written by lpn reproduce.
+    copied = next(line for line in text.splitlines() if "copied from an earlier page, not from that file" in line)
+    assert "Figure 7" not in copied
+    assert text.count("Copied from an earlier page: ") == len(copied.partition("**: ")[2].split(", "))
     assert pages("--check", "--docs", str(docs)).returncode == 0
 
 

@@ -55,15 +55,17 @@ def render(page: str, docs: Path) -> str:
     environment.filters |= {"figure": _figure, "mean": _mean, "cells": _cells}
     records = {key: _record(value) for key, value in data.pop("tables", {}).items()}
     drawings = [picture for picture in _DRAWINGS.values() if (docs / picture).is_file()]
+    copied = [record.title.partition(":")[0] for record in records.values() if _is_copied(record)]
     environment.globals |= {"recipe_table": recipe_sources.table, "source": recipe_sources.source, "find": recipes.find}
     old = [record for record in records.values() if any(note.startswith(_EARLIER) for note in record.notes)]
-    earlier = [record.title.partition(", on ")[0] for record in old]
+    earlier = [record.title.partition(":")[0] for record in old]
     text = environment.get_template(f"{page}.md.j2").render(
         **data,
         tables=records,
         table=lambda key: table(records[key]),
         drawings=drawings,
         earlier=earlier,
+        copied=copied,
         limits=[largest_drop(column) for column in range(4)],
     )
     return text.rstrip("\n") + "\n\n" + _SOURCE
@@ -76,6 +78,12 @@ def table(record: TableRecord) -> str:
 
 def origins(record: TableRecord) -> list[str]:
     """Say where the figures of a table come from, each place once."""
+    if _is_copied(record):
+        made = dict.fromkeys(made for row in record.rows for made in row.measured.values())
+        return [
+            f"Copied from an earlier page: {each.command}, lpn {each.version}, on {each.machine}, {each.date}."
+            for each in made
+        ]
     places: dict[tuple[Provenance, str], dict[str, None]] = {}
     for row in record.rows:
         for verb, found in (("trained", row.trained), ("measured", row.measured)):
@@ -85,6 +93,11 @@ def origins(record: TableRecord) -> list[str]:
         f"{' and '.join(verbs).capitalize()}{seed} by `{made.command}`, lpn {made.version}, on {made.machine}, {made.date}."
         for (made, seed), verbs in places.items()
     ]
+
+
+def _is_copied(record: TableRecord) -> bool:
+    """Check whether a table lacks the figures of single networks, which `lpn reproduce` always records."""
+    return any(row.mean and not row.values for row in record.rows)
 
 
 def copy_run(run: Path, docs: Path) -> None:
