@@ -103,7 +103,11 @@ class Scale:
     tuned: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def recipe(self, training: Training, seed: int) -> Recipe:
-        """Return the recipe of a training. What tells the rows apart comes after the user's changes."""
+        """Return the recipe of a training. What tells the rows apart comes after the user's changes.
+
+        Raises:
+            InputError: if the user's changes do not fit the training.
+        """
         base = self.places if training.role == "places" else self.panoramas
         if training.method.startswith("safa") and self.safa is not None:
             base = self.safa
@@ -112,14 +116,20 @@ class Scale:
         if not str(changes.get("backbone", "vgg16")).startswith("vgg16"):
             # SAFA's recipe has a dropout in its VGG-16.
             changes.setdefault("backbone_dropout", 0.0)
-        return replace(named, **changes)
+        try:
+            return replace(named, **changes)
+        except InputError as error:
+            raise InputError(f"{training.name} cannot be trained with these flags: {error}") from None
 
     @property
     def base(self) -> Recipe:
-        """The recipe of places, with the user's changes."""
-        return replace(RECIPES[self.places] if isinstance(self.places, str) else self.places, **self.changes)
+        """The recipe of places, with the user's changes of backbone and input size."""
+        changes = {name: value for name, value in self.changes.items() if name in _NETWORK}
+        return replace(RECIPES[self.places] if isinstance(self.places, str) else self.places, **changes)
 
 
+# Settings of a network without training.
+_NETWORK = ("backbone", "last_layer", "size", "width")
 # Settings that tell the rows of the tables apart; the user cannot change them for all rows.
 ROW_SETTINGS = (
     "n_parts", "layout", "pooling", "polar", "maps", "google", "instance", "metric", "metric_per_part", "margin", "seed"

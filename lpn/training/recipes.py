@@ -173,10 +173,18 @@ class Recipe:
     """Random seed of initialisation, order, and augmentation."""
 
     def __post_init__(self) -> None:
+        self.check_ranges()
+        self.check_together()
+
+    def check_ranges(self) -> None:
+        """Raise InputError for a number outside of its range."""
         for name, (low, high, expected) in _RANGES.items():
             value = getattr(self, name)
             if not low <= value <= high:
                 raise InputError(f"The recipe has {name} = {value}; expected {expected}.")
+
+    def check_together(self) -> None:
+        """Raise InputError for settings that exclude each other."""
         vgg = self.backbone.startswith("vgg16")
         if vgg and self.last_layer != "layer4":
             raise InputError(

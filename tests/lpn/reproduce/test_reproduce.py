@@ -112,6 +112,20 @@ def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
     ]
 
 
+def test_changes_are_checked_with_the_recipe_of_each_training() -> None:
+    def recipe(scale: str, key: str, number: int = 0, **changes: Any) -> Any:
+        made = replace(SCALES[scale], changes=changes)
+        return made.recipe(find(key, made).trainings[number], 0)
+
+    assert recipe("reduced", "table1", infonce=1.0).infonce == 1.0
+    assert recipe("reduced", "table1", flip="place", place_rotation=20.0).place_rotation == 20.0
+    assert recipe("paper", "table2", backbone_dropout=0.2).backbone_dropout == 0.2
+    with pytest.raises(InputError, match=r"^instance cannot be trained with these flags: .* needs the same places"):
+        recipe("paper", "table1", infonce=1.0)
+    with pytest.raises(InputError, match=r"^lpn cannot be trained .* resnet50, which has no dropout"):
+        recipe("paper", "table5", backbone_dropout=0.2)
+
+
 def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: Path, tmp_path: Path) -> None:
     made = reproduction(places, tmp_path, seeds=(0, 1))
     files = made.run(["table4", "table5", "figure8"])
@@ -613,6 +627,13 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
     assert main(["reproduce", "table1", "--data", str(places), *flags]) == 0
     assert seen[1].scale.changes == {"lr": 0.01, "joint_views": False, "label_smoothing": 0.0, "epochs": 3}
     assert seen[1].scale.name == "released"
+    # A flag that one recipe excludes fits others; each training's own recipe decides.
+    for flag, value in (("infonce", 1.0), ("place_rotation", 20.0), ("backbone_dropout", 0.2)):
+        arguments = ["--data", str(places), "--recipe", "reduced", f"--{flag.replace('_', '-')}", str(value)]
+        assert main(["reproduce", "table1", *arguments]) == 0
+        assert seen[-1].scale.changes == {flag: value}
+    assert main(["reproduce", "table1", "--data", str(places), "--dropout", "2"]) == 2
+    assert "dropout = 2.0" in capsys.readouterr().err
     for flag, expected in (
         ("--n-parts", "tells the rows of the tables apart"),
         ("--maps", "tells"),
