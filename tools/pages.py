@@ -79,10 +79,10 @@ def table(record: TableRecord) -> str:
 def origins(record: TableRecord) -> list[str]:
     """Say where the figures of a table come from, each place once."""
     if _is_copied(record):
-        made = dict.fromkeys(made for row in record.rows for made in row.measured.values())
+        sources = dict.fromkeys(made for row in record.rows for made in row.measured.values())
         return [
             f"Copied from an earlier page: {each.command}, lpn {each.version}, on {each.machine}, {each.date}."
-            for each in made
+            for each in sources
         ]
     places: dict[tuple[Provenance, str], dict[str, None]] = {}
     for row in record.rows:
