@@ -109,11 +109,14 @@ def parse_train(arguments: list[str], program: str) -> TrainCommand:
 
 
 def flag_value(arguments: Sequence[str], flag: str) -> str | None:
-    """Return the value of a flag before the other flags are parsed."""
+    """Return the value of a flag, written with hyphens or underscores, before the other flags are parsed."""
     value = None
     for position, argument in enumerate(arguments):
-        if argument.startswith(f"{flag}="):
-            value = argument.partition("=")[2]
-        elif argument == flag and position + 1 < len(arguments):
+        name, given, after = argument.partition("=")
+        if name.replace("_", "-") != flag:
+            continue
+        if given:
+            value = after
+        elif position + 1 < len(arguments):
             value = arguments[position + 1]
     return value

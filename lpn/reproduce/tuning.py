@@ -13,6 +13,7 @@ from lpn.reproduce.record import here
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Scale, Training
 from lpn.reproduce.trainings import TrainingJob
+from lpn.training.recipes import Recipe
 
 # Share of the training places that a trial does not train on.
 HELD_OUT = 0.2
@@ -47,14 +48,14 @@ def plan(
         starts: pretrained weights by backbone.
     """
     recipe = scale.recipe(training, seed)
-    epochs = max(round(recipe.epochs * FRACTION), 1)
+    short = _shortened(recipe)
     trials = []
     for number, tried in enumerate(TRIALS.get(training.name, ()), 1):
         settings = {"lr": recipe.lr * tried["rate"], **{name: tried[name] for name in tried if name != "rate"}}
         job = TrainingJob(
             training,
             seed,
-            replace(recipe, **settings, epochs=epochs),
+            replace(short, **settings),
             out / f"{training.name}-{number}",
             source,
             starts.get(recipe.backbone),
@@ -62,6 +63,14 @@ def plan(
         )
         trials.append(Trial(settings, job))
     return trials
+
+
+def _shortened(recipe: Recipe) -> Recipe:
+    """Return the recipe with fewer epochs, and warm-up and decay at the same share of them."""
+    epochs = max(round(recipe.epochs * FRACTION), 1)
+    share = epochs / recipe.epochs
+    decay = min(max(round(recipe.decay_epoch * share), 1), recipe.decay_epoch)
+    return replace(recipe, epochs=epochs, decay_epoch=decay, warmup_epochs=round(recipe.warmup_epochs * share))
 
 
 def best(trials: Sequence[Trial]) -> Trial | None:

@@ -14,13 +14,13 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from lpn.training.recipes import find
+from lpn.training.recipes import OF_BASELINE, find
 
 # Pairs of a recipe of a paper's text and the recipe of its released code.
 PAIRS = (("paper", "released"), ("cvusa-paper", "cvusa-released"), ("safa-paper", "safa-released"))
 _RELEASED = dict(PAIRS)
 
-# The record of a paper's text does not state a setting that the paper of another recipe does.
+# Marks a setting on which this paper is silent although `paper` states it.
 _SILENT = ""
 
 _STATED = "paper, implementation details"
@@ -188,7 +188,7 @@ _SOURCES: dict[str, dict[str, str]] = {
     },
     "joint_views": {
         "released": f"{_LPN} model.py:667-692: one pass for each set",
-        "cvusa-released": f"{_LPN} model.py:583-590: one pass for each set",
+        "cvusa-released": f"{_LPN} model.py:583-594: one pass for each set",
         "safa-released": f"{_SAFA}/spatial_net.py:36, 48: one pass for each view",
     },
     "instance": {
@@ -272,10 +272,16 @@ _SOURCES: dict[str, dict[str, str]] = {
     "seed": {"*": "ours: the released code sets no seed"},
 }
 
-# Sources of the settings in which the released code trains another method of `METHODS`, see `recipes.find`.
+# Sources of the settings that another method of `METHODS` replaces, see `recipes.find`.
 _OF_METHOD = {
     ("released", "instance", "lr"): f"{_LPN} run.sh:36, the baseline",
     ("cvusa-released", "instance", "lr"): "layumi/University1652-Baseline README.md:225, the baseline",
+}
+_OF_METHOD |= {
+    (recipe, method, "lr"): "ours: the rate of the released baseline"
+    for recipe in ("released", "cvusa-released")
+    for method in OF_BASELINE
+    if method != "instance"
 }
 
 
@@ -322,10 +328,15 @@ def difference(first: str, second: str) -> str:
         return f"The recipes {first} and {second} have the same settings."
     table = Table("setting", first, second, box=box.SIMPLE_HEAD)
     for setting in differs:
-        table.add_row(setting, *(f"{of[setting]}\n{source(name, setting)}\n" for name, of in recipes.items()))
+        cells = (f"{_cell(setting, of[setting])}\n{source(name, setting)}\n" for name, of in recipes.items())
+        table.add_row(setting, *cells)
     console = Console(width=max(100, shutil.get_terminal_size().columns), file=io.StringIO(), markup=False)
     console.print(table)
     return cast(io.StringIO, console.file).getvalue().rstrip()
+
+
+def _cell(setting: str, value: object) -> str:
+    return "0 (as the height)" if setting == "width" and value == 0 else f"{value}"
 
 
 def table(first: str, second: str) -> str:
@@ -339,6 +350,6 @@ def table(first: str, second: str) -> str:
             continue
         if sources[first] == f"{sources[second]}; the paper is silent":
             sources[first] = "silent: as released"
-        cells = (cell for name, of in recipes.items() for cell in (f"{of[setting]}", sources[name]))
+        cells = (cell for name, of in recipes.items() for cell in (_cell(setting, of[setting]), sources[name]))
         rows.append(f"| `{setting}` | {' | '.join(cells)} |")
     return "\n".join([*rows, "", f"Off in both, or without effect: {', '.join(unused)}."])

@@ -368,10 +368,11 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 
 
-# Settings with which the released code trains a method other than its run script's LPN, by recipe and method.
+# Methods of the baseline's network; they differ in their loss only.
+OF_BASELINE = ("instance", "contrastive", "triplet-0.3", "triplet-0.5", "soft-margin")
+# Settings that replace those of a recipe's run script of LPN, by recipe and method.
 _OF_METHOD: dict[tuple[str, str], dict[str, Any]] = {
-    ("released", "instance"): {"lr": 0.01},
-    ("cvusa-released", "instance"): {"lr": 0.02},
+    (recipe, name): {"lr": lr} for recipe, lr in (("released", 0.01), ("cvusa-released", 0.02)) for name in OF_BASELINE
 }
 
 

@@ -272,6 +272,12 @@ class Trainer:
             f"pictures are prepared by {workers}.{shares}",
             soft_wrap=True,
         )
+        decay, epochs = self.recipe.decay_epoch, self.recipe.epochs
+        if self.recipe.schedule == "step" and decay >= epochs:
+            self.console.print(
+                f"The learning rate never decays, as --decay-epoch is {decay} and the training has {epochs} epochs.",
+                soft_wrap=True,
+            )
         if self.evaluate_every and self.validator is None:
             self.console.print(f"{self.dataset.root.name} has no test split, so no epoch is tested.")
 

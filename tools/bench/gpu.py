@@ -1,7 +1,9 @@
 """Parity and speed on a GPU, in two tables: `python -m tools.bench.gpu`.
 
-The first table has the 13 published checkpoints of `tools.fixtures.parity`, with the largest difference of the head outputs
-relative to the largest value: in float32, which must stay below 1e-4, and in mixed precision, which need not. Below them is the
+The first table has the 13 checkpoints of `tools.fixtures.parity`, in the published format and with seeded weights. Two of them
+are compared with arrays of the published implementation, eleven with `tools.fixtures.published_network`, our second one. The
+figure is the largest difference of the head outputs relative to the largest value: in float32, which must stay below 1e-4, and
+in mixed precision, which need not. Below them is the
 exported model by each of ONNX Runtime's providers. The second table has pictures per second of describing
 (`tools.bench.describe`) and of training (`tools.bench.train`) beside the released loops on the same GPU. Without a GPU the
 program says so in a sentence.
@@ -39,7 +41,7 @@ TINY = ModelSpec("resnet18", "layer3", views=("satellite", "drone"), input_size=
 
 @dataclass(frozen=True)
 class ParityRow:
-    """The differences of one model from the published head outputs.
+    """The differences of one model from the expected head outputs.
 
     Attributes:
         what: the checkpoint, or the provider.
@@ -53,7 +55,7 @@ class ParityRow:
 
     @property
     def agrees(self) -> bool:
-        """Whether the float32 outputs are those published."""
+        """True if the float32 outputs are those expected."""
         return self.differences.get("float32", float("inf")) <= TOLERANCE
 
 
@@ -91,7 +93,7 @@ def provider_parity(case: ParityCase) -> Iterator[ParityRow]:
 def parity_table(rows: Sequence[ParityRow]) -> Table:
     """Return the table of differences."""
     table = Table(
-        title=f"Largest difference from the published head outputs, relative to the largest value; {machine()}"
+        title=f"Largest difference from the expected head outputs, relative to the largest value; {machine()}"
     )
     table.add_column("checkpoint")
     for name in ("float32", f"at most {TOLERANCE:.0e}", *MIXED):
@@ -135,7 +137,7 @@ def main() -> None:
             console.print(f"{row.what} was not run: {row.failure}")
     show("Speed", speed(options.device, options.pictures, options.tiny))
     if not all(row.agrees for row in rows if not row.failure):
-        raise SystemExit("The float32 outputs of a checkpoint above are not those published; report this table.")
+        raise SystemExit("The float32 outputs of a checkpoint above are not those expected; report this table.")
 
 
 if __name__ == "__main__":

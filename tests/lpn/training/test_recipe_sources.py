@@ -55,6 +55,23 @@ def test_the_released_code_s_other_methods_have_sources_too() -> None:
     assert parse_train([*given, "--lr", "0.02"], "lpn train").settings.lr == 0.02
 
 
+@pytest.mark.parametrize("recipe", ["released", "cvusa-released"])
+def test_metric_losses_train_the_baseline_at_the_baseline_s_rate(recipe: str) -> None:
+    baseline = asdict(find(recipe, "instance"))
+    assert baseline["lr"] != find(recipe).lr
+    for method in ("contrastive", "triplet-0.3", "triplet-0.5", "soft-margin"):
+        found = asdict(find(recipe, method))
+        differs = {setting for setting in found if found[setting] != baseline[setting]}
+        assert {"metric", "instance", "sampling"} <= differs <= {"metric", "instance", "sampling", "margin"}, method
+        assert source(recipe, "lr", method) == "ours: the rate of the released baseline"
+
+
+def test_a_width_of_0_is_shown_as_the_height() -> None:
+    assert "| `width` | 0 (as the height) |" in recipe_sources.table("paper", "released")
+    assert "0 (as the height)" in difference("paper", "safa-paper")
+    assert "| `width` | 616 |" in recipe_sources.table("safa-paper", "safa-released")
+
+
 def test_the_released_runs_have_their_numbers_of_updates() -> None:
     """University-1652 has 701 places with a satellite each, CVUSA 35,532 pairs."""
     university, cvusa = RECIPES["released"], RECIPES["cvusa-released"]
@@ -83,5 +100,7 @@ def test_the_command_prints_the_difference_and_trains_nothing(
     assert main.main(["train", "--compare-recipes", "cvusa-paper", "cvusa-released"]) == 0
     assert capsys.readouterr().out == difference("cvusa-paper", "cvusa-released") + "\n"
     assert not list(tmp_path.iterdir())
+    assert main.main(["train", "--compare_recipes", "paper", "released"]) == 0
+    assert capsys.readouterr().out == difference("paper", "released") + "\n"
     assert main.main(["train", "--compare-recipes", "paper", "published"]) == 2
     assert "no recipe 'published'; choose one of paper, released" in capsys.readouterr().err

@@ -6,6 +6,7 @@ import shutil
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import pytest
 import torch
@@ -402,6 +403,16 @@ def test_a_cpu_says_that_it_does_not_compute_in_float16(places: Path, tmp_path: 
     run, said = trainer(places, tmp_path / "run", replace(QUICK, precision="float16"))
     run._print_setup()
     assert f"Computing in {run.learner.mixed_precision.name} on cpu (float16 needs a CUDA device);" in said.getvalue()
+
+
+@pytest.mark.parametrize(("schedule", "decay", "never"), [("step", 3, True), ("step", 2, False), ("cosine", 3, False)])
+def test_a_rate_that_never_decays_is_said(
+    places: Path, tmp_path: Path, schedule: Literal["step", "cosine"], decay: int, never: bool
+) -> None:
+    run, said = trainer(places, tmp_path / "run", replace(QUICK, schedule=schedule, decay_epoch=decay))
+    run._print_setup()
+    told = "never decays, as --decay-epoch is 3 and the training has 3 epochs." in said.getvalue()
+    assert told == never
 
 
 def test_the_paper_s_recipe_is_the_default() -> None:
