@@ -22,7 +22,7 @@ EXECUTION_PROVIDERS: dict[ProviderName, str] = {
 }
 # The largest batch for which TensorRT builds an engine, and the batch size of descriptors on a GPU.
 GPU_BATCH = 64
-INSTALL = "pip uninstall -y onnxruntime, then pip install 'onnxruntime-gpu[cuda,cudnn]'"
+INSTALL = "pip uninstall -y onnxruntime, then pip install 'onnxruntime-gpu[cuda,cudnn]>=1.21'"
 _LIBRARIES = {"cuda": "CUDA and cuDNN", "tensorrt": "CUDA, cuDNN, and TensorRT"}
 
 

@@ -10,6 +10,7 @@ import logging
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from inspect import signature
 from pathlib import Path
 from typing import cast
 
@@ -43,7 +44,8 @@ def quantize(
         dataset: the source of calibration pictures, see `calibration_pictures`.
         out: the file to write; further view groups get files beside it.
         pictures: the number of calibration pictures for each group of views.
-        provider: what computes the calibration, see `Engine`. The 8-bit model is compared on the CPU, which it is for.
+        provider: computes the calibration, see `Engine`; before ONNX Runtime 1.21, the CPU does. The 8-bit model is always
+            compared on the CPU, as it is made for it.
 
     Returns:
         The files written, and for each view the mean cosine (-1 .. 1) between both models' descriptors of calibration
@@ -140,6 +142,9 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
         )
     before_pooling = _upstream(proto.graph, "features")
     names = [node.name for node in proto.graph.node if node.op_type in _QUANTISED and node.name in before_pooling]
+    options = {"calibration_providers": engine.calibration_providers()}
+    if "calibration_providers" not in signature(quantize_static).parameters:  # before ONNX Runtime 1.21
+        options = {}
     with tempfile.TemporaryDirectory(prefix="lpn-") as folder, _quiet():
         made = Path(folder) / "quantised.onnx"
         quantize_static(
@@ -151,7 +156,7 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,
             nodes_to_quantize=names,
-            calibration_providers=engine.calibration_providers(),
+            **options,
         )
         result = onnx.load_model(made)
     del result.metadata_props[:]

@@ -182,6 +182,33 @@ def test_quantisation_calibrates_on_the_chosen_provider(
     assert given == [[CUDA, CPU], [CPU]]
 
 
+def test_quantisation_needs_no_newer_onnx_runtime(
+    model_file: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before 1.21, ONNX Runtime's quantiser took no providers, and refused the word."""
+    module = __import__("lpn.models.quantize", fromlist=["quantize_static"])
+    original = module.quantize_static
+
+    def older(
+        model: Any,
+        out: Path,
+        reader: Any,
+        *,
+        quant_format: Any,
+        per_channel: bool,
+        activation_type: Any,
+        weight_type: Any,
+        nodes_to_quantize: list[str],
+    ) -> None:
+        formats = {"quant_format": quant_format, "activation_type": activation_type, "weight_type": weight_type}
+        original(model, out, reader, per_channel=per_channel, nodes_to_quantize=nodes_to_quantize, **formats)
+
+    monkeypatch.setattr(module, "quantize_static", older)
+    ((written,), agreement) = quantize(model_file, open_dataset(data), tmp_path / "int8.onnx", 4)
+    assert Engine(written).precision == "int8"
+    assert min(agreement.values()) > 0.9
+
+
 def test_models_of_pytorch_take_the_same_option(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     safetensors = model_file.with_suffix(".safetensors")
     assert lpn.load(safetensors, "cpu").device == "cpu"
