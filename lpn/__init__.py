@@ -75,12 +75,14 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
     An `.onnx` needs no torch; the others need the extra `train`.
 
     Args:
-        provider: what computes: "auto" (a GPU if one works, else the CPU), "cpu", "cuda", or, for an `.onnx`, "tensorrt".
+        provider: "auto" (LPN_PROVIDER if that is set, else a GPU if one works, else the CPU), "cpu", "cuda", or, for an
+            `.onnx`, "tensorrt".
         compiled: run a `.safetensors` or `.pth` by torch.compile.
 
     Raises:
         ModelFileError: if the file is missing, is not a model, is truncated, or lacks entries.
-        InputError: if the named provider or a compiler is missing or does not work.
+        InputError: if the named provider or a compiler is missing or does not work, or LPN_PROVIDER names no provider.
+        OutputError: if the cache of TensorRT's engines cannot be written.
         MissingPackageError: if torch is needed and not installed.
     """
     if Path(path).suffix == ".onnx":

@@ -29,7 +29,7 @@ class DescribeCommand:
     precision: Literal["float32", "float16", "int8"] = "float32"
     """Numbers on disk; float16 halves the store, int8 quarters it (not with --engine ray)."""
     provider: ProviderName = "auto"
-    """What computes the network: auto (a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     compile: bool = False
     """Run a .safetensors or .pth by torch.compile; worth it from some hundred pictures on."""
     engine: Literal["local", "ray"] = "local"

@@ -28,7 +28,7 @@ class EvaluateCommand:
     model: Path | None = None
     """Trained LPN: .onnx, .safetensors, or .pth."""
     provider: ProviderName = "auto"
-    """What computes the network: auto (a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     compile: bool = False
     """Run a .safetensors or .pth by torch.compile; worth it from some hundred pictures on."""
     saved: Path | None = None

@@ -39,7 +39,7 @@ class QuantizeCommand:
     pictures: int = 128
     """Number of calibration pictures, spread evenly over the training split, or the test split if there is none."""
     provider: ProviderName = "auto"
-    """What computes the calibration: auto (a GPU if one works, else the CPU), cpu, cuda, or tensorrt."""
+    """Provider of the calibration: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or tensorrt."""
 
     def run(self) -> None:
         dataset = import_module("lpn.datasets").open_dataset(self.data)

@@ -96,7 +96,7 @@ class SearchCommand:
     top: int = 10
     """Number of listed tiles."""
     provider: ProviderName = "auto"
-    """What computes the network: auto (a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     box: tuple[float, float, float, float] | None = None
     """South, west, north, and east bounds in degrees; west > east crosses the antimeridian."""
     effort: int | None = None

@@ -9,15 +9,33 @@ import os
 import socket
 import sys
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast, get_args
 
-# What computes a network: a GPU if one works, else the CPU (auto), or one of the others alone.
+from lpn.core.errors import InputError
+
+# A network is computed by a GPU if one works, else by the CPU (auto), or by one of the others alone.
 ProviderName = Literal["auto", "cpu", "cuda", "tensorrt"]
+# For sentences: commands without the flag --provider read the variable as well, see `resolve_provider`.
+COMPUTE_ON_CPU = "compute on the CPU (--provider cpu, or LPN_PROVIDER=cpu)"
 
 _CGROUPS, _OWN_CGROUP = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 # Options of mallopt in <malloc.h>: at most two arenas (M_ARENA_MAX); arrays from 4 MiB on are mapped (M_MMAP_THRESHOLD), as
 # mapping smaller ones would cost a page fault for each 4 kB; 8 MiB at the end of an arena may stay unused (M_TRIM_THRESHOLD).
 _MALLOC_OPTIONS = {-8: 2, -3: 1 << 22, -1: 1 << 23}
+
+
+def resolve_provider(provider: ProviderName) -> ProviderName:
+    """Return LPN_PROVIDER in place of "auto", if it is set.
+
+    Raises:
+        InputError: if LPN_PROVIDER is the name of no provider.
+    """
+    chosen = os.environ.get("LPN_PROVIDER") if provider == "auto" else None
+    if not chosen:
+        return provider
+    if chosen not in get_args(ProviderName):
+        raise InputError(f"LPN_PROVIDER is {chosen!r}; set it to auto, cpu, cuda, or tensorrt.")
+    return cast(ProviderName, chosen)
 
 
 def usable_cores() -> int:

@@ -197,7 +197,7 @@ def _onnx_runtime() -> Iterator[Finding]:
         from lpn.models import providers
 
     built = providers.available()
-    message = f"{ort.__version__} with the providers {', '.join(built)}"
+    message = f"{ort.__version__}, built with the providers {', '.join(built)}"
     if "cuda" in built or not _has_nvidia_driver():
         yield Finding("ONNX Runtime", "OK", message)
     else:

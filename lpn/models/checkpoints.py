@@ -21,7 +21,7 @@ from lpn.core.checksums import SEAL, UNSEALED, check_claimed_size, check_entries
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import fingerprint, write_atomic
 from lpn.core.formats import is_newer, newer_version
-from lpn.core.resources import ProviderName
+from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider
 from lpn.core.views import BRANCH, View
 from lpn.models.base import ForwardPass, Heads, Model
 from lpn.models.network import LPN, map_size
@@ -87,7 +87,8 @@ class TorchModel(Model):
 def exact_inference(benchmark: bool = False) -> Iterator[None]:
     """Compute without gradients, on a GPU by cuDNN in full float32.
 
-    By default cuDNN convolves in TF32, whose ten-bit mantissa changes descriptors by more than 1e-4.
+    By default cuDNN convolves in TF32, whose ten-bit mantissa changes descriptors by more than 1e-4. cuDNN's settings belong
+    to the whole process, so another thread that uses cuDNN meanwhile has them as well.
 
     Args:
         benchmark: let cuDNN time its algorithms for each new shape of a batch and take the fastest.
@@ -156,13 +157,17 @@ def device_of(provider: ProviderName, name: str) -> torch.device:
         name: of the model's file, for the message.
 
     Raises:
-        InputError: if the provider is not PyTorch's, or torch finds no GPU.
+        InputError: if the provider is not PyTorch's, torch finds no GPU, or LPN_PROVIDER names no provider.
     """
+    provider = resolve_provider(provider)
     if provider == "tensorrt":
-        raise InputError(f"TensorRT computes exported models, not {name}; lpn export it, or give --provider cuda.")
+        raise InputError(
+            f"TensorRT computes exported models, not {name}; lpn export it, or compute on CUDA (--provider cuda, or "
+            "LPN_PROVIDER=cuda)."
+        )
     if provider == "cuda" and not torch.cuda.is_available():
         raise InputError(
-            f"torch {torch.__version__} finds no GPU; install its driver and a torch for CUDA, or give --provider cpu."
+            f"torch {torch.__version__} finds no GPU; install its driver and a torch for CUDA, or {COMPUTE_ON_CPU}."
         )
     return best_device() if provider == "auto" else torch.device(provider)
 

@@ -19,7 +19,7 @@ from lpn.core.checksums import SEAL, check_seal
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import cache_folder, fingerprint
 from lpn.core.formats import is_newer, newer_version
-from lpn.core.resources import ProviderName, usable_cores
+from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider, usable_cores
 from lpn.core.views import View
 from lpn.models import providers
 from lpn.models.base import ForwardPass, Heads, Model
@@ -48,11 +48,13 @@ class Engine(Model):
     Args:
         path: the file written by `lpn export`; files of further view groups lie beside it.
         threads: threads per forward pass on the CPU; default: all usable cores.
-        provider: "auto" takes CUDA if it works, else the CPU. TensorRT is taken only when named, as it compiles for minutes.
+        provider: "auto" is LPN_PROVIDER if that is set, else CUDA if it works, else the CPU, which also computes models in
+            8 bits. TensorRT is taken only when named, as it compiles for minutes.
 
     Raises:
         ModelFileError: if a file is missing, damaged, or not written by `lpn export`.
-        InputError: if the named provider is missing or does not work.
+        InputError: if the named provider is missing or does not work, or LPN_PROVIDER names none.
+        OutputError: if the cache of TensorRT's engines cannot be written.
     """
 
     def __init__(self, path: str | Path, threads: int | None = None, provider: ProviderName = "cpu") -> None:
@@ -77,15 +79,17 @@ class Engine(Model):
             _check_shapes(session, self.spec, file)
             self._sessions.update(dict.fromkeys(group, session))
         self.fingerprint = fingerprint(*files)
+        provider = resolve_provider(provider)
         if provider != "cpu":
             self._move_to_gpu(provider, files, groups)
 
     def _move_to_gpu(self, provider: ProviderName, files: list[Path], groups: list[tuple[View, ...]]) -> None:
         """Replace the sessions by those of a GPU; with "auto" the CPU stays where CUDA does not work."""
         wanted: ProviderName = "cuda" if provider == "auto" else provider
-        if provider == "auto" and wanted not in providers.available():
+        # 8 bits are for the CPU: a GPU may round them otherwise.
+        if provider == "auto" and (self.precision != "float32" or wanted not in providers.available()):
             return
-        cache = cache_folder() / "tensorrt" / self.fingerprint
+        cache = cache_folder() / "tensorrt" / self.fingerprint if wanted == "tensorrt" else Path()
         try:
             opened = [providers.open_on_gpu(file, wanted, self.input_size, cache) for file in files]
         except InputError as error:
@@ -141,7 +145,7 @@ class Engine(Model):
             if self.device != "cpu":
                 reason = str(error).strip().partition("\n")[0][:300]
                 raise InputError(
-                    f"{self._path.name} cannot be computed on {self.device} ({reason}); give --provider cpu."
+                    f"{self._path.name} cannot be computed on {self.device} ({reason}); {COMPUTE_ON_CPU}."
                 ) from error
             raise ModelFileError(f"{self._path.name} cannot be computed, so it is damaged; {_AGAIN}.") from error
         declared = {output.name: output.shape for output in session.get_outputs()}

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import onnxruntime as ort
 
-from lpn.core.errors import InputError
-from lpn.core.resources import ProviderName
+from lpn.core.errors import InputError, OutputError
+from lpn.core.resources import COMPUTE_ON_CPU, ProviderName
 
 # ONNX Runtime's name of each provider.
 EXECUTION_PROVIDERS: dict[ProviderName, str] = {
@@ -39,7 +39,8 @@ def settings(provider: ProviderName, input_size: tuple[int, int], cache: Path) -
 
     Args:
         input_size: (height, width) of the network input in pixels.
-        cache: folder for TensorRT's engines of this model; ONNX Runtime names them without regard to weights.
+        cache: folder for TensorRT's engines of this model, which ONNX Runtime names without regard to weights; other
+            providers leave it alone.
     """
     cpu, cuda, tensorrt = (EXECUTION_PROVIDERS[name] for name in ("cpu", "cuda", "tensorrt"))
     if provider == "cpu":
@@ -80,18 +81,25 @@ def open_on_gpu(path: Path, provider: ProviderName, input_size: tuple[int, int],
 
     Raises:
         InputError: if ONNX Runtime lacks the provider, or it does not work.
+        OutputError: if the cache of TensorRT's engines cannot be written.
     """
     name = EXECUTION_PROVIDERS[provider]
     built = ort.get_available_providers()
     if name not in built:
         raise InputError(
             f"ONNX Runtime {ort.__version__} has no {name}, but {', '.join(built)}; install the one for GPUs "
-            f"({INSTALL}), or give --provider cpu."
+            f"({INSTALL}), or {COMPUTE_ON_CPU}."
         )
     if provider == "tensorrt":
         # TensorRT has no other switch for TF32; the driver reads this one when it is loaded.
         os.environ.setdefault("NVIDIA_TF32_OVERRIDE", "0")
-        cache.mkdir(parents=True, exist_ok=True)
+        try:
+            cache.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(
+                f"TensorRT's engines cannot be cached in {cache} ({error.strerror}); set LPN_CACHE to a folder that can be "
+                "written."
+            ) from error
     options = ort.SessionOptions()
     options.log_severity_level = 4
     # Only constants are left to the CPU.
@@ -107,7 +115,7 @@ def open_on_gpu(path: Path, provider: ProviderName, input_size: tuple[int, int],
         reason = str(error).strip().partition("\n")[0][:300]
     raise InputError(
         f"{name} of ONNX Runtime {ort.__version__} does not work here ({reason}); check the driver and the libraries of "
-        f"{_LIBRARIES[provider]}, or give --provider cpu."
+        f"{_LIBRARIES[provider]}, or {COMPUTE_ON_CPU}."
     )
 
 

@@ -238,7 +238,7 @@ def test_an_installed_package_knows_its_ranges_without_a_checkout(
 def test_onnx_runtime_s_providers_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment_check, "_has_nvidia_driver", lambda: False)
     assert re.fullmatch(
-        r"OK      ONNX Runtime: \d+\.\d+\.\d+ with the providers cpu\.",
+        r"OK      ONNX Runtime: \d+\.\d+\.\d+, built with the providers cpu\.",
         of("ONNX Runtime", environment_check._onnx_runtime).line,
     )
     monkeypatch.setattr(environment_check, "_has_nvidia_driver", lambda: True)

@@ -14,7 +14,7 @@ import torch
 
 import lpn
 from lpn.cli import main
-from lpn.core.errors import InputError
+from lpn.core.errors import InputError, OutputError
 from lpn.datasets import open_dataset
 from lpn.models import providers
 from lpn.models.checkpoints import save
@@ -32,6 +32,7 @@ PICTURES = seeded.pictures(3, 2, 64, 64)
 @pytest.fixture(autouse=True)
 def _no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ort, "get_available_providers", lambda: [CPU])
+    monkeypatch.delenv("LPN_PROVIDER", raising=False)
 
 
 class FakeGpu:
@@ -81,7 +82,7 @@ def test_a_provider_that_is_not_built_in_is_one_sentence(model_file: Path, wante
     with pytest.raises(InputError, match=f"has no {name}, but {CPU}; install .*onnxruntime-gpu") as caught:
         lpn.load(model_file, wanted)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
-    assert str(caught.value).endswith("or give --provider cpu.")
+    assert str(caught.value).endswith("or compute on the CPU (--provider cpu, or LPN_PROVIDER=cpu).")
 
 
 def test_auto_takes_cuda_and_says_so(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,6 +122,46 @@ def test_tensorrt_is_taken_by_name_only_and_caches_engines_by_weights(
     assert all(folder.is_dir() and folder.is_relative_to(tmp_path / "cache") for folder in folders)
 
 
+def test_only_tensorrt_needs_a_folder(model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    FakeGpu(monkeypatch)
+    monkeypatch.setenv("NVIDIA_TF32_OVERRIDE", "0")
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "file"))
+    with pytest.raises(OutputError, match=r"engines cannot be cached in .* set LPN_CACHE to a folder") as caught:
+        lpn.load(model_file, "tensorrt")
+    assert "\n" not in str(caught.value)
+    for name in ("LPN_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+    def no_home() -> Path:
+        raise RuntimeError("no home folder")
+
+    monkeypatch.setattr(Path, "home", no_home)
+    assert lpn.load(model_file).device == "cuda"
+    with pytest.raises(OutputError, match="no home folder for a cache"):
+        lpn.load(model_file, "tensorrt")
+
+
+def test_a_variable_takes_the_place_of_auto(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    safetensors = model_file.with_suffix(".safetensors")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setenv("LPN_PROVIDER", "cuda")
+    for file, reason in ((model_file, f"has no {CUDA}"), (safetensors, "finds no GPU")):
+        with pytest.raises(InputError, match=reason):
+            lpn.load(file)
+        assert lpn.load(file, "cpu").device == "cpu"
+    gpu = FakeGpu(monkeypatch)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setenv("LPN_PROVIDER", "cpu")
+    assert [lpn.load(file).device for file in (model_file, safetensors)] == ["cpu", "cpu"]
+    assert not gpu.asked
+    assert lpn.load(model_file, "cuda").device == "cuda"
+    monkeypatch.setenv("LPN_PROVIDER", "gpu")
+    for file in (model_file, safetensors):
+        with pytest.raises(InputError, match="LPN_PROVIDER is 'gpu'; set it to auto, cpu, cuda, or tensorrt"):
+            lpn.load(file)
+
+
 def test_cuda_without_its_libraries_is_the_cpu_with_auto_and_an_error_by_name(
     model_file: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -130,7 +171,7 @@ def test_cuda_without_its_libraries_is_the_cpu_with_auto_and_an_error_by_name(
     assert model.device == "cpu"
     (record,) = caplog.records
     assert f"{model_file.name} computes on the CPU: {CUDA} of ONNX Runtime" in record.getMessage()
-    with pytest.raises(InputError, match=r"was not started.*libraries of CUDA and cuDNN, or give --provider cpu"):
+    with pytest.raises(InputError, match=r"was not started.*libraries of CUDA and cuDNN, or compute on the CPU"):
         lpn.load(model_file, "cuda")
 
 
@@ -147,7 +188,9 @@ def test_onnx_runtime_s_own_refusal_is_one_sentence(model_file: Path, monkeypatc
 def test_a_gpu_that_fails_later_is_no_damaged_file(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     FakeGpu(monkeypatch)
     model = lpn.load(model_file)
-    with pytest.raises(InputError, match=r"cannot be computed on cuda \(out of memory\); give --provider cpu"):
+    with pytest.raises(
+        InputError, match=r"cannot be computed on cuda \(out of memory\); compute on the CPU \(--provider cpu"
+    ):
         model.run(seeded.pictures(0, providers.GPU_BATCH + 1, 64, 64), "drone")
 
 
@@ -207,6 +250,9 @@ def test_quantisation_needs_no_newer_onnx_runtime(
     ((written,), agreement) = quantize(model_file, open_dataset(data), tmp_path / "int8.onnx", 4)
     assert Engine(written).precision == "int8"
     assert min(agreement.values()) > 0.9
+    FakeGpu(monkeypatch)
+    assert Engine(written, provider="auto").device == "cpu"
+    assert Engine(written, provider="cuda").device == "cuda"
 
 
 def test_models_of_pytorch_take_the_same_option(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
