@@ -12,7 +12,7 @@ import lpn
 from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import SecondModel, Workspace
 from lpn.analysis.task import Task, gallery_geometry, offered_tasks, open_task
-from lpn.core.errors import DataError
+from lpn.core.errors import DataError, LPNError
 from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.datasets import open_dataset
@@ -73,8 +73,16 @@ def open_model(
         workspace.second = SecondModel(second.model_name, lambda: second)
         workspace.second.open()
     elif baseline is not None:
-        workspace.second = SecondModel("the baseline (n = 1)", lambda: open_model(data, baseline, provider=provider))
+        workspace.second = SecondModel("the baseline (n = 1)", lambda: _open_baseline(data, baseline, provider))
     return workspace
+
+
+def _open_baseline(data: Path, baseline: Path, provider: ProviderName) -> Workspace:
+    """Open the baseline; errors name its file without the folder, because a browser shows them."""
+    try:
+        return open_model(data, baseline, provider=provider)
+    except LPNError as error:
+        raise type(error)(str(error).replace(str(baseline), printable(baseline.name))) from error
 
 
 def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> Workspace:

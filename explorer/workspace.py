@@ -176,6 +176,7 @@ class SecondModel:
         self.label = label
         self._open, self._jobs = open_workspace, BackgroundJobs()
         self._job: BackgroundJob[Workspace] | None = None
+        self._lock = Lock()
 
     @property
     def workspace(self) -> Workspace | None:
@@ -194,9 +195,10 @@ class SecondModel:
 
     def open(self) -> BackgroundJob[Workspace]:
         """Open the model in the background, unless it is open or being opened; after a failure, try again."""
-        self._jobs.forget_failed("open")
-        self._job = self._jobs.join("open", self, lambda _: self._open())
-        return self._job
+        with self._lock:
+            self._jobs.forget_failed("open")
+            self._job = self._jobs.join("open", self, lambda _: self._open())
+            return self._job
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,8 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
 def _attributes(picture: PictureActivation, part: int) -> Markup:
     """Make a heatmap show the value of the cell under the mouse."""
     maps = picture.maps[part]
-    cells = [None if np.isnan(value) else float(f"{value:.4g}") for value in maps.ravel().tolist()]
+    cells = [None if np.isnan(value) else float(f"{value:.6g}") for value in maps.ravel().tolist()]
     return Markup(
-        'data-size="{},{}" data-cells="{}" onmousemove="lpn.value(this,event)" onmouseleave="lpn.value(this,event)"'
+        'data-size="{},{}" data-cells="{}" onpointermove="lpn.value(this,event)" onpointerdown="lpn.value(this,event)" '
+        'onmouseleave="lpn.value(this,event)"'
     ).format(*maps.shape, json.dumps(cells, separators=(",", ":")))

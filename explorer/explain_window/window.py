@@ -187,9 +187,14 @@ class ExplainWindow:
         """Open the second model, unless it is open, and show the tab; without a second model, do nothing."""
         if self._workspace.second is not None:
             self._workspace.second.open()
-            self._change(lambda state: replace(state, why=True))
-            self._open_tab(_MODELS)
+            self._reveal(_MODELS)
             self._models_worker.wake()
+
+    def _reveal(self, tab: str) -> None:
+        """Open the window at a tab, also if the user has collapsed it."""
+        self._change(lambda state: replace(state, why=True))
+        self._panel.expand()
+        self._open_tab(tab)
 
     def leave(self) -> None:
         """Stop all computations; the browser has disconnected."""
@@ -327,8 +332,7 @@ class ExplainWindow:
         """Return a palette command that opens the window at a tab and calls a handler."""
 
         def run() -> None:
-            self._change(lambda state: replace(state, why=True))
-            self._open_tab(tab)
+            self._reveal(tab)
             handler(value)
 
         return run

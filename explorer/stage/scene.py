@@ -179,8 +179,8 @@ class Stage:
         with self._client.atomic():
             camera.fov = _FOV
             camera.up_direction = (0.0, 0.0, 1.0) if viewpoint else (0.0, 1.0, 0.0)
-            # viser sends no position that the page has reported, though an earlier one may still be on its way to the page. Any
-            # other value before it makes viser send both the position and the target.
+            # viser skips a position equal to the last reported one, although the page may still be about to receive another.
+            # Setting a different value first makes viser send position and target.
             camera.position = position + 1.0
             camera.position = position
             camera.look_at = target

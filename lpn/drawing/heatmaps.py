@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -23,6 +24,8 @@ NOTE = (
 # From this ratio of width to height on, a picture is a panorama, and fewer fit in a row.
 _PANORAMA = 2.0
 _IN_A_ROW, _PANORAMAS_IN_A_ROW = 5, 3
+# Three labels of up to this many characters fit below a colour bar.
+_SHORT = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +96,28 @@ def draw(
 
 
 def colour_bar(low: float, high: float) -> ColourBar:
-    """Return the colours from `low` to `high`, with labels at both ends and in the middle; of one value, with one label."""
+    """Return the colours from `low` to `high` with labels at both ends, and in the middle if they are short.
+
+    Labels have up to six digits; values that are equal to so many have one label in the middle.
+    """
     gradient = overlays.png_data_uri(overlays.heat_cells(np.linspace(low, high, 256)[None], low, high))
-    if high <= low:
-        return ColourBar(gradient, [(50.0, f"{low:.3g}")])
-    decimals = max(0, 1 - math.floor(math.log10((high - low) / 2)))
-    return ColourBar(
-        gradient, [(50.0 * i, f"{low + i * (high - low) / 2:.{decimals}f}".replace("-", "−")) for i in range(3)]
-    )
+    largest = max(abs(low), abs(high))
+    notation = ".6g"
+    if high > low:
+        decimals = 1 - math.floor(math.log10((high - low) / 2))
+        most = 5 - math.floor(math.log10(largest))
+        notation = f".{max(0, min(decimals, most))}f" if 1e-3 <= largest < 1e6 else ".3g"
+    labels = [_label(value, notation) for value in (low, (low + high) / 2, high)]
+    if labels[0] == labels[2]:
+        return ColourBar(gradient, [(50.0, labels[0])])
+    ticks = [(0.0, labels[0]), (50.0, labels[1]), (100.0, labels[2])]
+    return ColourBar(gradient, ticks if max(map(len, labels)) <= _SHORT else ticks[::2])
+
+
+def _label(value: float, notation: str) -> str:
+    """Format a number with proper minus signs, such as −1.5e−7; zero has no sign."""
+    text = re.sub(r"e([+-])0*", lambda exponent: "e" + exponent[1].strip("+"), format(value, notation))
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
 
 
 @cache

@@ -50,6 +50,9 @@ def test_a_damaged_model_is_reported_and_may_be_tried_again(
     assert second.open().wait(PATIENCE)
     assert second.workspace is None
     assert "baseline.onnx" in second.error
+    (tmp_path / "baseline.onnx").unlink()
+    assert second.open().wait(PATIENCE)
+    assert second.error == "There is no model file at baseline.onnx; check the path."
     shutil.copy(one_part_model_file, tmp_path / "baseline.onnx")
     assert second.open().wait(PATIENCE)
     assert second.workspace is not None
@@ -59,7 +62,7 @@ def test_a_damaged_model_is_reported_and_may_be_tried_again(
 def test_a_model_given_at_the_start_is_open(data: Path, model_file: Path, one_part_model_file: Path) -> None:
     second = open_model(data, model_file, second_model=one_part_model_file).second
     assert second is not None
-    assert second.open().wait(PATIENCE)
+    wait_until(lambda: second.workspace is not None)
     assert second.workspace is not None
     assert second.workspace.spec.n_parts == 1
     assert second.label == "model.onnx"
@@ -72,8 +75,10 @@ def test_the_tab_offers_the_model_opens_it_and_compares(workspace: Workspace) ->
     analysis = StateAnalyser(workspace).analyse(SessionState("drone-to-satellite", 4, why=True), 10)
     window.show(analysis)
     wait_until(lambda: "Compare with the baseline (n = 1)" in gui.shown("lpn-second-model"))
+    expanded = gui.expanded
     window.compare_models()
     assert tabs == ["Two models"]
+    assert gui.expanded == expanded + 1
     wait_until(lambda: "Baseline" in gui.shown("lpn-beside"))
     page = gui.shown("lpn-beside")
     assert all(said in page for said in ("n = 4", "n = 1", "baseline.onnx"))

@@ -11,28 +11,35 @@
     return row && row.querySelector("input");
   };
 
+  // Sizes that wait for the hidden control: viser removes it while the right panel is folded.
+  const sizes = new Map();
   const write = (kind, value) => {
     const input = lpn.field(lpn.bridge);
-    if (!input) return ["hello", "small", "room"].includes(kind) || lpn.say("Unfold the panel on the right first.");
+    sizes.delete(kind);
+    if (!input && ["small", "room"].includes(kind)) return sizes.set(kind, value);
+    if (!input) return kind === "hello" || lpn.say("Unfold the panel on the right first.");
     const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
     set.call(input, JSON.stringify({ kind: kind, value: value, count: ++count }));
     input.dispatchEvent(new Event("input", { bubbles: true }));
   };
 
-  // viser sends the control's last value every 50 ms, so each message waits until the one before is sent. Its timer starts
-  // only when that is written: timers that were set in advance expire together on a page that is busy.
+  // viser sends the control's last value every 50 ms, so each message waits until the one before is sent. Each timer starts
+  // when a message is written: timers that were set in advance expire together on a page that is busy.
   const waiting = [];
   let sending = false;
   const next = () => {
     sending = waiting.length > 0;
     if (!sending) return;
+    setTimeout(next, 60); // before `write`, which may throw
     write(...waiting.shift());
-    setTimeout(next, 60);
   };
   lpn.send = (kind, value) => {
     waiting.push([kind, value]);
     if (!sending) next();
   };
+  setInterval(() => {
+    if (sizes.size && !sending && lpn.field(lpn.bridge)) sizes.forEach((value, kind) => lpn.send(kind, value));
+  }, 500);
 
   const sized = (map) => map.dataset.size.split(",").map(Number);
   const numbers = (map, name) => (map["_" + name] ||= JSON.parse(map.dataset[name]));
@@ -101,7 +108,7 @@
     const [, columns] = sized(map);
     const value = event.type === "mouseleave" ? null : numbers(map, "cells")[cell];
     const place = ", row " + (Math.floor(cell / columns) + 1) + ", column " + ((cell % columns) + 1) + ": ";
-    read.textContent = value === null ? read.dataset.hint : map.alt + place + String(value).replace("-", "\u2212");
+    read.textContent = value === null ? read.dataset.hint : map.alt + place + String(value).replaceAll("-", "\u2212");
   };
 
   // The first cell of a stroke decides whether the stroke paints or erases; the server receives whole strokes.

@@ -291,11 +291,15 @@ class WindowGui:
 
     def __init__(self) -> None:
         self.html: list[SimpleNamespace] = []
+        self.expanded = 0
 
     def add_panel(self, **_: Any) -> Any:
         return SimpleNamespace(
-            add_tab=lambda *_: nullcontext(), float=lambda **_: None, expand=lambda: None, visible=False
+            add_tab=lambda *_: nullcontext(), float=lambda **_: None, expand=self.expand, visible=False
         )
+
+    def expand(self) -> None:
+        self.expanded += 1
 
     def add_html(self, content: str) -> Any:
         self.html.append(SimpleNamespace(content=content))

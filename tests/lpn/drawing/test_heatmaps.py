@@ -61,7 +61,9 @@ def test_equal_steps_of_a_value_are_equal_steps_of_colour() -> None:
         (-1.5, 0.5, ["−1.5", "−0.5", "0.5"]),
         (0.0, 3.4, ["0.0", "1.7", "3.4"]),
         (1000.0, 3000.0, ["1000", "2000", "3000"]),
-        (10.0, 10.002, ["10.0000", "10.0010", "10.0020"]),
+        (-0.004, 19.0, ["0.0", "9.5", "19.0"]),
+        (1e-7, 3e-7, ["1e−7", "2e−7", "3e−7"]),
+        (-2e6, 2e6, ["−2e6", "0", "2e6"]),
     ],
 )
 def test_a_colour_bar_names_its_ends_and_its_middle(low: float, high: float, labels: list[str]) -> None:
@@ -72,7 +74,22 @@ def test_a_colour_bar_names_its_ends_and_its_middle(low: float, high: float, lab
     np.testing.assert_array_equal(gradient[-1], overlays.heat_cells(np.array([[high]]), low, high)[0, 0])
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "labels"),
+    [
+        (10.0, 10.002, ["10.0000", "10.0020"]),
+        (-12345.0, 0.0, ["−12345", "0"]),
+        (-1.25e-7, 3e-7, ["−1.25e−7", "3e−7"]),
+    ],
+)
+def test_long_labels_leave_out_the_middle(low: float, high: float, labels: list[str]) -> None:
+    assert heatmaps.colour_bar(low, high).ticks == [(0.0, labels[0]), (100.0, labels[1])]
+
+
 def test_a_part_of_one_value_has_one_label() -> None:
+    assert heatmaps.colour_bar(1234.5, 1234.5).ticks == [(50.0, "1234.5")]
+    assert heatmaps.colour_bar(-1e-7, -1e-7).ticks == [(50.0, "−1e−7")]
+    assert heatmaps.colour_bar(999.99999, 1000.00001).ticks == [(50.0, "1000.00")]
     assert heatmaps.colour_bar(2.5, 2.5).ticks == [(50.0, "2.5")]
     assert heatmaps.colour_bar(0.0, 0.0).ticks == [(50.0, "0")]
 
