@@ -255,15 +255,16 @@ def test_a_resized_stage_is_framed_again(app: RunningApp, contexts: Callable[...
 def test_no_message_of_a_busy_page_is_lost(app: RunningApp, contexts: Callable[..., BrowserContext]) -> None:
     explorer = ExplorerPage(contexts().new_page())
     explorer.open(app.url)
-    # Each turns the theme over; an odd number that arrives would change it.
+    # Each message leaves a mark in the address.
     explorer.page.evaluate("""() => {
-        for (let i = 0; i < 4; i++) lpn.send("dark");
+        lpn.send("task", "satellite-to-drone");
+        lpn.send("part", 2);
+        lpn.send("dark");
+        lpn.send("region", [1]);
         for (const end = performance.now() + 500; performance.now() < end; );
     }""")
-    explorer.page.wait_for_timeout(500)
-    explorer.fill("Rotate", "17")
-    explorer.expect_status("angle", "17")
-    expect(explorer.page.locator("html")).to_have_attribute("data-mantine-color-scheme", "dark")
+    for key, value in (("task", "satellite-to-drone"), ("part", "3"), ("theme", "light"), ("region", "1")):
+        wait_address(explorer, key, value)
 
 
 def test_a_phone_held_sideways(app: RunningApp, contexts: Callable[..., BrowserContext]) -> None:
