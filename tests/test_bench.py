@@ -23,6 +23,18 @@ assert [row.agrees for row in rows] == [True, False, False]
 Console(width=150).print(parity_table(rows))
 """
 
+WITHOUT_COMPILER = """
+from lpn.core.errors import InputError
+from tools.bench import describe, gpu
+load = describe.load_torch
+def without_compiler(path, device, compiled=False):
+    if compiled:
+        raise InputError("there is no compiler here.")
+    return load(path, device)
+describe.load_torch, describe.ROUNDS = without_compiler, 1
+print([figure.what.split()[-1] for figure in describe.on_device("cpu", 2, spec=gpu.TINY)])
+"""
+
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "CUDA_VISIBLE_DEVICES": ""}
@@ -49,6 +61,14 @@ def test_the_table_tells_agreement_from_difference_and_from_nothing() -> None:
     assert "missed" in lines["bad"]
     assert "not run" in lines["provider"]
     assert "2.0e-02" in lines["good"]
+
+
+def test_a_bench_goes_on_without_a_compiler() -> None:
+    done = run("-c", WITHOUT_COMPILER)
+    assert done.returncode == 0, done.stderr
+    assert "Not measured: there is no compiler here." in done.stdout
+    assert "eager" in done.stdout.splitlines()[-1]
+    assert "compiled" not in done.stdout.splitlines()[-1]
 
 
 def test_parity_and_speed_at_tiny_size() -> None:

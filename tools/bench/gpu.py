@@ -14,7 +14,10 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 import torch
@@ -22,6 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lpn.core.errors import LPNError
+from lpn.core.resources import ProviderName
 from lpn.models.checkpoints import load_torch
 from lpn.models.export import export
 from lpn.models.onnx_engine import Engine
@@ -77,17 +81,24 @@ def parity(device: torch.device, cases: Sequence[ParityCase]) -> Iterator[Parity
 
 
 def provider_parity(case: ParityCase) -> Iterator[ParityRow]:
-    """Compare the exported case by each provider that ONNX Runtime was built with."""
-    view = case.compared[0]
+    """Compare the exported case by each provider that ONNX Runtime was built with, each in a process of its own.
+
+    For TensorRT, TF32 is switched off for libraries of CUDA as they are loaded, and PyTorch has loaded some of them here.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        export(case.write(Path(folder)), Path(folder, "model.onnx"))
-        for provider in available():
-            what = f"exported, ONNX Runtime, {provider}"
-            try:
-                found = Engine(Path(folder, "model.onnx"), provider=provider).part_embeddings(case.pictures(), view)
-                yield ParityRow(what, {"float32": difference(found, case.expected(view))})
-            except LPNError as error:
-                yield ParityRow(what, failure=str(error))
+        export(case.write(Path(folder)), file := Path(folder, "model.onnx"))
+        with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
+            yield from pool.map(partial(compare_exported, case, file), available())
+
+
+def compare_exported(case: ParityCase, file: Path, provider: ProviderName) -> ParityRow:
+    """Compare an exported case by one provider."""
+    view, what = case.compared[0], f"exported, ONNX Runtime, {provider}"
+    try:
+        found = Engine(file, provider=provider).part_embeddings(case.pictures(), view)
+    except LPNError as error:
+        return ParityRow(what, failure=str(error))
+    return ParityRow(what, {"float32": difference(found, case.expected(view))})
 
 
 def parity_table(rows: Sequence[ParityRow]) -> Table:

@@ -148,7 +148,7 @@ def after_writes(index: MilvusIndex, asked: Float32Array, block: Float32Array, a
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tiles", type=int, default=20_000, help="of each structure; 1000 at least")
+    parser.add_argument("--tiles", type=int, default=20_000, help="tiles of each structure; 1000 at least")
     parser.add_argument("--structure", nargs="+", choices=get_args(Structure), default=get_args(Structure))
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument(

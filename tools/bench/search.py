@@ -346,7 +346,9 @@ def main() -> None:
     parser.add_argument(
         "--recall", type=int, default=0, help="tiles for the table of recall against time, such as 1000000"
     )
-    parser.add_argument("--codes", choices=("sq8", "pq"), nargs="+", default=("pq",), help="of faiss in such tables")
+    parser.add_argument(
+        "--codes", choices=("sq8", "pq"), nargs="+", default=("pq",), help="codes of faiss in such tables"
+    )
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="where indexes are made")
     parser.add_argument("--row", choices=PRECISIONS, help=argparse.SUPPRESS)
