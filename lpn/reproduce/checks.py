@@ -92,6 +92,24 @@ def check_starts(starts: Mapping[str, Path], backbones: Collection[str]) -> None
             )
 
 
+def check_pretrained(jobs: Sequence[TrainingJob], from_scratch: bool) -> None:
+    """Raise InputError unless each training has pretrained weights, or all are to start from random ones."""
+    lacking: dict[str, dict[str, None]] = {}
+    for job in jobs:
+        if job.start is None:
+            lacking.setdefault(job.recipe.backbone, {})[job.training.name] = None
+    rows = "; ".join(f"{backbone} for {', '.join(names)}" for backbone, names in lacking.items())
+    given = sorted({job.start.name for job in jobs if job.start is not None})
+    if from_scratch and given:
+        lack = f" Weights are lacking of {rows}." if lacking else ""
+        raise InputError(f"--init ({', '.join(given)}) and --from-scratch exclude each other; give one of them.{lack}")
+    if lacking and not from_scratch:
+        raise InputError(
+            f"Every recipe starts from a backbone trained on ImageNet, and no --init has the weights of {rows}; give its "
+            "weights with --init FILE, once for each backbone, or say --from-scratch to start all from random weights."
+        )
+
+
 def check_trainings(jobs: Sequence[TrainingJob], uses: Sequence[NetworkUse]) -> None:
     """Check that trainings can run, and that their networks can be measured.
 

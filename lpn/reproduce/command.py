@@ -21,7 +21,6 @@ from lpn.reproduce.record import Provenance, RowRecord, TableRecord, row_record
 from lpn.reproduce.sources import Sources, open_sources
 from lpn.reproduce.tables import DRAWN, SCALES, SHOWN, PaperTable, Scale, TableRow, Training, find, tables
 from lpn.reproduce.trainings import TrainingJob
-from lpn.training.trainer import check_start
 
 # All tables and figures that can be reproduced.
 KEYS = tuple(dict.fromkeys((*tables(SCALES["paper"]), *DRAWN)))
@@ -169,8 +168,7 @@ class Reproduction:
         to_come = [job for job in (*trials, *self._jobs) if self.train and not job.diverged]
         checks.check_trainings([job for job in (*trials, *self._jobs) if job.done or job in to_come], uses)
         left = [job for job in to_come if not job.done]
-        for job in left:
-            check_start(job.start, self.from_scratch)
+        checks.check_pretrained(left, self.from_scratch)
         self._say_ahead(left, len(trials) + len(self._jobs), drawn)
 
     def _trials_of(self, training: Training) -> list[tuning.Trial]:
@@ -206,6 +204,9 @@ class Reproduction:
                 done = len(job.seconds())
                 begun = f", {done} done" if done else ""
                 self.console.print(f"  {job.name}: {job.recipe.epochs} epochs{begun}", markup=False, highlight=False)
+            if self.scale.changes:
+                said = footnotes.changed(self.scale, [job.training for job in left])
+                self.console.print(said, markup=False, soft_wrap=True)
         for backbone, start in {job.recipe.backbone: job.start for job in left}.items():
             self.console.print(
                 f"{backbone} starts from {start.name if start else 'random weights'}.", markup=False, soft_wrap=True
@@ -288,7 +289,7 @@ class Reproduction:
     def _of_networks(self, table: PaperTable) -> list[str]:
         """Describe where the table's networks come from."""
         names = {row.training.name for row in table.rows if row.training}
-        given = [f"{n} = {self.models[n]} ({self._given[n].describe()})" for n in sorted(names & set(self._given))]
+        given = [f"{n} = {self.models[n].name} ({self._given[n].describe()})" for n in sorted(names & set(self._given))]
         notes = [f"Networks given: {', '.join(given)}."] if given else []
         notes += footnotes.networks([job for job in self._jobs if job.training.name in names], self.scale, self.seeds)
         if tuned := tuning.note({name: trials for name, trials in self._trials.items() if name in names}):

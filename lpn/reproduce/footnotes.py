@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from lpn.reproduce.sources import Source, counted
-from lpn.reproduce.tables import PaperTable, Scale
+from lpn.reproduce.tables import PaperTable, Scale, Training
 from lpn.reproduce.trainings import TrainingJob
 
 # Notes on single tables.
@@ -27,7 +27,9 @@ _APART = {
         "those of Table I, both with google.",
     ),
     "figure5": ("The paper's values are those of Table I; for other n it draws a curve only.",),
-    "figure7": ("An even map has 25 %; the paper shows heatmaps of single pictures and gives no number.",),
+    "figure7": (
+        "An even map has the centre's share of the cells; the paper shows heatmaps of single pictures and gives no number.",
+    ),
 }
 
 
@@ -75,12 +77,25 @@ def networks(own: Sequence[TrainingJob], scale: Scale, seeds: Sequence[int]) -> 
         begin = [f"{name} from {start.name if start else 'random weights'}" for name, start in of.items()]
         notes.append(f"Before training: {', '.join(begin)}.")
         if scale.changes:
-            notes.append(f"Changed: {', '.join(f'{name} = {value}' for name, value in scale.changes.items())}.")
+            notes.append(changed(scale, [job.training for job in done]))
         if len(seeds) > 1:
             notes.append("Mean of the seeds trained so far, ± half of the distance between the lowest and the highest.")
     if lost := [job.name for job in own if job.diverged]:
         notes.append(f"Diverged, and given up: {', '.join(lost)}.")
     return notes
+
+
+def changed(scale: Scale, trainings: Sequence[Training]) -> str:
+    """Name the user's changes, each with the networks that keep their own setting."""
+    kept: dict[str, dict[str, None]] = {}
+    for training in trainings:
+        for name in scale.kept(training):
+            kept.setdefault(name, {})[training.name] = None
+    said = [
+        f"{name} = {value}" + (f" (not for {', '.join(kept[name])})" if name in kept else "")
+        for name, value in scale.changes.items()
+    ]
+    return f"Changed: {', '.join(said)}."
 
 
 def _places(jobs: Sequence[TrainingJob]) -> str:

@@ -15,7 +15,7 @@ from lpn.core.files import exclusive_lock, write_atomic
 from lpn.core.formats import decode_json
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
-from lpn.reproduce.centre import centre_shares
+from lpn.reproduce.centre import VIEWS, centre_box, centre_shares
 from lpn.reproduce.paper_values import Values
 from lpn.reproduce.record import Provenance, TableRecord, here
 from lpn.reproduce.sources import TASKS, Source
@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 FORMAT = "lpn-measured/2"
 _CENTRE = (
     "Protocol: the last feature map of each test picture without its mirror, summed over channels; the share of the sum in the "
-    "cells whose centres lie in the middle half of height and width, a quarter of the area; mean over pictures."
+    "cells whose centres lie in the middle half of height and width, which are {}; mean over pictures."
 )
 
 
@@ -121,12 +121,18 @@ def _checksum(file: _MeasurementsFile) -> int:
 
 def _measured(row: TableRow, measure: Measure, model: Model, data: Sequence[Source]) -> MeasuredFigures:
     if measure == "centre":
-        return MeasuredFigures(centre_shares(model, data[0].dataset), _CENTRE, here())
+        return MeasuredFigures(centre_shares(model, data[0].dataset), _CENTRE.format(_box(model)), here())
     protocol = Protocol(Change(row.rotate), row.parts, row.branch)
     results = [evaluate(model, source.dataset, task, protocol) for source in data for task in TASKS[measure]]
     return MeasuredFigures(
         tuple(value for result in results for value in _values(result, measure)), results[0].sentence, here()
     )
+
+
+def _box(model: Model) -> str:
+    """Give the centre's share of the cells, which is a quarter only if sides are multiples of four."""
+    sizes = dict.fromkeys(model.map_size(view) for view in VIEWS)
+    return " or ".join(f"{100 * centre_box(*size).mean():.1f} % of {size[0]} x {size[1]} cells" for size in sizes)
 
 
 def _values(result: Result, measure: Measure) -> Values:

@@ -115,8 +115,16 @@ def row_record(
 @cache
 def here() -> Provenance:
     """Return the provenance of figures that this process measures."""
-    arguments = [Path(sys.argv[0]).name, *sys.argv[1:]]
+    program = Path(sys.argv[0]).name
+    # `python -m lpn` runs a file of another name.
+    arguments = ["lpn" if program == "__main__.py" else program, *map(_without_folders, sys.argv[1:])]
     return Provenance(shlex.join(arguments), _version(), machine(), time.strftime("%Y-%m-%d"))
+
+
+def _without_folders(argument: str) -> str:
+    """Shorten an absolute path to its name, also after "=", so that a page does not show a machine's folders."""
+    before, equals, value = argument.rpartition("=")
+    return before + equals + Path(value).name if Path(value).is_absolute() else argument
 
 
 def machine() -> str:

@@ -108,11 +108,9 @@ class Scale:
         Raises:
             InputError: if the user's changes do not fit the training.
         """
-        base = self.places if training.role == "places" else self.panoramas
-        if training.method.startswith("safa") and self.safa is not None:
-            base = self.safa
-        named = recipes.find(base, training.method) if isinstance(base, str) else recipes.method(training.method, base)
-        changes = {**self.changes, **self.tuned.get(training.name, {}), **training.changes, "seed": seed}
+        named, kept = self._unchanged(training), self.kept(training)
+        changes = {name: value for name, value in self.changes.items() if name not in kept}
+        changes |= {**self.tuned.get(training.name, {}), **training.changes, "seed": seed}
         if not str(changes.get("backbone", "vgg16")).startswith("vgg16"):
             # SAFA's recipe has a dropout in its VGG-16.
             changes.setdefault("backbone_dropout", 0.0)
@@ -120,6 +118,22 @@ class Scale:
             return replace(named, **changes)
         except InputError as error:
             raise InputError(f"{training.name} cannot be trained with these flags: {error}") from None
+
+    def kept(self, training: Training) -> tuple[str, ...]:
+        """Name the user's changes that a training does not take, because its row or its own recipe sets them."""
+        own = set(training.changes)
+        if training.method.startswith("safa"):
+            own |= {"size", "width"} if self.safa is None else {"size", "width", "lr", "optimizer"}
+        if str(self.changes.get("backbone", self._unchanged(training).backbone)).startswith("vgg16"):
+            # A VGG has no such layer.
+            own.add("last_layer")
+        return tuple(name for name in self.changes if name in own)
+
+    def _unchanged(self, training: Training) -> Recipe:
+        base = self.places if training.role == "places" else self.panoramas
+        if training.method.startswith("safa") and self.safa is not None:
+            base = self.safa
+        return recipes.find(base, training.method) if isinstance(base, str) else recipes.method(training.method, base)
 
     @property
     def base(self) -> Recipe:
@@ -161,7 +175,8 @@ SCALES: dict[str, Scale] = {
         None,
         {size: size // 2 for size in paper_values.TABLE3},
         "Reduced scale, the same budget for every row: ResNet-18 cut after layer3, 30 epochs, 32 places a step, AdamW at 0.0005 "
-        "with a cosine; pictures of 256 x 256 pixels, and of 112 x 616 where tiles are unrolled. Satellites "
+        "with a cosine; label smoothing 0.1; a moving average of the weights (0.99); one BatchNorm over views that share "
+        "weights; losses averaged over parts and views; pictures of 256 x 256 pixels, and of 112 x 616 where tiles are unrolled. Satellites "
         "are turned at random over the full circle in training, panoramas and their tiles together.",
     ),
 }

@@ -32,9 +32,9 @@ from lpn.reproduce.measure import read_measurements
 from lpn.reproduce.pretrained import features_alone
 from lpn.reproduce.record import TableRecord, here, row_record
 from lpn.reproduce.sources import TASKS, Source
-from lpn.reproduce.tables import SCALES, find, tables
+from lpn.reproduce.tables import SCALES, Scale, find, tables
 from lpn.retrieval.evaluate import evaluate
-from lpn.training.recipes import METHODS
+from lpn.training.recipes import METHODS, Recipe
 from lpn.training.trainer import Trainer
 from tools.fixtures import layouts, small_worlds
 
@@ -124,6 +124,40 @@ def test_changes_are_checked_with_the_recipe_of_each_training() -> None:
         recipe("paper", "table1", infonce=1.0)
     with pytest.raises(InputError, match=r"^lpn cannot be trained .* resnet50, which has no dropout"):
         recipe("paper", "table5", backbone_dropout=0.2)
+
+
+def test_rows_and_recipes_keep_the_settings_that_are_their_own() -> None:
+    def recipes(scale: Scale) -> dict[str, Recipe]:
+        return {training.name: scale.recipe(training, 0) for training in find("table2", scale).trainings}
+
+    changes = {"size": 128, "epochs": 3}
+    reduced = replace(SCALES["reduced"], changes=changes)
+    unrolled = ("panorama-instance-unrolled", "panorama-lpn-strips", "panorama-safa", "panorama-safa-lpn")
+    made = recipes(reduced)
+    assert {name for name, recipe in made.items() if recipe.input_size == (112, 616)} == set(unrolled)
+    assert made["panorama-lpn"].input_size == (128, 128)
+    assert {recipe.epochs for recipe in made.values()} == {3}
+    assert footnotes.changed(reduced, find("table2", reduced).trainings) == (
+        f"Changed: size = 128 (not for {', '.join(unrolled)}), epochs = 3."
+    )
+    changes = {"lr": 0.02, "last_layer": "layer3"}
+    full = replace(SCALES["paper"], changes=changes)
+    assert (recipes(full)["panorama-safa"].lr, recipes(full)["panorama-lpn"].lr) == (1e-5, 0.02)
+    assert {recipe.last_layer for recipe in recipes(full).values()} == {"layer4"}
+    assert full.recipe(find("table5", full).trainings[0], 0).last_layer == "layer3"
+
+
+def test_the_baseline_is_tuned_at_reduced_scale_only(places: Path, tmp_path: Path) -> None:
+    source = Source(open_dataset(places), False)
+    for name, scale in SCALES.items():
+        tuned = {
+            training.name
+            for training in find("table1", scale).trainings
+            if tuning.plan(training, scale, 0, tmp_path, source, {})
+        }
+        assert ("instance" in tuned) == (name == "reduced")
+        assert {"contrastive", "triplet-0.3", "triplet-0.5", "soft-margin"} <= tuned
+        assert "lpn" not in tuned
 
 
 def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: Path, tmp_path: Path) -> None:
@@ -243,7 +277,8 @@ def test_given_models_stand_for_trainings(places: Path, tmp_path: Path) -> None:
     assert text.count("| not run |") == 5 * 4
     assert "not known; " in text
     assert (
-        f"Networks given: instance = {baseline} (Baseline resnet18/layer3, n = 1, 64 x 64), lpn = {model} (LPN" in text
+        f"Networks given: instance = {baseline.name} (Baseline resnet18/layer3, n = 1, 64 x 64), lpn = {model.name} (LPN"
+        in text
     )
     assert "# Table I: losses and LPN, on University-1652\n" in text
     assert (
@@ -251,6 +286,7 @@ def test_given_models_stand_for_trainings(places: Path, tmp_path: Path) -> None:
     )
     assert not (tmp_path / "out" / "runs").exists()
     assert (tmp_path / "out" / "figure7.png").is_file()
+    assert "which are 25.0 % of 4 x 4 cells; mean" in (tmp_path / "out" / "figure7.md").read_text(encoding="utf-8")
 
 
 def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, tmp_path: Path) -> None:
@@ -296,8 +332,21 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, tm
         ({"queries": ["nope"]}, ["figure8"], "no query nope"),
         ({"data": [str(places), str(places)]}, ["table4"], "two data sets of places"),
         ({"init": [start, start]}, ["table4"], "both hold a resnet18"),
-        ({"from_scratch": False}, ["table5"], "give its weights with --init FILE, or say --from-scratch"),
-        ({"init": [start], "from_scratch": True}, ["table5"], "exclude each other"),
+        ({"from_scratch": False}, ["table5"], "no --init has the weights of resnet18 for lpn; give its weights"),
+        (
+            {"init": [start], "from_scratch": True},
+            ["table5"],
+            r"--init \(model.safetensors\) and --from-scratch exclude",
+        ),
+        (
+            {
+                "scale": SCALES["paper"],
+                "from_scratch": False,
+                "data": [str(small_worlds.make_cvusa(tmp_path / "c", 32))],
+            },
+            ["table2"],
+            "weights of vgg16_bn for panorama-instance, .*; vgg16 for panorama-safa, panorama-safa-lpn; give",
+        ),
         # A fifth of four places is one.
         ({"tune": True}, ["table1"], r"instance takes 4 places a step, and places has 3 to train on .*--no-tune"),
     ):
@@ -395,6 +444,14 @@ def test_measured_json_says_where_each_figure_comes_from(places: Path, tmp_path:
     assert here().version.startswith(lpn.__version__)
     assert "cores" in here().machine
     assert (tmp_path / "table5.md").read_text(encoding="utf-8") == report.markdown(table)
+
+
+def test_a_command_is_recorded_without_a_machine_s_folders(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = ["/somewhere/lpn/__main__.py", "reproduce", "table1", "--data", "/home/a/world", "--out=/tmp/b/runs"]
+    monkeypatch.setattr("sys.argv", [*given, "--model", "instance=/tmp/net.pth", "--init", "weights/resnet18.pth"])
+    assert here.__wrapped__().command == (
+        "lpn reproduce table1 --data world --out=runs --model instance=net.pth --init weights/resnet18.pth"
+    )
 
 
 @pytest.mark.slow
@@ -567,6 +624,18 @@ def test_a_drop_is_significant_beyond_the_papers_own() -> None:
     assert "**held**" in verdicts(80 - 1.29)[1]
 
 
+def test_a_gain_within_the_spread_of_the_seeds_is_said_to_be_so() -> None:
+    def verdict(larger: list[float], smaller: list[float]) -> str:
+        return claims.verdicts(record("table3", {"512": larger, "384": smaller}))[1]
+
+    assert "bring drone queries nothing over 384 (Table III): **held** (" in verdict([50, 50], [60, 60])
+    assert "**held in the mean, but within the spread of the seeds**" in verdict([50, 70], [60, 61])
+    assert "**did not hold, 5.0 points where 0.0 are allowed**" in verdict([60, 60], [55, 55])
+    assert "**did not hold, 0.5 points where 0.0 are allowed, but within the spread of the seeds**" in verdict(
+        [59, 62], [59, 61]
+    )
+
+
 @pytest.mark.parametrize("key", [key for key in paper_values.CLAIMS if key != "figure7"])
 def test_every_claim_holds_on_the_papers_own_values(key: str) -> None:
     table = find(key, SCALES["paper"])
@@ -581,6 +650,8 @@ def test_activation_in_the_centre_is_a_share_of_the_map() -> None:
     assert np.array_equal(centre_box(16, 16), Partition("rings", 4).labels(16, 16) < 2)
     even, middle = np.ones((1, 3, 16, 16)), np.zeros((1, 3, 16, 16))
     middle[:, :, 6:10, 6:10] = 5
+    # A quarter of the area only if both sides are multiples of four.
+    assert centre_box(14, 14).mean() == pytest.approx(0.184, abs=5e-4)
     assert centre_share(np.concatenate([even, middle, 0 * even])).tolist() == [0.25, 1.0, 0.25]
 
 
