@@ -48,8 +48,8 @@ class ReproduceCommand:
     seeds: tuple[int, ...] = (0,)
     """Random seeds: one training for each, and the mean is reported."""
     tune: bool = True
-    """Choose the settings of Table I's losses on distances, and at reduced scale of its baseline, on training places that are held
-    out; otherwise the recipe's are used."""
+    """Choose the settings of Table I's losses on distances, and at reduced scale of its baseline, on training places that are
+    held out; otherwise the recipe's are used."""
     train: bool = True
     """Train missing models; otherwise their rows are left out."""
     queries: tuple[str, ...] = ()

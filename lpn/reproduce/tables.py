@@ -176,7 +176,8 @@ SCALES: dict[str, Scale] = {
         {size: size // 2 for size in paper_values.TABLE3},
         "Reduced scale, the same budget for every row: ResNet-18 cut after layer3, 30 epochs, 32 places a step, AdamW at 0.0005 "
         "with a cosine; label smoothing 0.1; a moving average of the weights (0.99); one BatchNorm over views that share "
-        "weights; losses averaged over parts and views; pictures of 256 x 256 pixels, and of 112 x 616 where tiles are unrolled. Satellites "
+        "weights; losses averaged over parts and views; pictures of 256 x 256 pixels, and of 112 x 616 where tiles are unrolled. "
+        "Satellites "
         "are turned at random over the full circle in training, panoramas and their tiles together.",
     ),
 }
