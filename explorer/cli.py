@@ -24,7 +24,7 @@ class Explore:
     beside: Path | None = None
     """Second trained LPN to compare on every query (key Y, tab Two models), such as one with other parts."""
     provider: ProviderName = "auto"
-    """Provider: auto (a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     saved: Path | None = None
     """Result of the published test code, pytorch_result.mat, to explore in place of a model; needs --data."""
     n_parts: int | None = None
