@@ -98,13 +98,26 @@ def test_the_ablation_takes_seeds_that_both_methods_have(docs: Path, tmp_path: P
         save_file({"a": np.zeros(1)}, folder / "last.safetensors", metadata={"recipe": '{"epochs": 7}'})
         for task in ("drone-to-satellite", "satellite-to-drone"):
             (folder / f"{task}.json").write_text(json.dumps({"recall@1": value, "ap": value + 1}))
-        (folder / "centre.json").write_text(json.dumps([value, 25]))
+    made = Provenance("lpn reproduce figure7", "7.7", "CPU, 1 cores", "2026-11-22")
+    for seed, shares in enumerate(((40.0, 30.0), (50.0, 20.0))):
+        rows = tuple(
+            row_record(label, {"given": (value, 25.0)}, measured={"given": made})
+            for label, value in zip(("LPN, n = 4", "Baseline, n = 1"), shares, strict=True)
+        )
+        (tmp_path / "runs" / f"figure7-seed{seed}").mkdir()
+        MeasurementStore(tmp_path / "runs" / f"figure7-seed{seed}" / "measured.json").keep(
+            TableRecord("figure7", "Figure 7: new", ("drone", "satellite"), (None, None), rows)
+        )
     done = pages("--ablation", str(tmp_path / "runs"), "--commit", "abc", "--docs", str(docs))
     assert done.returncode == 0, done.stderr
     text = (docs / "evaluation.md").read_text("utf-8")
     assert "| n = 4 (LPN) | 45.00 ± 5.00 | 46.00 ± 5.00 | 45.00 ± 5.00 | 46.00 ± 5.00 | 45.0 ± 5.0 | 25.0 |" in text
     assert "| gain | 20.00 | 20.00 | 20.00 | 20.00 | 20.0 | 0.0 |" in text
     assert "2 seeds each (0, 1)" in text
+    assert (
+        "surroundings too (Figure 7): **did not hold** (drone: Baseline, n = 1 25.0, LPN, n = 4 45.0; satellite" in text
+    )
+    assert "Measured (seed 1) by `lpn reproduce figure7`, lpn 7.7, on CPU, 1 cores, 2026-11-22." in text
     assert "--method lpn --infonce 0 --ema 0 --label-smoothing 0 --epochs 7" in text
 
 

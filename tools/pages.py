@@ -23,10 +23,10 @@ from safetensors import safe_open
 
 from lpn.core.arrays import UInt8Array
 from lpn.core.files import write_atomic
-from lpn.reproduce import report
+from lpn.reproduce import claims, report
 from lpn.reproduce.measure import read_measurements
 from lpn.reproduce.paper_values import largest_drop
-from lpn.reproduce.record import Provenance, TableRecord, machine
+from lpn.reproduce.record import Provenance, TableRecord, machine, row_record
 from lpn.training import recipe_sources, recipes
 
 PAGES = ("reproduction", "evaluation", "recipes")
@@ -52,7 +52,13 @@ def render(page: str, docs: Path) -> str:
         loader=FileSystemLoader(docs / "measured"), undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters |= {"figure": _figure, "mean": _mean, "cells": _cells}
+    environment.filters |= {
+        "figure": _figure,
+        "mean": _mean,
+        "cells": _cells,
+        "verdicts": _verdicts,
+        "origins": _origins,
+    }
     records = {key: _record(value) for key, value in data.pop("tables", {}).items()}
     drawings = [picture for picture in _DRAWINGS.values() if (docs / picture).is_file()]
     copied = [record.title.partition(":")[0] for record in records.values() if _is_copied(record)]
@@ -117,7 +123,7 @@ def copy_run(run: Path, docs: Path) -> None:
 def copy_ablation(runs: Path, commit: str, docs: Path) -> None:
     """Take the runs of the ablation over into the page's data: the folders `<method>-seed<k>` that have both tasks' JSON files.
 
-    Only seeds that both methods have are taken. A folder's `centre.json` holds `centre_shares` of its network.
+    Only seeds that both methods have are taken. `figure7-seed<k>` is the folder of `lpn reproduce figure7` on a seed's networks.
     """
     of_seed: dict[int, dict[str, list[float]]] = {}
     for folder in sorted(runs.glob("*-seed*")):
@@ -126,8 +132,14 @@ def copy_ablation(runs: Path, commit: str, docs: Path) -> None:
         if all(file.is_file() for file in tasks):
             found = [json.loads(file.read_bytes()) for file in tasks]
             values = [task[key] for task in found for key in ("recall@1", "ap")]
-            of_seed.setdefault(int(seed), {})[method] = values + json.loads((folder / "centre.json").read_bytes())
+            of_seed.setdefault(int(seed), {})[method] = values
     seeds = sorted(seed for seed, methods in of_seed.items() if len(methods) == 2)
+    centre = _centre(runs, seeds)
+    for label, method in (("LPN, n = 4", "lpn"), ("Baseline, n = 1", "instance")):
+        row = centre.row(label)
+        assert row is not None
+        for number in seeds:
+            of_seed[number][method] += row.values[f"seed {number}"]
     with safe_open(runs / f"lpn-seed{seeds[0]}" / "last.safetensors", "np") as file:
         recipe = json.loads(file.metadata()["recipe"])
     path = docs / "measured" / "evaluation.json"
@@ -153,8 +165,25 @@ def copy_ablation(runs: Path, commit: str, docs: Path) -> None:
             method: [list(column) for column in zip(*(of_seed[seed][method] for seed in seeds), strict=True)]
             for method in ("lpn", "instance")
         },
+        "figure7": json.loads(msgspec.json.encode(centre)),
     }
     write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
+
+
+def _centre(runs: Path, seeds: list[int]) -> TableRecord:
+    """Join the tables of Figure 7 that were measured on the networks of each seed alone."""
+    tables = {
+        f"seed {seed}": read_measurements(runs / f"figure7-seed{seed}" / "measured.json").tables["figure7"]
+        for seed in seeds
+    }
+    first = next(iter(tables.values()))
+    rows = []
+    for index, row in enumerate(first.rows):
+        of_seed = {seed: table.rows[index] for seed, table in tables.items()}
+        values = {seed: each.mean for seed, each in of_seed.items()}
+        made = {seed: next(iter(each.measured.values())) for seed, each in of_seed.items()}
+        rows.append(row_record(row.label, values, measured=made))
+    return TableRecord("figure7", first.title, first.columns, first.beside, tuple(rows), first.notes)
 
 
 def stray_figures(template: str) -> list[str]:
@@ -174,6 +203,15 @@ def stray_figures(template: str) -> list[str]:
 def _record(value: Any) -> TableRecord:
     # JSON knows no keys but strings, which msgspec reads back.
     return msgspec.json.decode(msgspec.json.encode(value), type=TableRecord)
+
+
+def _verdicts(value: Any) -> str:
+    """Judge the claims on a table's record."""
+    return " ".join(claims.verdicts(_record(value)))
+
+
+def _origins(value: Any) -> str:
+    return " ".join(origins(_record(value)))
 
 
 def _figure(value: Any, digits: int = 1) -> str:
