@@ -159,6 +159,11 @@ class BrowserDriver:
 
         self._changing(chosen)
 
+    def take(self, task: str) -> None:
+        """Choose a task by its button."""
+        name = task.replace("-to-", " → ")
+        self._changing(lambda: self.page.locator("#lpn-tasks a").get_by_text(name, exact=True).click())
+
     def send(self, own_picture: UploadedPicture) -> None:
         """Upload a picture."""
         file = {"name": own_picture.name, "mimeType": "image/jpeg", "buffer": own_picture.content}

@@ -49,6 +49,8 @@ class SoakClient:
         self._visit = self._step = 0
         self._did = ""
         self._state = reference.first()
+        # The query that each task showed when this page left it.
+        self._last_queries: dict[str, int] = {}
 
     def run(self) -> None:
         """Visit again and again; a fault ends the visit, not the client."""
@@ -94,7 +96,7 @@ class SoakClient:
         link = "&".join(f"{key}={value}" for key, value in state.address().items()) + f"&query=~{state.query}"
         self._begin(f"opened ?{link}")
         self._driver.enter(link)
-        self._state = state
+        self._state, self._last_queries = state, {}
         self._settle("open", state, [first])  # the page may show the initial state before its greeting arrives
 
     def _act(self) -> None:
@@ -247,8 +249,10 @@ class SoakClient:
         if others:
             task = self._rng.choice(others)
             self._begin(f"took {task}")
-            self._driver.choose("Task", task)
-            self._settle("pick", self._state.turned_to(task))
+            self._last_queries[self._state.task] = self._state.query
+            query = self._reference.same_place(self._state, task, self._last_queries.get(task, 0))
+            self._driver.take(task)
+            self._settle("pick", self._state.turned_to(task, query))
 
     def _upload(self) -> None:
         """Upload a unique picture, then rotate it."""
@@ -312,7 +316,7 @@ class SoakClient:
         talker, long = driver.talker, "x" * self._rng.randint(1, 59_000)
         return [
             lambda: driver.set(label, value),
-            lambda: driver.set("Task", "../../etc"),
+            lambda: driver.tell("task", "../../etc"),
             lambda: driver.set("Heat of", long),
             lambda: driver.set(label, "x", "removed"),
             lambda: driver.tell("no such kind", long[:2000]),

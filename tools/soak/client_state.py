@@ -53,9 +53,9 @@ class ClientState:
         """Show an uploaded picture, without any transform."""
         return replace(self.upright(), own_picture=own_picture, tile=None)
 
-    def turned_to(self, task: str) -> ClientState:
-        """Choose a task, at its first query."""
-        return self if task == self.task else replace(self, task=task, query=0, own_picture=None, tile=None)
+    def turned_to(self, task: str, query: int) -> ClientState:
+        """Choose another task at one of its queries, without any transform."""
+        return replace(self.upright(), task=task, query=query, own_picture=None, tile=None)
 
     def upright(self) -> ClientState:
         """Undo all transforms of the query."""

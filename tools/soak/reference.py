@@ -119,6 +119,14 @@ class Reference:
             text["with"] = state.tile if state.tile == "truth" else _called(side.gallery, state.tile)
         return text
 
+    def same_place(self, state: ClientState, task: str, preferred: int) -> int:
+        """A query of another task with the place of the state's query: the preferred one if it has it, else the first, else 0."""
+        if state.own_picture:
+            return 0
+        label, queries = self.sides[state.task].queries[state.query].label, self.sides[task].queries
+        same = (index for index, query in enumerate(queries) if query.label == label)
+        return preferred if queries[preferred].label == label else next(same, 0)
+
     def own_picture(self, rng: Random, name: str) -> UploadedPicture:
         """A rotated crop of a query as a JPEG file."""
         side = self.sides[rng.choice(list(self.sides))]

@@ -69,6 +69,9 @@ class PageDriver(Protocol):
     def choose(self, label: str, option: str) -> None:
         """Choose an option."""
 
+    def take(self, task: str) -> None:
+        """Choose a task."""
+
     def send(self, own_picture: UploadedPicture) -> None:
         """Upload a picture."""
 
@@ -140,6 +143,10 @@ class WebSocketDriver:
     def choose(self, label: str, option: str) -> None:
         """Choose an option."""
         self.set(label, option)
+
+    def take(self, task: str) -> None:
+        """Choose a task."""
+        self.tell("task", task)
 
     def set(self, label: str, value: Any, prop: str = "value") -> None:
         """Set a control, or another attribute of it."""
