@@ -53,8 +53,8 @@ class Navigation:
     def choose_task(self, name: Any) -> StateChange:
         """Return the change to another task, at a query of the same place if it has one; an unknown name changes nothing.
 
-        Of several such queries, it chooses the one that the task showed last, else the first. The user's own picture
-        is dropped, with a notification.
+        If several queries show the place, the change takes the one that the task showed last, else the first. It drops
+        the user's own picture, and a notification says so.
         """
 
         def choose(state: SessionState) -> SessionState:

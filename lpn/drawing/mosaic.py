@@ -22,7 +22,7 @@ _EARTH: theme.Colour = (38, 40, 42)
 def draw(geometry: GalleryGeometry, files: Sequence[Path]) -> UInt8Array:
     """Draw the tiles' picture files on a map, north up: (H, W, 3) uint8, at most LARGEST pixels a side.
 
-    Of tiles at the same position, only the first is drawn. No tile is rotated.
+    Only the first of several tiles at the same position is drawn. No tile is rotated.
     """
     west, south, east, north = geometry.bounds()
     scale = LARGEST / max(east - west, north - south)

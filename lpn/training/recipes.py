@@ -231,7 +231,7 @@ class Recipe:
         return json.dumps(asdict(self))
 
 
-# What the released run scripts and training scripts of LPN have in common.
+# All released run scripts and training scripts of LPN share these settings.
 _AS_RELEASED: dict[str, Any] = {
     "weighting": "published",
     "activation": "none",
@@ -247,25 +247,30 @@ _CVUSA: dict[str, Any] = {
     "warmup": "loss",
     "warmup_start": 0.1,
 }
+_SAFA: dict[str, Any] = {
+    "layout": "university",
+    "sampling": "places",
+    "pooling": "safa",
+    "polar": True,
+    "shared": False,
+    "instance": 0.0,
+    "infonce": 0.0,
+    "metric": "soft_margin",
+    "size": 112,
+    "width": 616,
+}
 _SAFA_RECIPE = Recipe(
+    **_SAFA,
     backbone="vgg16",
     backbone_dropout=0.2,
     n_parts=1,
     activation="none",
-    shared=False,
-    pooling="safa",
-    polar=True,
-    size=112,
-    width=616,
-    sampling="places",
     epochs=100,
     optimizer="adam",
     lr=1e-5,
     backbone_ratio=1.0,
     schedule="constant",
     weight_decay=0.0,
-    instance=0.0,
-    metric="soft_margin",
     flip="none",
     padding=0,
     precision="float32",
@@ -334,18 +339,6 @@ _INSTANCE_LOSS: dict[str, Any] = {
 }
 _BASELINE: dict[str, Any] = {**_INSTANCE_LOSS, "n_parts": 1, "layout": "university"}
 _METRIC_LOSS: dict[str, Any] = {**_BASELINE, "instance": 0.0, "sampling": "places"}
-_SAFA: dict[str, Any] = {
-    "layout": "university",
-    "sampling": "places",
-    "pooling": "safa",
-    "polar": True,
-    "shared": False,
-    "instance": 0.0,
-    "infonce": 0.0,
-    "metric": "soft_margin",
-    "size": 112,
-    "width": 616,
-}
 
 # The methods that the paper compares. Each replaces the settings of a recipe that select the loss, and some others.
 # lpn: LPN with square rings.

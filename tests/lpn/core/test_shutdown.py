@@ -52,23 +52,15 @@ def half_written(folder: Path) -> list[Path]:
     return [path for path in folder.rglob("*.part") if path.name != "descriptors.part"]
 
 
+def training(data: Path, out: Path) -> list[object]:
+    """The arguments of a small training."""
+    options: list[object] = ["--recipe", "small", "--size", 64, "--batch", 4, "--from-scratch"]
+    return ["train", "--data", data, "--out", out, *options]
+
+
 def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
-    given: list[object] = [
-        "train",
-        "--data",
-        data,
-        "--out",
-        out,
-        "--recipe",
-        "small",
-        "--size",
-        64,
-        "--batch",
-        4,
-        "--from-scratch",
-    ]
-    given += ["--epochs", 1000, "--n-parts", 2]
+    given = [*training(data, out), "--epochs", 1000, "--n-parts", 2]
     with Process(given, tmp_path / "cache") as process:
         process.until((out / "state.pt").is_file)
         process.interrupt()
@@ -89,20 +81,7 @@ def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> 
 def test_a_training_without_a_whole_epoch_says_so(tmp_path: Path) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
     slow = "import time, lpn.training.loader as l\ns = l.Loader.stream\nl.Loader.stream = lambda *a: (time.sleep(600), s(*a))[1]"
-    given: list[object] = [
-        "train",
-        "--data",
-        data,
-        "--out",
-        out,
-        "--recipe",
-        "small",
-        "--size",
-        64,
-        "--batch",
-        4,
-        "--from-scratch",
-    ]
+    given = training(data, out)
     with Process(given, tmp_path / "cache", slow) as process:
         process.until(lambda: "Computing in" in process.out)
         process.interrupt()
