@@ -85,7 +85,7 @@ class ClientSession:
             self._panels.query.compare_models = self._explain_window.compare_models
             glossary = Glossary(client.gui)
             handlers = {
-                "room": viewport.update,
+                "viewport": viewport.update,
                 "hello": self._on_greeting,
                 "small": self._fit,
                 "task": lambda name: self.change(self._panels.navigation.choose_task(name)),

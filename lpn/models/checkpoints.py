@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import pickle
 import re
@@ -193,7 +194,15 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None, ha
             if not bool(tensor.isfinite().all()):
                 raise InputError(f"The weights {key} are too large for float16; store them as float32.")
     metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json(), SEAL: UNSEALED}
-    write_atomic(Path(path), with_seal(save_tensors(tensors, metadata)))
+    write_atomic(Path(path), with_seal(_with_sorted_header(save_tensors(tensors, metadata))))
+
+
+def _with_sorted_header(data: bytes) -> bytes:
+    """Return a `.safetensors` file with the keys of its header sorted, so that equal networks give equal files."""
+    start = 8 + int.from_bytes(data[:8], "little")
+    header = json.dumps(json.loads(data[8:start]), sort_keys=True, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 8)  # tensors begin at a multiple of eight bytes
+    return len(header).to_bytes(8, "little") + header + data[start:]
 
 
 def epochs_of(path: Path) -> int | None:

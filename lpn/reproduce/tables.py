@@ -122,6 +122,8 @@ class Scale:
     def kept(self, training: Training) -> tuple[str, ...]:
         """Name the user's changes that a training does not take, because its row or its own recipe sets them."""
         own = set(training.changes)
+        if training.role == "panoramas" and self._unchanged(training).lr != self._places.lr:
+            own.add("lr")  # each released script has its own, ten times apart
         if training.method.startswith("safa"):
             own |= {"size", "width"} if self.safa is None else {"size", "width", "lr", "optimizer"}
         if str(self.changes.get("backbone", self._unchanged(training).backbone)).startswith("vgg16"):
@@ -139,7 +141,11 @@ class Scale:
     def base(self) -> Recipe:
         """The recipe of places, with the user's changes of backbone and input size."""
         changes = {name: value for name, value in self.changes.items() if name in _NETWORK}
-        return replace(RECIPES[self.places] if isinstance(self.places, str) else self.places, **changes)
+        return replace(self._places, **changes)
+
+    @property
+    def _places(self) -> Recipe:
+        return RECIPES[self.places] if isinstance(self.places, str) else self.places
 
 
 # Settings of a network without training.

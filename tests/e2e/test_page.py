@@ -88,6 +88,7 @@ def test_an_address_can_name_another_task(app: RunningApp, contexts: Callable[..
     explorer = ExplorerPage(contexts().new_page())
     explorer.open(f"{app.url}/?task=satellite-to-drone&query=0010&with=truth")
     expect(explorer.page.locator("#lpn-tasks a.chosen")).to_have_text("satellite → drone")
+    expect(explorer.page.locator("#lpn-header")).to_contain_text("14 gallery pictures")
     assert (shown(explorer)["name"], explorer.sequence()) == ("0010", 1)
     explorer.key("n")
     explorer.expect_status("name", "0011")

@@ -126,7 +126,7 @@ def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: Ex
     expect(explorer.verdict).to_contain_text("Wrong")
     open_window(explorer)
     explorer.page.get_by_role("tab", name="True or wrong").click()
-    versus = explorer.page.locator("#lpn-versus")
+    versus = explorer.page.locator("#lpn-counterfactual")
     expect(versus.locator("tr.total")).to_be_visible()
     change = explorer.page.locator("#lpn-change")
     for _ in range(12):
@@ -219,7 +219,7 @@ def test_two_models_answer_the_same_query(two_models: RunningApp, contexts: Call
     explorer.open(two_models.url)
     open_window(explorer)
     explorer.page.get_by_role("tab", name="Two models").click()
-    shown = explorer.page.locator("#lpn-beside")
+    shown = explorer.page.locator("#lpn-model-comparison")
     for said in ("model.onnx", "whole.onnx", "n = 4", "n = 1", "alone finds"):
         expect(shown).to_contain_text(said)
     row = shown.locator(".row").first
@@ -235,7 +235,7 @@ def test_one_click_compares_with_the_baseline_and_one_turns_the_task_around(
     explorer.open(baseline_app.url)
     explorer.expect_status("name", "0007")
     explorer.page.get_by_role("button", name="Compare with the baseline (n = 1)").click()
-    shown = explorer.page.locator("#lpn-beside")
+    shown = explorer.page.locator("#lpn-model-comparison")
     expect(shown).to_be_visible()  # without another click
     for said in ("lpn.onnx", "baseline.onnx", "n = 4", "n = 1", "alone finds"):
         expect(shown).to_contain_text(said)

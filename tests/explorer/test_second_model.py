@@ -79,8 +79,8 @@ def test_the_tab_offers_the_model_opens_it_and_compares(workspace: Workspace) ->
     window.compare_models()
     assert tabs == ["Two models"]
     assert gui.expanded == expanded + 1
-    wait_until(lambda: "Baseline" in gui.shown("lpn-beside"))
-    page = gui.shown("lpn-beside")
+    wait_until(lambda: "Baseline" in gui.shown("lpn-model-comparison"))
+    page = gui.shown("lpn-model-comparison")
     assert all(said in page for said in ("n = 4", "n = 1", "baseline.onnx"))
     window.leave()
     assert errors == []

@@ -16,7 +16,7 @@
   const write = (kind, value) => {
     const input = lpn.field(lpn.bridge);
     sizes.delete(kind);
-    if (!input && ["small", "room"].includes(kind)) return sizes.set(kind, value);
+    if (!input && ["small", "viewport"].includes(kind)) return sizes.set(kind, value);
     if (!input) return kind === "hello" || lpn.say("Unfold the panel on the right first.");
     const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
     set.call(input, JSON.stringify({ kind: kind, value: value, count: ++count }));

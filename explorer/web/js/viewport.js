@@ -66,7 +66,7 @@
     const { width, height } = entry.contentRect;
     clearTimeout(stage.sending);
     stage.sending = setTimeout(() => {
-      lpn.send("room", [Math.round(width), Math.round(height)]);
+      lpn.send("viewport", [Math.round(width), Math.round(height)]);
       // On a resize viser may report the camera with the size of before, and the stage would be framed for that.
       window.__viserMutable?.sendCamera?.();
     }, 250);

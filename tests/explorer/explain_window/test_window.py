@@ -375,9 +375,9 @@ def test_an_effect_of_the_previous_pair_is_never_shown_under_the_next(
     go_on.set()
     change.join(30)
     explain_window.leave()
-    wait_until(lambda: gui.shown("lpn-versus") == render(new, workspace, compared(new), None, False))
+    wait_until(lambda: gui.shown("lpn-counterfactual") == render(new, workspace, compared(new), None, False))
     time.sleep(0.2)
-    assert gui.shown("lpn-versus") == render(new, workspace, compared(new), None, False)
+    assert gui.shown("lpn-counterfactual") == render(new, workspace, compared(new), None, False)
 
 
 def test_an_effect_is_computed_from_one_pair_and_stored_for_that_pair_only(
@@ -400,8 +400,8 @@ def test_an_effect_is_computed_from_one_pair_and_stored_for_that_pair_only(
     assert computed[0] is old.ranking.weights
     explain_window.leave()
     time.sleep(0.2)
-    assert "it harms" not in gui.shown("lpn-versus")
-    assert "Does it help" in gui.shown("lpn-versus")
+    assert "it harms" not in gui.shown("lpn-counterfactual")
+    assert "Does it help" in gui.shown("lpn-counterfactual")
 
 
 def test_weights_that_change_nothing_neither_help_nor_harm() -> None:

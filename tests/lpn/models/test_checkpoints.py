@@ -197,6 +197,17 @@ def test_a_model_in_half_precision_is_small_and_opens_and_fills_a_backbone(tmp_p
     assert not (tmp_path / "large.safetensors").exists()
 
 
+def test_equal_networks_give_equal_files(tmp_path: Path) -> None:
+    network = small_worlds.make_network()
+    files = [tmp_path / f"{copy}.safetensors" for copy in range(6)]
+    for file in files:
+        # The writer puts five entries into another order each time: by chance all are alike once in 120^5 times.
+        save(network, file, {name: name for name in ("recipe", "figures", "epochs")})
+    assert len({file.read_bytes() for file in files}) == 1
+    length = int.from_bytes(files[0].read_bytes()[:8], "little")
+    assert length % 8 == 0
+
+
 def _cudnn() -> tuple[bool, bool, bool]:
     cudnn = torch.backends.cudnn
     return cudnn.enabled, cudnn.benchmark, cudnn.allow_tf32

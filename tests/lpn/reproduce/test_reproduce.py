@@ -143,6 +143,8 @@ def test_rows_and_recipes_keep_the_settings_that_are_their_own() -> None:
     changes = {"lr": 0.02, "last_layer": "layer3"}
     full = replace(SCALES["paper"], changes=changes)
     assert (recipes(full)["panorama-safa"].lr, recipes(full)["panorama-lpn"].lr) == (1e-5, 0.02)
+    released = recipes(replace(SCALES["released"], changes={"lr": 0.02, "epochs": 3}))["panorama-lpn"]
+    assert (released.lr, released.epochs) == (0.1, 3)
     assert {recipe.last_layer for recipe in recipes(full).values()} == {"layer4"}
     assert full.recipe(find("table5", full).trainings[0], 0).last_layer == "layer3"
 
