@@ -1,0 +1,48 @@
+"""Flights: pictures with the camera's position, height, heading, and field of view, as far as files tell them.
+
+    open_flight("flights/monday")       # a folder that `lpn flight` wrote, or a folder of photos
+    footprint(frame), ground_width(frame)
+
+It imports `core` and `datasets`. `locate` and `cli` import it. docs/flights.md shows what is read.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lpn.core.errors import DataError
+from lpn.datasets.base import files_below
+from lpn.flights.base import Flight, Frame, HeadingSource
+from lpn.flights.cameras import footprint, ground_width
+from lpn.flights.folder import is_flight, read_flight, write_flight
+from lpn.flights.sources import flight_of_photos
+
+__all__ = [
+    "Flight",
+    "Frame",
+    "HeadingSource",
+    "flight_of_photos",
+    "footprint",
+    "ground_width",
+    "open_flight",
+    "write_flight",
+]
+
+
+def open_flight(folder: str | Path) -> Flight:
+    """Open a flight: a folder that `lpn flight` wrote, or a folder of photos.
+
+    Raises:
+        DataError: if there is no such folder, it has no photo that can be read, or its files are damaged.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise DataError(f"There is no flight at {folder}; expected a folder that lpn flight wrote, or one of photos.")
+    if is_flight(folder):
+        return read_flight(folder)
+    files = files_below(folder)
+    if not files:
+        raise DataError(
+            f"{folder} has neither flight.json nor photos; give a folder that lpn flight wrote, or one of photos."
+        )
+    return flight_of_photos(files, folder.resolve().name)

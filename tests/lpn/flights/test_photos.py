@@ -1,0 +1,221 @@
+"""Photos as cameras of drones write them, and what must not be believed in them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from PIL import ExifTags
+
+from lpn.core.errors import DataError, PictureError
+from lpn.flights import open_flight
+from lpn.flights.photos import natural, read_photo
+from lpn.flights.xmp import read_xmp
+from tools.fixtures.photos import dji_xmp, exif, photo_bytes, sensefly_xmp, write_photo
+
+BASE, GPS = ExifTags.Base, ExifTags.GPS
+NOON = {BASE.DateTimeOriginal: "2024:05:01 14:00:00"}
+
+
+def test_xmp_is_believed_before_exif(tmp_path: Path) -> None:
+    packet = dji_xmp(
+        GpsLatitude="+46.8426075", GpsLongitude="-91.9945602", AbsoluteAltitude="+198.31", RelativeAltitude="+39.80",
+        GimbalRollDegree="+0.00", GimbalYawDegree="-45.00", GimbalPitchDegree="-89.90", FlightYawDegree="+46.00",
+    )  # fmt: skip
+    photo = read_photo(write_photo(tmp_path / "a.jpg", exif(46.84, -91.99, gps={GPS.GPSAltitude: 5.0}), packet))
+    frame = photo.frame
+    assert (frame.name, frame.width, frame.height) == ("a.jpg", 40, 30)
+    assert (frame.latitude, frame.longitude) == (46.8426075, -91.9945602)
+    assert (frame.altitude, frame.height_above_takeoff, frame.height_above_ground) == (198.31, 39.8, None)
+    assert (frame.heading, frame.heading_source, frame.pitch, frame.roll) == (315.0, "gimbal", -89.9, 0.0)
+    assert frame.flying_height == 39.8
+    assert not photo.oddities
+
+
+def test_exif_is_used_where_xmp_says_nothing(tmp_path: Path) -> None:
+    told = exif(-33.85, 151.2, gps={GPS.GPSAltitude: 12.5, GPS.GPSAltitudeRef: b"\x01"})
+    frame = read_photo(write_photo(tmp_path / "a.jpg", told, dji_xmp(GpsLatitude="+0.0", GpsLongitude="-0.0"))).frame
+    assert (frame.latitude, frame.longitude) == (pytest.approx(-33.85), pytest.approx(151.2))
+    assert frame.altitude == -12.5
+    assert (frame.heading, frame.heading_source, frame.pitch, frame.fov, frame.time) == (None,) * 5
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (91.0, 10.0), (10.0, 181.0), (None, None)])
+def test_a_position_that_cannot_be_one_is_unknown(tmp_path: Path, place: tuple[float | None, float | None]) -> None:
+    frame = read_photo(write_photo(tmp_path / "a.jpg", exif(*place))).frame
+    assert (frame.latitude, frame.longitude) == (None, None)
+
+
+def test_a_position_without_its_hemisphere_is_unknown(tmp_path: Path) -> None:
+    told = exif(10.0, 20.0, gps={GPS.GPSLatitudeRef: ""})
+    assert read_photo(write_photo(tmp_path / "a.jpg", told)).frame.latitude is None
+
+
+def test_gimbal_angles_that_are_all_zero_are_unknown(tmp_path: Path) -> None:
+    zero = {"GimbalYawDegree": "+0.00", "GimbalPitchDegree": "0.00", "GimbalRollDegree": "0"}
+    photo = read_photo(write_photo(tmp_path / "a.jpg", xmp=dji_xmp(**zero, FlightYawDegree="-90.0")))
+    assert (photo.frame.heading, photo.frame.heading_source, photo.frame.pitch) == (270.0, "aircraft", None)
+    assert "all 0" in photo.oddities[0]
+    assert read_photo(write_photo(tmp_path / "b.jpg", xmp=dji_xmp(**zero))).frame.heading is None
+    north = read_photo(write_photo(tmp_path / "c.jpg", xmp=dji_xmp(**zero | {"GimbalPitchDegree": "-90.0"}))).frame
+    assert (north.heading, north.heading_source, north.pitch) == (0.0, "gimbal", -90.0)
+
+
+def test_the_angles_of_an_aircraft_are_those_of_its_camera(tmp_path: Path) -> None:
+    told = {
+        "Heading": 70.0625,
+        "Height": 66.11,
+        "RollAngle": -2.9,
+        "PitchAngle": 2.5,
+        "AltitudeAMSL": 314,
+        "UTCTime": "2013-06-04T17:38:03",
+    }
+    packet = sensefly_xmp(**told, Latitude=41.03, Longitude=-83.3)
+    photo = read_photo(write_photo(tmp_path / "a.jpg", exif(camera=NOON), packet))
+    frame = photo.frame
+    assert (frame.heading, frame.heading_source, frame.pitch, frame.roll) == (70.0625, "aircraft", -87.5, -2.9)
+    assert (frame.height_above_ground, frame.height_above_takeoff, frame.altitude) == (66.11, None, 314)
+    assert (frame.latitude, frame.longitude) == (41.03, -83.3)
+    assert photo.utc == 1370367483.0
+
+
+def test_a_direction_in_exif_is_the_camera_s(tmp_path: Path) -> None:
+    told = exif(1.0, 2.0, gps={GPS.GPSImgDirection: 123.5, GPS.GPSImgDirectionRef: "M"})
+    photo = read_photo(write_photo(tmp_path / "a.jpg", told))
+    assert (photo.frame.heading, photo.frame.heading_source) == (123.5, "camera")
+    assert "magnetic" in photo.oddities[0]
+
+
+@pytest.mark.parametrize(("orientation", "heading"), [(1, 45.0), (3, 225.0), (6, 315.0), (8, 135.0)])
+def test_orientation_turns_size_heading_and_field_of_view(tmp_path: Path, orientation: int, heading: float) -> None:
+    told = exif(main={BASE.Orientation: orientation}, camera={BASE.FocalLengthIn35mmFilm: 24})
+    packet = dji_xmp(GimbalYawDegree=45, GimbalPitchDegree=-90, GimbalRollDegree=0)
+    frame = read_photo(write_photo(tmp_path / "a.jpg", told, packet)).frame
+    level = read_photo(write_photo(tmp_path / "b.jpg", exif(camera={BASE.FocalLengthIn35mmFilm: 24}), packet)).frame
+    assert frame.heading == pytest.approx(heading)
+    assert frame.pitch == pytest.approx(-90.0)
+    assert level.fov is not None
+    assert frame.fov is not None
+    if orientation in (6, 8):
+        assert (frame.width, frame.height) == (30, 40)
+        ratio = math.tan(math.radians(frame.fov / 2)) / math.tan(math.radians(level.fov / 2))
+        assert ratio == pytest.approx(30 / 40)
+    else:
+        assert (frame.width, frame.height, frame.fov) == (40, 30, level.fov)
+
+
+def test_the_sensor_s_width_is_that_of_the_picture_as_taken(tmp_path: Path) -> None:
+    camera = {
+        BASE.FocalLength: 4.5, BASE.FocalPlaneXResolution: 16393.44262, BASE.FocalPlaneResolutionUnit: 2,
+        BASE.ExifImageWidth: 4000, BASE.ExifImageHeight: 3000, BASE.FocalLengthIn35mmFilm: 99,
+    }  # fmt: skip
+    photo = read_photo(write_photo(tmp_path / "a.jpg", exif(camera=camera)))
+    assert photo.frame.fov == pytest.approx(2 * math.degrees(math.atan(4000 * 25.4 / 16393.44262 / 2 / 4.5)))
+    assert "40 x 30 pixels where its EXIF says 4000 x 3000" in photo.oddities[0]
+    cut = read_photo(write_photo(tmp_path / "b.jpg", exif(camera=camera), size=(40, 22)))
+    assert "it was cropped" in cut.oddities[0]
+    whole = read_photo(
+        write_photo(tmp_path / "c.jpg", exif(camera=camera | {BASE.ExifImageWidth: 40, BASE.ExifImageHeight: 30}))
+    )
+    assert whole.frame.fov is not None  # a sensor of 0.06 mm is impossible, so the equivalent length counts
+    assert whole.frame.fov == pytest.approx(2 * math.degrees(math.atan(math.hypot(36, 24) * 0.8 / 2 / 99)), rel=1e-6)
+    assert not whole.oddities
+
+
+def test_a_calibrated_focal_length_is_in_pixels_of_the_original(tmp_path: Path) -> None:
+    camera = {BASE.ExifImageWidth: 5472, BASE.ExifImageHeight: 4104}
+    frame = read_photo(
+        write_photo(tmp_path / "a.jpg", exif(camera=camera), dji_xmp(CalibratedFocalLength=3666.666))
+    ).frame
+    assert frame.fov == pytest.approx(73.46, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "packet",
+    [
+        b"<x",
+        b"\xff\xfe",
+        b'<!DOCTYPE x [<!ENTITY a "b"><!ENTITY c "&a;&a;">]><x>&c;</x>',
+        b"<x>" + b" " * 2_000_000 + b"</x>",
+    ],
+    ids=["cut", "no UTF-8", "entities", "large"],
+)
+def test_bad_xmp_is_refused_and_the_photo_kept(tmp_path: Path, packet: bytes) -> None:
+    with pytest.raises(ValueError, match=r"^(it|'utf-8')"):
+        read_xmp(packet)
+    if len(packet) < 60_000:
+        photo = read_photo(write_photo(tmp_path / "a.jpg", exif(1.0, 2.0), packet))
+        assert photo.frame.latitude == 1.0
+        assert "XMP that was not used" in photo.oddities[0]
+
+
+def test_times_are_utc_where_a_photo_tells_it(tmp_path: Path) -> None:
+    gps = {GPS.GPSDateStamp: "2024:05:01", GPS.GPSTimeStamp: (12.0, 0.0, 5.0)}
+    write_photo(tmp_path / "1.jpg", exif(1.0, 2.0, camera=NOON, gps=gps))
+    later = {BASE.DateTimeOriginal: "2024:05:01 14:00:10", BASE.SubsecTimeOriginal: "25"}
+    write_photo(tmp_path / "2.jpg", exif(1.0, 2.0, camera=later))
+    flight = open_flight(tmp_path)
+    assert flight.utc
+    assert flight.times.tolist() == [1714564805.0, 1714564815.25]
+    assert "The camera's clock is 5 s behind UTC+2." in flight.notes
+    zoned = later | {BASE.OffsetTimeOriginal: "+02:00"}
+    assert read_photo(write_photo(tmp_path / "3.jpg", exif(camera=zoned))).utc == 1714564810.25
+    assert read_photo(
+        write_photo(tmp_path / "4.jpg", xmp=dji_xmp(UTCAtExposure="2024-05-01T12:00:00.1234567"))
+    ).utc == (pytest.approx(1714564800.123456))
+
+
+def test_times_without_a_zone_are_from_the_first_photo_and_order_the_flight(tmp_path: Path) -> None:
+    for name, second in (("9.jpg", 30), ("10.jpg", 0), ("8.jpg", 12)):
+        write_photo(tmp_path / name, exif(1.0, 2.0, camera={BASE.DateTimeOriginal: f"2024:05:01 14:00:{second:02d}"}))
+    flight = open_flight(tmp_path)
+    assert [(frame.name, frame.time) for frame in flight.frames] == [("10.jpg", 0), ("8.jpg", 12), ("9.jpg", 30)]
+    assert not flight.utc
+    assert any("seconds since the first photo" in note for note in flight.notes)
+    write_photo(tmp_path / "11.jpg")
+    flight = open_flight(tmp_path)
+    assert [frame.name for frame in flight.frames] == ["8.jpg", "9.jpg", "10.jpg", "11.jpg"]
+    assert any("1 of 4 photos have no time" in note for note in flight.notes)
+
+
+def test_names_are_ordered_by_their_numbers() -> None:
+    assert sorted(["DJI_0010.jpg", "DJI_0009.JPG", "a2", "²"], key=natural) == [
+        "a2",
+        "DJI_0009.JPG",
+        "DJI_0010.jpg",
+        "²",
+    ]
+
+
+def test_broken_photos_are_left_out_and_named(tmp_path: Path) -> None:
+    whole = photo_bytes(exif(1.0, 2.0))
+    (tmp_path / "a.jpg").write_bytes(whole)
+    (tmp_path / "b.jpg").write_bytes(whole[:-200])
+    (tmp_path / "c.jpg").write_bytes(b"no picture")
+    flight = open_flight(tmp_path)
+    assert [frame.name for frame in flight.frames] == ["a.jpg"]
+    note = next(note for note in flight.notes if "left out" in note)
+    assert note.startswith("2 of 3 photos are left out: b.jpg is cut short")
+    assert "c.jpg is not a picture" in note
+    (tmp_path / "a.jpg").unlink()
+    with pytest.raises(DataError, match=r"None of 2 photos can be read; the first: b\.jpg"):
+        open_flight(tmp_path)
+    with pytest.raises(PictureError, match=r"nowhere\.jpg cannot be read"):
+        read_photo(tmp_path / "nowhere.jpg")
+
+
+def test_a_photo_without_position_stays(tmp_path: Path) -> None:
+    for i in range(5):
+        camera = {BASE.DateTimeOriginal: f"2024:05:01 14:00:{i:02d}"}
+        write_photo(tmp_path / f"{i}.jpg", exif(*(None, None) if i % 2 else (1.0, 2.0), camera=camera))
+    flight = open_flight(tmp_path)
+    assert len(flight.frames) == 5
+    assert flight.degrees[[1, 3]].tolist() == [[pytest.approx(math.nan, nan_ok=True)] * 2] * 2
+    assert "2 of 5 frames have no position: 1.jpg, 3.jpg." in flight.notes
+
+
+def test_equal_names_get_their_folders(tmp_path: Path) -> None:
+    for folder in ("100MEDIA", "101MEDIA"):
+        write_photo(tmp_path / folder / "DJI_0001.JPG", exif(1.0, 2.0))
+    assert [f.name for f in open_flight(tmp_path).frames] == ["100MEDIA/DJI_0001.JPG", "101MEDIA/DJI_0001.JPG"]
