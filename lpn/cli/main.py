@@ -155,6 +155,7 @@ _EXTRAS = {
     "scipy": "data",
     **dict.fromkeys(("umap", "numba", "sklearn"), "umap"),
     "numkong": "search",
+    **dict.fromkeys(("rasterio", "affine"), "maps"),
     "faiss": "faiss",
     "pymilvus": "milvus",
     **dict.fromkeys(("bpy", "mathutils"), "world"),

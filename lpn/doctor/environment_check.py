@@ -30,6 +30,7 @@ _USES = {
     "ray": "describing on many machines",
     "milvus": "search on a server",
     "umap": "a second map of descriptors",
+    "maps": "maps of your own",
     "dev": "the tests",
 }
 # Modules whose names differ from their packages'.

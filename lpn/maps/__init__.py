@@ -1,0 +1,16 @@
+"""Maps: georeferenced rasters of any size, read by windows in true metres.
+
+    town = open_map("ortho.tif")                        # or a folder of lpn map, a tile folder, an .mbtiles, several sheets
+    picture, valid = town.read(Window(120.0, -35.0, 100.0), 224)
+    windows = town.pyramid([70.0, 100.0, 140.0], overlap=0.5)
+
+It imports `core` only, and needs the extra `maps`; `locate` and the packages above it import it.
+"""
+
+from lpn.maps.frame import LocalFrame
+from lpn.maps.map import Map
+from lpn.maps.opening import open_map
+from lpn.maps.sources import MapOptions
+from lpn.maps.window import Window
+
+__all__ = ["LocalFrame", "Map", "MapOptions", "Window", "open_map"]

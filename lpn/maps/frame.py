@@ -1,0 +1,57 @@
+"""A local metric frame: transverse Mercator about a point, on the WGS 84 ellipsoid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.core.arrays import Float64Array
+from lpn.maps import _gdal
+
+
+@dataclass(frozen=True)
+class LocalFrame:
+    """Metres east and north of an origin, true to 0.05 % within 200 km east and west of it.
+
+    North is exact on the origin's meridian. At d km east of it, grid north lies 0.009 d tan(latitude) degrees from true north.
+
+    Attributes:
+        latitude, longitude: of the origin, WGS 84 degrees.
+    """
+
+    latitude: float
+    longitude: float
+
+    @cached_property
+    def crs(self) -> Any:
+        """The frame as a rasterio CRS."""
+        return _gdal.rasterio().crs.CRS.from_proj4(
+            f"+proj=tmerc +lat_0={self.latitude!r} +lon_0={self.longitude!r} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
+        )
+
+    def xy(self, latitude: npt.ArrayLike, longitude: npt.ArrayLike) -> Float64Array:
+        """Return metres east and north of the origin, (N, 2), of WGS 84 degrees, (N,) each; NaN where an input is NaN."""
+        return self._transformed(_degrees_crs(), self.crs, longitude, latitude)
+
+    def degrees(self, xy: npt.ArrayLike) -> Float64Array:
+        """Return latitude and longitude in WGS 84 degrees, (N, 2), of metres east and north, (N, 2); NaN where one is NaN."""
+        points = np.asarray(xy, np.float64).reshape(-1, 2)
+        return np.ascontiguousarray(self._transformed(self.crs, _degrees_crs(), points[:, 0], points[:, 1])[:, ::-1])
+
+    @staticmethod
+    def _transformed(source: Any, target: Any, x: npt.ArrayLike, y: npt.ArrayLike) -> Float64Array:
+        xs, ys = np.broadcast_arrays(np.atleast_1d(np.asarray(x, np.float64)), np.atleast_1d(np.asarray(y, np.float64)))
+        found = np.full((len(xs), 2), np.nan)
+        known = np.isfinite(xs) & np.isfinite(ys)
+        if known.any():
+            found[known] = np.stack(_gdal.transform(source, target, xs[known], ys[known]), axis=1)
+        found[~np.isfinite(found).all(axis=1)] = np.nan
+        return found
+
+
+def _degrees_crs() -> Any:
+    return _gdal.rasterio().crs.CRS.from_epsg(4326)

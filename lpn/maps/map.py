@@ -1,0 +1,240 @@
+"""A map: sheets in one local metric frame, cut into pictures of windows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from threading import Lock
+
+import numpy as np
+
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
+from lpn.core.errors import DataError, InputError
+from lpn.maps import window as windows
+from lpn.maps.frame import LocalFrame
+from lpn.maps.sheet import Bounds, Sheet
+from lpn.maps.window import Window
+
+# Side of the blocks in which a picture is cut, which bounds the memory.
+_BLOCK = 512
+# Longest side of the coverage.
+_COVERAGE = 1024
+# Widest map in metres: grid north and scale of one frame would be too far off.
+_MAX_WIDTH = 400_000.0
+_MAX_PIXELS = 16_384
+
+
+class Map:
+    """A georeferenced map of one or several sheets; thread safe.
+
+    Where sheets overlap, the finest valid one is shown.
+
+    Args:
+        name: of the map.
+        sheets: at least one.
+        frame: a recorded frame; None takes the middle of the sheets as its origin.
+        coverage: a recorded coverage; None computes it at first use.
+
+    Attributes:
+        name: of the map.
+        sheets: the finest first.
+        frame: the local metric frame of all windows.
+        bounds: west, south, east, north in metres of the frame.
+        resolution: metres per pixel of the finest sheet.
+
+    Raises:
+        DataError: if the sheets lie more than 400 km apart.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        sheets: Sequence[Sheet],
+        frame: LocalFrame | None = None,
+        coverage: Float32Array | None = None,
+    ) -> None:
+        self.name = name
+        self.frame = frame or _frame_of(sheets)
+        for sheet in sheets:
+            sheet.locate(self.frame)
+        self.sheets = sorted(sheets, key=lambda sheet: sheet.resolution)
+        boxes = np.array([sheet.bounds for sheet in self.sheets])
+        (west, south), (east, north) = boxes[:, :2].min(0).tolist(), boxes[:, 2:].max(0).tolist()
+        self.bounds: Bounds = (west, south, east, north)
+        if max(east - west, north - south) > _MAX_WIDTH:
+            raise DataError(
+                f"The map {name} is {(east - west) / 1000:.0f} km by {(north - south) / 1000:.0f} km; expected at most "
+                f"{_MAX_WIDTH / 1000:.0f} km, so cut out the part that is flown over."
+            )
+        self.resolution = self.sheets[0].resolution
+        self._boxes = boxes
+        self._coverage = coverage
+        self._lock = Lock()
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences about how the sheets are read."""
+        return [note for sheet in self.sheets for note in sheet.raster.notes]
+
+    def read(self, window: Window, pixels: int) -> tuple[UInt8Array, BoolArray]:
+        """Cut the picture of a window.
+
+        Args:
+            window: in metres of the map's frame; it may reach beyond the map.
+            pixels: side of the picture, 1 to 16384.
+
+        Returns:
+            RGB, (pixels, pixels, 3), 0 where nothing is known, and which pixels are valid, (pixels, pixels).
+
+        Raises:
+            InputError: if `pixels` is out of range.
+            DataError: if a sheet's file is damaged.
+        """
+        if not 1 <= pixels <= _MAX_PIXELS:
+            raise InputError(f"A picture of {pixels} pixels a side cannot be cut; expected 1 to {_MAX_PIXELS}.")
+        return self._read(window, pixels, (0, 0, pixels, pixels))
+
+    def windows(self, size: float, step: float, min_valid: float = 0.5) -> list[Window]:
+        """Return windows, north up, on a grid that covers the map.
+
+        Args:
+            size: side in metres.
+            step: metres from one centre to the next.
+            min_valid: least share of a window's ground that the map shows, 0 to 1. Shares are computed on the coverage, which
+                has 1024 cells along the map's longer side.
+
+        Raises:
+            InputError: if a number is out of range.
+        """
+        if not 0 <= min_valid <= 1:
+            raise InputError(f"The least valid share {min_valid:g} is out of range; expected 0 to 1.")
+        centres = windows.grid(self.bounds, size, step)
+        # A share of exactly the least one must not fail by rounding.
+        chosen = centres[self.valid_shares(centres, size) >= min_valid - 1e-6]
+        return [Window(x, y, size) for x, y in chosen.tolist()]
+
+    def pyramid(self, sizes: Sequence[float], overlap: float = 0.5, min_valid: float = 0.5) -> list[Window]:
+        """Return the windows of several sizes, in the order of `sizes`.
+
+        Sizes with a factor of sqrt(2) or 2 between them cover a range of flying heights.
+
+        Args:
+            sizes: sides in metres.
+            overlap: share of a window's side that its neighbour covers too, 0 to below 1.
+            min_valid: see `windows`.
+
+        Raises:
+            InputError: if a number is out of range, or there is no size.
+        """
+        if not 0 <= overlap < 1:
+            raise InputError(f"The overlap {overlap:g} is out of range; expected 0 to below 1.")
+        if not len(sizes):
+            raise InputError("A pyramid needs at least one size of windows; found none.")
+        return [window for size in sizes for window in self.windows(size, size * (1 - overlap), min_valid)]
+
+    def valid_shares(self, centres: Float64Array, size: float) -> Float64Array:
+        """Return the share of ground that the map shows in windows, north up, of a size about centres, (N, 2): (N,)."""
+        coverage = self.coverage()
+        cell = self._cell()
+        # sums[r, c] is the sum of all cells above row r and left of column c.
+        sums = np.pad(coverage.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
+        low, high = centres - size / 2, centres + size / 2
+        left, right = ((x - self.bounds[0]) / cell for x in (low[:, 0], high[:, 0]))
+        top, bottom = ((self.bounds[3] - y) / cell for y in (high[:, 1], low[:, 1]))
+        total = _at(sums, bottom, right) - _at(sums, top, right) - _at(sums, bottom, left) + _at(sums, top, left)
+        shares: Float64Array = np.clip(total / (size / cell) ** 2, 0, 1)
+        return shares
+
+    def coverage(self) -> Float32Array:
+        """Return the share of each cell of the map's bounds that is valid, (rows, columns), from 0 to 1, north up."""
+        with self._lock:
+            if self._coverage is None:
+                valid = self.overview(2 * _COVERAGE)[1]
+                rows, columns = valid.shape
+                even = np.zeros((rows + rows % 2, columns + columns % 2), np.float32)
+                even[:rows, :columns] = valid
+                self._coverage = even.reshape(len(even) // 2, 2, -1, 2).mean((1, 3), dtype=np.float32)
+            return self._coverage
+
+    def overview(self, pixels: int) -> tuple[UInt8Array, BoolArray]:
+        """Return a picture of the whole map, north up, `pixels` along its longer side.
+
+        Returns:
+            RGB (rows, columns, 3) from the north-west corner of `bounds` on, and which pixels are valid (rows, columns).
+        """
+        west, south, east, north = self.bounds
+        side = max(east - west, north - south)
+        columns, rows = (max(1, math.ceil(pixels * length / side - 1e-9)) for length in (east - west, north - south))
+        whole = Window(west + side / 2, north - side / 2, side)
+        return self._read(whole, pixels, (0, 0, columns, rows))
+
+    def close(self) -> None:
+        """Close the files of all sheets."""
+        for sheet in self.sheets:
+            sheet.raster.close()
+
+    def _cell(self) -> float:
+        """Return the side of a cell of the coverage in metres."""
+        return max(self.bounds[2] - self.bounds[0], self.bounds[3] - self.bounds[1]) / _COVERAGE
+
+    def _read(self, window: Window, pixels: int, part: tuple[int, int, int, int]) -> tuple[UInt8Array, BoolArray]:
+        picture = np.zeros((part[3], part[2], 3), np.uint8)
+        valid = np.zeros((part[3], part[2]), bool)
+        for top in range(0, part[3], _BLOCK):
+            for left in range(0, part[2], _BLOCK):
+                columns, rows = min(_BLOCK, part[2] - left), min(_BLOCK, part[3] - top)
+                block = (part[0] + left, part[1] + top, columns, rows)
+                place = np.s_[top : top + rows, left : left + columns]
+                self._fill(window, pixels, block, picture[place], valid[place])
+        return picture, valid
+
+    def _fill(
+        self, window: Window, pixels: int, block: tuple[int, int, int, int], picture: UInt8Array, valid: BoolArray
+    ) -> None:
+        """Write a block of a window's picture, (rows, columns, 3), and of its mask, from the finest sheet to the coarsest."""
+        left, top, right, bottom = block[0] - 0.5, block[1] - 0.5, block[0] + block[2] - 0.5, block[1] + block[3] - 0.5
+        corners = window.to_ground([(left, top), (right, top), (right, bottom), (left, bottom)], pixels)
+        low, high = corners.min(0), corners.max(0)
+        near = (self._boxes[:, :2] <= high).all(1) & (self._boxes[:, 2:] >= low).all(1)
+        for number in np.flatnonzero(near).tolist():
+            cut = self.sheets[number].read(window, pixels, block)
+            if cut is None:
+                continue
+            new = cut[1] & ~valid
+            picture[new] = cut[0][new]
+            valid |= new
+            if valid.all():
+                return
+
+
+def _frame_of(sheets: Sequence[Sheet]) -> LocalFrame:
+    """Return the frame about the middle of sheets."""
+    degrees = np.radians(np.concatenate([sheet.outline for sheet in sheets]))
+    latitude, longitude = degrees.T
+    middle = np.stack(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+    ).mean(axis=1)
+    rough = LocalFrame(
+        float(np.degrees(np.arctan2(middle[2], np.hypot(*middle[:2])))),
+        float(np.degrees(np.arctan2(middle[1], middle[0]))),
+    )
+    xy = rough.xy(*np.degrees(degrees).T)
+    if not np.isfinite(xy).all() or np.ptp(xy, axis=0).max() > _MAX_WIDTH:
+        wide = np.degrees(np.ptp(degrees, axis=0))
+        raise DataError(
+            f"The map spans {wide[0]:.3g} degrees of latitude and {wide[1]:.3g} of longitude; expected at most "
+            f"{_MAX_WIDTH / 1000:.0f} km, so cut out the part that is flown over, or open the sheets one by one."
+        )
+    latitude, longitude = rough.degrees([(xy.min(0) + xy.max(0)) / 2])[0].round(6).tolist()
+    return LocalFrame(latitude, longitude)
+
+
+def _at(sums: Float64Array, rows: Float64Array, columns: Float64Array) -> Float64Array:
+    """Interpolate a summed-area table, (R, C), at fractional rows and columns, (N,) each, clamped to it."""
+    r, c = np.clip(rows, 0, len(sums) - 1), np.clip(columns, 0, sums.shape[1] - 1)
+    r0, c0 = np.minimum(r.astype(int), len(sums) - 2), np.minimum(c.astype(int), sums.shape[1] - 2)
+    dr, dc = r - r0, c - c0
+    upper = sums[r0, c0] * (1 - dc) + sums[r0, c0 + 1] * dc
+    lower = sums[r0 + 1, c0] * (1 - dc) + sums[r0 + 1, c0 + 1] * dc
+    found: Float64Array = upper * (1 - dr) + lower * dr
+    return found

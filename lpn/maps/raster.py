@@ -1,0 +1,304 @@
+"""One raster file as RGB with a mask, read by rectangles at any reduction from any thread."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+from threading import Lock
+from typing import Any, Literal, Protocol
+
+import cv2
+import msgspec
+import numpy as np
+
+from lpn.core.arrays import AnyArray, BoolArray, UInt8Array
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
+from lpn.maps import _gdal
+
+Box = tuple[int, int, int, int]
+
+# Longest side of the overview on which stretch and borders are decided.
+_OVERVIEW = 1024
+# Percentiles of a band that become 0 and 255.
+_PERCENTILES = (2.0, 98.0)
+# JPEG changes black and white by up to so much, but most pixels of a border by no more than the second number.
+_BORDER_NOISE, _BORDER_CORE, _CORE_SHARE = 16, 2, 0.8
+# Smaller regions at the border, as a share of the overview, belong to the picture.
+_MIN_BORDER = 1e-3
+
+
+class Raster(Protocol):
+    """What a sheet reads: RGB and a mask of a rectangle of pixels.
+
+    Attributes:
+        width, height: in pixels.
+        notes: sentences about how the file is read.
+    """
+
+    width: int
+    height: int
+    notes: list[str]
+
+    def read(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
+        """Read a rectangle, reduced by area averages.
+
+        Args:
+            box: first column and row, columns and rows; it lies within the raster.
+            size: width and height of the result, at most those of the box.
+
+        Returns:
+            RGB, (height, width, 3), and which pixels are valid, (height, width).
+
+        Raises:
+            DataError: if the file is damaged.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close the file's handles."""
+        ...
+
+
+class Treatment(msgspec.Struct, frozen=True):
+    """How the bands of a file become RGB and a mask; decided once, and recorded in map.json.
+
+    Attributes:
+        bands: numbers, from 1, of the bands shown as red, green, and blue; one number for grey or a palette.
+        alpha: number of the alpha band.
+        stretch: for each of `bands`, the values that become 0 and 255; None for bands of 8 bits.
+        border: colours that mean no data where they are connected to the border.
+    """
+
+    bands: tuple[int, ...]
+    alpha: int | None = None
+    stretch: tuple[tuple[float, float], ...] | None = None
+    border: tuple[Literal["white", "black"], ...] = ()
+
+
+class GdalRaster:
+    """A raster file that GDAL reads.
+
+    Args:
+        path: the file.
+        treatment: a recorded treatment; None decides one from the file.
+        bands: numbers, from 1, of the bands to show, one or three; None takes those marked as colours.
+        keep_borders: do not look for white and black borders.
+
+    Raises:
+        DataError: if it cannot be read, its numbers are complex, or it has no valid pixel.
+        InputError: if it has no such bands.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        treatment: Treatment | None = None,
+        bands: Sequence[int] | None = None,
+        keep_borders: bool = False,
+    ) -> None:
+        self.path = path
+        self.notes: list[str] = []
+        self._handles: deque[Any] = deque()
+        self._lock = Lock()
+        with self._handle() as file:
+            self.width, self.height = int(file.width), int(file.height)
+            self._dtype = np.dtype(file.dtypes[0])
+            self._palette = _palette(file)
+            flags = file.mask_flag_enums[0]
+            self._masked = _gdal.rasterio().enums.MaskFlags.all_valid not in flags
+            self.treatment = treatment or self._bands(file, bands)
+        if self._dtype.kind == "c":
+            raise DataError(f"{self._name} holds complex numbers; expected a picture in grey or colour.")
+        if treatment is None:
+            self.treatment = self._decided(self.treatment, keep_borders)
+
+    def read(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
+        """See `Raster.read`."""
+        values, valid = self._values(box, size)
+        if self.treatment.border:
+            # Pixels at the edge are mixed with the border's colour.
+            border = cv2.dilate(self._on_border(values, box, size).astype(np.uint8), np.ones((3, 3), np.uint8))
+            valid = valid & (border == 0)
+        return self._rgb(values), valid
+
+    def close(self) -> None:
+        """Close the file's handles."""
+        while self._handles:
+            self._handles.pop().close()
+
+    @property
+    def _name(self) -> str:
+        return printable(str(self.path))
+
+    @contextmanager
+    def _handle(self) -> Iterator[Any]:
+        """Lend a handle of the file, which only one thread may use at a time."""
+        try:
+            handle = self._handles.pop()
+        except IndexError:
+            handle = _gdal.open_raster(self.path)
+        try:
+            yield handle
+        except _gdal.rasterio().errors.RasterioError as error:
+            raise DataError(
+                f"{self._name} is damaged, or changed while it was read ({error}); copy it again."
+            ) from error
+        finally:
+            self._handles.append(handle)
+
+    def _bands(self, file: Any, wanted: Sequence[int] | None) -> Treatment:
+        """Choose the bands to show."""
+        meanings = _gdal.rasterio().enums.ColorInterp
+        marked = {meaning: number for number, meaning in enumerate(file.colorinterp, 1)}
+        alpha = marked.get(meanings.alpha)
+        if wanted is not None:
+            if len(wanted) not in (1, 3) or not all(1 <= number <= file.count for number in wanted):
+                raise InputError(
+                    f"{self._name} has the bands 1 to {file.count}, and {', '.join(map(str, wanted))} cannot be shown; give "
+                    "one of them, or three for red, green, and blue."
+                )
+            return Treatment(tuple(wanted), alpha)
+        colours = [marked.get(meaning) for meaning in (meanings.red, meanings.green, meanings.blue)]
+        if all(colours):
+            chosen = tuple(number for number in colours if number)
+        else:
+            others = [number for number in range(1, file.count + 1) if number != alpha]
+            chosen = tuple(others[:3] if len(others) >= 3 else others[:1])
+        if len(chosen) + (alpha is not None) < file.count:
+            self.notes.append(
+                f"{self.path.name} has {file.count} bands; {', '.join(map(str, chosen))} "
+                f"{'are shown as red, green, and blue' if len(chosen) == 3 else 'is shown as grey'}."
+            )
+        return Treatment(chosen, alpha)
+
+    def _decided(self, chosen: Treatment, keep_borders: bool) -> Treatment:
+        """Decide stretch and borders on an overview."""
+        self.treatment = chosen
+        deep = self._dtype != np.uint8
+        values, valid = self._overview()
+        # Some programs write an alpha band that is opaque everywhere, and white where nothing is known.
+        look = not keep_borders and self._palette is None and bool(valid.all())
+        colours: tuple[Literal["white", "black"], ...] = ("black",) if deep else ("white", "black")
+        border = tuple(colour for colour in colours if look and self._region(values, colour).any())
+        for colour in border:
+            region = self._region(values, colour)
+            self.notes.append(
+                f"The {colour} border of {self.path.name} ({region.mean():.0%} of it) is taken as no data."
+            )
+            valid = valid & ~region
+        if not valid.any():
+            raise DataError(f"{self._name} has no valid pixel; expected a map.")
+        stretch = None
+        if deep:
+            limits = [np.percentile(band[valid].astype(np.float64), _PERCENTILES).tolist() for band in values]
+            stretch = tuple((low, high if high > low else low + 1) for low, high in limits)
+            shown = ", ".join(f"{low:g} to {high:g}" for low, high in stretch)
+            self.notes.append(
+                f"{self.path.name} holds {self._dtype} numbers; the percentiles {_PERCENTILES[0]:g} and {_PERCENTILES[1]:g} of "
+                f"each band ({shown}) become 0 and 255."
+            )
+        return Treatment(chosen.bands, chosen.alpha, stretch, border)
+
+    def _overview(self) -> tuple[AnyArray, BoolArray]:
+        factor = max(1.0, max(self.width, self.height) / _OVERVIEW)
+        size = max(1, round(self.width / factor)), max(1, round(self.height / factor))
+        return self._values((0, 0, self.width, self.height), size)
+
+    def _values(self, box: Box, size: tuple[int, int]) -> tuple[AnyArray, BoolArray]:
+        """Read the chosen bands, (n, height, width), and which pixels the file itself says are valid, (height, width)."""
+        library = _gdal.rasterio()
+        methods = library.enums.Resampling
+        reduced = size != box[2:] and self._palette is None  # the mean of two palette entries is another colour
+        options = {
+            "window": library.windows.Window(*box),
+            "resampling": methods.average if reduced else methods.nearest,
+        }
+        alpha = self.treatment.alpha
+        bands = [*self.treatment.bands, *([] if alpha is None else [alpha])]
+        with self._handle() as file:
+            values = file.read(bands, out_shape=(len(bands), size[1], size[0]), **options)
+            if alpha is not None:
+                full = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
+                valid = values[-1] >= full / 2
+                values = values[:-1]
+            elif self._masked:
+                valid = file.dataset_mask(out_shape=(size[1], size[0]), **options) > 0
+            else:
+                valid = np.ones((size[1], size[0]), bool)
+        if values.dtype.kind == "f":
+            valid &= np.isfinite(values).all(axis=0)
+        return values, valid
+
+    def _rgb(self, values: AnyArray) -> UInt8Array:
+        """Return the chosen bands as RGB, (height, width, 3)."""
+        if self._palette is not None:
+            found: UInt8Array = self._palette[values[0]]
+            return found
+        if self.treatment.stretch is not None:
+            low, high = np.array(self.treatment.stretch).T[:, :, None, None]
+            with np.errstate(invalid="ignore"):
+                scaled = (values.astype(np.float32) - low) * (255 / (high - low))
+            values = np.clip(np.nan_to_num(scaled), 0, 255).round().astype(np.uint8)
+        if len(values) == 1:
+            values = np.broadcast_to(values, (3, *values.shape[1:]))
+        return np.ascontiguousarray(np.moveaxis(values, 0, 2))
+
+    def _like(self, values: AnyArray, colour: str, noise: int = _BORDER_NOISE) -> BoolArray:
+        """Return which pixels are black or white but for noise, (height, width)."""
+        if self._dtype != np.uint8:
+            noise = 0
+        found: BoolArray = values.max(0) <= noise if colour == "black" else values.min(0) >= 255 - noise
+        return found
+
+    def _region(self, values: AnyArray, colour: str) -> BoolArray:
+        """Return the pixels of a border's colour that are connected to the border, (height, width)."""
+        like = self._like(values, colour)
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(like.astype(np.uint8), connectivity=4)
+        edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+        chosen = np.zeros(count, bool)
+        chosen[edge] = True
+        chosen[0] = False
+        chosen &= stats[:, cv2.CC_STAT_AREA] >= _MIN_BORDER * labels.size
+        # Dark water is not uniform as a border is.
+        core = np.bincount(labels.ravel(), self._like(values, colour, _BORDER_CORE).ravel(), count)
+        chosen &= core >= _CORE_SHARE * stats[:, cv2.CC_STAT_AREA]
+        region: BoolArray = chosen[labels]
+        return region
+
+    @cached_property
+    def _regions(self) -> dict[str, BoolArray]:
+        """The borders by colour, on the overview and one of its pixels wider."""
+        with self._lock:
+            values, _ = self._overview()
+            wider = np.ones((3, 3), np.uint8)
+            return {
+                colour: cv2.dilate(self._region(values, colour).astype(np.uint8), wider) > 0
+                for colour in self.treatment.border
+            }
+
+    def _on_border(self, values: AnyArray, box: Box, size: tuple[int, int]) -> BoolArray:
+        """Return which pixels of a rectangle belong to a border, (height, width)."""
+        found = np.zeros((size[1], size[0]), bool)
+        for colour, region in self._regions.items():
+            columns = ((box[0] + (np.arange(size[0]) + 0.5) * box[2] / size[0]) * region.shape[1] / self.width).astype(
+                int
+            )
+            rows = ((box[1] + (np.arange(size[1]) + 0.5) * box[3] / size[1]) * region.shape[0] / self.height).astype(
+                int
+            )
+            found |= self._like(values, colour) & region[np.ix_(rows, columns)]
+        return found
+
+
+def _palette(file: Any) -> UInt8Array | None:
+    """Return the colours of a paletted file, (256, 3); None if it has none."""
+    if file.colorinterp[0].name != "palette" or file.dtypes[0] != "uint8":
+        return None
+    colours = np.zeros((256, 3), np.uint8)
+    for number, colour in file.colormap(1).items():
+        colours[number] = colour[:3]
+    return colours
