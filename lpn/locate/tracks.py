@@ -1,0 +1,214 @@
+"""Tracks of located frames as GeoJSON, GPX, KML, or CSV, each written whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from lpn.core.errors import InputError
+from lpn.core.files import write_atomic
+
+SUFFIXES = (".geojson", ".gpx", ".kml", ".csv")
+# Times below are seconds since the start of a video, and no time of day.
+_FIRST_EPOCH = 10**8
+_GPX = "http://www.topografix.com/GPX/1/1"
+_OURS = "urn:lpn-explorer:track"
+_KML = "http://www.opengis.net/kml/2.2"
+_COLOURS = {"retrieval": "ff00a5ff", "sequence": "ffff8000", "registration": "ff00c000"}
+
+
+@dataclass(frozen=True)
+class TrackPoint:
+    """One stage's answer for one frame.
+
+    Attributes:
+        frame: name of the frame.
+        stage: "retrieval", "sequence", "registration".
+        accepted: whether the position may be used.
+        reason: a sentence: why it was refused, or what is to be known about it.
+        time: seconds, UTC epoch where known; None if unknown.
+        latitude, longitude: WGS 84 degrees; None without a position.
+        radius: 1-sigma radius in metres; None if unknown.
+        heading: of the picture's top, degrees clockwise from north; None if unknown.
+        error: metres from the frame's tag; None without a tag.
+    """
+
+    frame: str
+    stage: str
+    accepted: bool
+    reason: str
+    time: float | None = None
+    latitude: float | None = None
+    longitude: float | None = None
+    radius: float | None = None
+    heading: float | None = None
+    error: float | None = None
+
+
+_COLUMNS = tuple(TrackPoint.__dataclass_fields__)
+
+
+def check_suffix(path: Path) -> None:
+    """Raise InputError unless the format of a track is known by its suffix."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"The track {path.name} has the suffix {path.suffix!r}; expected one of {', '.join(SUFFIXES)}."
+        )
+
+
+def write_track(path: Path, name: str, points: Sequence[TrackPoint]) -> None:
+    """Write a track in the format of its suffix.
+
+    GPX has accepted positions only, as tracks must not have gaps filled with guesses; the others have every frame of every stage.
+
+    Args:
+        name: of the flight.
+        points: in the order of time, stage by stage or frame by frame.
+
+    Raises:
+        InputError: for another suffix.
+        OutputError: if the file cannot be written.
+    """
+    check_suffix(path)
+    writer = {".geojson": _geojson, ".gpx": _gpx, ".kml": _kml, ".csv": _csv}[path.suffix.lower()]
+    write_atomic(path, writer(name, points))
+
+
+def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
+    """Return a FeatureCollection (RFC 7946): a point a frame and stage, a line a stage through its accepted positions."""
+    features: list[dict[str, Any]] = []
+    for point in points:
+        properties = {key: getattr(point, key) for key in _COLUMNS if key not in ("latitude", "longitude")}
+        geometry = None if point.latitude is None else {"type": "Point", "coordinates": _position(point)}
+        features.append({"type": "Feature", "geometry": geometry, "properties": _finite(properties)})
+    for stage, chosen in _accepted(points).items():
+        if len(chosen) > 1:
+            line = {"type": "LineString", "coordinates": [_position(point) for point in chosen]}
+            features.append(
+                {"type": "Feature", "geometry": line, "properties": {"stage": stage, "frames": len(chosen)}}
+            )
+    collection = {"type": "FeatureCollection", "name": name, "features": features}
+    return (json.dumps(collection, indent=1, allow_nan=False) + "\n").encode()
+
+
+def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
+    """Return GPX 1.1: a track a stage; the radius is an extension, for GPX has none in metres."""
+    ElementTree.register_namespace("", _GPX)
+    ElementTree.register_namespace("lpn", _OURS)
+    root = ElementTree.Element(f"{{{_GPX}}}gpx", {"version": "1.1", "creator": "lpn locate"})
+    for stage, chosen in _accepted(points).items():
+        track = ElementTree.SubElement(root, f"{{{_GPX}}}trk")
+        ElementTree.SubElement(track, f"{{{_GPX}}}name").text = f"{name}: {stage}"
+        segment = ElementTree.SubElement(track, f"{{{_GPX}}}trkseg")
+        for point in chosen:
+            longitude, latitude = _position(point)
+            place = {"lat": repr(latitude), "lon": repr(longitude)}
+            entry = ElementTree.SubElement(segment, f"{{{_GPX}}}trkpt", place)
+            if (moment := _moment(point.time)) is not None:
+                ElementTree.SubElement(entry, f"{{{_GPX}}}time").text = moment
+            ElementTree.SubElement(entry, f"{{{_GPX}}}name").text = _plain(point.frame)
+            ElementTree.SubElement(entry, f"{{{_GPX}}}desc").text = _plain(point.reason)
+            if point.radius is not None and math.isfinite(point.radius):
+                extensions = ElementTree.SubElement(entry, f"{{{_GPX}}}extensions")
+                ElementTree.SubElement(extensions, f"{{{_OURS}}}radius").text = f"{point.radius:.2f}"
+    return _xml(root)
+
+
+def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
+    """Return KML 2.2: a folder a stage with its line and a placemark a frame, refused ones included."""
+    ElementTree.register_namespace("", _KML)
+    root = ElementTree.Element(f"{{{_KML}}}kml")
+    document = ElementTree.SubElement(root, f"{{{_KML}}}Document")
+    ElementTree.SubElement(document, f"{{{_KML}}}name").text = _plain(name)
+    accepted = _accepted(points)
+    for stage in dict.fromkeys(point.stage for point in points):
+        folder = ElementTree.SubElement(document, f"{{{_KML}}}Folder")
+        ElementTree.SubElement(folder, f"{{{_KML}}}name").text = stage
+        if len(chosen := accepted.get(stage, [])) > 1:
+            line = ElementTree.SubElement(folder, f"{{{_KML}}}Placemark")
+            ElementTree.SubElement(line, f"{{{_KML}}}name").text = f"{stage}: track"
+            style = ElementTree.SubElement(ElementTree.SubElement(line, f"{{{_KML}}}Style"), f"{{{_KML}}}LineStyle")
+            ElementTree.SubElement(style, f"{{{_KML}}}color").text = _COLOURS.get(stage, "ffffffff")
+            ElementTree.SubElement(style, f"{{{_KML}}}width").text = "2"
+            string = ElementTree.SubElement(line, f"{{{_KML}}}LineString")
+            ElementTree.SubElement(string, f"{{{_KML}}}coordinates").text = " ".join(map(_coordinates, chosen))
+        for point in points:
+            if point.stage != stage:
+                continue
+            mark = ElementTree.SubElement(folder, f"{{{_KML}}}Placemark")
+            state = "" if point.accepted else " (refused)"
+            ElementTree.SubElement(mark, f"{{{_KML}}}name").text = _plain(point.frame) + state
+            radius = "" if point.radius is None else f" The 1-sigma radius is {point.radius:.1f} m."
+            ElementTree.SubElement(mark, f"{{{_KML}}}description").text = _plain(point.reason + radius).strip()
+            if (moment := _moment(point.time)) is not None:
+                stamp = ElementTree.SubElement(mark, f"{{{_KML}}}TimeStamp")
+                ElementTree.SubElement(stamp, f"{{{_KML}}}when").text = moment
+            if point.latitude is not None:
+                place = ElementTree.SubElement(mark, f"{{{_KML}}}Point")
+                ElementTree.SubElement(place, f"{{{_KML}}}coordinates").text = _coordinates(point)
+    return _xml(root)
+
+
+def _csv(name: str, points: Sequence[TrackPoint]) -> bytes:
+    """Return a table: a row a frame and stage, empty where unknown."""
+    del name
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for point in points:
+        values = _finite({key: getattr(point, key) for key in _COLUMNS})
+        writer.writerow(["" if value is None else value for value in values.values()])
+    return text.getvalue().encode()
+
+
+def _accepted(points: Sequence[TrackPoint]) -> dict[str, list[TrackPoint]]:
+    """Return the accepted points with a position, by stage."""
+    found: dict[str, list[TrackPoint]] = {}
+    for point in points:
+        if point.accepted and point.latitude is not None:
+            found.setdefault(point.stage, []).append(point)
+    return found
+
+
+def _position(point: TrackPoint) -> tuple[float, float]:
+    assert point.longitude is not None
+    assert point.latitude is not None
+    return round(point.longitude, 8), round(point.latitude, 8)
+
+
+def _coordinates(point: TrackPoint) -> str:
+    longitude, latitude = _position(point)
+    return f"{longitude!r},{latitude!r}"
+
+
+def _moment(time: float | None) -> str | None:
+    if time is None or not math.isfinite(time) or time < _FIRST_EPOCH:
+        return None
+    return datetime.fromtimestamp(time, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _finite(properties: dict[str, Any]) -> dict[str, Any]:
+    """Replace numbers that JSON cannot express by None."""
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in properties.items()
+    }
+
+
+def _plain(text: str) -> str:
+    """Replace control characters, which XML does not allow."""
+    return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def _xml(root: ElementTree.Element) -> bytes:
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()

