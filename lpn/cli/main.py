@@ -20,6 +20,7 @@ from lpn.cli.evaluate import EvaluateCommand
 from lpn.cli.explain import ExplainCommand
 from lpn.cli.export import ExportCommand, QuantizeCommand
 from lpn.cli.failures import FailuresCommand
+from lpn.cli.flight import FlightCommand
 from lpn.cli.index import IndexCommand, SearchCommand
 from lpn.cli.report import ReportCommand
 from lpn.cli.reproduce import ReproduceCommand, parse_reproduce
@@ -46,6 +47,7 @@ COMMANDS: dict[str, type[Any]] = {
     "gather": GatherCommand,
     "index": IndexCommand,
     "search": SearchCommand,
+    "flight": FlightCommand,
     "doctor": DoctorCommand,
     "verify": VerifyCommand,
     "world": WorldCommand,
@@ -160,6 +162,7 @@ _EXTRAS = {
     "pymilvus": "milvus",
     **dict.fromkeys(("bpy", "mathutils"), "world"),
     **dict.fromkeys(("ray", "pyarrow", "fsspec"), "ray"),
+    "av": "video",
 }
 
 

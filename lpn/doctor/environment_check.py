@@ -29,6 +29,7 @@ _USES = {
     "faiss": "approximate search of millions of tiles",
     "ray": "describing on many machines",
     "milvus": "search on a server",
+    "video": "subtitles inside a video",
     "umap": "a second map of descriptors",
     "maps": "maps of your own",
     "dev": "the tests",

@@ -1,6 +1,7 @@
 """Flights: pictures with the camera's position, height, heading, and field of view, as far as files tell them.
 
-    open_flight("flights/monday")       # a folder that `lpn flight` wrote, or a folder of photos
+    make_flight(files, "flights/monday")    # photos, or videos with subtitles; logs
+    open_flight("flights/monday")           # that folder, or a folder of photos
     footprint(frame), ground_width(frame)
 
 It imports `core` and `datasets`. `locate` and `cli` import it. docs/flights.md shows what is read.
@@ -15,15 +16,17 @@ from lpn.datasets.base import files_below
 from lpn.flights.base import Flight, Frame, HeadingSource
 from lpn.flights.cameras import footprint, ground_width
 from lpn.flights.folder import is_flight, read_flight, write_flight
-from lpn.flights.sources import flight_of_photos
+from lpn.flights.sources import FlightOptions, flight_of_photos, make_flight
 
 __all__ = [
     "Flight",
+    "FlightOptions",
     "Frame",
     "HeadingSource",
     "flight_of_photos",
     "footprint",
     "ground_width",
+    "make_flight",
     "open_flight",
     "write_flight",
 ]

@@ -1,27 +1,124 @@
-"""A flight from its files."""
+"""A flight from its files: photos, or videos with subtitles, each with or without logs."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-from lpn.core.errors import DataError, PictureError
+from lpn.core import images
+from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import printable
-from lpn.flights.base import Flight
-from lpn.flights.photos import Photo, read_photo, set_times
+from lpn.datasets.base import files_below
+from lpn.flights import logs, subtitles, videos
+from lpn.flights.base import Flight, Frame
+from lpn.flights.folder import FRAMES, write_flight
+from lpn.flights.logs import Log
+from lpn.flights.photos import Photo, natural, read_photo, set_times
 from lpn.flights.quality import flight_notes, with_courses
+from lpn.flights.subtitles import GpsOrder, Subtitles
+from lpn.flights.telemetry import VALUES, Telemetry, TelemetryEntry
 
+PHOTOS = (*images.SUFFIXES, ".tif", ".tiff")
 _NAMED = 5
+# Frames closer together than this in seconds are one picture.
+_LEAST_EVERY = 0.04
 
 
-def flight_of_photos(files: Sequence[Path], name: str) -> Flight:
-    """Return the flight of photos; those that cannot be read are left out, and a note names them.
+@dataclass(frozen=True)
+class FlightOptions:
+    """How a flight is read.
+
+    Attributes:
+        every: seconds from one frame of a video to the next.
+        every_metres: metres flown from one frame of a video to the next, in place of `every`.
+        gps_order: order of the first two values of GPS(a, b, c) in subtitles; None finds it out.
+        fov: horizontal field of view in degrees of frames that do not tell it.
+        pitch: in degrees, of frames that do not tell it; -90 is straight down.
+    """
+
+    every: float = 1.0
+    every_metres: float | None = None
+    gps_order: GpsOrder | None = None
+    fov: float | None = None
+    pitch: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("every", _LEAST_EVERY, 86_400.0),
+            ("every_metres", 0.1, 1e6),
+            ("fov", 0.1, 170.0),
+            ("pitch", -180, 90),
+        ):
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise InputError(
+                    f"--{name.replace('_', '-')} is {value:g}; expected a number from {low:g} to {high:g}."
+                )
+
+
+@dataclass(frozen=True)
+class _Files:
+    """Files of a flight by kind."""
+
+    photos: list[Path]
+    videos: list[Path]
+    subtitles: list[Path]
+    logs: list[Path]
+    others: list[Path]
+
+
+def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None = None) -> Flight:
+    """Read the files of one flight, and write its folder.
+
+    Args:
+        files: photos, videos, `.SRT` files, `.csv` logs, and folders of photos, videos, and `.SRT` files. A `.csv` log alone
+            brings the photos that it names from below its folder.
+        out: the folder; frames of videos are written to `frames` in it.
 
     Raises:
-        DataError: if no photo can be read.
+        DataError: if there are no pictures, none can be read, photos are mixed with videos, or a log is damaged.
+        OutputError: if the folder cannot be written.
+    """
+    options = options or FlightOptions()
+    found = _sorted_files(files)
+    read = [logs.read_log(file) for file in found.logs]
+    name = out.resolve().name
+    if found.photos and found.videos:
+        raise DataError(
+            f"There are {len(found.photos)} photos and {len(found.videos)} videos, whose clocks differ; make one flight of each."
+        )
+    if found.videos:
+        flight = _flight_of_videos(found, read, out / FRAMES, name, options)
+    else:
+        photos = found.photos or [
+            photo for log, file in zip(read, found.logs, strict=True) for photo in _named_by(log, file)
+        ]
+        if not photos:
+            raise DataError(_no_pictures(found))
+        flight = flight_of_photos(photos, name, read)
+    flight = _completed(flight, options)
+    if found.others:
+        some = ", ".join(printable(file.name) for file in found.others[:_NAMED])
+        flight = replace(
+            flight, notes=(*flight.notes, f"{len(found.others)} files of other kinds are left out: {some}.")
+        )
+    write_flight(flight, out)
+    return flight
+
+
+def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log] = ()) -> Flight:
+    """Return the flight of photos; those that cannot be read are left out, and a note names them.
+
+    Args:
+        flight_logs: their values replace those that the photos tell.
+
+    Raises:
+        DataError: if no photo can be read, or one is given twice.
     """
     photos, broken = [], []
     for file in files:
@@ -34,13 +131,52 @@ def flight_of_photos(files: Sequence[Path], name: str) -> Flight:
             f"None of {len(files)} photos can be read; the first: {broken[0] if broken else 'there is none.'}"
         )
     named = _with_names(photos)
+    log_notes: list[str] = []
+    for log in flight_logs:
+        named, note = _logged(named, log)
+        log_notes += [*log.notes, note]
     frames, is_utc, notes = set_times(named)
     frames, course_notes = with_courses(frames)
-    notes += flight_notes(frames, [photo.oddities for photo in named]) + course_notes
+    notes += log_notes + flight_notes(frames, [photo.oddities for photo in named]) + course_notes
     if broken:
         more = f" {len(broken) - _NAMED} more are left out, too." if len(broken) > _NAMED else ""
         notes.append(f"{len(broken)} of {len(files)} photos are left out: {' '.join(broken[:_NAMED])}{more}")
     return Flight(name, tuple(frames), tuple(notes), is_utc)
+
+
+def _sorted_files(paths: Sequence[Path]) -> _Files:
+    """Sort files by kind, those of folders too."""
+    found = _Files([], [], [], [], [])
+    kinds = (
+        (PHOTOS, found.photos),
+        (videos.SUFFIXES, found.videos),
+        ((".srt",), found.subtitles),
+        ((".csv",), found.logs),
+    )
+    for path in paths:
+        if not path.exists():
+            raise DataError(f"There is no {path}; give photos, videos, .SRT files, .csv logs, or folders of them.")
+        inside = path.is_dir()
+        for file in files_below(path, (*images.SUFFIXES, *videos.SUFFIXES, ".srt")) if inside else [path]:
+            kind = next((kept for suffixes, kept in kinds if file.suffix.lower() in suffixes), found.others)
+            kind.append(file)
+    for kind in (found.photos, found.videos):
+        kind.sort(key=lambda file: natural(file.name))
+    return found
+
+
+def _no_pictures(found: _Files) -> str:
+    if found.subtitles:
+        return f"There are {len(found.subtitles)} .SRT files and no video; give the video beside them."
+    if found.logs:
+        return f"No photo that {found.logs[0].name} names is below its folder; give the photos, or the video, beside the log."
+    return f"None of the {len(found.others)} files is a photo or a video; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
+
+
+def _named_by(log: Log, file: Path) -> list[Path]:
+    """Return the photos below a log's folder that it names."""
+    entries = logs.for_photos(log)
+    return [photo for photo in files_below(file.parent, PHOTOS) if photo.name.casefold() in entries] if entries else []
 
 
 def _with_names(photos: Sequence[Photo]) -> list[Photo]:
@@ -55,3 +191,140 @@ def _with_names(photos: Sequence[Photo]) -> list[Photo]:
         twice = next(name for name, count in Counter(names).items() if count > 1)
         raise DataError(f"{printable(twice)} is given twice; give each photo once.")
     return [replace(photo, frame=replace(photo.frame, name=name)) for photo, name in zip(photos, names, strict=True)]
+
+
+def _logged(photos: Sequence[Photo], log: Log) -> tuple[list[Photo], str]:
+    """Return photos with the values of a log: of the row that names the photo, or of the moment it was taken."""
+    entries = logs.for_photos(log)
+    if entries:
+        made = [_with_entry(photo, entries.get(photo.frame.file.name.casefold()), log.utc) for photo in photos]
+    else:
+        moments = [replace(row.entry, time=row.entry.clock) for row in log.rows if row.entry.clock is not None]
+        telemetry = Telemetry(moments)
+        made = []
+        for photo in photos:
+            time = photo.utc if log.utc else photo.local
+            values = (
+                {} if time is None else {name: value for name, value in telemetry.at(time).items() if value is not None}
+            )
+            made.append(photo if "latitude" not in values else _with_values(photo, values))
+    used = sum(after is not before for after, before in zip(made, photos, strict=True))
+    how = "by name" if entries else f"by {'UTC' if log.utc else 'their clock'}"
+    if not used:
+        return list(photos), f"{log.name} fits none of the {len(photos)} photos {how}, and was not used."
+    return (
+        made,
+        f"{log.name} gives the values of {used} of {len(photos)} photos, {how}; they replace those in the files.",
+    )
+
+
+def _with_entry(photo: Photo, entry: TelemetryEntry | None, utc: bool) -> Photo:
+    if entry is None:
+        return photo
+    values = {name: value for name in VALUES if (value := getattr(entry, name)) is not None}
+    made = _with_values(photo, values)
+    if entry.clock is None:
+        return made
+    return replace(made, utc=entry.clock) if utc else replace(made, local=made.local or entry.clock)
+
+
+def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
+    return replace(photo, frame=replace(photo.frame, **values))
+
+
+def _flight_of_videos(
+    found: _Files, flight_logs: Sequence[Log], folder: Path, name: str, options: FlightOptions
+) -> Flight:
+    """Return the flight of videos; one that cannot be read is left out, and a note names it."""
+    parts: list[tuple[videos.VideoFrames, float | None]] = []
+    notes = [note for log in flight_logs for note in log.notes]
+    broken: list[str] = []
+    stems = Counter(video.stem.casefold() for video in found.videos)
+    if twice := [stem for stem, count in stems.items() if count > 1]:
+        raise DataError(
+            f"Two videos are named {printable(twice[0])}; their frames would replace each other, so rename one."
+        )
+    for number, video in enumerate(found.videos):
+        try:
+            telemetry, told, told_notes = _telemetry(video, found, flight_logs, number, options)
+            part = videos.read_frames(video, folder, options.every, options.every_metres, telemetry)
+        except DataError as error:
+            broken.append(str(error))
+            continue
+        notes += told_notes
+        if told is not None:
+            subtitle, where = told
+            note = videos.mismatch(subtitle, where, video, part.duration)
+            notes += [] if note is None else [note]
+        first = next((entry for entry in telemetry.entries if entry.clock is not None), None) if telemetry else None
+        parts.append((part, None if first is None or first.clock is None else first.clock - first.time))
+    if not parts:
+        raise DataError(f"None of {len(found.videos)} videos can be read. {broken[0]}")
+    frames, clock_notes = _on_one_clock(parts)
+    frames, course_notes = with_courses(frames)
+    notes += clock_notes + flight_notes(frames) + course_notes
+    if broken:
+        notes.append(f"{len(broken)} of {len(found.videos)} videos are left out: {' '.join(broken[:_NAMED])}")
+    return Flight(name, tuple(frames), tuple(notes))
+
+
+def _telemetry(
+    video: Path, found: _Files, flight_logs: Sequence[Log], number: int, options: FlightOptions
+) -> tuple[Telemetry | None, tuple[Subtitles, str] | None, list[str]]:
+    """Return a video's telemetry from a log, else from its `.SRT` file, else from inside; its subtitles; and notes."""
+    notes: list[str] = []
+    for log in flight_logs:
+        try:
+            entries, note = logs.for_video(log, number)
+        except DataError as error:
+            notes.append(str(error))
+            continue
+        return Telemetry(entries), None, notes + ([] if note is None else [note])
+    only = found.subtitles if len(found.videos) == len(found.subtitles) == 1 else []
+    file = only[0] if only else videos.beside(video, found.subtitles)
+    told = None
+    try:
+        if file is not None:
+            told = subtitles.read_subtitles(file, options.gps_order)
+        elif find_spec("av") is not None:
+            told = videos.embedded_subtitles(video, options.gps_order)
+    except DataError as error:
+        notes.append(str(error))
+    if told is None:
+        inside = "" if find_spec("av") is not None or file is not None else (
+            "; those inside of it need the package av: pip install 'lpn-explorer[video]'"
+        )  # fmt: skip
+        return None, None, [*notes, f"{printable(video.name)} has no subtitles with telemetry{inside}."]
+    where = file.name if file is not None else "the subtitle stream"
+    return Telemetry(told.entries), (told, where), [*notes, *told.notes]
+
+
+def _on_one_clock(parts: Sequence[tuple[videos.VideoFrames, float | None]]) -> tuple[list[Frame], list[str]]:
+    """Put the frames of several videos on one clock that starts with the first; `parts` have each video's start, if known."""
+    starts = [start for _, start in parts if start is not None]
+    notes = []
+    if len(starts) == len(parts):
+        offsets = [start - min(starts) for start in starts]
+    else:
+        offsets = [sum(part.duration for part, _ in parts[:i]) for i in range(len(parts))]
+        if len(parts) > 1:
+            notes.append(f"Not all of the {len(parts)} videos tell when they began; their times follow one another.")
+    frames = [
+        replace(frame, time=(frame.time or 0.0) + offset)
+        for (part, _), offset in zip(parts, offsets, strict=True)
+        for frame in part.frames
+    ]
+    return sorted(frames, key=lambda frame: (frame.time, natural(frame.name))), notes
+
+
+def _completed(flight: Flight, options: FlightOptions) -> Flight:
+    """Fill unknown fields of view and pitches with those given, and say so."""
+    frames, notes = list(flight.frames), list(flight.notes)
+    for name, value, noun in (("fov", options.fov, "field of view"), ("pitch", options.pitch, "pitch")):
+        missing = [i for i, frame in enumerate(frames) if getattr(frame, name) is None]
+        if value is not None and missing:
+            for i in missing:
+                changed: dict[str, Any] = {name: value}
+                frames[i] = replace(frames[i], **changed)
+            notes.append(f"The {noun} of {len(missing)} of {len(frames)} frames is the {value:g}° given with --{name}.")
+    return replace(flight, frames=tuple(frames), notes=tuple(notes))

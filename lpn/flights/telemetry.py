@@ -1,0 +1,126 @@
+"""Telemetry: what a subtitle or a row of a log tells about one moment, and its values between two moments."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.flights.base import HeadingSource, local_metres
+
+# Entries farther apart than this many seconds, and this many usual steps, have a gap between them that nothing fills.
+_GAP, _GAPS = 5.0, 3.0
+# A value holds for this many seconds before the first and after the last entry that has it.
+_HOLD = 1.5
+_LINEAR = ("latitude", "height_above_ground", "height_above_takeoff", "altitude", "pitch", "roll", "fov")
+_ANGLES = ("longitude", "heading")
+# The values that a frame takes from telemetry.
+VALUES = (*_LINEAR, *_ANGLES, "heading_source")
+
+
+@dataclass(frozen=True)
+class TelemetryEntry:
+    """Values at one moment, as in `Frame`; None where unknown.
+
+    Attributes:
+        time: seconds from the start of a video or log.
+        clock: seconds since 1970-01-01 on the camera's or drone's clock, whose zone is unknown.
+    """
+
+    time: float
+    clock: float | None = None
+    latitude: float | None = None
+    longitude: float | None = None
+    height_above_ground: float | None = None
+    height_above_takeoff: float | None = None
+    altitude: float | None = None
+    heading: float | None = None
+    heading_source: HeadingSource | None = None
+    pitch: float | None = None
+    roll: float | None = None
+    fov: float | None = None
+
+
+class Telemetry:
+    """Entries in the order of their times, interpolated linearly.
+
+    A receiver gives a position a few times a second, and the entries between repeat it. Positions are therefore interpolated
+    between the moments at which they change.
+    """
+
+    def __init__(self, entries: Sequence[TelemetryEntry]) -> None:
+        self.entries = tuple(sorted(entries, key=lambda entry: entry.time))
+        self._times = np.array([entry.time for entry in self.entries], np.float64)
+        steps = np.diff(self._times)
+        self._gap = max(_GAP, _GAPS * float(np.median(steps))) if len(steps) else _GAP
+        # The times at which each value is known, and times and values to interpolate between.
+        self._told: dict[str, Float64Array] = {}
+        self._known: dict[str, tuple[Float64Array, Float64Array]] = {}
+        for name in (*_LINEAR, *_ANGLES):
+            values = np.array([_or_nan(getattr(entry, name)) for entry in self.entries], np.float64)
+            keep = ~np.isnan(values)
+            self._told[name] = self._times[keep]
+            if name in ("latitude", "longitude"):
+                keep &= self._changes()
+            angle = name in _ANGLES
+            self._known[name] = self._times[keep], np.unwrap(values[keep], period=360.0) if angle else values[keep]
+
+    def at(self, time: float) -> dict[str, float | HeadingSource | None]:
+        """Return the value of each of `VALUES` at a time in seconds."""
+        found: dict[str, float | HeadingSource | None] = {name: self._value(name, time) for name in self._known}
+        if (longitude := found["longitude"]) is not None:
+            found["longitude"] = (float(longitude) + 180.0) % 360.0 - 180.0
+        found["heading_source"] = None
+        if (heading := found["heading"]) is not None:
+            found["heading"] = float(heading) % 360.0
+            headed = [entry for entry in self.entries if entry.heading is not None]
+            found["heading_source"] = min(headed, key=lambda entry: abs(entry.time - time)).heading_source
+        return found
+
+    def times_by_distance(self, metres: float) -> list[float]:
+        """Return the times at which each further number of metres has been flown, from the first known position on."""
+        times, latitudes = self._known["latitude"]
+        longitudes = self._known["longitude"][1]
+        if not len(times):
+            return []
+        flown = np.cumsum(np.hypot(*np.diff(local_metres(np.stack([latitudes, longitudes], axis=1)), axis=0).T))
+        flown = np.concatenate([[0.0], flown])
+        # Without a move the first of several equal distances counts.
+        flown, first = np.unique(flown, return_index=True)
+        marks = np.arange(0.0, flown[-1] + 1e-9, metres)
+        return [float(time) for time in np.interp(marks, flown, times[first])]
+
+    def _changes(self) -> np.typing.NDArray[np.bool_]:
+        """Return a mask of the entries at which the position changes, and of the last before a change after a long rest."""
+        places = [(entry.latitude, entry.longitude) for entry in self.entries]
+        keep = np.zeros(len(places), bool)
+        start = 0
+        for i in range(1, len(places) + 1):
+            if i == len(places) or places[i] != places[start]:
+                keep[start] = True
+                # A drone that hovers moves off at the end of its rest, not during it.
+                keep[i - 1] |= self._times[i - 1] - self._times[start] > _HOLD or i == len(places)
+                start = i
+        return keep
+
+    def _value(self, name: str, time: float) -> float | None:
+        told = self._told[name]
+        after = int(np.searchsorted(told, time, "right"))
+        around = told[max(after - 1, 0) : after + 1]
+        if not len(around) or (np.abs(around - time).min() > _HOLD and not self._between(around, time)):
+            return None
+        if len(around) == 2 and not self._between(around, time):
+            # Beside a gap the nearer entry's value holds.
+            time = float(around[np.abs(around - time).argmin()])
+        return float(np.interp(time, *self._known[name]))
+
+    def _between(self, around: Float64Array, time: float) -> bool:
+        """Return whether a time is between two entries that are no gap apart."""
+        return len(around) == 2 and around[0] <= time <= around[1] and around[1] - around[0] <= self._gap
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
