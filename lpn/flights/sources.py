@@ -90,7 +90,7 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     name = out.resolve().name
     if found.photos and found.videos:
         raise DataError(
-            f"There are {len(found.photos)} photos and {len(found.videos)} videos, whose clocks differ; make one flight of each."
+            f"Photos ({len(found.photos)}) and videos ({len(found.videos)}) have different clocks; make one flight of each."
         )
     if found.videos:
         flight = _flight_of_videos(found, read, out / FRAMES, name, options)
@@ -104,9 +104,8 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     flight = _completed(flight, options)
     if found.others:
         some = ", ".join(printable(file.name) for file in found.others[:_NAMED])
-        flight = replace(
-            flight, notes=(*flight.notes, f"{len(found.others)} files of other kinds are left out: {some}.")
-        )
+        more = f", and {len(found.others) - _NAMED} more" if len(found.others) > _NAMED else ""
+        flight = replace(flight, notes=(*flight.notes, f"Left out as of other kinds: {some}{more}."))
     write_flight(flight, out)
     return flight
 
@@ -127,9 +126,7 @@ def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log
         except PictureError as error:
             broken.append(str(error))
     if not photos:
-        raise DataError(
-            f"None of {len(files)} photos can be read; the first: {broken[0] if broken else 'there is none.'}"
-        )
+        raise DataError(f"No photo of {len(files)} can be read. {broken[0] if broken else 'Give photos.'}")
     named = _with_names(photos)
     log_notes: list[str] = []
     for log in flight_logs:
@@ -167,10 +164,10 @@ def _sorted_files(paths: Sequence[Path]) -> _Files:
 
 def _no_pictures(found: _Files) -> str:
     if found.subtitles:
-        return f"There are {len(found.subtitles)} .SRT files and no video; give the video beside them."
+        return f"There is no video for {len(found.subtitles)} .SRT file{'s' * (len(found.subtitles) > 1)}; give the video, too."
     if found.logs:
         return f"No photo that {found.logs[0].name} names is below its folder; give the photos, or the video, beside the log."
-    return f"None of the {len(found.others)} files is a photo or a video; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
+    return f"No file of {len(found.others)} is a photo or a video; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
 
 
 def _named_by(log: Log, file: Path) -> list[Path]:
@@ -259,7 +256,7 @@ def _flight_of_videos(
         first = next((entry for entry in telemetry.entries if entry.clock is not None), None) if telemetry else None
         parts.append((part, None if first is None or first.clock is None else first.clock - first.time))
     if not parts:
-        raise DataError(f"None of {len(found.videos)} videos can be read. {broken[0]}")
+        raise DataError(f"No video of {len(found.videos)} can be read. {broken[0]}")
     frames, clock_notes = _on_one_clock(parts)
     frames, course_notes = with_courses(frames)
     notes += clock_notes + flight_notes(frames) + course_notes

@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpn.core.arrays import Float64Array
+from lpn.core.errors import DataError
 from lpn.flights.base import HeadingSource, local_metres
 
 # Entries farther apart than this many seconds, and this many usual steps, have a gap between them that nothing fills.
 _GAP, _GAPS = 5.0, 3.0
 # A value holds for this many seconds before the first and after the last entry that has it.
 _HOLD = 1.5
+_MOST_MARKS = 1_000_000
 _LINEAR = ("latitude", "height_above_ground", "height_above_takeoff", "altitude", "pitch", "roll", "fov")
 _ANGLES = ("longitude", "heading")
 # The values that a frame takes from telemetry.
@@ -81,7 +83,11 @@ class Telemetry:
         return found
 
     def times_by_distance(self, metres: float) -> list[float]:
-        """Return the times at which each further number of metres has been flown, from the first known position on."""
+        """Return the times at which each further number of metres has been flown, from the first known position on.
+
+        Raises:
+            DataError: if there are more than a million.
+        """
         times, latitudes = self._known["latitude"]
         longitudes = self._known["longitude"][1]
         if not len(times):
@@ -90,6 +96,11 @@ class Telemetry:
         flown = np.concatenate([[0.0], flown])
         # Without a move the first of several equal distances counts.
         flown, first = np.unique(flown, return_index=True)
+        if flown[-1] > _MOST_MARKS * metres:
+            raise DataError(
+                f"The positions are {flown[-1] / 1000:.0f} km of flight, of which every {metres:g} m is too many pictures; "
+                "give more metres, or choose by seconds."
+            )
         marks = np.arange(0.0, flown[-1] + 1e-9, metres)
         return [float(time) for time in np.interp(marks, flown, times[first])]
 

@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -451,6 +452,105 @@ def cities(folder: Path) -> list[FuzzCase]:
     return [FuzzCase([whole], read), FuzzCase([whole[20 : 20 + size]], header)]
 
 
+def flights(folder: Path) -> list[FuzzCase]:
+    """Metadata of photos, subtitles, logs, and the folder of a flight."""
+    from PIL import ExifTags
+
+    from lpn.core.images import header_error
+    from lpn.flights import footprint, open_flight, write_flight
+    from lpn.flights.logs import for_photos, for_video, read_log
+    from lpn.flights.photos import photo_of
+    from lpn.flights.subtitles import blocks_of, parse_subtitles
+    from lpn.flights.telemetry import Telemetry
+    from lpn.flights.xmp import read_xmp
+    from tools.fixtures.photos import dji_xmp, exif, photo_bytes, sensefly_xmp, write_photo
+
+    base, gps = ExifTags.Base, ExifTags.GPS
+    camera: dict[int, Any] = {
+        base.DateTimeOriginal: "2024:05:01 14:00:00",
+        base.FocalLength: 4.5,
+        base.FocalLengthIn35mmFilm: 24,
+    }
+    camera |= {base.FocalPlaneXResolution: 16393.4, base.ExifImageWidth: 4000, base.OffsetTimeOriginal: "+02:00"}
+    clock: dict[int, Any] = {gps.GPSDateStamp: "2024:05:01", gps.GPSTimeStamp: (12.0, 0.0, 4.0), gps.GPSAltitude: 12.5}
+    packets = [
+        dji_xmp(GpsLatitude="+46.8", GimbalYawDegree="-45.00", GimbalPitchDegree="-89.90", RelativeAltitude="+39.80"),
+        sensefly_xmp(Heading=70.06, Height=66.1, RollAngle=-2.9, PitchAngle=2.5, UTCTime="2013-06-04T17:38:03"),
+    ]
+    whole = [photo_bytes(exif(46.8, -91.9, {base.Orientation: 6}, camera, clock), packet, (8, 6)) for packet in packets]
+    directories = exif(46.8, -91.9, {base.Orientation: 8}, camera, clock).tobytes()
+
+    def photo(data: bytes) -> None:
+        if header_error(io.BytesIO(data)) is None:
+            frame = photo_of(data, Path("a.jpg")).frame
+            assert frame.latitude is None or abs(frame.latitude) <= 90
+            assert frame.heading is None or 0 <= frame.heading < 360
+            footprint(frame, 50.0)
+
+    def packed(data: bytes) -> None:
+        """A photo with damaged EXIF of the right length, which the whole file's damage seldom makes."""
+        plain = photo_bytes(size=(8, 6))
+        photo(plain[:2] + b"\xff\xe1" + min(len(data) + 2, 65_535).to_bytes(2, "big") + data[:65_533] + plain[2:])
+
+    def packet(data: bytes) -> None:
+        try:
+            read_xmp(data)
+        except ValueError:
+            return
+
+    lines = (
+        "1\n00:00:00,000 --> 00:00:01,000\n2024-05-01 14:00:00.000\n[focal_len: 24.00] [latitude: 47.1] [longitude: 8.1] "
+        "[rel_alt: 1.0 abs_alt: 2.0] [gb_yaw: 1.0 gb_pitch: -80.0 gb_roll: 2.0]\n\n2\n00:00:01,000 --> 00:00:02,000\n"
+        "GPS (-58.85, -34.23, 15), HOME (-58.84, -34.23, -57.98m), D 698.70m, H 85.80m, F.PRY (2.7°, -7.0°, 110.1°), "
+        "G.PRY (-24.4°, 0.0°, 110.4°)\n\n3\n00:00:02,000 --> 00:00:03,000\nGPS(36.6,-6.1,0.0M) BAROMETER:0.3M\n"
+    )
+
+    def subtitles(data: bytes) -> None:
+        found = parse_subtitles(blocks_of(data), "a.SRT")
+        telemetry = Telemetry(found.entries)
+        for time in (0.5, 1.5):
+            latitude = telemetry.at(time)["latitude"]
+            assert latitude is None or abs(float(latitude)) <= 90
+        telemetry.times_by_distance(1000.0)
+
+    rows = (
+        "filename,time(ms),datetime(utc),lat,lon,rel_alt(feet),gimbal_yaw,gimbal_pitch,isVideo\n"
+        "a.jpg,0,2024-05-01 12:00:00,47,8,10,20,-90,1\nb.jpg,1000,2024-05-01T12:00:01+02:00,47.1,8,10,20,-90,1\n"
+    )
+
+    def log(data: bytes) -> None:
+        (folder / "log.csv").write_bytes(data)
+        found = read_log(folder / "log.csv")
+        for_photos(found)
+        Telemetry(for_video(found, 0)[0]).at(0.5)
+
+    write_photo(folder / "photos" / "a.jpg", exif(46.8, -91.9, {}, camera, clock), packets[0])
+    write_flight(open_flight(folder / "photos"), folder / "flight")
+
+    def written(name: str) -> FuzzCase:
+        file = folder / "flight" / name
+        seed = file.read_bytes()
+
+        def read(data: bytes) -> None:
+            file.write_bytes(data)
+            try:
+                _ = open_flight(folder / "flight").degrees
+            finally:
+                file.write_bytes(seed)
+
+        return FuzzCase([seed], read)
+
+    return [
+        FuzzCase(whole, photo),
+        FuzzCase([directories], packed),
+        FuzzCase(packets, packet),
+        FuzzCase([lines.encode()], subtitles),
+        FuzzCase([rows.encode()], log),
+        written("flight.csv"),
+        written("flight.json"),
+    ]
+
+
 TARGETS: dict[str, Callable[[Path], list[FuzzCase]]] = {
     made.__name__: made
     for made in (
@@ -467,6 +567,7 @@ TARGETS: dict[str, Callable[[Path], list[FuzzCase]]] = {
         links,
         indexes,
         cities,
+        flights,
     )
 }
 

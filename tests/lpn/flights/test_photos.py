@@ -199,7 +199,7 @@ def test_broken_photos_are_left_out_and_named(tmp_path: Path) -> None:
     assert note.startswith("2 of 3 photos are left out: b.jpg is cut short")
     assert "c.jpg is not a picture" in note
     (tmp_path / "a.jpg").unlink()
-    with pytest.raises(DataError, match=r"None of 2 photos can be read; the first: b\.jpg"):
+    with pytest.raises(DataError, match=r"No photo of 2 can be read\. b\.jpg"):
         open_flight(tmp_path)
     with pytest.raises(PictureError, match=r"nowhere\.jpg cannot be read"):
         read_photo(tmp_path / "nowhere.jpg")
