@@ -32,19 +32,14 @@ def verified(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     return status, capsys.readouterr().out
 
 
-@pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return small_worlds.make_model(tmp_path_factory.mktemp("model"), size=32)
-
-
 @pytest.mark.parametrize("name", ["model.onnx", "model.safetensors", "net.pth", "old.pth", "state.pt"])
 def test_a_file_that_lost_its_checksum_is_no_whole_one(
-    name: str, exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The seal of an .onnx and the directory of a .pth are at the end, which is what a broken copy lacks."""
     file = tmp_path / name
     if name.startswith("model"):
-        shutil.copy(exported.with_suffix(file.suffix), file)
+        shutil.copy(model_file.with_suffix(file.suffix), file)
     else:
         torch.save({"a": torch.randn(1000)}, file, _use_new_zipfile_serialization=name != "old.pth")
     whole = file.read_bytes()
@@ -60,11 +55,11 @@ def test_a_file_that_lost_its_checksum_is_no_whole_one(
 
 
 def test_a_damaged_file_is_named_in_one_line(
-    tmp_path: Path, exported: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "mine\nlpn: all is well"
     folder.mkdir()
-    (folder / "model.onnx").write_bytes(exported.read_bytes()[:-10])
+    (folder / "model.onnx").write_bytes(model_file.read_bytes()[:-10])
     assert verified(folder, capsys)[1].count("\n") == 1
     assert (
         main.main(["describe", "--model", str(folder / "none.onnx"), "--images", "a", "--view", "drone", "--out", "b"])
@@ -79,9 +74,9 @@ def _number(value: int) -> bytes:
 
 
 @pytest.mark.parametrize("bit", [32, 34])
-def test_an_onnx_whose_fields_have_two_numbers_is_not_opened(bit: int, exported: Path, tmp_path: Path) -> None:
+def test_an_onnx_whose_fields_have_two_numbers_is_not_opened(bit: int, model_file: Path, tmp_path: Path) -> None:
     """Protocol Buffers takes the low 32 bits of a key, so that this is a graph with weights in another file."""
-    proto = onnx.load_model(exported)
+    proto = onnx.load_model(model_file)
     weight = max(proto.graph.initializer, key=lambda one: len(one.raw_data))
     (tmp_path / "secret").write_bytes(weight.raw_data)
     weight.ClearField("raw_data")
@@ -205,11 +200,11 @@ def test_a_png_that_claims_gigabytes_needs_no_room(tmp_path: Path) -> None:
 
 
 def test_checksums_of_another_number_of_blocks_are_not_counted(
-    exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A manifest that tells of blocks of one byte would have a store of gigabytes counted byte by byte."""
     small_worlds.write(tmp_path / "a.png", small_worlds.place(1))
-    made = descriptors.describe(Engine(exported, threads=1), [tmp_path / "a.png"], "drone", tmp_path / "store")
+    made = descriptors.describe(Engine(model_file, threads=1), [tmp_path / "a.png"], "drone", tmp_path / "store")
     told = made.manifest.checksums
     assert told is not None
     assert not made.damaged().any()

@@ -177,9 +177,10 @@ def test_numbers_that_are_none_are_found_in_a_store(
         metrics.evaluate(held, labels, held, labels)
 
 
-def test_a_model_that_computes_nan_is_told_before_anything_is_kept(tmp_path: Path, data: Path) -> None:
-    file = small_worlds.make_model(tmp_path)
-    proto = onnx.load_model(file)
+def test_a_model_that_computes_nan_is_told_before_anything_is_kept(
+    model_file: Path, tmp_path: Path, data: Path
+) -> None:
+    file, proto = tmp_path / "model.onnx", onnx.load_model(model_file)
     for weight in proto.graph.initializer:
         if weight.name == "bias" or weight.dims == [4, 512]:
             weight.CopyFrom(onnx.numpy_helper.from_array(np.full((4, 512), np.nan, np.float32), weight.name))

@@ -271,8 +271,10 @@ def test_an_unfinished_run_goes_on_only_as_it_began(
 
 
 @pytest.mark.slow
-def test_given_models_stand_for_trainings(places: Path, tmp_path: Path) -> None:
-    model, baseline = (small_worlds.make_model(tmp_path / str(n), n) for n in (4, 1))
+def test_given_models_stand_for_trainings(
+    places: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path
+) -> None:
+    model, baseline = model_file, one_part_model_file
     made = reproduction(places, tmp_path / "out", models={"lpn": model, "instance": baseline}, train=False)
     made.run(["table1", "table4", "figure7", "figure8"])
     text = (tmp_path / "out" / "table1.md").read_text()
@@ -291,9 +293,9 @@ def test_given_models_stand_for_trainings(places: Path, tmp_path: Path) -> None:
     assert "which are 25.0 % of 4 x 4 cells; mean" in (tmp_path / "out" / "figure7.md").read_text(encoding="utf-8")
 
 
-def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, tmp_path: Path) -> None:
-    model, out = small_worlds.make_model(tmp_path), tmp_path / "out"
-    start = tmp_path / "model.safetensors"
+def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, model_file: Path, tmp_path: Path) -> None:
+    model, out = model_file, tmp_path / "out"
+    start = model_file.with_suffix(".safetensors")
     for options, keys, expected in (
         ({}, ["table1", "table2"], "Panoramas and tiles as in CVUSA are needed"),
         ({}, ["table6"], "needs landmarks"),
@@ -391,11 +393,11 @@ def landmarks(folder: Path) -> Path:
 
 
 def test_tuning_tries_each_setting_on_held_out_places_and_trains_the_best(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(tuning.TRIALS, "instance", ({"rate": 1.0}, {"rate": 1e-6}))
-    places, model = small_worlds.make_dataset(tmp_path / "places", 10, 4), small_worlds.make_model(tmp_path)
-    options = {"models": {"lpn": model}, "tune": True, "changes": {**QUICK, "epochs": 3}}
+    places = small_worlds.make_dataset(tmp_path / "places", 10, 4)
+    options = {"models": {"lpn": model_file}, "tune": True, "changes": {**QUICK, "epochs": 3}}
     made = reproduction(places, tmp_path / "out", **options)
     made.run(["figure7"])
     assert "Plan: 3 of 3 trainings are left, 2 of them short trials: 5 epochs" in said(made)
@@ -506,14 +508,13 @@ def test_a_world_becomes_places_with_google_panoramas_and_landmarks(tmp_path: Pa
 
 
 def test_figures_are_drawn_with_the_networks_there_are(
-    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    places: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def explode(*_: Any) -> Any:
         raise DivergedError("The loss became nan in epoch 1, step 1; start again.")
 
     monkeypatch.setattr(Trainer, "_epoch", explode)
-    model = small_worlds.make_model(tmp_path)
-    made = reproduction(places, tmp_path / "one", models={"lpn": model})
+    made = reproduction(places, tmp_path / "one", models={"lpn": model_file})
     files = ["figure7.md", "figure7.csv", "figure7.png", "figure7a.png", "figure8.png"]
     assert [file.name for file in made.run(["figure7", "figure8"])] == files
     assert "figure7a drawn with the others: there is no network instance" in said(made)
@@ -533,10 +534,10 @@ def test_what_backbones_start_from_is_said_before_training(places: Path, tmp_pat
     assert "Trained on 4 of 701 places." in (tmp_path / "out" / "table5.md").read_text(encoding="utf-8")
 
 
-def test_a_world_whose_pictures_are_not_all_there_is_refused(tmp_path: Path) -> None:
+def test_a_world_whose_pictures_are_not_all_there_is_refused(model_file: Path, tmp_path: Path) -> None:
     root = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "half", train=4, test=3))
     (root / "world.json").write_text("{}")
-    options = {"data": [str(root)], "models": {"lpn": small_worlds.make_model(tmp_path)}, "train": False}
+    options = {"data": [str(root)], "models": {"lpn": model_file}, "train": False}
     reproduction(root, tmp_path / "whole", **options).run(["table5"])
     (root / UNFINISHED).touch()
     with pytest.raises(DataError, match="half is not rendered to its end"):

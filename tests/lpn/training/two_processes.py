@@ -18,7 +18,7 @@ from lpn.training.trainer import Trainer
 
 RECIPE = replace(
     RECIPES["small"],
-    size=64,
+    size=32,
     epochs=2,
     batch=8,
     warmup_epochs=0,
