@@ -70,6 +70,8 @@ class Telemetry:
             angle = name in _ANGLES
             self._known[name] = self._times[keep], np.unwrap(values[keep], period=360.0) if angle else values[keep]
 
+        self._sources = [entry.heading_source for entry in self.entries if entry.heading is not None]
+
     def at(self, time: float) -> dict[str, float | HeadingSource | None]:
         """Return the value of each of `VALUES` at a time in seconds."""
         found: dict[str, float | HeadingSource | None] = {name: self._value(name, time) for name in self._known}
@@ -78,8 +80,7 @@ class Telemetry:
         found["heading_source"] = None
         if (heading := found["heading"]) is not None:
             found["heading"] = float(heading) % 360.0
-            headed = [entry for entry in self.entries if entry.heading is not None]
-            found["heading_source"] = min(headed, key=lambda entry: abs(entry.time - time)).heading_source
+            found["heading_source"] = self._sources[int(np.abs(self._told["heading"] - time).argmin())]
         return found
 
     def times_by_distance(self, metres: float) -> list[float]:

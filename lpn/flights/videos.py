@@ -143,8 +143,11 @@ def _chosen(
     frames: list[Frame] = []
     best: tuple[float, float, UInt8Array] | None = None  # sharpness, time, picture
     start, following, time, compared = next(starts), next(starts, math.inf), 0.0, -math.inf
+    rate, count = capture.get(cv2.CAP_PROP_FPS), 0
     while capture.grab():
-        time = max(time, capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
+        # Some containers have no times of their own.
+        position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000 or (count / rate if rate > 0 else 0.0)
+        time, count = max(time, position), count + 1
         while time >= following - 1e-6:
             if best is not None:
                 frames.append(_written(best, video, folder, telemetry))
