@@ -22,6 +22,7 @@ from lpn.cli.export import ExportCommand, QuantizeCommand
 from lpn.cli.failures import FailuresCommand
 from lpn.cli.flight import FlightCommand
 from lpn.cli.index import IndexCommand, SearchCommand
+from lpn.cli.map import MapCommand
 from lpn.cli.report import ReportCommand
 from lpn.cli.reproduce import ReproduceCommand, parse_reproduce
 from lpn.cli.sweep import SweepCommand
@@ -47,6 +48,7 @@ COMMANDS: dict[str, type[Any]] = {
     "gather": GatherCommand,
     "index": IndexCommand,
     "search": SearchCommand,
+    "map": MapCommand,
     "flight": FlightCommand,
     "doctor": DoctorCommand,
     "verify": VerifyCommand,

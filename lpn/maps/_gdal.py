@@ -24,11 +24,20 @@ def rasterio() -> Any:
     """Import rasterio (the extra `maps`); GDAL_CACHEMAX in the environment takes precedence over our limit."""
     os.environ.setdefault("GDAL_CACHEMAX", _CACHE_MEGABYTES)
     import rasterio
+    import rasterio.shutil
     import rasterio.warp
 
     # GDAL's messages would add to ours.
     logging.getLogger("rasterio").setLevel(logging.CRITICAL)
     return rasterio
+
+
+@cache
+def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
+    """Return the classes of rasterio's errors, and others; GDAL's own do not derive from rasterio's public one."""
+    from rasterio._err import CPLE_BaseError
+
+    return rasterio().errors.RasterioError, CPLE_BaseError, *others
 
 
 def open_raster(path: Path) -> Any:
@@ -45,7 +54,7 @@ def open_raster(path: Path) -> Any:
         warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
         try:
             return library.open(path)
-        except library.errors.RasterioError as error:
+        except failures() as error:
             raise DataError(
                 f"{shown} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
                 ".mbtiles of pictures."
@@ -59,7 +68,7 @@ def transform(source: Any, target: Any, x: Any, y: Any) -> tuple[Any, Any]:
     library = rasterio()
     try:
         xs, ys = library.warp.transform(source, target, x, y)
-    except library.errors.RasterioError:  # no operation between the two
+    except failures():  # no operation between the two
         return np.full(len(x), np.inf), np.full(len(x), np.inf)
     return np.array(xs, np.float64), np.array(ys, np.float64)
 

@@ -17,7 +17,7 @@ from lpn.maps.window import Window
 
 # Side of the blocks in which a picture is cut, which bounds the memory.
 _BLOCK = 512
-# Longest side of the coverage.
+# Most cells of the coverage along the longer side.
 _COVERAGE = 1024
 # Widest map in metres: grid north and scale of one frame would be too far off.
 _MAX_WIDTH = 400_000.0
@@ -101,7 +101,7 @@ class Map:
             size: side in metres.
             step: metres from one centre to the next.
             min_valid: least share of a window's ground that the map shows, 0 to 1. Shares are computed on the coverage, which
-                has 1024 cells along the map's longer side.
+                has up to 1024 cells along the map's longer side.
 
         Raises:
             InputError: if a number is out of range.
@@ -135,7 +135,7 @@ class Map:
     def valid_shares(self, centres: Float64Array, size: float) -> Float64Array:
         """Return the share of ground that the map shows in windows, north up, of a size about centres, (N, 2): (N,)."""
         coverage = self.coverage()
-        cell = self._cell()
+        cell = self._side / max(coverage.shape)
         # sums[r, c] is the sum of all cells above row r and left of column c.
         sums = np.pad(coverage.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
         low, high = centres - size / 2, centres + size / 2
@@ -149,7 +149,8 @@ class Map:
         """Return the share of each cell of the map's bounds that is valid, (rows, columns), from 0 to 1, north up."""
         with self._lock:
             if self._coverage is None:
-                valid = self.overview(2 * _COVERAGE)[1]
+                cells = max(1, min(_COVERAGE, math.ceil(self._side / self.resolution)))
+                valid = self.overview(2 * cells)[1]
                 rows, columns = valid.shape
                 even = np.zeros((rows + rows % 2, columns + columns % 2), np.float32)
                 even[:rows, :columns] = valid
@@ -173,9 +174,10 @@ class Map:
         for sheet in self.sheets:
             sheet.raster.close()
 
-    def _cell(self) -> float:
-        """Return the side of a cell of the coverage in metres."""
-        return max(self.bounds[2] - self.bounds[0], self.bounds[3] - self.bounds[1]) / _COVERAGE
+    @property
+    def _side(self) -> float:
+        """The longer side in metres."""
+        return max(self.bounds[2] - self.bounds[0], self.bounds[3] - self.bounds[1])
 
     def _read(self, window: Window, pixels: int, part: tuple[int, int, int, int]) -> tuple[UInt8Array, BoolArray]:
         picture = np.zeros((part[3], part[2], 3), np.uint8)

@@ -6,26 +6,33 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lpn.core.errors import InputError
+from lpn.core.files import printable
+from lpn.maps.folder import NAME, open_folder
 from lpn.maps.map import Map
-from lpn.maps.sources import MapOptions, raster_sheet
+from lpn.maps.sources import MapOptions, files_of, open_sheet
 
 
 def open_map(where: str | Path | Sequence[str | Path], options: MapOptions | None = None) -> Map:
     """Open a map.
 
     Args:
-        where: a georeferenced raster, or several that are sheets of one map.
+        where: a folder of `lpn map`; or what `lpn map` takes: a georeferenced raster, a list of corners, a folder of tiles or
+            of rasters, or several of these, which are sheets of one map.
         options: what is known about the files beyond what they say.
 
     Raises:
         DataError: if a file cannot be read, or has no or an impossible georeference.
-        InputError: if an option is malformed or does not apply.
+        InputError: if an option is malformed, or does not apply.
         ModuleNotFoundError: if rasterio (the extra `maps`) is not installed.
     """
     options = options or MapOptions()
     paths = [Path(where)] if isinstance(where, str | Path) else [Path(path) for path in where]
-    if not paths:
-        raise InputError("A map needs at least one file; found none.")
-    if options.corners is not None and len(paths) > 1:
-        raise InputError(f"Corners belong to one picture, and {len(paths)} files are given; give one.")
-    return Map(paths[0].stem, [raster_sheet(path, options) for path in paths])
+    for path in paths:
+        if (path / NAME).is_file():
+            if len(paths) > 1 or options != MapOptions():
+                raise InputError(
+                    f"{printable(str(path))} is a whole map of lpn map; open it alone and without options."
+                )
+            return open_folder(path)
+    files = files_of(paths, options)
+    return Map(files[0].stem, [open_sheet(file, options) for file in files])

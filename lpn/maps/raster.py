@@ -35,10 +35,12 @@ class Raster(Protocol):
     """What a sheet reads: RGB and a mask of a rectangle of pixels.
 
     Attributes:
+        path: the file or folder.
         width, height: in pixels.
         notes: sentences about how the file is read.
     """
 
+    path: Path
     width: int
     height: int
     notes: list[str]
@@ -87,6 +89,7 @@ class GdalRaster:
         treatment: a recorded treatment; None decides one from the file.
         bands: numbers, from 1, of the bands to show, one or three; None takes those marked as colours.
         keep_borders: do not look for white and black borders.
+        name: of the file in notes; by default its own.
 
     Raises:
         DataError: if it cannot be read, its numbers are complex, or it has no valid pixel.
@@ -99,8 +102,10 @@ class GdalRaster:
         treatment: Treatment | None = None,
         bands: Sequence[int] | None = None,
         keep_borders: bool = False,
+        name: str | None = None,
     ) -> None:
         self.path = path
+        self._called = name or path.name
         self.notes: list[str] = []
         self._handles: deque[Any] = deque()
         self._lock = Lock()
@@ -110,11 +115,14 @@ class GdalRaster:
             self._palette = _palette(file)
             flags = file.mask_flag_enums[0]
             self._masked = _gdal.rasterio().enums.MaskFlags.all_valid not in flags
-            self.treatment = treatment or self._bands(file, bands)
+            self._has_nodata = _gdal.rasterio().enums.MaskFlags.nodata in flags
+            self.treatment = self._bands(file, bands)
         if self._dtype.kind == "c":
             raise DataError(f"{self._name} holds complex numbers; expected a picture in grey or colour.")
         if treatment is None:
             self.treatment = self._decided(self.treatment, keep_borders)
+        else:
+            self.treatment, self.notes = treatment, []
 
     def read(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
         """See `Raster.read`."""
@@ -143,7 +151,7 @@ class GdalRaster:
             handle = _gdal.open_raster(self.path)
         try:
             yield handle
-        except _gdal.rasterio().errors.RasterioError as error:
+        except _gdal.failures() as error:
             raise DataError(
                 f"{self._name} is damaged, or changed while it was read ({error}); copy it again."
             ) from error
@@ -170,7 +178,7 @@ class GdalRaster:
             chosen = tuple(others[:3] if len(others) >= 3 else others[:1])
         if len(chosen) + (alpha is not None) < file.count:
             self.notes.append(
-                f"{self.path.name} has {file.count} bands; {', '.join(map(str, chosen))} "
+                f"{self._called} has {file.count} bands; {', '.join(map(str, chosen))} "
                 f"{'are shown as red, green, and blue' if len(chosen) == 3 else 'is shown as grey'}."
             )
         return Treatment(chosen, alpha)
@@ -179,16 +187,17 @@ class GdalRaster:
         """Decide stretch and borders on an overview."""
         self.treatment = chosen
         deep = self._dtype != np.uint8
+        look = not (keep_borders or self._has_nodata or self._palette is not None)
+        if not (deep or look):
+            return chosen
         values, valid = self._overview()
         # Some programs write an alpha band that is opaque everywhere, and white where nothing is known.
-        look = not keep_borders and self._palette is None and bool(valid.all())
+        look = look and bool(valid.all())
         colours: tuple[Literal["white", "black"], ...] = ("black",) if deep else ("white", "black")
         border = tuple(colour for colour in colours if look and self._region(values, colour).any())
         for colour in border:
             region = self._region(values, colour)
-            self.notes.append(
-                f"The {colour} border of {self.path.name} ({region.mean():.0%} of it) is taken as no data."
-            )
+            self.notes.append(f"The {colour} border of {self._called} ({region.mean():.0%} of it) is taken as no data.")
             valid = valid & ~region
         if not valid.any():
             raise DataError(f"{self._name} has no valid pixel; expected a map.")
@@ -198,7 +207,7 @@ class GdalRaster:
             stretch = tuple((low, high if high > low else low + 1) for low, high in limits)
             shown = ", ".join(f"{low:g} to {high:g}" for low, high in stretch)
             self.notes.append(
-                f"{self.path.name} holds {self._dtype} numbers; the percentiles {_PERCENTILES[0]:g} and {_PERCENTILES[1]:g} of "
+                f"{self._called} holds {self._dtype} numbers; the percentiles {_PERCENTILES[0]:g} and {_PERCENTILES[1]:g} of "
                 f"each band ({shown}) become 0 and 255."
             )
         return Treatment(chosen.bands, chosen.alpha, stretch, border)

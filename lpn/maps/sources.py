@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +14,17 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.maps import _gdal
-from lpn.maps.raster import GdalRaster
+from lpn.maps.corners import LISTS, corners_of, read_list
+from lpn.maps.raster import GdalRaster, Treatment
 from lpn.maps.sheet import Sheet
+from lpn.maps.tile_folder import TileFolder, is_tile_folder
 
 # Largest error, in pixels, of the affine transform that stands for ground control points.
 _CONTROL_ERROR = 2.0
+# Metres of Web Mercator around the equator.
+_WEB_MERCATOR = 2 * math.pi * 6_378_137.0
+# Files of a folder that are taken as sheets.
+_SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".vrt", ".mbtiles", ".img")
 
 
 @dataclass(frozen=True)
@@ -37,17 +44,98 @@ class MapOptions:
     keep_borders: bool = False
 
 
-def raster_sheet(path: Path, options: MapOptions) -> Sheet:
-    """Open a raster file with its georeference.
+def files_of(paths: Sequence[Path], options: MapOptions) -> list[Path]:
+    """Return the rasters and tile folders that files and folders stand for.
+
+    A list of corners stands for the pictures that it names, another folder for the rasters in it.
+
+    Raises:
+        DataError: if a file or folder is missing, or holds no map.
+        InputError: if there is none, or an option does not apply to what was found.
+    """
+    if not paths:
+        raise InputError("A map needs at least one file; found none.")
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir() and not is_tile_folder(path):
+            files += _files_in(path)
+        elif path.suffix.lower() == ".csv":
+            files += _listed(path)
+        elif path.exists():
+            files.append(path)
+        else:
+            raise DataError(f"There is no file {printable(str(path))}; check the path.")
+    if options.corners is not None and len(files) > 1:
+        raise InputError(f"Corners belong to one picture, and {len(files)} files are given; give one.")
+    return list(dict.fromkeys(files))
+
+
+def open_sheet(path: Path, options: MapOptions) -> Sheet:
+    """Open a raster file with its georeference, or a folder of tiles.
 
     Raises:
         DataError: if it cannot be read, or has no georeference, or an impossible one.
+        InputError: if an option is malformed, or does not apply.
+    """
+    if path.is_dir():
+        if options != MapOptions():
+            raise InputError(
+                f"{printable(str(path))} is a folder of tiles in Web Mercator; leave CRS, corners, bands, and borders out."
+            )
+        tiles = TileFolder(path)
+        return Sheet(path.name, tiles, parse_crs("EPSG:3857"), tiles.matrix)
+    crs, matrix = georeference(path, options)
+    return raster_sheet(path, path, crs, matrix, options)
+
+
+def raster_sheet(
+    source: Path, path: Path, crs: Any, matrix: Float64Array, options: MapOptions, treatment: Treatment | None = None
+) -> Sheet:
+    """Open a sheet whose georeference is known; `path` is the source itself, or a copy of it."""
+    raster = GdalRaster(path, treatment, options.bands, options.keep_borders, source.name)
+    sheet = Sheet(source.name, raster, crs, matrix)
+    if source.suffix.lower() == ".mbtiles":
+        zoom = round(math.log2(_WEB_MERCATOR / (matrix[0, 0] * 256)))
+        raster.notes.append(f"{source.name} is shown at zoom {zoom}, its deepest.")
+    return sheet
+
+
+def georeference(path: Path, options: MapOptions) -> tuple[Any, Float64Array]:
+    """Return the CRS of a raster file and the (2, 3) matrix from its columns and rows to coordinates.
+
+    Raises:
+        DataError: if the file has none, or cannot be read.
         InputError: if an option is malformed.
     """
     with _gdal.open_raster(path) as file:
-        crs, matrix = _georeference(path, file, options)
-    raster = GdalRaster(path, bands=options.bands, keep_borders=options.keep_borders)
-    return Sheet(path.name, raster, crs, matrix)
+        return _georeference(path, file, options)
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """Return the rasters of a folder: those of its list of corners, else those that look like rasters."""
+    for name in LISTS:
+        if (folder / name).is_file():
+            return _listed(folder / name)
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
+    if not found:
+        inside = ", ".join(sorted(printable(path.name) for path in folder.iterdir())[:5]) or "nothing"
+        raise DataError(
+            f"{printable(str(folder))} holds {inside}; expected GeoTIFF files, pictures with world files, tiles "
+            "{z}/{x}/{y}.png, or map.csv."
+        )
+    return found
+
+
+def _listed(path: Path) -> list[Path]:
+    """Return the pictures that a list of corners names, which lie beside it."""
+    files = [path.parent / name for name in read_list(path)]
+    missing = [file.name for file in files if not file.is_file()]
+    if missing:
+        raise DataError(
+            f"{len(missing)} of {len(files)} pictures of {printable(str(path))} are not beside it, the first being "
+            f"{printable(missing[0])}; add them, or give the pictures themselves, which find their line."
+        )
+    return files
 
 
 def parse_crs(text: str) -> Any:
@@ -59,7 +147,7 @@ def parse_crs(text: str) -> Any:
     library = _gdal.rasterio()
     try:
         return library.crs.CRS.from_user_input(f"EPSG:{text}" if text.isdecimal() else text)
-    except (library.errors.RasterioError, ValueError) as error:
+    except _gdal.failures(ValueError) as error:
         raise InputError(f"There is no CRS {printable(text)[:100]!r}; expected one such as EPSG:32632.") from error
 
 
@@ -70,6 +158,8 @@ def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Floa
             raise InputError("Corners are latitudes and longitudes; give --corners or --crs, not both.")
         return _from_corners(options.corners, file.width, file.height, "--corners")
     matrix = _matrix(path, file)
+    if matrix is None and (known := corners_of(path)) is not None:
+        return _from_corners(known[0], file.width, file.height, known[1])
     if matrix is None:
         raise DataError(
             f"{printable(str(path))} has no georeference: it is no GeoTIFF, and no world file lies beside it; add one, or give "
@@ -126,7 +216,7 @@ def _projection_file(path: Path) -> Any:
     library = _gdal.rasterio()
     try:
         return library.crs.CRS.from_wkt(found.read_text("utf-8-sig"), morph_from_esri_dialect=True)
-    except (OSError, ValueError, library.errors.RasterioError) as error:
+    except _gdal.failures(OSError, ValueError) as error:
         raise DataError(
             f"{printable(str(found))} holds no coordinate reference system that can be read; give --crs."
         ) from error

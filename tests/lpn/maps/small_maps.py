@@ -25,7 +25,7 @@ def write_geotiff(
     path: Path,
     values: AnyArray,
     crs: str | None = "EPSG:32632",
-    matrix: tuple[float, ...] = (0.5, 0, EAST, 0, -0.5, NORTH),
+    matrix: tuple[float, ...] | None = (0.5, 0, EAST, 0, -0.5, NORTH),
     **options: Any,
 ) -> Path:
     """Write (height, width, bands) values with a transform from columns and rows to coordinates."""
@@ -33,7 +33,9 @@ def write_geotiff(
 
     profile = {"driver": "GTiff", "height": values.shape[0], "width": values.shape[1], "count": values.shape[2]}
     if crs is not None:
-        profile |= {"crs": crs, "transform": rasterio.Affine(*matrix)}
+        profile["crs"] = crs
+    if matrix is not None:
+        profile["transform"] = rasterio.Affine(*matrix)
     with rasterio.open(path, "w", dtype=values.dtype, **profile, **options) as file:
         file.write(np.moveaxis(values, 2, 0))
     return path

@@ -1,0 +1,265 @@
+"""The folder of a map: map.json, the coverage, and copies or overviews of sheets that would be slow to read.
+
+    map.json            format, frame, and for each sheet its file, CRS, transform, and treatment; written last
+    coverage.png        share of each cell that is valid, 0 to 255
+    sheets/01.vrt       a large sheet without overviews, beside 01.vrt.ovr with its overviews
+    sheets/02.tif       a tiled copy, with overviews, of a large sheet whose file must be read from its beginning
+
+Other sheets are read where they are: map.json names them relative to its own folder.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import msgspec
+import numpy as np
+
+from lpn.core import formats
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import DataError, OutputError
+from lpn.core.files import check_writable, printable, write_atomic
+from lpn.maps import _gdal
+from lpn.maps.frame import LocalFrame
+from lpn.maps.map import Map
+from lpn.maps.raster import GdalRaster, Treatment
+from lpn.maps.sheet import Sheet
+from lpn.maps.sources import MapOptions, files_of, georeference, open_sheet, parse_crs, raster_sheet
+from lpn.maps.tile_folder import TileFolder
+
+NAME = "map.json"
+FORMAT = "lpn-map/1"
+_COVERAGE = "coverage.png"
+_SHEETS = "sheets"
+# Sides above which a sheet gets overviews, and the side of the coarsest overview.
+_LARGE, _COARSEST = 2048, 512
+# Pixels above which a file that is not tiled is copied.
+_MAX_UNTILED = 25_000_000
+
+
+class SheetRecord(msgspec.Struct, frozen=True):
+    """A sheet in map.json.
+
+    Attributes:
+        name: of the file that was given.
+        file: what is read, relative to the folder where that is possible.
+        kind: a raster file, or a folder of tiles.
+        crs: EPSG code or WKT.
+        transform: from column and row to coordinates, row by row.
+        width, height: in pixels.
+        treatment: None for tiles.
+        notes: sentences about how it is read.
+    """
+
+    name: str
+    file: str
+    kind: Literal["raster", "tiles"]
+    crs: str
+    transform: tuple[float, float, float, float, float, float]
+    width: int
+    height: int
+    treatment: Treatment | None
+    notes: list[str]
+
+
+class MapRecord(msgspec.Struct, frozen=True):
+    """The contents of map.json; latitude and longitude are the origin of the frame."""
+
+    format: str
+    name: str
+    latitude: float
+    longitude: float
+    sheets: list[SheetRecord]
+
+
+def build_map(
+    paths: Sequence[Path],
+    out: Path,
+    options: MapOptions | None = None,
+    on_progress: Callable[[str], None] = lambda _: None,
+) -> Map:
+    """Write the folder of a map, and return the map.
+
+    Args:
+        paths: see `lpn.maps.open_map`.
+        out: new or empty folder, or one of an earlier map, which is replaced.
+        options: what is known about the files beyond what they say.
+        on_progress: called with a sentence before each long step.
+
+    Raises:
+        DataError: if a file cannot be read, or has no or an impossible georeference; nothing is written.
+        InputError: if an option is malformed, or does not apply; nothing is written.
+        OutputError: if the folder holds other files, or cannot be written.
+    """
+    options = options or MapOptions()
+    files = files_of(paths, options)
+    _check_folder(out)
+    places = [None if file.is_dir() else georeference(file, options) for file in files]
+    _check_places(files, places, options)
+    check_writable(out / NAME)
+    with suppress(FileNotFoundError):
+        (out / NAME).unlink()
+    sheets, kept = [], set()
+    for number, (file, place) in enumerate(zip(files, places, strict=True), 1):
+        if place is None:
+            sheets.append(open_sheet(file, options))
+            continue
+        path = _prepared(file, out / _SHEETS / f"{number:02d}", on_progress)
+        kept |= {path.name, f"{path.name}.ovr"}
+        sheets.append(raster_sheet(file, path, *place, options))
+    if (out / _SHEETS).is_dir():
+        for path in (out / _SHEETS).iterdir():
+            if path.name not in kept:
+                path.unlink()
+    found = Map(files[0].stem, sheets)
+    on_progress("Looking where the map has data.")
+    coverage = np.rint(found.coverage() * 255).astype(np.uint8)
+    write_atomic(out / _COVERAGE, cv2.imencode(".png", coverage)[1].tobytes())
+    record = MapRecord(
+        FORMAT, found.name, found.frame.latitude, found.frame.longitude, [_record(sheet, out) for sheet in found.sheets]
+    )
+    write_atomic(out / NAME, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
+    return found
+
+
+def open_folder(folder: Path) -> Map:
+    """Open the folder of a map.
+
+    Raises:
+        DataError: if map.json is damaged, or a sheet is missing or has changed.
+    """
+    path = folder / NAME
+    shown = printable(str(path))
+    try:
+        record = formats.decode_json(path.read_bytes(), MapRecord, shown, FORMAT, DataError)
+    except OSError as error:
+        raise DataError(f"{shown} cannot be read ({error.strerror or error}); check its permissions.") from error
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{shown} is damaged, or no map; write it again with lpn map.") from error
+    sheets = [_opened(folder, sheet) for sheet in record.sheets]
+    if not sheets:
+        raise DataError(f"{shown} names no sheet; write it again with lpn map.")
+    coverage = cv2.imdecode(np.fromfile(folder / _COVERAGE, np.uint8), cv2.IMREAD_GRAYSCALE) if _has(folder) else None
+    frame = LocalFrame(record.latitude, record.longitude)
+    return Map(record.name, sheets, frame, None if coverage is None else (coverage / 255).astype(np.float32))
+
+
+def _has(folder: Path) -> bool:
+    path = folder / _COVERAGE
+    return path.is_file() and path.stat().st_size > 0
+
+
+def _record(sheet: Sheet, out: Path) -> SheetRecord:
+    path = sheet.raster.path.resolve()
+    try:
+        file = Path(os.path.relpath(path, out.resolve())).as_posix()
+    except ValueError:  # another drive
+        file = str(path)
+    code = sheet.crs.to_epsg()
+    a, b, c, d, e, f = sheet.matrix.ravel().tolist()
+    raster = sheet.raster
+    return SheetRecord(
+        sheet.name,
+        file,
+        "tiles" if isinstance(raster, TileFolder) else "raster",
+        f"EPSG:{code}" if code else sheet.crs.to_wkt(),
+        (a, b, c, d, e, f),
+        raster.width,
+        raster.height,
+        raster.treatment if isinstance(raster, GdalRaster) else None,
+        raster.notes,
+    )
+
+
+def _opened(folder: Path, record: SheetRecord) -> Sheet:
+    path = folder / record.file
+    shown = printable(str(path))
+    if not path.exists():
+        raise DataError(
+            f"The map {printable(str(folder))} needs {shown}, which is not there; bring it back, or write the map "
+            "again with lpn map."
+        )
+    raster = TileFolder(path) if record.kind == "tiles" else GdalRaster(path, record.treatment)
+    if (raster.width, raster.height) != (record.width, record.height):
+        raise DataError(
+            f"{shown} has {raster.width} x {raster.height} pixels, and {NAME} says {record.width} x {record.height}; it changed, "
+            "so write the map again with lpn map."
+        )
+    raster.notes = list(record.notes)
+    matrix: Float64Array = np.array(record.transform).reshape(2, 3)
+    return Sheet(record.name, raster, parse_crs(record.crs), matrix)
+
+
+def _check_folder(out: Path) -> None:
+    """Raise OutputError if the folder holds anything but a map."""
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"{printable(str(out))} is a file; choose another place for the map.")
+    if out.is_dir() and not (out / NAME).exists():
+        others = sorted(path.name for path in out.iterdir() if path.name not in (_COVERAGE, _SHEETS))
+        if others:
+            raise OutputError(
+                f"{printable(str(out))} holds other files, such as {printable(others[0])}, and no {NAME}; choose another folder "
+                "for the map."
+            )
+
+
+def _check_places(
+    files: Sequence[Path], places: Sequence[tuple[Any, Float64Array] | None], options: MapOptions
+) -> None:
+    """Refuse what cannot be a map before any long work: bands and treatments are left open."""
+    sheets = [
+        open_sheet(file, options) if place is None else raster_sheet(file, file, *place, options, Treatment((1,)))
+        for file, place in zip(files, places, strict=True)
+    ]
+    Map(files[0].stem, sheets).close()
+
+
+def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) -> Path:
+    """Return the file to read a sheet from: the source, a tiled copy of it, or a VRT with overviews."""
+    with _gdal.open_raster(source) as file:
+        width, height = int(file.width), int(file.height)
+        tiled = file.block_shapes[0][1] < width or len(file.overviews(1)) > 0
+        has_overviews = bool(file.overviews(1)) or max(width, height) <= _LARGE
+        paletted = file.colorinterp[0].name == "palette"
+    copied = not tiled and width * height > _MAX_UNTILED
+    if has_overviews and not copied:
+        return source
+    library = _gdal.rasterio()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    suffix = ".tif" if copied else ".vrt"
+    part, whole = target.with_suffix(f".part{suffix}"), target.with_suffix(suffix)
+    options = {}
+    if copied:
+        options = {
+            "TILED": "YES",
+            "BLOCKXSIZE": "512",
+            "BLOCKYSIZE": "512",
+            "COMPRESS": "DEFLATE",
+            "BIGTIFF": "IF_SAFER",
+        }
+    factors = [1 << i for i in range(1, 20) if max(width, height) >> (i - 1) > _COARSEST]
+    method = library.enums.Resampling.nearest if paletted else library.enums.Resampling.average
+    try:
+        with library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
+            if copied:
+                on_progress(f"Copying {printable(source.name)} into tiles: its own file is slow to read in windows.")
+            library.shutil.copy(str(source.resolve()), str(part), driver="GTiff" if copied else "VRT", **options)
+            on_progress(f"Making overviews of {printable(source.name)}.")
+            with library.open(part, "r+") as file:
+                file.build_overviews(factors, method)
+    except _gdal.failures() as error:
+        raise OutputError(
+            f"{printable(str(whole))} cannot be written ({printable(str(error))[:200]}); free space, or check "
+            f"{printable(source.name)}."
+        ) from error
+    for end in (".ovr", ""):
+        with suppress(FileNotFoundError):
+            os.replace(f"{part}{end}", f"{whole}{end}")
+    return whole

@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lpn.cli.main import main
+from lpn.core.errors import DataError, InputError, OutputError
+from lpn.maps import Map, MapOptions, Window, open_map
+from lpn.maps.folder import build_map
+from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
+from tests.lpn.maps.test_sources import write_tiles
+
+
+def same(one: Map, other: Map, tolerance: float = 0) -> None:
+    """Check that two maps show the same."""
+    assert (one.name, one.frame, one.notes) == (other.name, other.frame, other.notes)
+    np.testing.assert_allclose(one.bounds, other.bounds)
+    for window, pixels in ((Window(3, 2, 20, 40), 64), (Window(0, 0, 4 * 20), 32)):
+        found, expected = one.read(window, pixels), other.read(window, pixels)
+        np.testing.assert_array_equal(found[1], expected[1])
+        np.testing.assert_allclose(found[0].astype(int), expected[0], atol=tolerance)
+    assert one.windows(20, 10) == other.windows(20, 10)
+
+
+def test_a_map_folder_names_small_sheets_where_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    deep = smooth(200, 200).astype(np.uint16) * 10 + 1000
+    deep[:, :80] = 0
+    (tmp_path / "data").mkdir()
+    first = write_geotiff(tmp_path / "data" / "town.tif", deep)
+    second = write_geotiff(tmp_path / "data" / "next.tif", smooth(200, 200, 1), matrix=(1, 0, EAST + 60, 0, -1, NORTH))
+    out = tmp_path / "maps" / "town"
+    assert main(["map", str(first), str(second), "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "uint16 numbers" in printed
+    assert "from 2 sheets; the finest has 0.5 m per pixel." in printed
+    assert sorted(path.name for path in out.iterdir()) == ["coverage.png", "map.json"]
+    record = json.loads((out / "map.json").read_text())
+    assert [sheet["file"] for sheet in record["sheets"]] == ["../../data/town.tif", "../../data/next.tif"]
+    same(open_map(out), open_map([first, second]))
+    # Both move together.
+    (tmp_path / "elsewhere").mkdir()
+    for name in ("data", "maps"):
+        (tmp_path / name).rename(tmp_path / "elsewhere" / name)
+    assert open_map(tmp_path / "elsewhere" / "maps" / "town").name == "town"
+
+
+def test_options_are_recorded(tmp_path: Path) -> None:
+    Image.fromarray(smooth(100, 100)).save(tmp_path / "a.png")
+    options = ["--corners", "48", "9", "47.9995", "9.0007", "--bands", "2", "--keep_borders"]
+    assert main(["map", str(tmp_path / "a.png"), "--out", str(tmp_path / "map"), *options]) == 0
+    same(
+        open_map(tmp_path / "map"),
+        open_map(tmp_path / "a.png", MapOptions(corners=(48, 9, 47.9995, 9.0007), bands=(2,), keep_borders=True)),
+    )
+
+
+def test_tiles_stay_where_they_are(tmp_path: Path) -> None:
+    tiles = write_tiles(tmp_path / "tiles", 18, 137_700, 90_900, smooth(512, 512))
+    build_map([tiles], tmp_path / "map")
+    same(open_map(tmp_path / "map"), open_map(tiles))
+
+
+def test_a_large_sheet_gets_overviews_beside_map_json(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "a.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
+    before = path.read_bytes()
+    messages: list[str] = []
+    build_map([path], tmp_path / "map", on_progress=messages.append)
+    assert "Making overviews of a.tif." in messages
+    assert sorted(file.name for file in (tmp_path / "map" / "sheets").iterdir()) == ["01.vrt", "01.vrt.ovr"]
+    assert path.read_bytes() == before
+    town = open_map(tmp_path / "map")
+    same(town, open_map(path), 3)
+    whole = (town.overview(400), open_map(path).overview(400))
+    np.testing.assert_allclose(whole[0][0].astype(int), whole[1][0], atol=3)
+
+
+def test_a_large_picture_that_is_not_tiled_is_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lpn.maps import folder
+
+    monkeypatch.setattr(folder, "_MAX_UNTILED", 10_000)
+    path = tmp_path / "a.png"
+    Image.fromarray(smooth(200, 300)).save(path)
+    options = MapOptions(corners=(48.0, 9.0, 47.999, 9.002))
+    build_map([path], tmp_path / "map", options)
+    assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.tif"]
+    path.unlink()
+    town = open_map(tmp_path / "map")
+    Image.fromarray(smooth(200, 300)).save(path)
+    same(town, open_map(path, options))
+
+
+def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Image.fromarray(smooth(60, 60)).save(tmp_path / "bare.png")
+    good = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
+    degrees = write_geotiff(tmp_path / "b.tif", smooth(60, 60), matrix=(7e-6, 0, 9.0, 0, -5e-6, 48.0))
+    out = tmp_path / "map"
+    for files, words in (
+        ([tmp_path / "bare.png"], "no georeference"),
+        ([good, degrees], "look like degrees"),
+        ([tmp_path / "missing.tif"], "There is no file"),
+        ([good, "--bands", "4"], "bands 1 to 3"),
+    ):
+        assert main(["map", *map(str, files), "--out", str(out)]) == 2
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
+        assert not out.exists()
+
+
+def test_a_folder_of_other_files_is_not_written_to(tmp_path: Path) -> None:
+    good = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
+    with pytest.raises(OutputError, match="holds other files"):
+        build_map([good], tmp_path)
+    with pytest.raises(OutputError, match="is a file"):
+        build_map([good], good)
+    build_map([good], tmp_path / "map")
+    (tmp_path / "map" / "map.json").unlink()  # as after a kill
+    build_map([good], tmp_path / "map")
+    build_map([good], tmp_path / "map")  # again
+    assert open_map(tmp_path / "map").name == "a"
+
+
+def test_a_damaged_map_folder_is_refused(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
+    build_map([path], tmp_path / "map")
+    manifest = tmp_path / "map" / "map.json"
+    whole = manifest.read_text()
+    with pytest.raises(InputError, match="open it alone"):
+        open_map([tmp_path / "map", path])
+    for text, words in (
+        (whole.replace("lpn-map/1", "lpn-map/2"), "later version"),
+        (whole[:50], "is damaged"),
+        (json.dumps(json.loads(whole) | {"sheets": []}), "names no sheet"),
+    ):
+        manifest.write_text(text)
+        with pytest.raises(DataError, match=words):
+            open_map(tmp_path / "map")
+    manifest.write_text(whole)
+    write_geotiff(path, smooth(60, 70))
+    with pytest.raises(DataError, match="it changed"):
+        open_map(tmp_path / "map")
+    path.unlink()
+    with pytest.raises(DataError, match="is not there"):
+        open_map(tmp_path / "map")
+
+
+_LARGE = """
+import resource, sys
+import numpy as np
+from lpn.maps import Window, open_map
+town = open_map(sys.argv[1])
+assert town.bounds[2] - town.bounds[0] > 29_990
+rng = np.random.default_rng(0)
+seen = 0
+for size in (100, 400, 3000):
+    for x, y in rng.uniform(-14_000, 14_000, (20, 2)).tolist():
+        seen += town.read(Window(x, y, size, 30), 224)[1].all()
+assert seen == 0
+picture, valid = town.read(Window(0, 0, 500), 1000)
+assert valid.all() and abs(int(picture.mean()) - 100) <= 1, picture.mean()
+picture, valid = town.read(Window(0, 0, 1500), 3000)
+assert abs(valid.mean() - (1024 / 1500) ** 2) < 0.005, valid.mean()
+windows = town.windows(1000, 500, 0.4)
+assert 4 <= len(windows) <= 9, len(windows)
+assert all(town.read(window, 100)[1].mean() > 0.37 for window in windows)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+@pytest.mark.slow
+def test_a_map_of_60_000_pixels_a_side_is_read_in_less_than_a_gigabyte(tmp_path: Path) -> None:
+    import rasterio
+    from rasterio.windows import Window as Pixels
+
+    path, side = tmp_path / "large.tif", 60_000
+    profile = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
+    matrix = rasterio.Affine(0.5, 0, EAST, 0, -0.5, NORTH)
+    options = {"tiled": True, "blockxsize": 512, "blockysize": 512, "sparse_ok": True, "bigtiff": "YES", "nodata": 0}
+    with rasterio.open(path, "w", transform=matrix, **profile, **options) as file:
+        file.write(
+            np.full((3, 2048, 2048), 100, np.uint8), window=Pixels(side // 2 - 1024, side // 2 - 1024, 2048, 2048)
+        )
+    assert path.stat().st_size < 30e6
+    command = [sys.executable, "-c", _LARGE, str(path)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"}, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    unit = 1 if sys.platform == "darwin" else 1024
+    assert int(done.stdout) * unit < 1e9
