@@ -21,7 +21,7 @@ from lpn.retrieval.published_results import check_n_parts
 
 @dataclass
 class EvaluateCommand:
-    """Measure recall and AP by the published protocol, on a test split or on a saved result."""
+    """Measure recall and AP on a test split or a saved result, or the errors in metres of a located flight."""
 
     data: Path | None = None
     """Data set; see docs/evaluation.md for the kinds."""
@@ -52,8 +52,14 @@ class EvaluateCommand:
     """Average all query pictures of a place into one query."""
     whole: bool = False
     """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
+    flight: Path | None = None
+    """Flight, a folder of lpn flight or one of photos, to locate on --map; errors are against its own positions."""
+    map: Path | None = None
+    """Map of --flight: a folder of lpn map, or a georeferenced picture."""
+    prior: float | None = None
+    """Metres around each frame's own position that --flight is registered in without --model; by default the whole map."""
     json: Path | None = None
-    """File to write recall and AP to, as JSON."""
+    """File to write the measures to, as JSON."""
 
     def run(self) -> None:
         from lpn.core.files import check_writable, write_atomic
@@ -62,6 +68,11 @@ class EvaluateCommand:
 
         if self.json is not None:
             check_writable(self.json)
+        if self.flight is not None or self.map is not None:
+            self._evaluate_flight()
+            return
+        if self.prior is not None:
+            raise InputError("A prior belongs to a flight; give --flight and --map with --prior, or leave it out.")
         parts = _numbers(self.parts)
         protocol = Protocol(
             Change(self.rotate, self.shift, self.scale),
@@ -74,6 +85,30 @@ class EvaluateCommand:
         _print_result(title, result)
         if self.json is not None:
             write_atomic(self.json, (json.dumps(result.to_dict(), indent=1) + "\n").encode())
+
+    def _evaluate_flight(self) -> None:
+        from dataclasses import asdict
+
+        from rich.console import Console
+
+        from lpn.cli.locate import locate_files, print_summary
+        from lpn.core.files import write_atomic
+        from lpn.locate.pipeline import LocateOptions
+
+        if self.flight is None or self.map is None:
+            raise InputError("A flight is evaluated on its map; give both --flight and --map.")
+        if self.data is not None or self.saved is not None or self.task is not None:
+            raise InputError("A flight has neither data set nor task; leave --data, --saved, and --task out.")
+        console = Console(width=max(120, Console().width))
+        options = LocateOptions(prior=self.prior)
+        located = locate_files(self.map, self.flight, self.model, self.provider, options, None, console)
+        print_summary(located, console)
+        if self.json is not None:
+            stages = {stage: asdict(found) for stage, found in located.summaries().items()}
+            audit = None if located.audit is None else located.audit.sentence
+            result = {"stages": stages, "retrieval": located.field_measures(), "tags": audit, "notes": located.notes}
+            # A stage without an answer has no median, which JSON cannot express as a number.
+            write_atomic(self.json, (json.dumps(_without_nan(result), indent=1) + "\n").encode())
 
     def _evaluate_saved(self, saved: Path, protocol: Protocol) -> tuple[str, Result]:
         from lpn.retrieval.evaluate import evaluate_saved
@@ -128,6 +163,12 @@ def _print_result(title: str, result: Result) -> None:
         shares = ", ".join(f"{value:.1f} % {key}" for key, value in near.items() if key.startswith("within"))
         median = f"{near['median error m']:.1f} m"
         console.print(f"By geo.csv, the median error of the top match is {median}; the shares of queries are {shares}.")
+
+
+def _without_nan(value: object) -> object:
+    if isinstance(value, dict):
+        return {str(key): _without_nan(entry) for key, entry in value.items()}
+    return None if isinstance(value, float) and value != value else value
 
 
 def _numbers(text: str | None) -> list[int] | None:

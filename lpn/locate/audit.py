@@ -45,7 +45,10 @@ class TagAudit:
         if not self.frames:
             return "No frame has both a tag and a registered position, so the tags were not checked."
         off = f"up to {self.largest:.0f} m off, {self.median:.1f} m in the median"
-        if self.lag is None or self.lag_error is None or abs(self.lag) < 3 * self.lag_error or abs(self.lag) < 0.3:
+        if self.lag is None or self.lag_error is None or self.without_lag is None:
+            return f"The tags of {self.frames} frames are {off}, against registered positions; no lag can be told."
+        # A lag that is as small as its error, or explains nothing, is none.
+        if abs(self.lag) < 3 * self.lag_error or abs(self.lag) < 0.3 or self.without_lag > 0.9 * self.median:
             return f"The tags of {self.frames} frames are {off}, against registered positions; no lag can be told."
         word = "lag" if self.lag > 0 else "are early"
         return (

@@ -1,0 +1,172 @@
+"""The command locate: where each picture of a flight was taken, on a map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import lpn
+from lpn.core.errors import InputError
+from lpn.core.files import check_writable, printable
+from lpn.core.resources import ProviderName
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lpn.locate.pipeline import LocatedFlight, LocateOptions, Progress
+
+
+@dataclass
+class LocateCommand:
+    """Find where each picture of a flight was taken on a map: retrieval, sequence, registration; resumable."""
+
+    map: Path
+    """Map: a folder of lpn map, or a georeferenced picture."""
+    flight: Path
+    """Flight: a folder of lpn flight, or one of photos."""
+    out: Path
+    """Track to write: .geojson, .gpx, .kml, or .csv."""
+    model: Path | None = None
+    """Trained LPN (.onnx, .safetensors, .pth) for retrieval and sequence; without one, registration alone."""
+    provider: ProviderName = "auto"
+    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    sequence: bool = True
+    """Let neighbouring frames correct each other by a hidden Markov model."""
+    register: bool = True
+    """Lay each photo over the map by local features."""
+    matcher: Literal["auto", "xfeat", "sift"] = "auto"
+    """Local features: xfeat (extra register), sift, or auto, which takes xfeat where it is installed."""
+    prior: float | None = None
+    """Metres around each frame's own position that registration searches without a model; by default the whole map."""
+    size: tuple[float, ...] | None = None
+    """Sides of the map's windows in metres; by default chosen from heights and fields of view."""
+    speed: float = 15.0
+    """Metres a second that the flight moves, one standard deviation."""
+    centre: bool = True
+    """Subtract the mean descriptor of each view, which helps a model that has not seen the place."""
+    limit: int | None = None
+    """Number of frames, the first ones of the flight; by default all."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from lpn.locate.tracks import check_suffix, write_track
+
+        check_suffix(self.out)
+        check_writable(self.out)
+        console = Console(width=max(120, Console().width))
+        located = locate_files(self.map, self.flight, self.model, self.provider, self._options(), self.limit, console)
+        write_track(self.out, located.flight.name, located.track())
+        for frame in located.frames:
+            console.print(
+                f"{printable(frame.frame.name)}  {frame.sentence}", highlight=False, soft_wrap=True, markup=False
+            )
+        print_summary(located, console)
+        console.print(f"The track is in {printable(str(self.out))}.", soft_wrap=True, markup=False)
+
+    def resume_hint(self) -> str:
+        """Return how to go on after a stop."""
+        return "Frames that are done are kept; give the same command again."
+
+    def _options(self) -> LocateOptions:
+        from lpn.locate.pipeline import LocateOptions
+
+        return LocateOptions(
+            self.sequence,
+            self.register,
+            self.matcher,
+            self.prior,
+            self.size,
+            centre=self.centre,
+            speed=self.speed,
+        )
+
+
+def locate_files(
+    map_path: Path,
+    flight_path: Path,
+    model: Path | None,
+    provider: ProviderName,
+    options: LocateOptions,
+    limit: int | None,
+    console: Console,
+) -> LocatedFlight:
+    """Open map, flight, and model, and locate the flight, with a progress bar.
+
+    Raises:
+        InputError: if the limit is below 1.
+    """
+    from lpn.flights import open_flight
+    from lpn.locate.pipeline import locate
+    from lpn.maps import open_map
+
+    if limit is not None and limit < 1:
+        raise InputError(f"The limit is {limit} frames; expected 1 or more.")
+    town, flight = open_map(map_path), open_flight(flight_path)
+    flight = replace(flight, frames=flight.frames[:limit])
+    network = None if model is None else lpn.load(model, provider)
+    with _progress(console) as report:
+        return locate(town, flight, network, options, report)
+
+
+def print_summary(located: LocatedFlight, console: Console) -> None:
+    """Print a table of the stages against the tags, and the findings below it."""
+    from rich.table import Table
+
+    summaries = located.summaries()
+    table = Table(
+        title=f"{printable(located.flight.name)} on {printable(located.town.name)}: {len(located.frames)} frames"
+    )
+    columns = (
+        "stage",
+        "accepted",
+        "median m",
+        "p90 m",
+        "<= 5 m",
+        "<= 10 m",
+        "<= 25 m",
+        "<= 50 m",
+        "<= 100 m",
+        "no false",
+    )
+    for name in columns:
+        table.add_column(name, justify="left" if name == "stage" else "right")
+    for stage, found in summaries.items():
+        accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
+        shares = [f"{found.within[m]:.0f} %" for m in sorted(found.within)]
+        numbers = [f"{value:.1f}" if found.answered else "-" for value in (found.median, found.p90)]
+        table.add_row(stage, f"{accepted}", *numbers, *shares, f"{found.coverage_at_zero:.0f} %")
+    console.print(table)
+    console.print(
+        "Errors are against the tags of the flight; shares are of all frames with a tag; 'no false' is the share that can be "
+        "accepted, smallest radius first, before one is more than 50 m off.",
+        soft_wrap=True,
+    )
+    if measured := located.field_measures():
+        console.print(
+            "Retrieval: " + ", ".join(f"{name} {value:.3g}" for name, value in measured.items()), soft_wrap=True
+        )
+    findings = [*located.flight.notes, *located.notes]
+    if located.audit is not None:
+        findings.append(located.audit.sentence)
+    for line in findings:
+        console.print(printable(line), highlight=False, soft_wrap=True, markup=False)
+
+
+@contextmanager
+def _progress(console: Console) -> Iterator[Progress]:
+    """Show a bar for each stage."""
+    from rich.progress import Progress as Bars
+
+    with Bars(console=console, transient=True) as bars:
+        tasks: dict[str, int] = {}
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done)  # type: ignore[arg-type]
+
+        yield report

@@ -1,0 +1,96 @@
+"""Local features of a map, described block by block when a photo needs them."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.locate.matchers import Matcher
+from lpn.locate.registration import Ground, describe_ground
+from lpn.maps import Map, Window
+
+# Side of a block in pixels, its margin, and the most features of a block.
+_SIDE = 1024
+_MARGIN = 24
+_LIMIT = 7500
+# A photo is resized to at most this width, and a map is enlarged at most twice.
+_PHOTO = 900
+_ENLARGED = 2.0
+# Blocks in memory; each holds at most 4 MB.
+_BLOCKS = 96
+# Blocks that one photo may be compared with.
+MAX_BLOCKS = 48
+
+
+class MapFeatures:
+    """Features of the blocks of a map, kept for the frames to come (LRU).
+
+    Args:
+        town: the map.
+        matcher: describes it.
+    """
+
+    def __init__(self, town: Map, matcher: Matcher) -> None:
+        self._map, self.matcher = town, matcher
+        self._blocks: OrderedDict[tuple[int, int, int], Ground] = OrderedDict()
+
+    def resolution(self, width: float) -> float:
+        """Return the metres per pixel at which photos of a ground width are compared: a power of two of the map's half pixel."""
+        finest = self._map.resolution / _ENLARGED
+        return finest * 2.0 ** max(0, math.ceil(math.log2(max(width / _PHOTO / finest, 1e-9))))
+
+    def around(self, centres: Float64Array | None, reach: float, width: float) -> Ground | None:
+        """Return the features of squares of side 2 `reach` about points (K, 2), or of the whole map.
+
+        Returns:
+            None if more than `MAX_BLOCKS` blocks would be needed.
+        """
+        resolution = self.resolution(width)
+        side = _SIDE * resolution
+        west, south, east, north = self._map.bounds
+        columns, rows = max(math.ceil((east - west) / side), 1), max(math.ceil((north - south) / side), 1)
+        if centres is None:
+            if columns * rows > MAX_BLOCKS:
+                return None
+            blocks = {(row, column) for row in range(rows) for column in range(columns)}
+        else:
+            blocks = set()
+            for x, y in centres:
+                left, right = (int((x + d - west) // side) for d in (-reach, reach))
+                top, bottom = (int((north - y - d) // side) for d in (reach, -reach))
+                blocks |= {
+                    (row, column)
+                    for row in range(max(top, 0), min(bottom, rows - 1) + 1)
+                    for column in range(max(left, 0), min(right, columns - 1) + 1)
+                }
+            if len(blocks) > MAX_BLOCKS:
+                return None
+        level = round(math.log2(resolution / self._map.resolution))
+        grounds = [self._block(level, row, column, resolution) for row, column in sorted(blocks)]
+        points = np.concatenate([ground.points for ground in grounds]) if grounds else np.zeros((0, 2))
+        values = np.concatenate([ground.descriptors for ground in grounds]) if grounds else np.zeros((0, 1), np.float32)
+        if centres is None:
+            return Ground(points, values, resolution)
+        near = np.zeros(len(points), bool)
+        for centre in centres:
+            near |= (np.abs(points - centre) <= reach).all(axis=1)
+        return Ground(points[near], values[near], resolution)
+
+    def _block(self, level: int, row: int, column: int, resolution: float) -> Ground:
+        key = (level, row, column)
+        if key not in self._blocks:
+            west, north = self._map.bounds[0], self._map.bounds[3]
+            x, y = west + (column + 0.5) * _SIDE * resolution, north - (row + 0.5) * _SIDE * resolution
+            pixels = _SIDE + 2 * _MARGIN
+            size = pixels * resolution
+            picture, valid = self._map.read(Window(x, y, size), pixels)
+            corner = (x - size / 2, y + size / 2)
+            found = describe_ground(self.matcher, picture, valid, corner, resolution, _LIMIT)
+            self._blocks[key] = found.near(np.array([x, y]), _SIDE * resolution / 2)
+            while len(self._blocks) > _BLOCKS:
+                self._blocks.popitem(last=False)
+        self._blocks.move_to_end(key)
+        return self._blocks[key]

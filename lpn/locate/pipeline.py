@@ -1,0 +1,557 @@
+"""The three stages over a whole flight: retrieval, sequence, registration; resumable, and past frames that cannot be read."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from lpn.core import images
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import DataError, InputError, PictureError
+from lpn.core.files import cache_folder
+from lpn.flights import Flight, Frame, ground_width
+from lpn.flights.cameras import rotation
+from lpn.locate import measures
+from lpn.locate.audit import TagAudit, audit_tags
+from lpn.locate.ground import MAX_BLOCKS, MapFeatures
+from lpn.locate.matchers import MatcherName, open_matcher
+from lpn.locate.registration import Expectation, Registration, register
+from lpn.locate.retrieval import MapRetrieval, frame_identity, map_identity, retrieve
+from lpn.locate.sequence import MotionModel, emissions, smooth
+from lpn.locate.tracks import TrackPoint
+from lpn.maps import Map
+from lpn.models.base import Model
+
+FORMAT = "lpn-locate/1"
+STAGES = ("retrieval", "sequence", "registration")
+Progress = Callable[[str, int, int], None]
+# Ratios between the ground widths that are tried where none is known.
+_WIDTHS = 1.9
+# Frames whose registered widths say how wide the next one is.
+_RECENT = 7
+# Ground widths around a candidate that are searched.
+_AROUND = 0.75
+_TOP = 5
+
+
+@dataclass(frozen=True)
+class LocateOptions:
+    """How a flight is located.
+
+    Attributes:
+        sequence, register: whether these stages run; retrieval runs with a model. The sequence needs retrieval.
+        matcher: of the registration.
+        prior: metres around each frame's tag that registration searches; None uses no tag.
+        sizes: sides of windows in metres; None chooses them from the flight.
+        overlap: of neighbouring windows, 0 to below 1.
+        centre: whether descriptors are centred by view.
+        temperature, floor: of the emissions.
+        speed: of the motion model, metres a second.
+        top: windows that are kept for each frame.
+    """
+
+    sequence: bool = True
+    register: bool = True
+    matcher: MatcherName = "auto"
+    prior: float | None = None
+    sizes: tuple[float, ...] | None = None
+    overlap: float = 0.75
+    centre: bool = True
+    temperature: float = 0.05
+    floor: float = 1e-4
+    speed: float = 15.0
+    top: int = _TOP
+
+    def __post_init__(self) -> None:
+        if self.prior is not None and not 0 < self.prior < math.inf:
+            raise InputError(f"The prior is {self.prior:g} m; expected metres above 0.")
+        if self.top < 1:
+            raise InputError(f"{self.top} windows would be kept for each frame; expected 1 or more.")
+
+
+class WindowRecord(msgspec.Struct, frozen=True):
+    """A ranked window of a frame: its place and side in metres, score, heading, part cosines, and part contributions."""
+
+    x: float
+    y: float
+    size: float
+    score: float
+    heading: float
+    cosines: list[float]
+    shares: list[float]
+
+
+class StageRecord(msgspec.Struct, frozen=True):
+    """One stage's answer for a frame.
+
+    Attributes:
+        accepted: whether the position may be used.
+        sentence: what was found, or why it was refused.
+        x, y: metres east and north in the map's frame: of the camera where `camera`, else of the picture's middle.
+        camera: whether the camera's tilt is known, so that the position is the camera's.
+        radius: 1-sigma radius in metres.
+        heading: of the picture's top in degrees.
+        turn: degrees from the heading that the flight tells to `heading`.
+        width: metres of ground across the picture.
+        inliers: matches that agree.
+        homography: from pixels to metres, 9 numbers by rows.
+    """
+
+    accepted: bool
+    sentence: str
+    x: float | None = None
+    y: float | None = None
+    camera: bool = False
+    radius: float | None = None
+    heading: float | None = None
+    turn: float | None = None
+    width: float | None = None
+    inliers: int | None = None
+    homography: list[float] | None = None
+
+
+@dataclass
+class LocatedFrame:
+    """A frame with the answers of the stages that ran.
+
+    Attributes:
+        frame: of the flight.
+        tag: its position in metres of the map's frame, (2,); None without a tag.
+        stages: answers by stage.
+        windows: best windows of the retrieval.
+    """
+
+    frame: Frame
+    tag: Float64Array | None
+    stages: dict[str, StageRecord] = field(default_factory=dict)
+    windows: list[WindowRecord] = field(default_factory=list)
+
+    def error(self, stage: str) -> float | None:
+        """Return the metres from the tag to a stage's position; None without one of them."""
+        answer = self.stages.get(stage)
+        if answer is None or answer.x is None or answer.y is None or self.tag is None:
+            return None
+        return math.hypot(answer.x - self.tag[0], answer.y - self.tag[1])
+
+    @property
+    def sentence(self) -> str:
+        """What the stages found, in one line."""
+        return " ".join(f"{name.capitalize()}: {answer.sentence}" for name, answer in self.stages.items())
+
+
+@dataclass
+class LocatedFlight:
+    """A flight over a map, located.
+
+    Attributes:
+        flight, town: what was located, and where.
+        frames: in the order of the flight.
+        audit: of the tags against registered positions; None without registration.
+        notes: sentences about the run.
+        retrieval: scores of all windows; None without a model.
+    """
+
+    flight: Flight
+    town: Map
+    frames: list[LocatedFrame]
+    audit: TagAudit | None
+    notes: list[str]
+    retrieval: MapRetrieval | None
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that ran."""
+        return [stage for stage in STAGES if any(stage in located.stages for located in self.frames)]
+
+    def track(self) -> list[TrackPoint]:
+        """Return the track's points, stage by stage."""
+        return [point for stage in self.stages for located in self.frames for point in self._points(located, stage)]
+
+    def _points(self, located: LocatedFrame, stage: str) -> Iterator[TrackPoint]:
+        answer = located.stages.get(stage)
+        if answer is None:
+            return
+        latitude = longitude = None
+        if answer.x is not None and answer.y is not None:
+            latitude, longitude = (float(value) for value in self.town.frame.degrees([(answer.x, answer.y)])[0])
+        time = located.frame.time
+        if time is not None and not self.flight.utc:
+            time = min(time, 1e7)  # since the first picture, which is no time of day
+        yield TrackPoint(
+            located.frame.name,
+            stage,
+            answer.accepted,
+            answer.sentence,
+            time,
+            latitude,
+            longitude,
+            answer.radius,
+            answer.heading,
+            located.error(stage),
+        )
+
+    def summaries(self, limit: float = 50.0) -> dict[str, measures.ErrorSummary]:
+        """Return the errors of each stage against the tags; frames without a tag are left out."""
+        tagged = [located for located in self.frames if located.tag is not None]
+        found = {}
+        for stage in self.stages:
+            errors, radii = [], []
+            for located in tagged:
+                answer, error = located.stages.get(stage), located.error(stage)
+                used = answer is not None and answer.accepted and error is not None
+                errors.append(error if used and error is not None else math.nan)
+                radii.append(math.nan if answer is None or answer.radius is None else answer.radius)
+            found[stage] = measures.summarise(errors, radii, limit)
+        return found
+
+    def field_measures(self) -> dict[str, float]:
+        """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against the tags.
+
+        A window is a hit if it holds the tag. Empty without retrieval or tags.
+        """
+        if self.retrieval is None:
+            return {}
+        rows, hits = [], []
+        for i, located in enumerate(self.frames):
+            if located.tag is None or self.retrieval.frames_described[i] is None:
+                continue
+            order = np.argsort(-self.retrieval.scores(i), kind="stable")[:10]
+            off = self.retrieval.places[order] - located.tag
+            rows.append(np.linalg.norm(off, axis=1))
+            hits.append((np.abs(off) <= self.retrieval.sizes[order, None] / 2).all(axis=1))
+        if not rows:
+            return {}
+        distances = np.array(rows)
+        depths = [k for k in (1, 5, 10) if k <= distances.shape[1]]
+        found = {f"recall@{k}": measures.recall_at(hits, k) for k in depths}
+        found |= {f"sdm@{k}": float(measures.sdm_at(distances, k, measures.GTA_UAV_DECAY).mean()) for k in depths}
+        found |= {f"dis@{k}": float(measures.distance_at(distances, k).mean()) for k in depths}
+        return found | {f"ma@{m}": measures.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}
+
+
+def locate(
+    town: Map,
+    flight: Flight,
+    model: Model | None = None,
+    options: LocateOptions | None = None,
+    on_progress: Progress | None = None,
+) -> LocatedFlight:
+    """Locate the frames of a flight.
+
+    Registered frames are kept in the user's cache, so a run that was killed goes on where it stopped.
+
+    Args:
+        model: for the retrieval; without one, registration searches the whole map, or around the tags with a prior.
+        on_progress: called with a stage, the frames (or windows) done, and their number.
+
+    Raises:
+        InputError: if no stage is left, or the model lacks a view.
+        DataError: if no tag of the flight lies near the map.
+    """
+    options = options or LocateOptions()
+    if model is None and not options.register:
+        raise InputError(
+            "There is nothing to do without a model and without registration; give --model, or allow --register."
+        )
+    tags = town.frame.xy(*flight.degrees.T) if len(flight.frames) else np.zeros((0, 2))
+    frames = [
+        LocatedFrame(frame, None if np.isnan(tag).any() else tag)
+        for frame, tag in zip(flight.frames, tags, strict=True)
+    ]
+    notes = list(_tag_notes(town, frames))
+    found = None
+    if model is not None:
+        found = retrieve(model, town, flight, options.sizes, options.overlap, options.centre, on_progress)
+        _ranked(found, frames, options.top)
+        if options.sequence:
+            _sequenced(found, flight, frames, options)
+    audit = None
+    if options.register:
+        _registered(town, flight, frames, options, model, found, on_progress)
+        answers = [located.stages["registration"] for located in frames]
+        places = np.array(
+            [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64
+        ).reshape(-1, 2)
+        audit = audit_tags(flight.times, tags, places)
+        notes += _turn_notes(frames)
+    return LocatedFlight(flight, town, frames, audit, notes, found)
+
+
+def _tag_notes(town: Map, frames: list[LocatedFrame]) -> Iterator[str]:
+    """Yield sentences about tags and the map; refuse a flight that is elsewhere."""
+    tags = np.array([located.tag for located in frames if located.tag is not None])
+    if len(tags) < len(frames):
+        yield f"{len(frames) - len(tags)} of {len(frames)} frames have no position, so no error is known for them."
+    if not len(tags):
+        return
+    west, south, east, north = town.bounds
+    margin = max(east - west, north - south)
+    off = np.maximum(np.maximum([west, south] - tags, tags - [east, north]), 0).max(axis=1)
+    if (off > margin).all():
+        raise DataError(
+            f"The flight is elsewhere than the map {town.name}: its nearest position is {off.min() / 1000:.1f} km off the map; "
+            "give the map of this flight."
+        )
+    if outside := int((off > 0).sum()):
+        yield f"{outside} of {len(frames)} frames have a position off the map."
+
+
+def _turn_notes(frames: list[LocatedFrame]) -> Iterator[str]:
+    """Yield a sentence about pictures that are turned against their heading."""
+    turned = [
+        located.frame.name
+        for located in frames
+        if (answer := located.stages["registration"]).accepted and answer.turn is not None and abs(answer.turn) > 90
+    ]
+    if turned:
+        one = len(turned) == 1
+        yield (
+            f"{len(turned)} picture{' is' if one else 's are'} turned by about 180 degrees against "
+            f"{'its' if one else 'their'} heading: {', '.join(turned)}."
+        )
+
+
+def _ranked(found: MapRetrieval, frames: list[LocatedFrame], k: int) -> None:
+    """Enter the answers of the retrieval."""
+    for i, located in enumerate(frames):
+        if i in found.broken:
+            located.stages["retrieval"] = StageRecord(False, found.broken[i])
+            continue
+        top = found.top(i, max(k, 2))
+        located.windows = [
+            WindowRecord(
+                float(found.places[w, 0]),
+                float(found.places[w, 1]),
+                float(found.sizes[w]),
+                float(top.scores[j]),
+                float(top.headings[j]),
+                [float(value) for value in top.cosines[j]],
+                [float(value) for value in top.shares[j]],
+            )
+            for j, w in enumerate(top.indices[:k])
+        ]
+        best = located.windows[0]
+        turned = "" if located.frame.heading is not None else f", turned to {best.heading:.0f} degrees"
+        located.stages["retrieval"] = StageRecord(
+            True,
+            f"The best of {len(found.windows)} windows has the score {best.score:.3f}{turned}.",
+            best.x,
+            best.y,
+            heading=best.heading,
+            radius=best.size / 2,
+        )
+
+
+def _sequenced(found: MapRetrieval, flight: Flight, frames: list[LocatedFrame], options: LocateOptions) -> None:
+    """Enter the answers of the sequence."""
+    scores = np.stack([found.scores(i) for i in range(len(frames))])
+    spacing = float(np.median(found.sizes)) * (1 - options.overlap)
+    motion = MotionModel(options.speed, max(spacing, 1.0))
+    track = smooth(emissions(scores, options.temperature, options.floor), found.places, motion.steps(flight.times))
+    for i, located in enumerate(frames):
+        said = "The frame cannot be read; its neighbours place it." if i in found.broken else track.sentence(i)
+        located.stages["sequence"] = StageRecord(
+            True,
+            said,
+            float(track.positions[i, 0]),
+            float(track.positions[i, 1]),
+            radius=float(np.hypot(track.radii[i], spacing / 2)),
+        )
+
+
+def _registered(
+    town: Map,
+    flight: Flight,
+    frames: list[LocatedFrame],
+    options: LocateOptions,
+    model: Model | None,
+    found: MapRetrieval | None,
+    on_progress: Progress | None,
+) -> None:
+    """Enter the answers of the registration, those of a killed run from its records."""
+    matcher = open_matcher(options.matcher)
+    features = MapFeatures(town, matcher)
+    # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
+    key = [FORMAT, map_identity(town), matcher.name, asdict(replace(options, top=_TOP)), model and model.fingerprint]
+    records = _Records(cache_folder() / "locate" / "registration" / _digest([*key, flight.name]))
+    widths: list[float] = []
+    ratios: list[float] = []
+    trail = _digest(key)
+    for i, located in enumerate(frames):
+        # An answer depends on the frames before it, whose widths it takes over.
+        trail = _digest([trail, frame_identity(located.frame), _plain(located.frame), _candidates(located, options)])
+        answer = records.get(trail)
+        if answer is None:
+            answer = _register_frame(town, features, located, options, widths, ratios, found)
+            records.append(trail, answer)
+        located.stages["registration"] = answer
+        if answer.accepted and answer.width is not None:
+            widths.append(answer.width)
+            if (expected := ground_width(located.frame)) is not None:
+                ratios.append(answer.width / expected)
+        if on_progress is not None:
+            on_progress("registration", i + 1, len(frames))
+
+
+def _candidates(located: LocatedFrame, options: LocateOptions) -> list[list[float]] | None:
+    """Return places (K, 2) about which a frame is searched; None for the whole map."""
+    if (answer := located.stages.get("sequence")) is not None and answer.x is not None and answer.y is not None:
+        return [[answer.x, answer.y]] + [[window.x, window.y] for window in located.windows[:2]]
+    if located.windows:
+        return [[window.x, window.y] for window in located.windows]
+    if options.prior is not None and located.tag is not None:
+        return [[float(located.tag[0]), float(located.tag[1])]]
+    return None
+
+
+def _register_frame(
+    town: Map,
+    features: MapFeatures,
+    located: LocatedFrame,
+    options: LocateOptions,
+    widths: list[float],
+    ratios: list[float],
+    found: MapRetrieval | None,
+) -> StageRecord:
+    """Register one frame, and describe the answer in a sentence."""
+    frame = located.frame
+    try:
+        photo = images.load_picture(frame.file)
+    except PictureError as error:
+        return StageRecord(False, str(error))
+    places = _candidates(located, options)
+    if options.prior is not None and located.tag is None and found is None:
+        return StageRecord(
+            False, "The frame has no position to search around; leave --prior out to search the whole map."
+        )
+    centres = None if places is None else np.array(places)
+    told = ground_width(frame)
+    if told is not None and ratios:
+        told *= float(np.median(ratios[-_RECENT:]))
+    best: Registration | None = None
+    for width, known in _tried_widths(town, told, widths):
+        reach = _AROUND * width + (options.prior or 0.0 if found is None else 0.5 * float(np.median(found.sizes)))
+        ground = features.around(centres, reach, width)
+        if ground is None:
+            return StageRecord(
+                False,
+                f"More than {MAX_BLOCKS} blocks of {town.name} would have to be searched for this photo; give --model, or "
+                "--prior with the metres around the tag.",
+            )
+        expected = Expectation(width if known else None, frame.heading)
+        answer = register(features.matcher, photo, ground, expected, [width], town.bounds)
+        if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
+            best = answer
+        if answer.accepted:
+            break
+    assert best is not None
+    return _record(frame, photo.shape[1::-1], best, options.prior if found is None else None)
+
+
+def _tried_widths(town: Map, told: float | None, widths: list[float]) -> Iterator[tuple[float, bool]]:
+    """Yield ground widths to try, and whether each is known: that of the height, that of the frames before, or a range."""
+    if told is not None:
+        yield told, True
+        if not widths:  # the height may be that above take-off
+            yield told, False
+        return
+    if widths:
+        yield float(np.median(widths[-_RECENT:])), True
+    largest = 0.8 * min(town.bounds[2] - town.bounds[0], town.bounds[3] - town.bounds[1])
+    width = min(largest, 400.0)
+    for _ in range(4):
+        yield width / 1.3, False
+        width /= _WIDTHS
+
+
+def _record(frame: Frame, size: tuple[int, int], found: Registration, prior: float | None) -> StageRecord:
+    """Return the record of a registration."""
+    how = f" The search used the tag: it covered {prior:g} m around it." if prior is not None else ""
+    if found.centre is None or found.homography is None:
+        return StageRecord(False, found.reason + how)
+    place, camera = found.centre, False
+    if (nadir := nadir_pixel(frame, size)) is not None:
+        pixel = np.array(nadir)
+        if found.turned:  # the file was turned after it was taken
+            pixel = np.array([size[0] - 1.0, size[1] - 1.0]) - pixel
+        place, camera = found.to_metres(pixel[None])[0], True
+    sentence = found.reason
+    if found.accepted:
+        agreed = f"{found.inliers} matches of {found.matcher} agree on a {found.model}"
+        sentence = f"{agreed}; the 1-sigma radius is {found.radius:.1f} m."
+        if found.turned:
+            sentence += f" The picture is turned by {abs(found.turn or 0):.0f} degrees against its heading."
+    return StageRecord(
+        found.accepted,
+        sentence + how,
+        float(place[0]),
+        float(place[1]),
+        camera,
+        found.radius,
+        found.heading,
+        found.turn,
+        found.width,
+        found.inliers,
+        [float(value) for value in found.homography.ravel()],
+    )
+
+
+def nadir_pixel(frame: Frame, size: tuple[int, int]) -> tuple[float, float] | None:
+    """Return the pixel (column, row) of the point below the camera, which may lie outside of the picture.
+
+    Args:
+        size: width and height of the picture in pixels.
+
+    Returns:
+        None if pitch, roll, or field of view is unknown, or the camera looks less than 30 degrees down.
+    """
+    if frame.pitch is None or frame.roll is None or frame.fov is None:
+        return None
+    top, right, axis = rotation(0.0, frame.pitch, frame.roll)[2]
+    if axis < 0.5:
+        return None
+    focal = size[0] / 2 / math.tan(math.radians(frame.fov) / 2)
+    return (size[0] - 1) / 2 + focal * right / axis, (size[1] - 1) / 2 - focal * top / axis
+
+
+class _Records:
+    """Answers of frames in a file of lines, appended one by one; a line that a kill cut short is left out."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file.with_suffix(".jsonl")
+        self._found: dict[str, StageRecord] = {}
+        try:
+            lines = self._file.read_bytes().splitlines()
+        except OSError:
+            return
+        for line in lines:
+            try:
+                trail, answer = msgspec.json.decode(line, type=tuple[str, StageRecord])
+            except (msgspec.MsgspecError, ValueError):
+                continue
+            self._found[trail] = answer
+
+    def get(self, trail: str) -> StageRecord | None:
+        return self._found.get(trail)
+
+    def append(self, trail: str, answer: StageRecord) -> None:
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        with self._file.open("ab") as file:
+            # A line that was cut short must not swallow this one.
+            file.write(b"\n" + msgspec.json.encode((trail, answer)) + b"\n")
+
+
+def _plain(frame: Frame) -> dict[str, Any]:
+    return {key: value for key, value in asdict(frame).items() if key != "file"}
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:24]

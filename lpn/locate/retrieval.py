@@ -1,0 +1,298 @@
+"""Retrieval over a map: windows and frames described by an LPN, and windows ranked for each frame.
+
+A frame is turned north-up, cut to a square that shows as much ground as a window of the pyramid, and described as a drone
+picture; windows are described as satellite tiles. Where its width on the ground is unknown, a frame is compared with windows
+of all sizes; where its heading is unknown, it is described at several turns.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+
+from lpn.core import images
+from lpn.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
+from lpn.core.errors import InputError
+from lpn.core.files import cache_folder, write_atomic
+from lpn.core.views import View
+from lpn.descriptors.parallel_inference import describe_each
+from lpn.flights import Flight, Frame, ground_width
+from lpn.maps import Map, Window
+from lpn.models.base import Model
+from lpn.retrieval import scoring
+
+# The square that is cut from a frame, as a share of its shorter side. Its corners leave the picture at some headings.
+CUT = 0.85
+# Windows and pictures of one file in the cache, which is what a killed run loses.
+_CHUNK = 256
+# Ratio of one size of the pyramid to the next, and the most sizes without a known width.
+_PYRAMID = 1.4
+_SIZES = 5
+# Headings that are tried where none is known.
+_TURNS = 8
+_FORMAT = "lpn-locate-descriptors/1"
+
+
+@dataclass(frozen=True, eq=False)
+class RankedWindows:
+    """Windows of a map in the order of their score for one frame.
+
+    Attributes:
+        indices: windows, best first, (K,) int64.
+        scores: weighted mean cosines, (K,) float64.
+        headings: degrees at which the frame scored best, (K,) float64.
+        cosines: of each part, (K, n) float32.
+        shares: each part's contribution to the squared distance 2 - 2 score, (K, n) float32.
+    """
+
+    indices: Int64Array
+    scores: Float64Array
+    headings: Float64Array
+    cosines: Float32Array
+    shares: Float32Array
+
+
+@dataclass(frozen=True, eq=False)
+class MapRetrieval:
+    """Scores of all windows for all frames.
+
+    Attributes:
+        windows: of the map.
+        places: their centres in metres, (W, 2) float64.
+        sizes: their sides in metres, (W,) float64.
+        windows_described: (W, n, D) float32.
+        frames_described: of each frame, (headings, n, D) float32; None if it cannot be read.
+        headings: degrees at which each frame was described.
+        levels: the size of windows that each frame was cut for; NaN if all sizes are compared.
+        broken: the error of each frame that cannot be read.
+    """
+
+    windows: list[Window]
+    places: Float64Array
+    sizes: Float64Array
+    windows_described: Float32Array
+    frames_described: list[Float32Array | None]
+    headings: list[list[float]]
+    levels: Float64Array
+    broken: dict[int, str]
+
+    def scores(self, frame: int) -> Float64Array:
+        """Return the score of each window, (W,), the best heading counting; windows of other sizes get the lowest score."""
+        return self._scored(frame)[0]
+
+    def _scored(self, frame: int) -> tuple[Float64Array, Int64Array]:
+        described = self.frames_described[frame]
+        if described is None:
+            return np.zeros(len(self.windows)), np.zeros(len(self.windows), np.int64)
+        flat = self.windows_described.reshape(len(self.windows), -1)
+        scores = (flat @ described.reshape(len(described), -1).T).astype(np.float64)
+        best = scores.argmax(axis=1)
+        values = scores.max(axis=1)
+        other = np.zeros(len(values), bool) if np.isnan(self.levels[frame]) else self.sizes != self.levels[frame]
+        values[other] = values.min()
+        return values, best
+
+    def top(self, frame: int, k: int) -> RankedWindows:
+        """Return the k best windows of a frame with the contributions of their parts."""
+        values, best = self._scored(frame)
+        order = np.argsort(-values, kind="stable")[:k]
+        described = self.frames_described[frame]
+        n = self.windows_described.shape[1]
+        if described is None:
+            none = np.zeros((0, n), np.float32)
+            return RankedWindows(order[:0], values[:0], values[:0], none, none)
+        cosines = np.stack(
+            [scoring.part_cosines(described[best[i]], self.windows_described[i : i + 1])[0] for i in order]
+        )
+        headings = np.array([self.headings[frame][best[i]] for i in order])
+        return RankedWindows(
+            order, values[order], headings, cosines, scoring.contributions(cosines, scoring.part_weights(n))
+        )
+
+
+def pyramid_sizes(town: Map, frames: Sequence[Frame]) -> list[float]:
+    """Return sides of windows in metres: those that frames of known width show, else sizes from small to most of the map."""
+    cuts = [cut for frame in frames if (cut := cut_size(frame)) is not None]
+    if cuts:
+        low, high = np.log(np.quantile(cuts, (0.02, 0.98)))
+        count = int(np.ceil((high - low) / np.log(_PYRAMID))) or 1
+        return [float(size) for size in np.exp(low + (np.arange(count) + 0.5) * (high - low) / count)]
+    side = 0.6 * min(town.bounds[2] - town.bounds[0], town.bounds[3] - town.bounds[1])
+    largest = min(side, 300.0)
+    return [largest / _PYRAMID**i for i in reversed(range(_SIZES))]
+
+
+def cut_size(frame: Frame) -> float | None:
+    """Return the side in metres of the square that is cut from a frame; None if its width on the ground is unknown."""
+    width = ground_width(frame)
+    return None if width is None else CUT * min(1.0, frame.height / frame.width) * width
+
+
+def cut_square(picture: UInt8Array, heading: float, share: float, pixels: int) -> UInt8Array:
+    """Turn a photo north-up and cut a square from its middle, (pixels, pixels, 3); beyond its edges it is mirrored.
+
+    Args:
+        heading: of the picture's top, degrees clockwise from north.
+        share: of the picture's width that the square's side shows.
+    """
+    height, width = picture.shape[:2]
+    side = share * width
+    # Pixels are averaged before they are turned, so that fine texture does not alias.
+    shrink = max(int(side / pixels), 1)
+    if shrink > 1:
+        size = (max(width // shrink, 1), max(height // shrink, 1))
+        picture = cast(UInt8Array, cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+        side *= size[0] / width
+        height, width = picture.shape[:2]
+    scale = pixels / side
+    matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), -heading, scale)
+    matrix[:, 2] += ((pixels - width) / 2, (pixels - height) / 2)
+    turned = cv2.warpAffine(
+        picture, matrix, (pixels, pixels), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
+    )
+    return cast(UInt8Array, turned)
+
+
+def retrieve(
+    model: Model,
+    town: Map,
+    flight: Flight,
+    sizes: Sequence[float] | None = None,
+    overlap: float = 0.75,
+    centre: bool = True,
+    on_progress: Callable[[str, int, int], None] | None = None,
+) -> MapRetrieval:
+    """Describe windows and frames, from the user's cache where they were described before.
+
+    Args:
+        sizes: sides of windows in metres; by default those of `pyramid_sizes`.
+        overlap: share of a window's side that its neighbour covers, too.
+        centre: subtract the mean descriptor of the windows and that of the frames, part by part, which makes up for a difference
+            of views that the model has not seen.
+        on_progress: called with "windows" or "frames", the number described, and the total.
+
+    Raises:
+        InputError: if the model lacks a view, or no window of the map has data.
+    """
+    query: View = "drone" if "drone" in model.views else "satellite"
+    model.check_view("satellite")
+    chosen = sorted(sizes or pyramid_sizes(town, flight.frames))
+    windows = town.pyramid(chosen, overlap)
+    if not windows:
+        raise InputError(
+            f"No window of {chosen[0]:.0f} m or more fits on the map {town.name}; give a smaller size of windows with --size."
+        )
+    side = max(model.input_size)
+
+    def of_window(window: Window) -> Float32Array:
+        return model.prepare(town.read(window, side)[0], "satellite")
+
+    levels = np.full(len(flight.frames), np.nan)
+    jobs: list[tuple[int, float, float]] = []
+    headings: list[list[float]] = []
+    for i, frame in enumerate(flight.frames):
+        cut = cut_size(frame)
+        share = CUT * min(1.0, frame.height / frame.width)
+        if cut is not None:
+            levels[i] = min(chosen, key=lambda size: abs(np.log(size / cut)))
+            share *= levels[i] / cut
+        headings.append([frame.heading] if frame.heading is not None else [360 / _TURNS * k for k in range(_TURNS)])
+        jobs += [(i, heading, share) for heading in headings[-1]]
+
+    def of_frame(job: tuple[int, float, float]) -> Float32Array:
+        picture = images.load_picture(flight.frames[job[0]].file)
+        return model.prepare(cut_square(picture, job[1], job[2], side), query)
+
+    ground_key = [map_identity(town), model.fingerprint, side, [(w.x, w.y, w.size) for w in windows]]
+    frame_key = [model.fingerprint, side, query, [(frame_identity(flight.frames[i]), h, s) for i, h, s in jobs]]
+    tiles, _ = _described(model, windows, of_window, "satellite", ground_key, on_progress, "windows")
+    queries, broken = _described(model, jobs, of_frame, query, frame_key, on_progress, "frames")
+    bad = {jobs[j][0]: reason for j, reason in broken.items()}
+    good = np.array([job[0] not in bad for job in jobs], bool)
+    if centre and good.sum() > 1:
+        tiles, queries = _centred(tiles, tiles.mean(axis=0)), _centred(queries, queries[good].mean(axis=0))
+    owner = np.array([job[0] for job in jobs])
+    found = [None if i in bad else queries[owner == i] for i in range(len(flight.frames))]
+    places = np.array([(window.x, window.y) for window in windows])
+    window_sizes = np.array([window.size for window in windows])
+    return MapRetrieval(windows, places, window_sizes, tiles, found, headings, levels, bad)
+
+
+def map_identity(town: Map) -> str:
+    """Return a digest of a map's bounds, resolution, and overview, which changes when its content does."""
+    picture, _ = town.overview(512)
+    text = json.dumps([town.bounds, town.resolution, town.frame.latitude, town.frame.longitude])
+    return hashlib.sha256(text.encode() + picture.tobytes()).hexdigest()
+
+
+def frame_identity(frame: Frame) -> list[Any]:
+    """Return what tells a frame's picture from another: its path, size, and time of change."""
+    try:
+        stat = frame.file.stat()
+    except OSError:
+        return [str(frame.file), None, None]
+    return [str(frame.file.resolve()), stat.st_size, stat.st_mtime_ns]
+
+
+def _described(
+    model: Model,
+    items: Sequence[Any],
+    prepare: Callable[[Any], Float32Array],
+    view: View,
+    key: list[Any],
+    on_progress: Callable[[str, int, int], None] | None,
+    what: str,
+) -> tuple[Float32Array, dict[int, str]]:
+    """Return descriptors (N, n, D) of items and the errors of broken ones, chunk by chunk from the cache or from the model."""
+    digest = hashlib.sha256(json.dumps([_FORMAT, key]).encode()).hexdigest()[:24]
+    folder = cache_folder() / "locate" / "descriptors" / digest
+    shape = (len(items), model.n_parts, model.spec.embedding)
+    found, broken = np.zeros(shape, np.float32), {}
+    for start in range(0, len(items), _CHUNK):
+        chunk = items[start : start + _CHUNK]
+        file = folder / f"{start:07d}.npy"
+        read = _read_chunk(file, (len(chunk), *shape[1:]))
+        if read is None:
+            values = np.zeros((len(chunk), *shape[1:]), np.float32)
+            failed = False
+            for batch in describe_each(model, chunk, prepare, view):
+                values[batch.items] = batch.descriptors
+                for i, error in batch.broken:
+                    broken[start + i] = str(error)
+                    failed = True
+            if not failed:
+                _write_chunk(file, values)
+            read = values
+        found[start : start + len(chunk)] = read
+        if on_progress is not None:
+            on_progress(what, min(start + _CHUNK, len(items)), len(items))
+    return found, broken
+
+
+def _read_chunk(file: Path, shape: tuple[int, ...]) -> Float32Array | None:
+    try:
+        values = np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return None
+    return values if values.shape == shape and values.dtype == np.float32 else None
+
+
+def _write_chunk(file: Path, values: Float32Array) -> None:
+    data = io.BytesIO()
+    np.save(data, values)
+    write_atomic(file, data.getvalue())
+
+
+def _centred(descriptors: Float32Array, mean: Float32Array) -> Float32Array:
+    """Subtract a mean descriptor (n, D) and scale each part to norm 1/sqrt(n) again."""
+    moved = descriptors - mean
+    norms = np.linalg.norm(moved, axis=2, keepdims=True) * np.float32(np.sqrt(descriptors.shape[1]))
+    return cast(Float32Array, moved / np.maximum(norms, np.float32(1e-12)))

@@ -1,0 +1,296 @@
+"""A drawn flight over a drawn map: stages, records, refusals, and the commands."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lpn.core.arrays import Float32Array
+from lpn.core.errors import DataError, InputError
+from lpn.flights import Flight, Frame, footprint
+from lpn.locate import pipeline
+from lpn.locate.ground import MapFeatures
+from lpn.locate.matchers import SiftMatcher
+from lpn.locate.pipeline import LocatedFrame, LocateOptions, StageRecord, locate, nadir_pixel
+from lpn.locate.retrieval import cut_square, pyramid_sizes, retrieve
+from lpn.maps import Map, open_map
+from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, ground_to_photo, land, photo_of
+
+SIZE = (360, 270)
+HEIGHT = 80.0
+FOV = 60.0
+WIDTH = 2 * HEIGHT * math.tan(math.radians(FOV / 2))
+SIFT = LocateOptions(matcher="sift")
+# Centres of the photos in metres east and north of the map's middle, and headings.
+PLACES = [(-40.0, -30.0), (-15.0, -28.0), (10.0, -30.0), (35.0, -25.0)]
+HEADINGS = [90.0, 85.0, 92.0, 88.0]
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Map]:
+    rasterio = pytest.importorskip("rasterio")
+    file = tmp_path_factory.mktemp("map") / "town.tif"
+    # The map is coarser than the photos.
+    side, metres = SIDE // 2, 2 * RESOLUTION
+    place = rasterio.Affine(metres, 0, 500_000 + CORNER[0], 0, -metres, 5_200_000 + CORNER[1])
+    kind = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
+    with rasterio.open(file, "w", transform=place, **kind) as written:
+        written.write(cv2.resize(land(), (side, side), interpolation=cv2.INTER_AREA).transpose(2, 0, 1))
+    with_map = open_map(file)
+    yield with_map
+    with_map.close()
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("photos")
+    files = []
+    for i, (place, heading) in enumerate(zip(PLACES, HEADINGS, strict=True)):
+        picture = photo_of(land(), ground_to_photo(place, heading, WIDTH, SIZE), SIZE, i)
+        # The third photo was turned by half a turn and saved again.
+        picture = picture[::-1, ::-1] if i == 2 else picture
+        files.append(folder / f"{i}.png")
+        cv2.imwrite(str(files[-1]), np.ascontiguousarray(picture[..., ::-1]))
+    return files
+
+
+@pytest.fixture
+def flight(town: Map, photos: list[Path]) -> Flight:
+    degrees = town.frame.degrees(PLACES)
+    frames = [
+        Frame(file.name, file, *SIZE, 2.0 * i, *degrees[i], HEIGHT, None, None, HEADINGS[i], "gimbal", -90.0, 0.0, FOV)
+        for i, file in enumerate(photos)
+    ]
+    return Flight("monday", tuple(frames))
+
+
+def test_a_flight_is_registered_without_a_model_and_the_turned_picture_is_named(town: Map, flight: Flight) -> None:
+    found = locate(town, flight, None, SIFT)
+    answers = [located.stages["registration"] for located in found.frames]
+    assert all(answer.accepted for answer in answers), [answer.sentence for answer in answers]
+    assert max(located.error("registration") or 0 for located in found.frames) < 0.6
+    assert found.stages == ["registration"]
+    assert any("1 picture is turned by about 180 degrees against its heading: 2.png" in note for note in found.notes)
+    assert "turned by 180 degrees" in found.frames[2].sentence
+    summary = found.summaries()["registration"]
+    assert (summary.frames, summary.answered, summary.coverage_at_zero) == (4, 4, 100)
+    points = found.track()
+    assert points[0].latitude == pytest.approx(flight.frames[0].latitude, abs=1e-5)
+    assert points[0].error is not None
+
+
+def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    registered: list[str] = []
+
+    def answer(town: Map, features: MapFeatures, located: LocatedFrame, *rest: object) -> StageRecord:
+        del town, features, rest
+        registered.append(located.frame.name)
+        return StageRecord(True, "It agrees.", 1.0, 2.0 + len(registered), radius=0.5, width=WIDTH)
+
+    def run() -> list[StageRecord]:
+        return [located.stages["registration"] for located in locate(town, flight, None, SIFT).frames]
+
+    monkeypatch.setattr(pipeline, "_register_frame", answer)
+    whole = run()
+    records = next((tmp_path / "cache").rglob("*.jsonl"))
+    lines = [line for line in records.read_bytes().splitlines() if line]
+    assert len(lines) == 4
+    records.write_bytes(b"\n".join([*lines[:2], lines[2][:40]]))  # killed within the third line
+    registered.clear()
+    again = run()
+    assert registered == ["2.png", "3.png"]
+    assert again[:2] == whole[:2]
+    assert run() == again
+    assert len(registered) == 2
+    # Another height of the first frame makes all answers new, as each takes over the widths before it.
+    moved = (replace(flight.frames[0], height_above_ground=81.0), *flight.frames[1:])
+    locate(town, replace(flight, frames=moved), None, SIFT)
+    assert len(registered) == 6
+
+
+def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.jpg"
+    broken.write_bytes(b"nothing")
+    unknown = replace(flight.frames[1], latitude=None, longitude=None)
+    frames = (replace(flight.frames[0], file=broken, name="broken.jpg"), unknown, flight.frames[3])
+    found = locate(town, replace(flight, frames=frames), None, replace(SIFT, prior=40.0))
+    answers = [located.stages["registration"] for located in found.frames]
+    assert [answer.accepted for answer in answers] == [False, False, True]
+    assert "not a picture that can be read" in answers[0].sentence
+    assert "leave --prior out" in answers[1].sentence
+    assert "The search used the tag: it covered 40 m around it." in answers[2].sentence
+    assert found.notes[0].startswith("1 of 3 frames have no position")
+    assert [point.accepted for point in found.track()] == [False, False, True]
+
+
+def test_a_flight_elsewhere_is_refused(town: Map, flight: Flight) -> None:
+    far = tuple(replace(frame, latitude=10.0) for frame in flight.frames)
+    with pytest.raises(DataError, match="elsewhere than the map town"):
+        locate(town, replace(flight, frames=far), None, SIFT)
+
+
+def test_nothing_to_do_and_wrong_numbers_are_refused(town: Map, flight: Flight) -> None:
+    with pytest.raises(InputError, match="nothing to do"):
+        locate(town, flight, None, replace(SIFT, register=False))
+    with pytest.raises(InputError, match="prior is -1"):
+        LocateOptions(prior=-1)
+
+
+def test_the_nadir_is_where_the_footprint_has_the_camera() -> None:
+    frame = Frame("a", Path("a"), 400, 300, heading=30.0, pitch=-80.0, roll=7.0, fov=70.0)
+    corners = footprint(frame, 50.0)
+    assert corners is not None
+    pixels = np.array([(-0.5, -0.5), (399.5, -0.5), (399.5, 299.5), (-0.5, 299.5)], np.float32)
+    to_pixel = cv2.getPerspectiveTransform(corners.astype(np.float32), pixels)
+    below = to_pixel @ (0, 0, 1)
+    assert nadir_pixel(frame, (400, 300)) == pytest.approx(tuple(below[:2] / below[2]), abs=0.1)
+    assert nadir_pixel(replace(frame, roll=None), (400, 300)) is None
+
+
+def test_too_large_a_search_is_refused(town: Map) -> None:
+    features = MapFeatures(town, SiftMatcher())
+    assert features.resolution(WIDTH) == pytest.approx(town.resolution / 2)
+    assert features.resolution(500.0) == pytest.approx(4 * features.resolution(WIDTH))
+    monstrous = np.stack(np.meshgrid(np.arange(-90, 91, 2.0), np.arange(-90, 91, 2.0)), axis=-1).reshape(-1, 2)
+    assert features.around(monstrous[:1], 20.0, WIDTH) is not None
+    features._map.bounds = (-5000.0, -5000.0, 5000.0, 5000.0)  # as of a map of 100 square kilometres
+    try:
+        assert features.around(None, 0.0, WIDTH) is None
+    finally:
+        features._map.bounds = (-100.0, -100.0, 100.0, 100.0)
+
+
+class _Spec:
+    embedding = 16
+
+
+class _ColourModel:
+    """Describes a picture by the mean colours of a grid, as a network that has learned the place would."""
+
+    views = ("satellite", "drone")
+    fingerprint = "colours"
+    input_size = (32, 32)
+    n_parts = 2
+    batch = 8
+    parallel = True
+    spec = _Spec()
+
+    def check_view(self, view: str) -> None:
+        assert view in self.views
+
+    def for_parallel_inference(self) -> _ColourModel:
+        return self
+
+    def prepare(self, picture: np.ndarray, view: str) -> Float32Array:
+        del view
+        small = cv2.resize(picture, (32, 32), interpolation=cv2.INTER_AREA)
+        return small.transpose(2, 0, 1).astype(np.float32)
+
+    def descriptors(self, batch: Float32Array, view: str) -> Float32Array:
+        del view
+        grey = np.stack([cv2.resize(picture[1], (4, 8), interpolation=cv2.INTER_AREA) for picture in batch])
+        parts = grey.reshape(len(batch), 2, 16)
+        parts = parts - parts.mean(axis=2, keepdims=True)
+        norms = np.linalg.norm(parts, axis=2, keepdims=True)
+        return (parts / np.maximum(norms, 1e-6) / np.sqrt(2)).astype(np.float32)
+
+
+def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) -> None:
+    model = _ColourModel()
+    upright = replace(flight, frames=tuple(frame for i, frame in enumerate(flight.frames) if i != 2))
+    options = replace(SIFT, overlap=0.88, temperature=0.03)
+    found = locate(town, upright, model, options)  # type: ignore[arg-type]
+    assert found.stages == ["retrieval", "sequence", "registration"]
+    for located in found.frames:
+        assert (located.error("retrieval") or 0) < 15
+        assert (located.error("sequence") or 0) < 15
+        assert located.stages["registration"].accepted
+        best = located.windows[0]
+        assert sum(best.shares) == pytest.approx(2 - 2 * best.score, abs=1e-5)
+        assert [window.score for window in located.windows] == sorted(
+            (window.score for window in located.windows), reverse=True
+        )
+    measured = found.field_measures()
+    assert measured["recall@1"] == 100
+    assert measured["dis@1"] < 15
+    assert measured["ma@20"] == 100
+
+
+def test_unknown_headings_are_searched_by_turns_and_descriptors_are_kept(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = _ColourModel()
+    frame = replace(flight.frames[0], heading=None)
+    one = replace(flight, frames=(frame,))
+    found = retrieve(model, town, one, centre=False, overlap=0.88)  # type: ignore[arg-type]
+    assert found.headings[0] == [45 * k for k in range(8)]
+    assert found.top(0, 1).headings[0] == 90
+    monkeypatch.setattr(_ColourModel, "descriptors", None)  # nothing is described again
+    again = retrieve(model, town, one, centre=False, overlap=0.88)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(again.scores(0), found.scores(0))
+
+
+def test_windows_have_the_sizes_that_frames_show(town: Map, flight: Flight) -> None:
+    assert pyramid_sizes(town, flight.frames) == pytest.approx([0.85 * 0.75 * WIDTH])
+    unknown = [replace(frame, fov=None) for frame in flight.frames]
+    sizes = pyramid_sizes(town, unknown)
+    assert sizes == sorted(sizes)
+    assert len(sizes) == 5
+    heights = [replace(flight.frames[0], height_above_ground=h) for h in (40.0, 80.0, 120.0)]
+    assert len(pyramid_sizes(town, heights)) == 4
+
+
+def test_a_cut_is_north_up_and_shows_its_share() -> None:
+    picture = photo_of(land(), ground_to_photo((0, 0), 60.0, 100.0, (400, 300)), (400, 300))
+    upright = photo_of(land(), ground_to_photo((0, 0), 0.0, 50.0, (64, 64)), (64, 64))
+    cut = cut_square(picture, 60.0, 0.5, 64)
+    assert cut.shape == (64, 64, 3)
+    smooth = [cv2.GaussianBlur(image, (0, 0), 2).astype(float).ravel() for image in (cut, upright)]
+    assert np.corrcoef(smooth)[0, 1] > 0.95
+
+
+def test_the_commands_write_a_track_and_measures(
+    town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from lpn.cli.main import main
+    from lpn.flights import write_flight
+
+    write_flight(replace(flight, frames=flight.frames[:2]), tmp_path / "flight")
+    map_file = str(town.sheets[0].raster.path)  # type: ignore[attr-defined]
+    where = ["--map", map_file, "--flight", str(tmp_path / "flight")]
+    track = tmp_path / "track.geojson"
+    assert main(["locate", *where, "--matcher", "sift", "--limit", "1", "--out", str(track)]) == 0
+    features = json.loads(track.read_text())["features"]
+    assert [entry["properties"]["accepted"] for entry in features] == [True]
+    assert "matches of SIFT agree" in capsys.readouterr().out
+    assert main(["locate", *where, "--out", str(tmp_path / "track.shp")]) == 2
+    assert "suffix '.shp'" in capsys.readouterr().err
+    assert main(["evaluate", "--flight", str(tmp_path / "flight")]) == 2
+    assert "give both --flight and --map" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_flight_is_evaluated_by_its_tags(
+    town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from lpn.cli.main import main
+    from lpn.flights import write_flight
+
+    write_flight(replace(flight, frames=flight.frames[:2]), tmp_path / "flight")
+    where = ["--map", str(town.sheets[0].raster.path), "--flight", str(tmp_path / "flight")]  # type: ignore[attr-defined]
+    assert main(["evaluate", *where, "--json", str(tmp_path / "measures.json")]) == 0
+    assert "registration" in capsys.readouterr().out
+    measured = json.loads((tmp_path / "measures.json").read_text())
+    assert measured["stages"]["registration"]["answered"] == 2

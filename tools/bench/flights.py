@@ -1,0 +1,90 @@
+"""Real flights over their own maps, stage by stage: `python -m tools.bench.flights FOLDER [NAME ...] [--json FILE]`.
+
+FOLDER holds one folder a flight, each with `photos/` and `map.tif` or `map.jpg`; LPN_FLIGHTS is its default. Registration
+searches the whole map, or with `--prior` that many metres around each tag. `--model` adds retrieval and sequence. Errors are
+against the tags.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+import lpn
+from lpn.cli.locate import print_summary
+from lpn.core.files import write_atomic
+from lpn.flights import open_flight
+from lpn.locate.pipeline import LocateOptions, locate
+from lpn.maps import open_map
+
+
+def measured(folder: Path, options: LocateOptions, model: Path | None, limit: int | None) -> dict[str, Any]:
+    """Locate one flight, print its table, and return its figures."""
+    town = open_map(next(path for path in (folder / "map.tif", folder / "map.jpg") if path.is_file()))
+    flight = open_flight(folder / "photos")
+    flight = replace(flight, name=folder.name, frames=flight.frames[:limit])
+    begun = time.process_time()
+    located = locate(town, flight, None if model is None else lpn.load(model), options)
+    seconds = time.process_time() - begun
+    print_summary(located, Console(width=140))
+    print(f"{seconds / len(flight.frames):.2f} s of processor time a frame, less for frames that an earlier run kept.")
+    frames = [
+        {"frame": found.frame.name, "stages": {stage: asdict_of(found, stage) for stage in found.stages}}
+        for found in located.frames
+    ]
+    return {
+        "flight": folder.name,
+        "frames": len(flight.frames),
+        "processor seconds a frame": seconds / len(flight.frames),
+        "stages": {stage: asdict(summary) for stage, summary in located.summaries(30.0).items()},
+        "field": located.field_measures(),
+        "audit": None if located.audit is None else {**asdict(located.audit), "sentence": located.audit.sentence},
+        "notes": located.notes,
+        "each": frames,
+    }
+
+
+def asdict_of(found: Any, stage: str) -> dict[str, Any]:
+    """Return what the table is made of: one stage's answer for one frame."""
+    answer = found.stages[stage]
+    return {
+        "accepted": answer.accepted,
+        "error": found.error(stage),
+        "radius": answer.radius,
+        "turn": answer.turn,
+        "width": answer.width,
+        "inliers": answer.inliers,
+        "sentence": answer.sentence,
+    }
+
+
+def main() -> None:
+    """Measure the flights that the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path, default=os.environ.get("LPN_FLIGHTS"))
+    parser.add_argument("names", nargs="*", default=["brighton", "caliterra", "seneca"])
+    parser.add_argument("--prior", type=float)
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--matcher", default="auto", choices=("auto", "xfeat", "sift"))
+    parser.add_argument("--limit", type=int)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    if given.folder is None:
+        raise SystemExit("There is no folder of flights; give one, or set LPN_FLIGHTS.")
+    options = LocateOptions(prior=given.prior, matcher=given.matcher)
+    found = []
+    for name in given.names:
+        found.append(measured(Path(given.folder) / name, options, given.model, given.limit))
+        if given.json is not None:
+            write_atomic(given.json, (json.dumps(found, indent=1, default=str) + "\n").encode())
+
+
+if __name__ == "__main__":
+    main()
