@@ -26,7 +26,7 @@ from lpn.training.trainer import Trainer
 from tests.conftest import RealRun
 from tools.fixtures import small_worlds
 
-QUICK = replace(RECIPES["small"], size=64, epochs=3, batch=4, warmup_epochs=0, precision="float32")
+QUICK = replace(RECIPES["small"], size=32, epochs=3, batch=4, warmup_epochs=0, precision="float32")
 
 
 def trainer(data: Path, out: Path, recipe: Recipe = QUICK, **options: object) -> tuple[Trainer, io.StringIO]:
@@ -55,6 +55,7 @@ def test_training_improves_retrieval_of_the_training_places(tmp_path: Path, n_pa
                 small_worlds.write(root / split / f"{label:04d}" / "a.png", picture)
     recipe = replace(
         QUICK,
+        size=64,
         n_parts=n_parts,
         epochs=16,
         batch=8,
@@ -82,7 +83,7 @@ RELEASED = replace(
     RECIPES["released"],
     backbone="resnet18",
     last_layer="layer3",
-    size=64,
+    size=32,
     epochs=3,
     batch=4,
     warmup_epochs=2,
