@@ -33,8 +33,11 @@ from tools.fixtures.published_results import save_result
 
 # Seconds to wait for anything that must come: far longer than it takes, since the machine may be busy.
 PATIENCE = 60.0
-# Run in each page before its own scripts: no stored settings, no tour, and no notice about software WebGL over the page.
+# Run in each page before its own scripts: no stored settings, no tour, no notice about software WebGL over the page, and
+# a quarter of the stage's pixels (viser's own parameter), because software draws them.
 _PREPARE = """
+const parameter = URLSearchParams.prototype.get;
+URLSearchParams.prototype.get = function (name) { return name === 'fixedDpr' ? '0.5' : parameter.call(this, name) };
 if (!sessionStorage.begun) { localStorage.clear(); sessionStorage.begun = 1 }
 localStorage.setItem('lpn-tour', 'seen');
 addEventListener('DOMContentLoaded', () => document.head.append(Object.assign(

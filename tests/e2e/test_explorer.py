@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import BrowserContext, expect
 
 import lpn
-from lpn import datasets, retrieval
+from lpn import datasets, descriptors, retrieval
 from lpn.core import images
 from lpn.core.demo import DEMO_QUERY
 from lpn.datasets import geo
@@ -31,9 +31,9 @@ def expected(app: RunningApp, name: str, angle: float = 0.0, weights: tuple[floa
     model, dataset = lpn.load(app.model), datasets.open_dataset(app.data)
     query = next(entry for entry in dataset.queries("drone") if entry.name == name)
     gallery = dataset.gallery("satellite")
-    tiles = np.stack([images.prepare(images.load_picture(entry.path), model.input_size) for entry in gallery])
+    tiles = descriptors.stored_descriptors(model, gallery, "satellite", dataset.root, "gallery")
     described = retrieval.describe_picture(model, images.load_picture(query.path), "drone", angle)
-    cosines = scoring.part_cosines(described.descriptor, model.descriptors(tiles, "satellite"))
+    cosines = scoring.part_cosines(described.descriptor, tiles)
     labels = np.array([entry.label for entry in gallery])
     return retrieval.rank(cosines, scoring.part_weights(4, weights), labels, query.label)
 
@@ -60,13 +60,25 @@ def assert_shows(explorer: ExplorerPage, app: RunningApp, ranking: Ranking) -> N
     explorer.eventually(check)
 
 
-def test_page_says_what_is_shown_and_draws_it(explorer: ExplorerPage, app: RunningApp) -> None:
+def test_page_says_what_is_shown_and_compares_a_chosen_match(explorer: ExplorerPage, app: RunningApp) -> None:
     header = explorer.page.locator("#lpn-header")
     for text in ("model.onnx", "places", "n = 4", "drone → satellite", "14 queries", "14 tiles", "R@1"):
         expect(header).to_contain_text(text)
     expect(explorer.status).to_contain_text("ms")
-    explorer.stage(lambda picture: len(np.unique(picture.reshape(-1, 3), axis=0)) > 2000)
-    assert_shows(explorer, app, expected(app, "0007"))
+    expect(explorer.page.get_by_role("button", name="Failure laboratory")).to_be_visible()
+    # There is no second model.
+    expect(explorer.page.get_by_role("button", name="Compare with the baseline")).to_have_count(0)
+    before = explorer.stage(lambda picture: len(np.unique(picture.reshape(-1, 3), axis=0)) > 2000)
+    ranking = expected(app, "0007")
+    assert_shows(explorer, app, ranking)
+    match = ranking.match(2)
+    explorer.rows.nth(2).click()
+    explorer.expect_status("chosen", str(match.index))
+    expect(explorer.rows.nth(2)).to_have_class(re.compile("chosen"))
+    parts = explorer.page.locator("#lpn-parts")
+    expect(parts).to_contain_text("rank 3")
+    expect(parts).to_contain_text(f"{match.distance2:.3f}")
+    explorer.stage(lambda picture: difference(before, picture) > 0.02)
 
 
 def test_query_is_chosen_by_name_thumbnail_and_key(explorer: ExplorerPage, app: RunningApp) -> None:
@@ -129,18 +141,6 @@ def test_switching_a_part_off_reranks_exactly(explorer: ExplorerPage, app: Runni
     explorer.page.get_by_role("button", name="All parts equal").click()
     expect(explorer.page.locator("#lpn-parts")).not_to_contain_text("50 %")
     assert_shows(explorer, app, expected(app, "0007"))
-
-
-def test_a_chosen_match_is_compared_with_the_query(explorer: ExplorerPage, app: RunningApp) -> None:
-    match = expected(app, "0007").match(2)
-    before = explorer.stage()
-    explorer.rows.nth(2).click()
-    explorer.expect_status("chosen", str(match.index))
-    expect(explorer.rows.nth(2)).to_have_class(re.compile("chosen"))
-    parts = explorer.page.locator("#lpn-parts")
-    expect(parts).to_contain_text("rank 3")
-    expect(parts).to_contain_text(f"{match.distance2:.3f}")
-    explorer.stage(lambda picture: difference(before, picture) > 0.02)
 
 
 @pytest.mark.slow

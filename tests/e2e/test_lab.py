@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from playwright.sync_api import BrowserContext, Locator, expect
+from playwright.sync_api import BrowserContext, Locator, Page, expect
 
 import lpn
 from lpn import datasets, descriptors
@@ -91,9 +91,9 @@ class LabPage(ExplorerPage):
 
 
 @pytest.fixture
-def lab(lab_app: RunningApp, contexts: Callable[[], BrowserContext]) -> LabPage:
-    """The laboratory in a fresh browser."""
-    page = LabPage(contexts().new_page())
+def lab(lab_app: RunningApp, new_page: Callable[[], Page]) -> LabPage:
+    """The laboratory in a page of its own."""
+    page = LabPage(new_page())
     page.enter(lab_app.url)
     return page
 

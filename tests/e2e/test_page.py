@@ -253,9 +253,7 @@ def test_a_resized_stage_is_framed_again(app: RunningApp, contexts: Callable[...
     explorer.expect_filled(0, 0.85)
 
 
-def test_no_message_of_a_busy_page_is_lost(app: RunningApp, contexts: Callable[..., BrowserContext]) -> None:
-    explorer = ExplorerPage(contexts().new_page())
-    explorer.open(app.url)
+def test_no_message_of_a_busy_page_is_lost(explorer: ExplorerPage) -> None:
     # Each message leaves a mark in the address.
     explorer.page.evaluate("""() => {
         lpn.send("task", "satellite-to-drone");

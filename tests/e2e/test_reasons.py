@@ -35,7 +35,9 @@ def middle(box: Locator, across: float, down: float) -> tuple[float, float]:
     return found["x"] + across * found["width"], found["y"] + down * found["height"]
 
 
-def test_evidence_of_the_compared_pair_is_exact_and_its_cursor_linked(explorer: ExplorerPage, app: RunningApp) -> None:
+def test_evidence_of_the_compared_pair_is_exact_and_follows_cursor_part_and_tile(
+    explorer: ExplorerPage, app: RunningApp
+) -> None:
     maps = open_window(explorer)
     model, dataset = load(app.model), datasets.open_dataset(app.data)
     ranking = expected(app, "0007")
@@ -59,6 +61,13 @@ def test_evidence_of_the_compared_pair_is_exact_and_its_cursor_linked(explorer: 
     explorer.page.mouse.click(*middle(maps.first, 0.3, 0.6))
     explorer.page.mouse.move(*middle(maps.first, 0.9, 0.9))
     expect(read).to_contain_text("query, row 3, column 2")
+    before = maps.first.get_attribute("data-cells")
+    explorer.page.locator("#lpn-why .chips a").nth(3).click()
+    expect(maps.first).not_to_have_attribute("data-cells", before or "")
+    expect(explorer.page.locator("#lpn-why .chips a.chosen")).to_have_text("3")
+    part = maps.first.get_attribute("data-cells")
+    explorer.rows.nth(2).click()
+    expect(maps.first).not_to_have_attribute("data-cells", part or "")
     explorer.key("y")
     expect(explorer.page.locator("#lpn-why .lpn-map").first).to_be_hidden()
 
@@ -100,17 +109,6 @@ def test_each_part_has_a_heatmap_of_query_and_tile_and_both_may_share_a_scale(ex
 
 def _assert_equal(found: object, expected: object) -> None:
     assert found == expected
-
-
-def test_evidence_follows_the_chosen_tile_and_part(explorer: ExplorerPage) -> None:
-    maps = open_window(explorer)
-    before = maps.first.get_attribute("data-cells")
-    explorer.page.locator("#lpn-why .chips a").nth(3).click()
-    expect(maps.first).not_to_have_attribute("data-cells", before or "")
-    expect(explorer.page.locator("#lpn-why .chips a.chosen")).to_have_text("3")
-    part = maps.first.get_attribute("data-cells")
-    explorer.rows.nth(2).click()
-    expect(maps.first).not_to_have_attribute("data-cells", part or "")
 
 
 @pytest.mark.slow
@@ -243,11 +241,6 @@ def test_one_click_compares_with_the_baseline_and_one_turns_the_task_around(
     explorer.page.locator("#lpn-tasks a", has_text="satellite → drone").click()
     expect(explorer.page.locator("#lpn-tasks a.chosen")).to_have_text("satellite → drone")
     explorer.expect_status("name", "0007")  # the same place
-
-
-def test_nothing_is_offered_without_a_second_model(explorer: ExplorerPage) -> None:
-    expect(explorer.page.get_by_role("button", name="Failure laboratory")).to_be_visible()
-    expect(explorer.page.get_by_role("button", name="Compare with the baseline")).to_have_count(0)
 
 
 @pytest.mark.slow
