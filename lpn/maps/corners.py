@@ -14,6 +14,7 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.maps import _gdal
 
 Corners = tuple[float, float, float, float]
 
@@ -26,6 +27,8 @@ _COLUMNS = (
     {"bottomrightlat", "bottomrightlatitude", "rblatmap"},
     {"bottomrightlon", "bottomrightlong", "bottomrightlng", "bottomrightlongitude", "rblonmap"},
 )
+# Parts of a large map: row and column from 1.
+_PART = re.compile(r"(.+)_([0-9]{1,3})-([0-9]{1,3})(\.[A-Za-z]+)")
 _NAMED = re.compile(r"@[^@]*@([-+.0-9]+)@([-+.0-9]+)@([-+.0-9]+)@([-+.0-9]+)@")
 
 
@@ -77,6 +80,42 @@ def corners_of(path: Path) -> tuple[Corners, str] | None:
             return None
     for folder in (path.parent, path.parent / ".."):
         for name in LISTS:
-            if (folder / name).is_file() and (corners := read_list(folder / name).get(path.name)) is not None:
-                return corners, f"{printable(path.name)} in {name}"
+            if (folder / name).is_file():
+                listed = read_list(folder / name)
+                corners = listed.get(path.name) or _of_part(path, listed)
+                if corners is not None:
+                    return corners, f"{printable(path.name)} in {name}"
     return None
+
+
+def _of_part(path: Path, listed: dict[str, Corners]) -> Corners | None:
+    """Return the corners of one of the parts name_RR-CC.tif into which the listed name.tif is cut; None if it is none."""
+    match = _PART.fullmatch(path.name)
+    whole = listed.get(f"{match[1]}{match[4]}") if match else None
+    if match is None or whole is None:
+        return None
+    sizes = {}
+    for part in path.parent.iterdir():
+        found = _PART.fullmatch(part.name)
+        if found and (found[1], found[4]) == (match[1], match[4]):
+            with _gdal.open_raster(part) as file:
+                sizes[int(found[2]), int(found[3])] = int(file.width), int(file.height)
+    row, column = int(match[2]), int(match[3])
+    widths = {c: width for (r, c), (width, _) in sizes.items() if r == row}
+    heights = {r: height for (r, c), (_, height) in sizes.items() if c == column}
+    if sorted(widths) != list(range(1, len(widths) + 1)) or sorted(heights) != list(range(1, len(heights) + 1)):
+        raise DataError(
+            f"Parts of {printable(match[1])} beside {printable(path.name)} are missing; expected all of them, because the list "
+            "has the corners of the whole."
+        )
+    top, left, bottom, right = whole
+    across = [
+        sum(width for c, width in widths.items() if c < end) / sum(widths.values()) for end in (column, column + 1)
+    ]
+    down = [sum(height for r, height in heights.items() if r < end) / sum(heights.values()) for end in (row, row + 1)]
+    return (
+        top + down[0] * (bottom - top),
+        left + across[0] * (right - left),
+        top + down[1] * (bottom - top),
+        left + across[1] * (right - left),
+    )

@@ -78,6 +78,28 @@ def test_corners_come_from_options_lists_and_names(tmp_path: Path) -> None:
         np.testing.assert_array_equal(cut(town), cut(towns[0]))
 
 
+def test_parts_of_a_listed_map_lie_in_its_corners(tmp_path: Path) -> None:
+    picture = smooth(200, 260)
+    (tmp_path / "09").mkdir()
+    rows, columns = (slice(0, 120), slice(120, 200)), (slice(0, 100), slice(100, 260))
+    for row in (0, 1):
+        for column in (0, 1):
+            part = tmp_path / "09" / f"satellite09_0{row + 1}-0{column + 1}.png"
+            Image.fromarray(picture[rows[row], columns[column]]).save(part)
+    top, left, bottom, right = corners()
+    (tmp_path / "satellite_coordinates_range.csv").write_text(
+        f"mapname,LT_lat_map,LT_lon_map,RB_lat_map,RB_lon_map,region\nsatellite09.png,{top},{left},{bottom},{right},x\n"
+    )
+    Image.fromarray(picture).save(tmp_path / "whole.png")
+    whole = open_map(tmp_path / "whole.png", MapOptions(corners=corners()))
+    town = open_map(tmp_path / "09")
+    assert len(town.sheets) == 4
+    np.testing.assert_allclose(town.bounds, whole.bounds, atol=0.01)
+    np.testing.assert_allclose(cut(town).astype(int), cut(whole), atol=6)
+    (tmp_path / "09" / "satellite09_01-01.png").unlink()
+    refused(tmp_path / "09" / "satellite09_01-02.png", "Parts of satellite09", "missing")
+
+
 def test_ground_control_points_that_fit_a_plane_are_a_transform(tmp_path: Path) -> None:
     from rasterio.control import GroundControlPoint
 
