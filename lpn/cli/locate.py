@@ -38,7 +38,7 @@ class LocateCommand:
     register: bool = True
     """Lay each photo over the map by local features."""
     matcher: Literal["auto", "xfeat", "sift"] = "auto"
-    """Local features: xfeat (extra register), sift, or auto, which takes xfeat where it is installed."""
+    """Local features: xfeat (extra register), sift, or auto: xfeat where it is installed, and sift for what it cannot place."""
     prior: float | None = None
     """Metres around each frame's own position that registration searches without a model; by default the whole map."""
     size: tuple[float, ...] | None = None

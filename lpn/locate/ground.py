@@ -20,7 +20,7 @@ _LIMIT = 7500
 _PHOTO = 900
 _ENLARGED = 2.0
 # Blocks in memory; each holds at most 4 MB.
-_BLOCKS = 96
+_BLOCKS = 64
 # Blocks that one photo may be compared with.
 MAX_BLOCKS = 48
 

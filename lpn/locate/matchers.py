@@ -100,7 +100,7 @@ class XFeatMatcher(Matcher):
     """XFeat (Potje et al., CVPR 2024), sparse; pictures may be turned by some 30 degrees against each other."""
 
     name = "XFeat"
-    tolerance = 25.0
+    tolerance = 22.5
     ratio = 1.0
 
     def __init__(self) -> None:

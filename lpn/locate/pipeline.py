@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from lpn.flights.cameras import rotation
 from lpn.locate import measures
 from lpn.locate.audit import TagAudit, audit_tags
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
-from lpn.locate.matchers import MatcherName, open_matcher
+from lpn.locate.matchers import MatcherName, SiftMatcher, open_matcher
 from lpn.locate.registration import Expectation, Registration, register
 from lpn.locate.retrieval import MapRetrieval, frame_identity, map_identity, retrieve
 from lpn.locate.sequence import MotionModel, emissions, smooth
@@ -48,7 +49,7 @@ class LocateOptions:
 
     Attributes:
         sequence, register: whether these stages run; retrieval runs with a model. The sequence needs retrieval.
-        matcher: of the registration.
+        matcher: of the registration; "auto" is XFeat where it is installed, and SIFT for the photos that XFeat does not place.
         prior: metres around each frame's tag that registration searches; None uses no tag.
         sizes: sides of windows in metres; None chooses them from the flight.
         overlap: of neighbouring windows, 0 to below 1.
@@ -355,7 +356,8 @@ def _sequenced(found: MapRetrieval, flight: Flight, frames: list[LocatedFrame], 
     scores = np.stack([found.scores(i) for i in range(len(frames))])
     spacing = float(np.median(found.sizes)) * (1 - options.overlap)
     motion = MotionModel(options.speed, max(spacing, 1.0))
-    track = smooth(emissions(scores, options.temperature, options.floor), found.places, motion.steps(flight.times))
+    emitted = emissions(scores, options.temperature, options.floor)
+    track = smooth(emitted, found.places, motion.steps(flight.times), float(np.median(found.sizes)))
     for i, located in enumerate(frames):
         said = "The frame cannot be read; its neighbours place it." if i in found.broken else track.sentence(i)
         located.stages["sequence"] = StageRecord(
@@ -377,10 +379,13 @@ def _registered(
     on_progress: Progress | None,
 ) -> None:
     """Enter the answers of the registration, those of a killed run from its records."""
-    matcher = open_matcher(options.matcher)
-    features = MapFeatures(town, matcher)
+    matchers = [open_matcher(options.matcher)]
+    if options.matcher == "auto" and matchers[0].name != SiftMatcher.name:
+        matchers.append(SiftMatcher())
+    features = [MapFeatures(town, matcher) for matcher in matchers]
     # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
-    key = [FORMAT, map_identity(town), matcher.name, asdict(replace(options, top=_TOP)), model and model.fingerprint]
+    names = [matcher.name for matcher in matchers]
+    key = [FORMAT, map_identity(town), names, asdict(replace(options, top=_TOP)), model and model.fingerprint]
     records = _Records(cache_folder() / "locate" / "registration" / _digest([*key, flight.name]))
     widths: list[float] = []
     ratios: list[float] = []
@@ -414,7 +419,7 @@ def _candidates(located: LocatedFrame, options: LocateOptions) -> list[list[floa
 
 def _register_frame(
     town: Map,
-    features: MapFeatures,
+    features: Sequence[MapFeatures],
     located: LocatedFrame,
     options: LocateOptions,
     widths: list[float],
@@ -437,9 +442,9 @@ def _register_frame(
     if told is not None and ratios:
         told *= float(np.median(ratios[-_RECENT:]))
     best: Registration | None = None
-    for width, known in _tried_widths(town, told, widths):
+    for kind, (width, known) in product(features, list(_tried_widths(town, told, widths))):
         reach = _AROUND * width + (options.prior or 0.0 if found is None else 0.5 * float(np.median(found.sizes)))
-        ground = features.around(centres, reach, width)
+        ground = kind.around(centres, reach, width)
         if ground is None:
             return StageRecord(
                 False,
@@ -447,7 +452,7 @@ def _register_frame(
                 "--prior with the metres around the tag.",
             )
         expected = Expectation(width if known else None, frame.heading)
-        answer = register(features.matcher, photo, ground, expected, [width], town.bounds)
+        answer = register(kind.matcher, photo, ground, expected, [width], town.bounds)
         if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
             best = answer
         if answer.accepted:

@@ -7,6 +7,7 @@ probable path (Rabiner, Proceedings of the IEEE 77, 1989).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import cast
@@ -62,8 +63,8 @@ class SequenceResult:
     """A flight as a track over the states.
 
     Attributes:
-        positions: mean of each frame's posterior in metres, (T, 2) float64.
-        radii: 1-sigma radius of each posterior in metres, (T,) float64.
+        positions: mean of each frame's posterior near its likeliest state in metres, (T, 2) float64.
+        radii: 1-sigma radius in metres of each posterior, all states included, about that position, (T,) float64.
         likeliest: state of the greatest posterior, (T,) int64.
         probabilities: that posterior, (T,) float64.
         path: Viterbi's states, (T,) int64.
@@ -123,7 +124,9 @@ def emissions(scores: npt.ArrayLike, temperature: float = 0.05, floor: float = 1
         return cast(Float64Array, np.log((1 - floor) * shares + floor / values.shape[1]))
 
 
-def smooth(log_emissions: Float64Array, places: Float64Array, steps: Float64Array) -> SequenceResult:
+def smooth(
+    log_emissions: Float64Array, places: Float64Array, steps: Float64Array, near: float = math.inf
+) -> SequenceResult:
     """Run forward-backward and Viterbi.
 
     Transitions are sparse: steps of more than four standard deviations count as jumps. So do shorter ones where more than
@@ -133,6 +136,8 @@ def smooth(log_emissions: Float64Array, places: Float64Array, steps: Float64Arra
         log_emissions: (T, N), see `emissions`.
         places: centres of the windows in metres, (N, 2).
         steps: standard deviation of each step in metres, (T - 1,), see `MotionModel.steps`.
+        near: metres around the likeliest state within which states count for a frame's position, so that it does not lie between
+            two places.
 
     Raises:
         InputError: if the shapes do not fit.
@@ -175,10 +180,16 @@ def smooth(log_emissions: Float64Array, places: Float64Array, steps: Float64Arra
     path[-1] = scores[-1].argmax()
     for t in range(frames - 1, 0, -1):
         path[t - 1] = transition_of(float(steps[t - 1])).source(scores[t - 1], int(path[t]))
-    positions = posterior @ sorted_places
-    second = posterior @ (sorted_places**2).sum(axis=1)
-    radii = np.sqrt(np.maximum(second - (positions**2).sum(axis=1), 0) / 2)
     likeliest = posterior.argmax(axis=1)
+    positions = np.stack(
+        [
+            _local_mean(shares, sorted_places, sorted_places[i], near)
+            for shares, i in zip(posterior, likeliest, strict=True)
+        ]
+    )
+    # The mean square distance of the whole posterior, other places included.
+    second = posterior @ (sorted_places**2).sum(axis=1) - 2 * (positions * (posterior @ sorted_places)).sum(axis=1)
+    radii = np.sqrt(np.maximum(second + (positions**2).sum(axis=1), 0) / 2)
     own = log_emissions.argmax(axis=1)
     return SequenceResult(
         positions,
@@ -190,6 +201,12 @@ def smooth(log_emissions: Float64Array, places: Float64Array, steps: Float64Arra
         np.linalg.norm(positions - places[own], axis=1),
         total,
     )
+
+
+def _local_mean(shares: Float64Array, places: Float64Array, middle: Float64Array, near: float) -> Float64Array:
+    """Return the mean of places (N, 2) within a distance of one of them, weighted by shares (N,)."""
+    kept = ((places - middle) ** 2).sum(axis=1) <= near**2
+    return cast(Float64Array, shares[kept] @ places[kept] / shares[kept].sum())
 
 
 class _Transition:

@@ -50,6 +50,16 @@ def test_posteriors_and_path_are_those_of_all_paths(seed: int) -> None:
     np.testing.assert_allclose(found.radii, np.sqrt(spread / 2), rtol=1e-6, atol=1e-6)
 
 
+def test_a_position_does_not_lie_between_two_places() -> None:
+    emitted = np.log(np.array([[0.5, 0.1, 1e-30, 0.4, 1e-30]]))
+    found = smooth(emitted, PLACES, np.zeros(0), near=50.0)
+    shares = np.exp(emitted[0]) / np.exp(emitted[0]).sum()
+    expected = (shares[:2] @ PLACES[:2]) / shares[:2].sum()
+    np.testing.assert_allclose(found.positions[0], expected)
+    squared = shares @ ((PLACES - expected) ** 2).sum(axis=1)
+    assert found.radii[0] == pytest.approx(np.sqrt(squared / 2))
+
+
 def test_neighbours_outvote_a_frame_that_jumps() -> None:
     x = np.arange(0, 2000, 25.0)
     places = np.stack([x, np.zeros_like(x)], axis=1)
