@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 
@@ -14,6 +16,7 @@ CORNER = (-SIDE * RESOLUTION / 2, SIDE * RESOLUTION / 2)
 BOUNDS = (CORNER[0], -CORNER[1], -CORNER[0], CORNER[1])
 
 
+@cache
 def land(seed: int = 0, side: int = SIDE) -> UInt8Array:
     """Draw fields, paths, and houses, (side, side, 3)."""
     rng = np.random.default_rng(seed)
