@@ -53,7 +53,7 @@ def test_a_map_folder_names_small_sheets_where_they_are(tmp_path: Path, capsys: 
 
 def test_options_are_recorded(tmp_path: Path) -> None:
     Image.fromarray(smooth(100, 100)).save(tmp_path / "a.png")
-    options = ["--corners", "48", "9", "47.9995", "9.0007", "--bands", "2", "--keep_borders"]
+    options = ["--corners", "48", "9", "47.9995", "9.0007", "--bands", "2", "--keep-borders"]
     assert main(["map", str(tmp_path / "a.png"), "--out", str(tmp_path / "map"), *options]) == 0
     same(
         open_map(tmp_path / "map"),
