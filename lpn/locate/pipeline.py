@@ -36,8 +36,9 @@ STAGES = ("retrieval", "sequence", "registration")
 Progress = Callable[[str, int, int], None]
 # Ratios between the ground widths that are tried where none is known.
 _WIDTHS = 1.9
-# Frames whose registered widths say how wide the next one is.
+# Frames whose registered widths correct the next one's, and those that stand for it where no height is known.
 _RECENT = 7
+_LATEST = 3
 # Ground widths around a candidate that are searched.
 _AROUND = 0.75
 _TOP = 5
@@ -183,15 +184,12 @@ class LocatedFlight:
         latitude = longitude = None
         if answer.x is not None and answer.y is not None:
             latitude, longitude = (float(value) for value in self.town.frame.degrees([(answer.x, answer.y)])[0])
-        time = located.frame.time
-        if time is not None and not self.flight.utc:
-            time = min(time, 1e7)  # since the first picture, which is no time of day
         yield TrackPoint(
             located.frame.name,
             stage,
             answer.accepted,
             answer.sentence,
-            time,
+            located.frame.time,
             latitude,
             longitude,
             answer.radius,
@@ -468,8 +466,8 @@ def _tried_widths(town: Map, told: float | None, widths: list[float]) -> Iterato
         if not widths:  # the height may be that above take-off
             yield told, False
         return
-    if widths:
-        yield float(np.median(widths[-_RECENT:])), True
+    if widths:  # a flight that climbs or sinks moves away from it, so it is no more than a start
+        yield float(np.median(widths[-_LATEST:])), False
     largest = 0.8 * min(town.bounds[2] - town.bounds[0], town.bounds[3] - town.bounds[1])
     width = min(largest, 400.0)
     for _ in range(4):
