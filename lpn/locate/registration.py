@@ -91,7 +91,7 @@ class Registration:
         reason: why it was refused, as a sentence; "" if it was accepted.
         matcher: the name of the matcher.
         model: "similarity" or "homography".
-        matches, inliers: mutual matches, and those that agree with the model.
+        matches, inliers: guided matches, and those that agree with the model.
         support, runner_up: support of this place and of the best other place.
         homography: from pixels of the photo (x, y, 1) to metres east and north, (3, 3) float64.
         centre: of the picture on the ground, metres east and north, (2,) float64.
@@ -209,7 +209,6 @@ class _Candidate:
     u: Complex
     m: Complex
     support: float
-    matches: int
 
     @property
     def radius(self) -> float:
@@ -226,14 +225,12 @@ class _Seed:
 
     Attributes:
         support: by all matches.
-        matches: their number.
     """
 
     seen: _Described
     a: complex
     b: complex
     support: float
-    matches: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,7 +292,7 @@ def _seeds(
     found: list[_Seed] = []
     while len(found) < _PLACES and support.max() > 0:
         i = int(support.argmax())
-        found.append(_Seed(seen, complex(a[i]), complex(b[i]), float(support[i]), len(pairs)))
+        found.append(_Seed(seen, complex(a[i]), complex(b[i]), float(support[i])))
         support[np.abs(b - b[i]) < _APART * width] = 0
     return found
 
@@ -349,7 +346,7 @@ def _guided(seed: _Seed, ground: Ground) -> _Candidate:
     u = m = np.zeros(0, np.complex128)
     support = 0.0
     if len(places) < 4:
-        return _Candidate(a, b, u, m, support, seed.matches)
+        return _Candidate(a, b, u, m, support)
     cosines = seen.features.descriptors @ ground.descriptors[near].T
     for reach in (_REACH, _REACH, _REACH / 2):
         far = _squared_distances(a * seen.u, places - b) > (reach * abs(a)) ** 2
@@ -360,7 +357,7 @@ def _guided(seed: _Seed, ground: Ground) -> _Candidate:
         a, b = _fitted(a, b, u, m)
         if reach == _REACH:
             support = _counted(a, b, u, m, reach)
-    return _Candidate(a, b, u, m, support, seed.matches)
+    return _Candidate(a, b, u, m, support)
 
 
 def _squared_distances(p: Complex, q: Complex) -> Float32Array:
@@ -417,7 +414,7 @@ def _concluded(
         reason,
         matcher.name,
         model,
-        best.matches,
+        len(best.u),
         int(inliers.sum()),
         best.support,
         runner_up,
@@ -506,7 +503,7 @@ def _refusal(
     count = int(inliers.sum())
     if best.support < MIN_SUPPORT:
         return (
-            f"Only {count} of {best.matches} matches agree on a place, a support of {best.support:.0f} where "
+            f"Only {count} of {len(best.u)} matches agree on a place, a support of {best.support:.0f} where "
             f"{MIN_SUPPORT:.0f} are needed."
         )
     if best.support < MIN_RATIO * runner_up:
