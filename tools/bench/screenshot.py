@@ -1,7 +1,4 @@
-"""Make the pictures of docs/stories.md: `python -m tools.bench.screenshot docs BASELINE.onnx [FILE ...]`.
-
-BASELINE is the demo's network with n = 1; without it, the pictures that need it are left as they are.
-"""
+"""Make the pictures of docs/stories.md: `python -m tools.bench.screenshot docs [FILE ...]`."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from tempfile import TemporaryDirectory
 import cv2
 from playwright.sync_api import Browser, sync_playwright
 
-from lpn.core.demo import DEMO, DEMO_QUERY
+from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_QUERY
 from lpn.core.files import write_atomic
 from tools.bench.page import ServerProcess
 from tools.fixtures.chromium import launch
@@ -54,21 +51,18 @@ SHOTS = (
 def main() -> None:
     """Start the app with each model, open it, take the pictures."""
     out = Path(sys.argv[1])
-    models = [(False, DEMO / "lpn.onnx"), *((True, Path(argument)) for argument in sys.argv[2:3])]
     with ExitStack() as stack:
         browser = launch(stack.enter_context(sync_playwright()))
-        wanted = [shot for shot in SHOTS if not sys.argv[3:] or shot.file in sys.argv[3:]]
-        beside = models[1][1] if len(models) > 1 else None
-        for baseline, model in models:
-            for shot in wanted:
-                if shot.baseline == baseline and (not shot.beside or beside):
-                    _take(browser, shot, model, out, beside)
+        for shot in SHOTS:
+            if not sys.argv[2:] or shot.file in sys.argv[2:]:
+                _take(browser, shot, out)
         browser.close()
 
 
-def _take(browser: Browser, shot: Shot, model: Path, out: Path, beside: Path | None) -> None:
+def _take(browser: Browser, shot: Shot, out: Path) -> None:
+    model = DEMO_BASELINE if shot.baseline else DEMO / "lpn.onnx"
     command = [sys.executable, "-m", "lpn", "explore", "--data", str(DEMO), "--model", str(model)]
-    command += ["--beside", str(beside)] if shot.beside else []
+    command += ["--beside", str(DEMO_BASELINE)] if shot.beside else []
     with ServerProcess([*command, "--query", shot.query, "--port", str(free_port())], dict(os.environ)) as app:
         _open(browser, app.url, shot, out)
 
