@@ -1,6 +1,6 @@
 """The folder of a map: map.json, the coverage, and copies or overviews of sheets that would be slow to read.
 
-    map.json            format, frame, and for each sheet its file, CRS, transform, and treatment; written last
+    map.json            format, frame, and for each sheet its file, CRS, transform, and treatment; names them when all are done
     coverage.png        share of each cell that is valid, 0 to 255
     sheets/01.vrt       a large sheet without overviews, beside 01.vrt.ovr with its overviews
     sheets/02.tif       a tiled copy, with overviews, of a large sheet whose file must be read from its beginning
@@ -23,7 +23,7 @@ import numpy as np
 
 from lpn.core import formats
 from lpn.core.arrays import Float64Array
-from lpn.core.errors import DataError, OutputError
+from lpn.core.errors import DataError, InputError, OutputError
 from lpn.core.files import check_writable, printable, write_atomic
 from lpn.maps import _gdal
 from lpn.maps.frame import LocalFrame
@@ -37,6 +37,8 @@ NAME = "map.json"
 FORMAT = "lpn-map/1"
 _COVERAGE = "coverage.png"
 _SHEETS = "sheets"
+# What GDAL may write beside a raster.
+_ENDS = ("", ".ovr", ".aux.xml", ".msk", ".msk.ovr")
 # Sides above which a sheet gets overviews, and the side of the coarsest overview.
 _LARGE, _COARSEST = 2048, 512
 # Pixels above which a file that is not tiled is copied.
@@ -69,13 +71,20 @@ class SheetRecord(msgspec.Struct, frozen=True):
 
 
 class MapRecord(msgspec.Struct, frozen=True):
-    """The contents of map.json; latitude and longitude are the origin of the frame."""
+    """The contents of map.json.
+
+    Attributes:
+        latitude, longitude: origin of the frame in degrees.
+        sheets: none until all are done.
+        written: names of files in `sheets/` that `lpn map` wrote, or may have written; it replaces and deletes no others.
+    """
 
     format: str
     name: str
     latitude: float
     longitude: float
     sheets: list[SheetRecord]
+    written: list[str]
 
 
 def build_map(
@@ -88,43 +97,47 @@ def build_map(
 
     Args:
         paths: see `lpn.maps.open_map`.
-        out: new or empty folder, or one of an earlier map, which is replaced.
+        out: new or empty folder, or one of an earlier map, which is replaced. No file that `lpn map` did not write is changed.
         options: what is known about the files beyond what they say.
         on_progress: called with a sentence before each long step.
 
     Raises:
         DataError: if a file cannot be read, or has no or an impossible georeference; nothing is written.
-        InputError: if an option is malformed, or does not apply; nothing is written.
-        OutputError: if the folder holds other files, or cannot be written.
+        InputError: if an option is malformed, or does not apply, or a file lies in the map's folder; nothing is written.
+        OutputError: if the folder holds other files where those of the map go, or cannot be written.
     """
     options = options or MapOptions()
     files = files_of(paths, options)
-    _check_folder(out)
+    earlier = _written_before(out)
+    _check_inputs(files, out)
     places = [None if file.is_dir() else georeference(file, options) for file in files]
     _check_places(files, places, options)
+    targets = [out / _SHEETS / f"{number:02d}" for number in range(1, len(files) + 1)]
+    planned = {
+        name for target, place in zip(targets, places, strict=True) if place is not None for name in _names(target)
+    }
+    _check_sheets(out, planned - earlier)
     check_writable(out / NAME)
-    with suppress(FileNotFoundError):
-        (out / NAME).unlink()
+    # A run that is killed leaves this record, by which the next one knows the folder, and what it may replace there.
+    _write(out, MapRecord(FORMAT, files[0].stem, 0.0, 0.0, [], sorted(earlier | planned)))
     sheets, kept = [], set()
-    for number, (file, place) in enumerate(zip(files, places, strict=True), 1):
+    for file, place, target in zip(files, places, targets, strict=True):
         if place is None:
             sheets.append(open_sheet(file, options))
             continue
-        path = _prepared(file, out / _SHEETS / f"{number:02d}", on_progress)
-        kept |= {path.name, f"{path.name}.ovr"}
+        path = _prepared(file, target, on_progress)
+        if path.parent == target.parent:
+            kept |= {f"{path.name}{end}" for end in _ENDS}
         sheets.append(raster_sheet(file, path, *place, options))
-    if (out / _SHEETS).is_dir():
-        for path in (out / _SHEETS).iterdir():
-            if path.name not in kept:
-                path.unlink()
+    for name in (earlier | planned) - kept:
+        (out / _SHEETS / name).unlink(missing_ok=True)
     found = Map(files[0].stem, sheets)
     on_progress("Looking where the map has data.")
     coverage = np.rint(found.coverage() * 255).astype(np.uint8)
     write_atomic(out / _COVERAGE, cv2.imencode(".png", coverage)[1].tobytes())
-    record = MapRecord(
-        FORMAT, found.name, found.frame.latitude, found.frame.longitude, [_record(sheet, out) for sheet in found.sheets]
-    )
-    write_atomic(out / NAME, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
+    records = [_record(sheet, out) for sheet in found.sheets]
+    written = sorted(name for name in kept if (out / _SHEETS / name).exists())
+    _write(out, MapRecord(FORMAT, found.name, found.frame.latitude, found.frame.longitude, records, written))
     return found
 
 
@@ -141,7 +154,7 @@ def open_folder(folder: Path) -> Map:
     except OSError as error:
         raise DataError(f"{shown} cannot be read ({error.strerror or error}); check its permissions.") from error
     except (ValueError, RecursionError) as error:
-        raise DataError(f"{shown} is damaged, or no map; write it again with lpn map.") from error
+        raise DataError(f"{shown} is damaged, or no map; write the map again with lpn map, in a new folder.") from error
     sheets = [_opened(folder, sheet) for sheet in record.sheets]
     if not sheets:
         raise DataError(f"{shown} names no sheet; write it again with lpn map.")
@@ -196,17 +209,61 @@ def _opened(folder: Path, record: SheetRecord) -> Sheet:
     return Sheet(record.name, raster, parse_crs(record.crs), matrix)
 
 
-def _check_folder(out: Path) -> None:
-    """Raise OutputError if the folder holds anything but a map."""
+def _write(out: Path, record: MapRecord) -> None:
+    write_atomic(out / NAME, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
+
+
+def _names(target: Path) -> set[str]:
+    """Return the names of all files that a sheet's overviews or copy may leave in `sheets/`, also after a kill."""
+    return {
+        f"{target.name}{part}{suffix}{end}" for part in ("", ".part") for suffix in (".vrt", ".tif") for end in _ENDS
+    }
+
+
+def _check_inputs(files: Sequence[Path], out: Path) -> None:
+    """Raise InputError if a file lies in the map's folder, whose sheets are replaced."""
+    folder = out.resolve()
+    if inside := next((file for file in files if file.resolve().is_relative_to(folder)), None):
+        raise InputError(
+            f"{printable(str(inside))} lies in {printable(str(out))}, the folder that the map is written to; choose another "
+            "folder for the map."
+        )
+
+
+def _written_before(out: Path) -> set[str]:
+    """Return the names in `sheets/` that `lpn map` wrote earlier.
+
+    Raises:
+        OutputError: if there is something at `out` that is neither an empty folder nor one of a map.
+    """
+    shown = printable(str(out))
     if out.exists() and not out.is_dir():
-        raise OutputError(f"{printable(str(out))} is a file; choose another place for the map.")
-    if out.is_dir() and not (out / NAME).exists():
-        others = sorted(path.name for path in out.iterdir() if path.name not in (_COVERAGE, _SHEETS))
-        if others:
+        raise OutputError(f"{shown} is a file; choose another place for the map.")
+    if not out.exists():
+        return set()
+    if (out / NAME).exists():
+        try:
+            record = formats.decode_json((out / NAME).read_bytes(), MapRecord, f"{shown}/{NAME}", FORMAT, OutputError)
+        except (OSError, ValueError, RecursionError) as error:
             raise OutputError(
-                f"{printable(str(out))} holds other files, such as {printable(others[0])}, and no {NAME}; choose another folder "
-                "for the map."
-            )
+                f"{shown} holds a {NAME} that lpn map did not write; choose another folder for the map."
+            ) from error
+        # A name with a folder in it could lead elsewhere.
+        return {name for name in record.written if Path(name).name == name and name != ".."}
+    if other := min((path.name for path in out.iterdir()), default=None):
+        raise OutputError(
+            f"{shown} holds other files, such as {printable(other)}, and no {NAME}; choose another folder for the map."
+        )
+    return set()
+
+
+def _check_sheets(out: Path, names: set[str]) -> None:
+    """Raise OutputError if one of these names in `sheets/` is taken by a file that `lpn map` did not write."""
+    if taken := next((name for name in sorted(names) if (out / _SHEETS / name).exists()), None):
+        raise OutputError(
+            f"{printable(str(out / _SHEETS / taken))} was not written by lpn map and would be replaced; move it, or choose "
+            "another folder for the map."
+        )
 
 
 def _check_places(

@@ -121,9 +121,63 @@ def test_a_folder_of_other_files_is_not_written_to(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="is a file"):
         build_map([good], good)
     build_map([good], tmp_path / "map")
-    (tmp_path / "map" / "map.json").unlink()  # as after a kill
-    build_map([good], tmp_path / "map")
     build_map([good], tmp_path / "map")  # again
+    assert open_map(tmp_path / "map").name == "a"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_nothing_that_lpn_map_did_not_write_is_deleted_or_replaced(tmp_path: Path) -> None:
+    large = write_geotiff(tmp_path / "large.tif", smooth(60, 3000), tiled=True, blockxsize=256, blockysize=256)
+    small = write_geotiff(tmp_path / "small.tif", smooth(60, 60))
+    # A folder that looks like one of a map, and holds a user's pictures.
+    mine = tmp_path / "town" / "sheets"
+    mine.mkdir(parents=True)
+    for name in ("a.tif", "01.vrt", "01.tif"):
+        write_geotiff(mine / name, smooth(60, 60))
+    (mine / "notes.txt").write_text("mine")
+    before = contents(tmp_path)
+    for source in (large, small, mine / "a.tif"):
+        with pytest.raises(OutputError, match="holds other files, such as sheets"):
+            build_map([source], tmp_path / "town")
+    (tmp_path / "town" / "map.json").write_text('{"tiles": []}')
+    with pytest.raises(OutputError, match=r"a map.json that lpn map did not write"):
+        build_map([small], tmp_path / "town")
+    assert contents(tmp_path) == before | {"town/map.json": b'{"tiles": []}'}
+
+    # A user's files in the folder of a map.
+    build_map([large], tmp_path / "map")
+    sheets = tmp_path / "map" / "sheets"
+    for name in ("02.vrt", "old.tif", "notes.txt"):
+        (sheets / name).write_text("mine")
+    (tmp_path / "map" / "readme.txt").write_text("mine")
+    with pytest.raises(InputError, match="the folder that the map is written to"):
+        build_map([sheets / "old.tif"], tmp_path / "map")
+    with pytest.raises(OutputError, match=r"02.vrt was not written by lpn map"):
+        build_map([small, large], tmp_path / "map")
+    assert open_map(tmp_path / "map").name == "large"
+    build_map([small], tmp_path / "map")
+    assert sorted(path.name for path in sheets.iterdir()) == ["02.vrt", "notes.txt", "old.tif"]
+    assert (tmp_path / "map" / "readme.txt").read_text() == "mine"
+
+
+def test_a_run_that_was_killed_is_no_map_and_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    large = write_geotiff(tmp_path / "a.tif", smooth(60, 3000), tiled=True, blockxsize=256, blockysize=256)
+
+    def killed(_: Map) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Map, "coverage", killed)
+        with pytest.raises(KeyboardInterrupt):
+            build_map([large], tmp_path / "map")
+    (tmp_path / "map" / "sheets" / "01.part.vrt.ovr").write_bytes(b"half")
+    with pytest.raises(DataError, match="names no sheet"):
+        open_map(tmp_path / "map")
+    build_map([large], tmp_path / "map")
+    assert sorted(file.name for file in (tmp_path / "map" / "sheets").iterdir()) == ["01.vrt", "01.vrt.ovr"]
     assert open_map(tmp_path / "map").name == "a"
 
 
