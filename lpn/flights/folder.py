@@ -18,15 +18,16 @@ from typing import Any, get_args
 
 import msgspec
 
-from lpn.core.errors import DataError
+from lpn.core.errors import DataError, OutputError
 from lpn.core.files import printable, write_atomic
-from lpn.core.formats import decode_json
+from lpn.core.formats import decode_json, format_of
 from lpn.datasets.base import read_rows
 from lpn.flights.base import Flight, Frame, HeadingSource
 
 FORMAT = "lpn-flight/1"
 TABLE, HEADER, FRAMES = "flight.csv", "flight.json", "frames"
 _COLUMNS = tuple(field.name for field in fields(Frame))
+_FIRST_LINE = ",".join(_COLUMNS).encode() + b"\n"
 _NUMBERS = tuple(name for name in _COLUMNS if name not in ("name", "file", "width", "height", "heading_source"))
 _LIMITS: Mapping[str, tuple[float, float]] = {
     "latitude": (-90, 90),
@@ -50,12 +51,35 @@ def is_flight(folder: Path) -> bool:
     return (folder / HEADER).is_file()
 
 
+def check_folder(folder: Path) -> None:
+    """Raise OutputError if the flight would replace a file that `lpn flight` did not write."""
+    try:
+        header = format_of(file.read_bytes()) if (file := folder / HEADER).exists() else FORMAT
+        begin = _FIRST_LINE
+        if (file := folder / TABLE).exists():
+            with file.open("rb") as table:
+                begin = table.read(len(_FIRST_LINE))
+    except OSError as error:
+        raise OutputError(f"{printable(str(file))} cannot be read ({error.strerror or error}); check it.") from error
+    ours = {
+        HEADER: isinstance(header, str) and header.startswith(FORMAT.partition("/")[0] + "/"),
+        TABLE: begin == _FIRST_LINE,
+    }
+    for name, is_ours in ours.items():
+        if not is_ours:
+            raise OutputError(
+                f"{printable(str(folder / name))} was not written by lpn flight and would be replaced; choose another folder for "
+                "the flight."
+            )
+
+
 def write_flight(flight: Flight, folder: Path) -> None:
     """Write a flight's table and header; the pictures stay where they are.
 
     Raises:
-        OutputError: if a file cannot be written.
+        OutputError: if a file cannot be written, or would replace one that `lpn flight` did not write.
     """
+    check_folder(folder)
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)

@@ -16,7 +16,7 @@ from lpn.core.files import printable
 from lpn.datasets.base import files_below
 from lpn.flights import logs, subtitles, videos
 from lpn.flights.base import Flight, Frame
-from lpn.flights.folder import FRAMES, write_flight
+from lpn.flights.folder import FRAMES, check_folder, write_flight
 from lpn.flights.logs import Log
 from lpn.flights.photos import Photo, natural, read_photo, set_times
 from lpn.flights.quality import flight_notes, with_courses
@@ -82,9 +82,10 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
 
     Raises:
         DataError: if there are no pictures, none can be read, photos are mixed with videos, or a log is damaged.
-        OutputError: if the folder cannot be written.
+        OutputError: if the folder cannot be written, or holds a flight.csv or flight.json that `lpn flight` did not write.
     """
     options = options or FlightOptions()
+    check_folder(out)
     found = _sorted_files(files)
     read = [logs.read_log(file) for file in found.logs]
     name = out.resolve().name

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from lpn.core.errors import DataError
-from lpn.flights import Flight, Frame, open_flight, write_flight
+from lpn.core.errors import DataError, OutputError
+from lpn.flights import Flight, Frame, make_flight, open_flight, write_flight
 from tools.fixtures.photos import exif, write_photo
 
 FRAME = Frame(
@@ -36,6 +36,21 @@ def test_a_flight_may_be_moved_with_its_photos(tmp_path: Path) -> None:
     write_flight(open_flight(tmp_path / "one" / "photos"), tmp_path / "one" / "flight")
     (tmp_path / "one").rename(tmp_path / "two")
     assert open_flight(tmp_path / "two" / "flight").frames[0].file == tmp_path / "two" / "photos" / "a.jpg"
+
+
+@pytest.mark.parametrize(("name", "text"), [("flight.csv", "latitude,longitude,time\n1,2,3\n"), ("flight.json", "{}")])
+def test_files_that_lpn_flight_did_not_write_are_not_replaced(tmp_path: Path, name: str, text: str) -> None:
+    photo = write_photo(tmp_path / "a.jpg", exif(1.0, 2.0))
+    (tmp_path / name).write_text(text)
+    for attempt in (
+        lambda: make_flight([photo, tmp_path / name] if name == "flight.csv" else [photo], tmp_path),
+        lambda: write_flight(open_flight(tmp_path / "flight"), tmp_path),
+    ):
+        make_flight([photo], tmp_path / "flight")  # again, over its own
+        with pytest.raises(OutputError, match=f"{name} was not written by lpn flight"):
+            attempt()
+    assert (tmp_path / name).read_text() == text
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["a.jpg", "flight", name])
 
 
 @pytest.mark.parametrize(
