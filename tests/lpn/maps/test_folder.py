@@ -207,6 +207,7 @@ def test_a_damaged_map_folder_is_refused(tmp_path: Path) -> None:
 
 _LARGE = """
 import resource, sys
+from pathlib import Path
 import numpy as np
 from lpn.maps import Window, open_map
 town = open_map(sys.argv[1])
@@ -224,7 +225,12 @@ assert abs(valid.mean() - (1024 / 1500) ** 2) < 0.005, valid.mean()
 windows = town.windows(1000, 500, 0.4)
 assert 4 <= len(windows) <= 9, len(windows)
 assert all(town.read(window, 100)[1].mean() > 0.37 for window in windows)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+status = Path("/proc/self/status")
+if status.exists():
+    # Linux counts the parent's memory before exec in ru_maxrss.
+    print(1024 * int(status.read_text().split("VmHWM:")[1].split()[0]))
+else:
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024))
 """
 
 
@@ -247,5 +253,4 @@ def test_a_map_of_60_000_pixels_a_side_is_read_in_less_than_a_gigabyte(tmp_path:
         command, capture_output=True, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"}, check=False
     )
     assert done.returncode == 0, done.stderr
-    unit = 1 if sys.platform == "darwin" else 1024
-    assert int(done.stdout) * unit < 1e9
+    assert int(done.stdout) < 1e9
