@@ -138,11 +138,18 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
         accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
         shares = [f"{found.within[m]:.0f} %" for m in sorted(found.within)]
         numbers = [f"{value:.1f}" if found.answered else "-" for value in (found.median, found.p90)]
-        table.add_row(stage, f"{accepted}", *numbers, *shares, f"{found.coverage_at_zero:.0f} %")
+        table.add_row(
+            stage,
+            "not verified" if stage == "retrieval" else f"{accepted}",
+            *numbers,
+            *shares,
+            f"{found.coverage_at_zero:.0f} %",
+        )
     console.print(table)
     console.print(
         "Errors are against the tags of the flight; shares are of all frames with a tag; 'no false' is the share that can be "
-        "accepted, smallest radius first, before one is more than 50 m off.",
+        "accepted before one is more than 50 m off, smallest radius first, for the retrieval greatest score first. The retrieval "
+        "ranks windows and verifies none.",
         soft_wrap=True,
     )
     if measured := located.field_measures():

@@ -49,7 +49,8 @@ def summarise(
     """Summarise errors in metres (N,), NaN where the stage gave no accepted position.
 
     Args:
-        radii: 1-sigma radii (N,) by which answers are ordered for `coverage_at_zero`; a missing radius comes last.
+        radii: 1-sigma radii, or another measure of doubt, (N,), by which answers are ordered for `coverage_at_zero`; a missing
+            one comes last.
 
     Raises:
         InputError: if the shapes differ.

@@ -27,11 +27,11 @@ from lpn.locate.matchers import MatcherName, SiftMatcher, open_matcher
 from lpn.locate.registration import Expectation, Registration, register
 from lpn.locate.retrieval import MapRetrieval, frame_identity, map_identity, retrieve
 from lpn.locate.sequence import MotionModel, emissions, smooth
-from lpn.locate.tracks import TrackPoint
+from lpn.locate.tracks import State, TrackPoint
 from lpn.maps import Map
 from lpn.models.base import Model
 
-FORMAT = "lpn-locate/1"
+FORMAT = "lpn-locate/2"
 STAGES = ("retrieval", "sequence", "registration")
 Progress = Callable[[str, int, int], None]
 # Ratios between the ground widths that are tried where none is known.
@@ -95,11 +95,11 @@ class StageRecord(msgspec.Struct, frozen=True):
     """One stage's answer for a frame.
 
     Attributes:
-        accepted: whether the position may be used.
+        state: "accepted" if the position may be used, "refused" if not, "not verified" if the stage cannot tell.
         sentence: what was found, or why it was refused.
         x, y: metres east and north in the map's frame: of the camera where `camera`, else of the picture's middle.
         camera: whether the camera's tilt is known, so that the position is the camera's.
-        radius: 1-sigma radius in metres.
+        radius: 1-sigma radius in metres; None for the retrieval, which has none.
         heading: of the picture's top in degrees.
         turn: degrees from the heading that the flight tells to `heading`.
         width: metres of ground across the picture.
@@ -107,7 +107,7 @@ class StageRecord(msgspec.Struct, frozen=True):
         homography: from pixels to metres, 9 numbers by rows.
     """
 
-    accepted: bool
+    state: State
     sentence: str
     x: float | None = None
     y: float | None = None
@@ -118,6 +118,11 @@ class StageRecord(msgspec.Struct, frozen=True):
     width: float | None = None
     inliers: int | None = None
     homography: list[float] | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the position may be used."""
+        return self.state == "accepted"
 
 
 @dataclass
@@ -187,28 +192,35 @@ class LocatedFlight:
         yield TrackPoint(
             located.frame.name,
             stage,
-            answer.accepted,
+            answer.state,
             answer.sentence,
             located.frame.time,
             latitude,
             longitude,
+            answer.camera,
             answer.radius,
             answer.heading,
             located.error(stage),
         )
 
     def summaries(self, limit: float = 50.0) -> dict[str, measures.ErrorSummary]:
-        """Return the errors of each stage against the tags; frames without a tag are left out."""
+        """Return the errors of each stage against the tags; frames without a tag are left out, refused positions do not count.
+
+        Answers of the retrieval are ordered by their scores, those of the other stages by their radii.
+        """
         tagged = [located for located in self.frames if located.tag is not None]
         found = {}
         for stage in self.stages:
-            errors, radii = [], []
+            errors, doubts = [], []
             for located in tagged:
                 answer, error = located.stages.get(stage), located.error(stage)
-                used = answer is not None and answer.accepted and error is not None
-                errors.append(error if used and error is not None else math.nan)
-                radii.append(math.nan if answer is None or answer.radius is None else answer.radius)
-            found[stage] = measures.summarise(errors, radii, limit)
+                refused = answer is None or answer.state == "refused"
+                errors.append(math.nan if refused or error is None else error)
+                doubt = answer.radius if answer is not None else None
+                if stage == "retrieval" and located.windows:
+                    doubt = -located.windows[0].score
+                doubts.append(math.nan if doubt is None else doubt)
+            found[stage] = measures.summarise(errors, doubts, limit)
         return found
 
     def field_measures(self) -> dict[str, float]:
@@ -266,6 +278,11 @@ def locate(
         for frame, tag in zip(flight.frames, tags, strict=True)
     ]
     notes = list(_tag_notes(town, frames))
+    if options.prior is not None:
+        notes.append(
+            f"Registration searched around the tags only (prior {options.prior:g} m), so errors against the tags say less than "
+            "those of a search without a prior."
+        )
     found = None
     if model is not None:
         found = retrieve(model, town, flight, options.sizes, options.overlap, options.centre, on_progress)
@@ -322,7 +339,7 @@ def _ranked(found: MapRetrieval, frames: list[LocatedFrame], k: int) -> None:
     """Enter the answers of the retrieval."""
     for i, located in enumerate(frames):
         if i in found.broken:
-            located.stages["retrieval"] = StageRecord(False, found.broken[i])
+            located.stages["retrieval"] = StageRecord("refused", found.broken[i])
             continue
         top = found.top(i, max(k, 2))
         located.windows = [
@@ -339,32 +356,48 @@ def _ranked(found: MapRetrieval, frames: list[LocatedFrame], k: int) -> None:
         ]
         best = located.windows[0]
         turned = "" if located.frame.heading is not None else f", turned to {best.heading:.0f} degrees"
+        margin = _margin(found, i)
+        others = (
+            "no window lies apart from it"
+            if margin is None
+            else f"the margin to windows apart from it is {margin:.3f} d²"
+        )
         located.stages["retrieval"] = StageRecord(
-            True,
-            f"The best of {len(found.windows)} windows has the score {best.score:.3f}{turned}.",
+            "not verified",
+            f"The best of {len(found.windows)} windows has the score {best.score:.3f}{turned}; {others}; not verified.",
             best.x,
             best.y,
             heading=best.heading,
-            radius=best.size / 2,
         )
+
+
+def _margin(found: MapRetrieval, frame: int) -> float | None:
+    """Return d² of the best window that does not overlap the best one, minus d² of that; None without such a window."""
+    scores = found.scores(frame)
+    best = int(scores.argmax())
+    apart = np.abs(found.places - found.places[best]).max(axis=1) >= (found.sizes + found.sizes[best]) / 2
+    return float(2 * (scores[best] - scores[apart].max())) if apart.any() else None
 
 
 def _sequenced(found: MapRetrieval, flight: Flight, frames: list[LocatedFrame], options: LocateOptions) -> None:
     """Enter the answers of the sequence."""
     scores = np.stack([found.scores(i) for i in range(len(frames))])
-    spacing = float(np.median(found.sizes)) * (1 - options.overlap)
+    side = float(np.median(found.sizes))
+    spacing = side * (1 - options.overlap)
     motion = MotionModel(options.speed, max(spacing, 1.0))
     emitted = emissions(scores, options.temperature, options.floor)
-    track = smooth(emitted, found.places, motion.steps(flight.times), float(np.median(found.sizes)))
+    track = smooth(emitted, found.places, motion.steps(flight.times), side)
     for i, located in enumerate(frames):
-        said = "The frame cannot be read; its neighbours place it." if i in found.broken else track.sentence(i)
-        located.stages["sequence"] = StageRecord(
-            True,
-            said,
-            float(track.positions[i, 0]),
-            float(track.positions[i, 1]),
-            radius=float(np.hypot(track.radii[i], spacing / 2)),
-        )
+        radius = float(np.hypot(track.radii[i], spacing / 2))
+        state: State = "accepted"
+        said = track.sentence(i)
+        if i in found.broken:
+            state, said = "refused", "The frame cannot be read; the position is a guess of its neighbours."
+        elif radius > side:
+            state = "refused"
+            said = f"The 1-sigma radius of {radius:.0f} m is larger than a window, whose side is {side:.0f} m. {said}"
+        x, y = (float(value) for value in track.positions[i])
+        located.stages["sequence"] = StageRecord(state, said, x, y, radius=radius)
 
 
 def _registered(
@@ -429,11 +462,11 @@ def _register_frame(
     try:
         photo = images.load_picture(frame.file)
     except PictureError as error:
-        return StageRecord(False, str(error))
+        return StageRecord("refused", str(error))
     places = _candidates(located, options)
     if options.prior is not None and located.tag is None and found is None:
         return StageRecord(
-            False, "The frame has no position to search around; leave --prior out to search the whole map."
+            "refused", "The frame has no position to search around; leave --prior out to search the whole map."
         )
     centres = None if places is None else np.array(places)
     told = ground_width(frame)
@@ -445,7 +478,7 @@ def _register_frame(
         ground = kind.around(centres, reach, width)
         if ground is None:
             return StageRecord(
-                False,
+                "refused",
                 f"More than {MAX_BLOCKS} blocks of {town.name} would have to be searched for this photo; give --model, or "
                 "--prior with the metres around the tag.",
             )
@@ -479,7 +512,7 @@ def _record(frame: Frame, size: tuple[int, int], found: Registration, prior: flo
     """Return the record of a registration."""
     how = f" The search used the tag: it covered {prior:g} m around it." if prior is not None else ""
     if found.centre is None or found.homography is None:
-        return StageRecord(False, found.reason + how)
+        return StageRecord("refused", found.reason + how)
     place, camera = found.centre, False
     if (nadir := nadir_pixel(frame, size)) is not None:
         pixel = np.array(nadir)
@@ -493,7 +526,7 @@ def _record(frame: Frame, size: tuple[int, int], found: Registration, prior: flo
         if found.turned:
             sentence += f" The picture is turned by {abs(found.turn or 0):.0f} degrees against its heading."
     return StageRecord(
-        found.accepted,
+        "accepted" if found.accepted else "refused",
         sentence + how,
         float(place[0]),
         float(place[1]),

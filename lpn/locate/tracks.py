@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from xml.etree import ElementTree
 
 from lpn.core.errors import InputError
@@ -22,6 +22,8 @@ _FIRST_EPOCH = 10**8
 _GPX = "http://www.topografix.com/GPX/1/1"
 _OURS = "urn:lpn-explorer:track"
 _KML = "http://www.opengis.net/kml/2.2"
+# "not verified" is a position that nothing has checked against the picture: the best guess of the retrieval.
+State = Literal["accepted", "refused", "not verified"]
 _COLOURS = {"retrieval": "ff00a5ff", "sequence": "ffff8000", "registration": "ff00c000"}
 
 
@@ -32,10 +34,11 @@ class TrackPoint:
     Attributes:
         frame: name of the frame.
         stage: "retrieval", "sequence", "registration".
-        accepted: whether the position may be used.
+        state: "accepted" if the position may be used, "refused" if not, "not verified" if the stage cannot tell.
         reason: a sentence: why it was refused, or what is to be known about it.
         time: seconds, UTC epoch where known; None if unknown.
         latitude, longitude: WGS 84 degrees; None without a position.
+        camera: whether they are the camera's; otherwise those of the picture's middle on the ground.
         radius: 1-sigma radius in metres; None if unknown.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
         error: metres from the frame's tag; None without a tag.
@@ -43,11 +46,12 @@ class TrackPoint:
 
     frame: str
     stage: str
-    accepted: bool
+    state: State
     reason: str
     time: float | None = None
     latitude: float | None = None
     longitude: float | None = None
+    camera: bool = False
     radius: float | None = None
     heading: float | None = None
     error: float | None = None
@@ -67,7 +71,8 @@ def check_suffix(path: Path) -> None:
 def write_track(path: Path, name: str, points: Sequence[TrackPoint]) -> None:
     """Write a track in the format of its suffix.
 
-    GPX has accepted positions only, as tracks must not have gaps filled with guesses; the others have every frame of every stage.
+    GPX leaves refused positions out; the others have every frame of every stage. A stage's positions that are not verified are a
+    line of their own, whose name says so.
 
     Args:
         name: of the flight.
@@ -83,30 +88,34 @@ def write_track(path: Path, name: str, points: Sequence[TrackPoint]) -> None:
 
 
 def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
-    """Return a FeatureCollection (RFC 7946): a point a frame and stage, a line a stage through its accepted positions."""
+    """Return a FeatureCollection (RFC 7946): a point a frame and stage, a line a stage and state but for refused positions."""
     features: list[dict[str, Any]] = []
     for point in points:
         properties = {key: getattr(point, key) for key in _COLUMNS if key not in ("latitude", "longitude")}
         geometry = None if point.latitude is None else {"type": "Point", "coordinates": _position(point)}
         features.append({"type": "Feature", "geometry": geometry, "properties": _finite(properties)})
-    for stage, chosen in _accepted(points).items():
+    for (stage, state), chosen in _lines(points).items():
         if len(chosen) > 1:
             line = {"type": "LineString", "coordinates": [_position(point) for point in chosen]}
             features.append(
-                {"type": "Feature", "geometry": line, "properties": {"stage": stage, "frames": len(chosen)}}
+                {
+                    "type": "Feature",
+                    "geometry": line,
+                    "properties": {"stage": stage, "state": state, "frames": len(chosen)},
+                }
             )
     collection = {"type": "FeatureCollection", "name": name, "features": features}
     return (json.dumps(collection, indent=1, allow_nan=False) + "\n").encode()
 
 
 def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
-    """Return GPX 1.1: a track a stage; the radius is an extension, for GPX has none in metres."""
+    """Return GPX 1.1: a track a stage and state; the radius is an extension, for GPX has none in metres."""
     ElementTree.register_namespace("", _GPX)
     ElementTree.register_namespace("lpn", _OURS)
     root = ElementTree.Element(f"{{{_GPX}}}gpx", {"version": "1.1", "creator": "lpn locate"})
-    for stage, chosen in _accepted(points).items():
+    for (stage, state), chosen in _lines(points).items():
         track = ElementTree.SubElement(root, f"{{{_GPX}}}trk")
-        ElementTree.SubElement(track, f"{{{_GPX}}}name").text = f"{name}: {stage}"
+        ElementTree.SubElement(track, f"{{{_GPX}}}name").text = _plain(f"{name}: {stage}") + _remark(state)
         segment = ElementTree.SubElement(track, f"{{{_GPX}}}trkseg")
         for point in chosen:
             longitude, latitude = _position(point)
@@ -116,25 +125,27 @@ def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
                 ElementTree.SubElement(entry, f"{{{_GPX}}}time").text = moment
             ElementTree.SubElement(entry, f"{{{_GPX}}}name").text = _plain(point.frame)
             ElementTree.SubElement(entry, f"{{{_GPX}}}desc").text = _plain(point.reason)
+            extensions = ElementTree.SubElement(entry, f"{{{_GPX}}}extensions")
+            ElementTree.SubElement(extensions, f"{{{_OURS}}}state").text = state
+            ElementTree.SubElement(extensions, f"{{{_OURS}}}camera").text = str(point.camera).lower()
             if point.radius is not None and math.isfinite(point.radius):
-                extensions = ElementTree.SubElement(entry, f"{{{_GPX}}}extensions")
                 ElementTree.SubElement(extensions, f"{{{_OURS}}}radius").text = f"{point.radius:.2f}"
     return _xml(root)
 
 
 def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
-    """Return KML 2.2: a folder a stage with its line and a placemark a frame, refused ones included."""
+    """Return KML 2.2: a folder a stage with its lines and a placemark a frame, refused ones included."""
     ElementTree.register_namespace("", _KML)
     root = ElementTree.Element(f"{{{_KML}}}kml")
     document = ElementTree.SubElement(root, f"{{{_KML}}}Document")
     ElementTree.SubElement(document, f"{{{_KML}}}name").text = _plain(name)
-    accepted = _accepted(points)
+    lines = _lines(points)
     for stage in dict.fromkeys(point.stage for point in points):
         folder = ElementTree.SubElement(document, f"{{{_KML}}}Folder")
         ElementTree.SubElement(folder, f"{{{_KML}}}name").text = stage
-        if len(chosen := accepted.get(stage, [])) > 1:
+        for (_, state), chosen in ((key, line) for key, line in lines.items() if key[0] == stage and len(line) > 1):
             line = ElementTree.SubElement(folder, f"{{{_KML}}}Placemark")
-            ElementTree.SubElement(line, f"{{{_KML}}}name").text = f"{stage}: track"
+            ElementTree.SubElement(line, f"{{{_KML}}}name").text = f"{stage}: track" + _remark(state)
             style = ElementTree.SubElement(ElementTree.SubElement(line, f"{{{_KML}}}Style"), f"{{{_KML}}}LineStyle")
             ElementTree.SubElement(style, f"{{{_KML}}}color").text = _COLOURS.get(stage, "ffffffff")
             ElementTree.SubElement(style, f"{{{_KML}}}width").text = "2"
@@ -144,10 +155,11 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
             if point.stage != stage:
                 continue
             mark = ElementTree.SubElement(folder, f"{{{_KML}}}Placemark")
-            state = "" if point.accepted else " (refused)"
-            ElementTree.SubElement(mark, f"{{{_KML}}}name").text = _plain(point.frame) + state
+            ElementTree.SubElement(mark, f"{{{_KML}}}name").text = _plain(point.frame) + _remark(point.state)
             radius = "" if point.radius is None else f" The 1-sigma radius is {point.radius:.1f} m."
-            ElementTree.SubElement(mark, f"{{{_KML}}}description").text = _plain(point.reason + radius).strip()
+            ElementTree.SubElement(mark, f"{{{_KML}}}description").text = _plain(
+                point.reason + _shown(point) + radius
+            ).strip()
             if (moment := _moment(point.time)) is not None:
                 stamp = ElementTree.SubElement(mark, f"{{{_KML}}}TimeStamp")
                 ElementTree.SubElement(stamp, f"{{{_KML}}}when").text = moment
@@ -169,13 +181,24 @@ def _csv(name: str, points: Sequence[TrackPoint]) -> bytes:
     return text.getvalue().encode()
 
 
-def _accepted(points: Sequence[TrackPoint]) -> dict[str, list[TrackPoint]]:
-    """Return the accepted points with a position, by stage."""
-    found: dict[str, list[TrackPoint]] = {}
+def _lines(points: Sequence[TrackPoint]) -> dict[tuple[str, State], list[TrackPoint]]:
+    """Return the points with a position that was not refused, by stage and state."""
+    found: dict[tuple[str, State], list[TrackPoint]] = {}
     for point in points:
-        if point.accepted and point.latitude is not None:
-            found.setdefault(point.stage, []).append(point)
+        if point.state != "refused" and point.latitude is not None:
+            found.setdefault((point.stage, point.state), []).append(point)
     return found
+
+
+def _remark(state: State) -> str:
+    return "" if state == "accepted" else f" ({state})"
+
+
+def _shown(point: TrackPoint) -> str:
+    """Return a sentence that says which place the position is."""
+    if point.latitude is None:
+        return ""
+    return f" The position is {'the camera' if point.camera else 'the middle of the picture on the ground'}."
 
 
 def _position(point: TrackPoint) -> tuple[float, float]:

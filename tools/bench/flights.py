@@ -55,7 +55,7 @@ def asdict_of(found: Any, stage: str) -> dict[str, Any]:
     """Return what the table is made of: one stage's answer for one frame."""
     answer = found.stages[stage]
     return {
-        "accepted": answer.accepted,
+        "state": answer.state,
         "error": found.error(stage),
         "radius": answer.radius,
         "turn": answer.turn,

@@ -18,9 +18,9 @@ from lpn.flights import Flight, Frame, footprint
 from lpn.locate import pipeline
 from lpn.locate.ground import MapFeatures
 from lpn.locate.matchers import SiftMatcher
-from lpn.locate.pipeline import LocatedFrame, LocateOptions, StageRecord, locate, nadir_pixel
-from lpn.locate.retrieval import cut_square, pyramid_sizes, retrieve
-from lpn.maps import Map, open_map
+from lpn.locate.pipeline import LocatedFlight, LocatedFrame, LocateOptions, StageRecord, locate, nadir_pixel
+from lpn.locate.retrieval import MapRetrieval, cut_square, pyramid_sizes, retrieve
+from lpn.maps import Map, Window, open_map
 from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, ground_to_photo, land, photo_of
 
 SIZE = (360, 270)
@@ -80,7 +80,9 @@ def test_a_flight_is_registered_without_a_model_and_the_turned_picture_is_named(
     found = locate(town, flight, None, SIFT)
     answers = [located.stages["registration"] for located in found.frames]
     assert all(answer.accepted for answer in answers), [answer.sentence for answer in answers]
-    assert max(located.error("registration") or 0 for located in found.frames) < 0.6
+    errors = [error for located in found.frames if (error := located.error("registration")) is not None]
+    assert len(errors) == 4
+    assert max(errors) < 0.6
     assert found.stages == ["registration"]
     assert any("1 picture is turned by about 180 degrees against its heading: 2.png" in note for note in found.notes)
     assert "turned by 180 degrees" in found.frames[2].sentence
@@ -97,7 +99,7 @@ def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pyte
     def answer(town: Map, features: MapFeatures, located: LocatedFrame, *rest: object) -> StageRecord:
         del town, features, rest
         registered.append(located.frame.name)
-        return StageRecord(True, "It agrees.", 1.0, 2.0 + len(registered), radius=0.5, width=WIDTH)
+        return StageRecord("accepted", "It agrees.", 1.0, 2.0 + len(registered), radius=0.5, width=WIDTH)
 
     def run() -> list[StageRecord]:
         return [located.stages["registration"] for located in locate(town, flight, None, SIFT).frames]
@@ -132,7 +134,8 @@ def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight
     assert "leave --prior out" in answers[1].sentence
     assert "The search used the tag: it covered 40 m around it." in answers[2].sentence
     assert found.notes[0].startswith("1 of 3 frames have no position")
-    assert [point.accepted for point in found.track()] == [False, False, True]
+    assert [point.state for point in found.track()] == ["refused", "refused", "accepted"]
+    assert "Registration searched around the tags only (prior 40 m)" in found.notes[1]
 
 
 def test_a_flight_elsewhere_is_refused(town: Map, flight: Flight) -> None:
@@ -214,8 +217,14 @@ def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) ->
     found = locate(town, upright, model, options)  # type: ignore[arg-type]
     assert found.stages == ["retrieval", "sequence", "registration"]
     for located in found.frames:
-        assert (located.error("retrieval") or 0) < 15
-        assert (located.error("sequence") or 0) < 15
+        errors = located.error("retrieval"), located.error("sequence")
+        assert errors[0] is not None
+        assert errors[1] is not None
+        assert max(errors) < 15
+        retrieved = located.stages["retrieval"]
+        assert (retrieved.state, retrieved.radius) == ("not verified", None)
+        assert retrieved.sentence.endswith("not verified.")
+        assert located.stages["sequence"].accepted
         assert located.stages["registration"].accepted
         best = located.windows[0]
         assert sum(best.shares) == pytest.approx(2 - 2 * best.score, abs=1e-5)
@@ -226,6 +235,60 @@ def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) ->
     assert measured["recall@1"] == 100
     assert measured["dis@1"] < 15
     assert measured["ma@20"] == 100
+
+
+def _ranked(flight: Flight, scores: np.ndarray, broken: dict[int, str]) -> list[LocatedFrame]:
+    """Return frames after retrieval and sequence, with given scores (frames, 25) of 5 x 5 windows that are 40 m apart."""
+    places = np.stack(np.meshgrid(*[40.0 * np.arange(-2, 3)] * 2), axis=-1).reshape(-1, 2)
+    # One part in as many dimensions as windows: the score of a window is its entry of the frame's descriptor.
+    tiles = np.eye(25, dtype=np.float32)[:, None]
+    described = [None if i in broken else row[None, None].astype(np.float32) for i, row in enumerate(scores)]
+    windows = [Window(x, y, 40.0) for x, y in places]
+    frames = [LocatedFrame(frame, np.zeros(2)) for frame in flight.frames[: len(scores)]]
+    found = MapRetrieval(
+        windows,
+        places,
+        np.full(25, 40.0),
+        tiles,
+        described,
+        [[0.0]] * len(scores),
+        np.full(len(scores), np.nan),
+        broken,
+    )
+    pipeline._ranked(found, frames, 2)
+    options = LocateOptions(overlap=0.0, temperature=0.02)
+    pipeline._sequenced(found, replace(flight, frames=flight.frames[: len(scores)]), frames, options)
+    return frames
+
+
+def test_a_sequence_refuses_what_it_cannot_place(flight: Flight) -> None:
+    sure, lost = np.eye(25)[12], np.zeros(25)
+    located = _ranked(flight, np.stack([sure, sure, sure]), {1: "The file is broken."})
+    answers = [frame.stages["sequence"] for frame in located]
+    assert [answer.state for answer in answers] == ["accepted", "refused", "accepted"]
+    assert answers[1].sentence == "The frame cannot be read; the position is a guess of its neighbours."
+    assert answers[1].x == pytest.approx(0, abs=1)
+    for answer in (frame.stages["sequence"] for frame in _ranked(flight, np.stack([lost, lost]), {})):
+        assert answer.state == "refused"
+        assert "is larger than a window, whose side is 40 m" in answer.sentence
+
+
+def test_a_retrieval_tells_its_score_and_margin(flight: Flight) -> None:
+    scores = np.zeros((1, 25))
+    scores[0, 12], scores[0, 0] = 0.9, 0.65
+    (frame,) = _ranked(flight, scores, {})
+    assert frame.stages["retrieval"].sentence == (
+        "The best of 25 windows has the score 0.900; the margin to windows apart from it is 0.500 d²; not verified."
+    )
+
+
+def test_retrievals_are_ordered_by_score_for_the_coverage(town: Map, flight: Flight) -> None:
+    scores = np.zeros((4, 25))
+    # The first three are right; the fourth is 113 m off, and has the lowest score.
+    scores[[0, 1, 2, 3], [12, 12, 12, 0]] = 0.9, 0.8, 0.7, 0.6
+    located = LocatedFlight(flight, town, _ranked(flight, scores, {}), None, [], None)
+    summary = located.summaries()["retrieval"]
+    assert (summary.answered, summary.coverage_at_zero) == (4, 75)
 
 
 def test_unknown_headings_are_searched_by_turns_and_descriptors_are_kept(
@@ -273,7 +336,8 @@ def test_the_commands_write_a_track_and_measures(
     track = tmp_path / "track.geojson"
     assert main(["locate", *where, "--matcher", "sift", "--limit", "1", "--out", str(track)]) == 0
     features = json.loads(track.read_text())["features"]
-    assert [entry["properties"]["accepted"] for entry in features] == [True]
+    assert [entry["properties"]["state"] for entry in features] == ["accepted"]
+    assert features[0]["properties"]["camera"] is True
     assert "matches of SIFT agree" in capsys.readouterr().out
     assert main(["locate", *where, "--out", str(tmp_path / "track.shp")]) == 2
     assert "suffix '.shp'" in capsys.readouterr().err
@@ -293,4 +357,5 @@ def test_a_flight_is_evaluated_by_its_tags(
     assert main(["evaluate", *where, "--json", str(tmp_path / "measures.json")]) == 0
     assert "registration" in capsys.readouterr().out
     measured = json.loads((tmp_path / "measures.json").read_text())
+    assert measured["notes"] == []
     assert measured["stages"]["registration"]["answered"] == 2

@@ -13,10 +13,11 @@ from lpn.core.errors import InputError, OutputError
 from lpn.locate.tracks import TrackPoint, write_track
 
 POINTS = [
-    TrackPoint("a & <b>.jpg", "registration", True, "", 1.4e9, 46.5, -91.25, 1.5, 40.0, 2.0),
-    TrackPoint("c\x07.jpg", "registration", False, "Only 4 of 90 matches agree.", 1.4e9 + 2.5),
-    TrackPoint("d.jpg", "registration", True, "", 1.4e9 + 5, 46.5001, -91.2501, float("nan")),
-    TrackPoint("d.jpg", "retrieval", True, "", 12.0, 46.6, -91.3),
+    TrackPoint("a & <b>.jpg", "registration", "accepted", "", 1.4e9, 46.5, -91.25, True, 1.5, 40.0, 2.0),
+    TrackPoint("c\x07.jpg", "registration", "refused", "Only 4 of 90 matches agree.", 1.4e9 + 2.5),
+    TrackPoint("d.jpg", "registration", "accepted", "", 1.4e9 + 5, 46.5001, -91.2501, False, float("nan")),
+    TrackPoint("d.jpg", "retrieval", "not verified", "", 12.0, 46.6, -91.3),
+    TrackPoint("e.jpg", "retrieval", "not verified", "", 13.0, 46.6, -91.4),
 ]
 
 
@@ -24,8 +25,11 @@ def test_geojson_has_a_point_a_frame_and_a_line_a_stage(tmp_path: Path) -> None:
     write_track(tmp_path / "track.geojson", "monday", POINTS)
     found = json.loads((tmp_path / "track.geojson").read_text())
     assert found["type"] == "FeatureCollection"
-    *points, line = found["features"]
-    assert [point["properties"]["accepted"] for point in points] == [True, False, True, True]
+    *points, line, guessed = found["features"]
+    states = ["accepted", "refused", "accepted", "not verified", "not verified"]
+    assert [point["properties"]["state"] for point in points] == states
+    assert [point["properties"]["camera"] for point in points] == [True, False, False, False, False]
+    assert guessed["properties"] == {"stage": "retrieval", "state": "not verified", "frames": 2}
     assert points[0]["geometry"] == {"type": "Point", "coordinates": [-91.25, 46.5]}
     assert points[0]["properties"]["radius"] == 1.5
     assert points[1]["geometry"] is None
@@ -39,15 +43,18 @@ def test_gpx_has_accepted_positions_by_stage(tmp_path: Path) -> None:
     space = {"g": "http://www.topografix.com/GPX/1/1", "lpn": "urn:lpn-explorer:track"}
     root = ElementTree.parse(tmp_path / "track.gpx").getroot()
     tracks = {track.findtext("g:name", "", space): track for track in root.findall("g:trk", space)}
-    assert list(tracks) == ["monday: registration", "monday: retrieval"]
+    assert list(tracks) == ["monday: registration", "monday: retrieval (not verified)"]
     first, second = tracks["monday: registration"].findall(".//g:trkpt", space)
     assert (first.get("lat"), first.get("lon")) == ("46.5", "-91.25")
     assert first.findtext("g:name", "", space) == "a & <b>.jpg"
     assert first.findtext("g:time", "", space) == "2014-05-13T16:53:20.000Z"
     assert first.findtext(".//lpn:radius", "", space) == "1.50"
-    assert second.find("g:extensions", space) is None
+    assert second.find(".//lpn:radius", space) is None
+    assert [point.findtext(".//lpn:camera", "", space) for point in (first, second)] == ["true", "false"]
+    guess = tracks["monday: retrieval (not verified)"]
+    assert guess.findtext(".//lpn:state", "", space) == "not verified"
     # 12 seconds since the start of a video are no time of day.
-    assert tracks["monday: retrieval"].find(".//g:time", space) is None
+    assert guess.find(".//g:time", space) is None
 
 
 def test_kml_lists_refused_frames_with_their_reason(tmp_path: Path) -> None:
@@ -58,6 +65,9 @@ def test_kml_lists_refused_frames_with_their_reason(tmp_path: Path) -> None:
     refused = marks["c?.jpg (refused)"]
     assert refused.findtext("k:description", "", space) == "Only 4 of 90 matches agree."
     assert refused.find("k:Point", space) is None
+    assert "The position is the camera." in marks["a & <b>.jpg"].findtext("k:description", "", space)
+    assert "The position is the middle of the picture" in marks["d.jpg"].findtext("k:description", "", space)
+    assert {"e.jpg (not verified)", "retrieval: track (not verified)"} <= marks.keys()
     assert marks["a & <b>.jpg"].findtext(".//k:coordinates", "", space) == "-91.25,46.5"
     assert marks["registration: track"].findtext(".//k:coordinates", "", space) == "-91.25,46.5 -91.2501,46.5001"
 
@@ -66,7 +76,8 @@ def test_csv_is_empty_where_nothing_is_known(tmp_path: Path) -> None:
     write_track(tmp_path / "track.csv", "monday", POINTS)
     with (tmp_path / "track.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [row["accepted"] for row in rows] == ["True", "False", "True", "True"]
+    assert [row["state"] for row in rows] == ["accepted", "refused", "accepted", "not verified", "not verified"]
+    assert [row["camera"] for row in rows] == ["True", "False", "False", "False", "False"]
     assert rows[1]["latitude"] == ""
     assert float(rows[0]["longitude"]) == -91.25
     assert rows[2]["radius"] == ""
