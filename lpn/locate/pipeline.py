@@ -41,6 +41,9 @@ _RECENT = 7
 _LATEST = 3
 # Ground widths around a candidate that are searched.
 _AROUND = 0.75
+# Degrees from straight down up to which the camera's place is told, and 1-sigma error of a tilt.
+_MAX_TILT = 15.0
+_TILT_ERROR = 1.5
 _TOP = 5
 
 
@@ -98,7 +101,7 @@ class StageRecord(msgspec.Struct, frozen=True):
         state: "accepted" if the position may be used, "refused" if not, "not verified" if the stage cannot tell.
         sentence: what was found, or why it was refused.
         x, y: metres east and north in the map's frame: of the camera where `camera`, else of the picture's middle.
-        camera: whether the camera's tilt is known, so that the position is the camera's.
+        camera: whether the position is the camera's, which needs a known tilt of 15 degrees at most.
         radius: 1-sigma radius in metres; None for the retrieval, which has none.
         heading: of the picture's top in degrees.
         turn: degrees from the heading that the flight tells to `heading`.
@@ -264,20 +267,25 @@ def locate(
         on_progress: called with a stage, the frames (or windows) done, and their number.
 
     Raises:
-        InputError: if no stage is left, or the model lacks a view.
-        DataError: if no tag of the flight lies near the map.
+        InputError: if no stage is left, a prior is given beside a model, or the model lacks a view.
+        DataError: if the flight has no frame.
     """
     options = options or LocateOptions()
+    if not flight.frames:
+        raise DataError(f"The flight {flight.name} has no frame; give one with pictures.")
+    if model is not None and options.prior is not None:
+        raise InputError(
+            "With a model, registration searches where the model finds it, not around the tag; leave --prior or --model out."
+        )
     if model is None and not options.register:
         raise InputError(
             "There is nothing to do without a model and without registration; give --model, or allow --register."
         )
-    tags = town.frame.xy(*flight.degrees.T) if len(flight.frames) else np.zeros((0, 2))
+    tags, notes = _tags(town, flight)
     frames = [
         LocatedFrame(frame, None if np.isnan(tag).any() else tag)
         for frame, tag in zip(flight.frames, tags, strict=True)
     ]
-    notes = list(_tag_notes(town, frames))
     if options.prior is not None:
         notes.append(
             f"Registration searched around the tags only (prior {options.prior:g} m), so errors against the tags say less than "
@@ -301,23 +309,33 @@ def locate(
     return LocatedFlight(flight, town, frames, audit, notes, found)
 
 
-def _tag_notes(town: Map, frames: list[LocatedFrame]) -> Iterator[str]:
-    """Yield sentences about tags and the map; refuse a flight that is elsewhere."""
-    tags = np.array([located.tag for located in frames if located.tag is not None])
-    if len(tags) < len(frames):
-        yield f"{len(frames) - len(tags)} of {len(frames)} frames have no position, so no error is known for them."
-    if not len(tags):
-        return
+def _tags(town: Map, flight: Flight) -> tuple[Float64Array, list[str]]:
+    """Return positions of a flight in metres of the map's frame, (N, 2), NaN where none is of use, and sentences about them."""
+    total = len(flight.frames)
+    tags = town.frame.xy(*flight.degrees.T)
+    given = ~np.isnan(flight.degrees).any(axis=1)
+    # The projection has no place for positions that are a continent away.
+    known = np.isfinite(tags).all(axis=1)
+    tags[~known] = np.nan
+    notes = []
+    if missing := total - int(given.sum()):
+        notes.append(f"{missing} of {total} frames have no position, so no error is known for them.")
+    if not given.any():
+        return tags, notes
     west, south, east, north = town.bounds
     margin = max(east - west, north - south)
-    off = np.maximum(np.maximum([west, south] - tags, tags - [east, north]), 0).max(axis=1)
+    off = np.maximum(np.maximum([west, south] - tags[known], tags[known] - [east, north]), 0).max(axis=1)
     if (off > margin).all():
-        raise DataError(
-            f"The flight is elsewhere than the map {town.name}: its nearest position is {off.min() / 1000:.1f} km off the map; "
-            "give the map of this flight."
+        middle = (town.frame.latitude, town.frame.longitude)
+        nearest = measures.great_circle(flight.degrees[given], np.array(middle)).min() / 1000
+        notes.append(
+            f"The flight is elsewhere than the map {town.name}: its nearest position is {nearest:.1f} km from the map's middle. "
+            "The positions were left out; give the map of this flight, unless its positions are wrong."
         )
-    if outside := int((off > 0).sum()):
-        yield f"{outside} of {len(frames)} frames have a position off the map."
+        return np.full_like(tags, np.nan), notes
+    if outside := int((off > 0).sum()) + int((given & ~known).sum()):
+        notes.append(f"{outside} of {total} frames have a position off the map.")
+    return tags, notes
 
 
 def _turn_notes(frames: list[LocatedFrame]) -> Iterator[str]:
@@ -473,6 +491,7 @@ def _register_frame(
     if told is not None and ratios:
         told *= float(np.median(ratios[-_RECENT:]))
     best: Registration | None = None
+    searched = 0.0
     for kind, (width, known) in product(features, list(_tried_widths(town, told, widths))):
         reach = _AROUND * width + (options.prior or 0.0 if found is None else 0.5 * float(np.median(found.sizes)))
         ground = kind.around(centres, reach, width)
@@ -485,19 +504,18 @@ def _register_frame(
         expected = Expectation(width if known else None, frame.heading)
         answer = register(kind.matcher, photo, ground, expected, [width], town.bounds)
         if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
-            best = answer
+            best, searched = answer, reach
         if answer.accepted:
             break
     assert best is not None
-    return _record(frame, photo.shape[1::-1], best, options.prior if found is None else None)
+    return _record(frame, photo.shape[1::-1], best, searched if found is None and centres is not None else None)
 
 
 def _tried_widths(town: Map, told: float | None, widths: list[float]) -> Iterator[tuple[float, bool]]:
     """Yield ground widths to try, and whether each is known: that of the height, that of the frames before, or a range."""
     if told is not None:
         yield told, True
-        if not widths:  # the height may be that above take-off
-            yield told, False
+        yield told, False  # the height may be that above take-off, and the correction by the frames before may be wrong
         return
     if widths:  # a flight that climbs or sinks moves away from it, so it is no more than a start
         yield float(np.median(widths[-_LATEST:])), False
@@ -508,21 +526,21 @@ def _tried_widths(town: Map, told: float | None, widths: list[float]) -> Iterato
         width /= _WIDTHS
 
 
-def _record(frame: Frame, size: tuple[int, int], found: Registration, prior: float | None) -> StageRecord:
-    """Return the record of a registration."""
-    how = f" The search used the tag: it covered {prior:g} m around it." if prior is not None else ""
+def _record(frame: Frame, size: tuple[int, int], found: Registration, reach: float | None) -> StageRecord:
+    """Return the record of a registration; `reach` is half the side of the square about the tag that was searched, if one was."""
+    how = ""
+    if reach is not None:
+        how = f" The search used the tag: it saw the map in a square of {2 * reach:.0f} m about it."
     if found.centre is None or found.homography is None:
         return StageRecord("refused", found.reason + how)
-    place, camera = found.centre, False
-    if (nadir := nadir_pixel(frame, size)) is not None:
-        pixel = np.array(nadir)
-        if found.turned:  # the file was turned after it was taken
-            pixel = np.array([size[0] - 1.0, size[1] - 1.0]) - pixel
-        place, camera = found.to_metres(pixel[None])[0], True
+    place, radius = found.centre, found.radius
+    if (below := _camera_place(frame, size, found)) is not None:
+        place, radius = below
     sentence = found.reason
     if found.accepted:
         agreed = f"{found.inliers} matches of {found.matcher} agree on a {found.model}"
-        sentence = f"{agreed}; the 1-sigma radius is {found.radius:.1f} m."
+        what = "the camera's place" if below is not None else "the picture's middle"
+        sentence = f"{agreed}; the 1-sigma radius of {what} is {radius:.1f} m."
         if found.turned:
             sentence += f" The picture is turned by {abs(found.turn or 0):.0f} degrees against its heading."
     return StageRecord(
@@ -530,14 +548,43 @@ def _record(frame: Frame, size: tuple[int, int], found: Registration, prior: flo
         sentence + how,
         float(place[0]),
         float(place[1]),
-        camera,
-        found.radius,
+        below is not None,
+        radius,
         found.heading,
         found.turn,
         found.width,
         found.inliers,
         [float(value) for value in found.homography.ravel()],
     )
+
+
+def _camera_place(frame: Frame, size: tuple[int, int], found: Registration) -> tuple[Float64Array, float] | None:
+    """Return the place below the camera in metres, (2,), and its 1-sigma radius.
+
+    Matches that lie evenly over the photo bound its middle best. A linear model's variance at (x, y) is 1 + 12 (x / w)^2 +
+    12 (y / h)^2 times that at the middle of w x h pixels. A tilt that is told wrongly moves the place by the height times its
+    tangent.
+
+    Returns:
+        None if the tilt is unknown or above `_MAX_TILT`, or the model bends too much on the way from the middle.
+    """
+    nadir = nadir_pixel(frame, size)
+    if nadir is None or found.radius is None or found.width is None or found.homography is None:
+        return None
+    down = float(rotation(0.0, frame.pitch or 0.0, frame.roll or 0.0)[2, 2])
+    if down < math.cos(math.radians(_MAX_TILT)):
+        return None
+    middle = (np.array(size) - 1.0) / 2
+    moved = np.array(nadir) - middle
+    if found.turned:  # the file was turned after it was taken
+        moved = -moved
+    depth, there = (float(found.homography[2] @ (*pixel, 1.0)) for pixel in (middle, middle + moved))
+    if not 0.5 < there / depth < 2:
+        return None
+    height = down * found.width / 2 / math.tan(math.radians(frame.fov or 0.0) / 2)
+    spread = found.radius * math.sqrt(1 + 12 * float(((moved / size) ** 2).sum()))
+    radius = math.hypot(spread, height * math.tan(math.radians(_TILT_ERROR)))
+    return found.to_metres((middle + moved)[None])[0], radius
 
 
 def nadir_pixel(frame: Frame, size: tuple[int, int]) -> tuple[float, float] | None:

@@ -132,16 +132,93 @@ def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight
     assert [answer.accepted for answer in answers] == [False, False, True]
     assert "not a picture that can be read" in answers[0].sentence
     assert "leave --prior out" in answers[1].sentence
-    assert "The search used the tag: it covered 40 m around it." in answers[2].sentence
+    assert f"it saw the map in a square of {2 * (40 + 0.75 * WIDTH):.0f} m about it" in answers[2].sentence
     assert found.notes[0].startswith("1 of 3 frames have no position")
     assert [point.state for point in found.track()] == ["refused", "refused", "accepted"]
     assert "Registration searched around the tags only (prior 40 m)" in found.notes[1]
 
 
-def test_a_flight_elsewhere_is_refused(town: Map, flight: Flight) -> None:
-    far = tuple(replace(frame, latitude=10.0) for frame in flight.frames)
-    with pytest.raises(DataError, match="elsewhere than the map town"):
-        locate(town, replace(flight, frames=far), None, SIFT)
+@pytest.mark.parametrize(
+    "moved",
+    [{"latitude": 10.0}, {"latitude": 0.0, "longitude": 98.0}, {"latitude": 0.0, "longitude": -171.0}],
+    ids=["beyond the map", "a quarter of the globe away", "on the other side of the globe"],
+)
+def test_a_flight_elsewhere_gets_a_sentence_and_the_run_goes_on(
+    town: Map, flight: Flight, moved: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "_register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0))
+    found = locate(town, replace(flight, frames=tuple(replace(frame, **moved) for frame in flight.frames)), None, SIFT)
+    assert len(found.notes) == 1
+    assert "elsewhere than the map town" in found.notes[0]
+    assert [located.tag for located in found.frames] == [None] * 4
+    assert found.stages == ["registration"]
+
+
+def test_one_position_far_away_is_left_out(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "_register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0))
+    frames = (replace(flight.frames[0], latitude=0.0, longitude=98.0), *flight.frames[1:])
+    found = locate(town, replace(flight, frames=frames), None, SIFT)
+    assert found.notes == ["1 of 4 frames have a position off the map."]
+    assert [located.tag is None for located in found.frames] == [True, False, False, False]
+
+
+def test_a_flight_without_frames_is_refused(town: Map) -> None:
+    with pytest.raises(DataError, match="monday has no frame"):
+        locate(town, Flight("monday", ()), _ColourModel(), SIFT)  # type: ignore[arg-type]
+
+
+def test_a_prior_beside_a_model_is_refused(town: Map, flight: Flight) -> None:
+    with pytest.raises(InputError, match="leave --prior or --model out"):
+        locate(town, flight, _ColourModel(), replace(SIFT, prior=40.0))  # type: ignore[arg-type]
+
+
+def test_an_expected_width_is_tried_freely_too(town: Map) -> None:
+    assert list(pipeline._tried_widths(town, 90.0, [])) == [(90.0, True), (90.0, False)]
+    assert list(pipeline._tried_widths(town, 90.0, [50.0])) == [(90.0, True), (90.0, False)]
+
+
+def _tilted(folder: Path, pitch: float, roll: float, told: float) -> Frame:
+    """Photograph the land from 80 m above its middle with a tilt, and tell another pitch."""
+    size = (480, 360)
+    camera = Frame(
+        "t.png", folder / "t.png", *size, None, None, None, HEIGHT, None, None, 20.0, "gimbal", pitch, roll, FOV
+    )
+    corners = footprint(camera, HEIGHT)
+    assert corners is not None
+    pixels = np.array([(-0.5, -0.5), (479.5, -0.5), (479.5, 359.5), (-0.5, 359.5)], np.float32)
+    picture = photo_of(land(), cv2.getPerspectiveTransform(corners.astype(np.float32), pixels), size)
+    cv2.imwrite(str(camera.file), np.ascontiguousarray(picture[..., ::-1]))
+    return replace(camera, pitch=told)
+
+
+@pytest.mark.parametrize(("pitch", "roll", "told"), [(-90.0, 0.0, -88.5), (-80.0, 4.0, -80.0), (-78.0, 0.0, -77.0)])
+def test_the_camera_is_told_within_its_radius(
+    town: Map, tmp_path: Path, pitch: float, roll: float, told: float
+) -> None:
+    frame = _tilted(tmp_path, pitch, roll, told)
+    answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
+    assert answer.accepted, answer.sentence
+    assert answer.camera
+    assert "of the camera's place" in answer.sentence
+    assert answer.radius is not None
+    assert answer.x is not None
+    assert answer.y is not None
+    # The radius is that of one axis, so twice it covers 86 % of errors; a tilt told wrongly by 1 sigma fills one.
+    assert math.hypot(answer.x, answer.y) < 2 * answer.radius
+    assert HEIGHT * math.tan(math.radians(1.5)) * 0.9 < answer.radius < 4.0
+
+
+def test_beyond_15_degrees_of_tilt_the_middle_is_told(town: Map, tmp_path: Path) -> None:
+    frame = _tilted(tmp_path, -73.0, 0.0, -73.0)
+    answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
+    assert answer.accepted, answer.sentence
+    assert not answer.camera
+    assert "of the picture's middle" in answer.sentence
+    assert answer.x is not None
+    assert answer.y is not None
+    ahead = HEIGHT * math.tan(math.radians(17.0))
+    turn = math.radians(20.0)
+    assert math.hypot(answer.x - ahead * math.sin(turn), answer.y - ahead * math.cos(turn)) < 1.0
 
 
 def test_nothing_to_do_and_wrong_numbers_are_refused(town: Map, flight: Flight) -> None:
