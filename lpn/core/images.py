@@ -25,7 +25,8 @@ else:
 
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
-MAX_PIXELS = 50_000_000
+# Drones take pictures of up to 8192 x 6144 pixels.
+MAX_PIXELS = 64_000_000
 PNG = b"\x89PNG\r\n\x1a\n"
 
 _HEIC = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
@@ -56,7 +57,7 @@ def decode_picture(data: bytes, name: str) -> UInt8Array:
     """Decode the bytes of a JPEG, PNG, WebP, or other common picture file; `name` is used in messages only.
 
     Raises:
-        PictureError: if they are not a picture, or one of more than 50 megapixels.
+        PictureError: if they are not a picture, or one of more than 64 megapixels.
     """
     if (found := header_error(io.BytesIO(data))) is not None:
         raise PictureError(

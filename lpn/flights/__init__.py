@@ -12,11 +12,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from lpn.core.errors import DataError
-from lpn.datasets.base import files_below
 from lpn.flights.base import Flight, Frame, HeadingSource
 from lpn.flights.cameras import footprint, ground_width
 from lpn.flights.folder import is_flight, read_flight, write_flight
-from lpn.flights.sources import FlightOptions, flight_of_photos, make_flight
+from lpn.flights.sources import FlightOptions, flight_of_folder, flight_of_photos, make_flight
 
 __all__ = [
     "Flight",
@@ -43,9 +42,4 @@ def open_flight(folder: str | Path) -> Flight:
         raise DataError(f"There is no flight at {folder}; expected a folder that lpn flight wrote, or one of photos.")
     if is_flight(folder):
         return read_flight(folder)
-    files = files_below(folder)
-    if not files:
-        raise DataError(
-            f"{folder} has neither flight.json nor photos; give a folder that lpn flight wrote, or one of photos."
-        )
-    return flight_of_photos(files, folder.resolve().name)
+    return flight_of_folder(folder)

@@ -49,12 +49,14 @@ class Photo:
 
     Attributes:
         utc, local: seconds since 1970-01-01 in UTC and on the camera's clock.
+        turns: quarter turns clockwise of the EXIF orientation, which make the picture upright.
         oddities: predicates whose subject is the photo, such as "has no EXIF"; equal ones are counted in a note of the flight.
     """
 
     frame: Frame
     utc: float | None = None
     local: float | None = None
+    turns: int = 0
     oddities: tuple[str, ...] = ()
 
 
@@ -89,8 +91,12 @@ def photo_of(data: bytes, file: Path) -> Photo:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with Image.open(io.BytesIO(data)) as picture:
-            width, height = picture.size
             known = _metadata(picture)
+            # Pillow turns a TIFF's size by its orientation, and no other's.
+            width, height = picture.size
+            if picture.format == "TIFF":
+                width = known.main.get(ExifTags.Base.ImageWidth, width)
+                height = known.main.get(ExifTags.Base.ImageLength, height)
     orientation = known.main.get(ExifTags.Base.Orientation, 1)
     turns = _TURNS.get(orientation, 0) if isinstance(orientation, int) else 0
     frame = Frame(file.name, file, *((height, width) if turns % 2 else (width, height)))
@@ -99,7 +105,7 @@ def photo_of(data: bytes, file: Path) -> Photo:
     frame = _with_angles(frame, known, turns)
     frame = replace(frame, fov=_fov(known, width, height, turns))
     utc, local = _times(known)
-    return Photo(frame, utc, local, tuple(known.oddities))
+    return Photo(frame, utc, local, turns, tuple(known.oddities))
 
 
 def _metadata(picture: Image.Image) -> _Metadata:
@@ -192,21 +198,35 @@ def _with_angles(frame: Frame, known: _Metadata, turns: int) -> Frame:
             known.oddities.append("has a direction from magnetic north, which was not corrected")
     if frame.heading is None:
         return frame
-    heading, pitch, roll = frame.heading - 90.0 * turns, frame.pitch, frame.roll
     if turns:
-        known.oddities.append(f"is turned by {90 * turns}° by its EXIF orientation, and its heading with it")
-        if pitch is not None:
-            heading, pitch, roll = cameras.turned(frame.heading, pitch, roll or 0.0, turns)
-    return replace(frame, heading=heading % 360.0, pitch=pitch, roll=roll)
+        known.oddities.append(turned_oddity(turns))
+    heading, pitch, roll = upright_angles(frame.heading, frame.pitch, frame.roll, turns)
+    return replace(frame, heading=heading, pitch=pitch, roll=roll)
+
+
+def turned_oddity(turns: int) -> str:
+    """Return the oddity of a photo whose EXIF orientation turns picture and heading."""
+    return f"is turned by {90 * turns}° by its EXIF orientation, and its heading with it"
+
+
+def upright_angles(
+    heading: float, pitch: float | None, roll: float | None, turns: int
+) -> tuple[float, float | None, float | None]:
+    """Return heading, pitch, and roll in degrees after quarter turns clockwise; see `lpn.flights.cameras.turned`."""
+    if not turns or pitch is None:
+        return (heading - 90.0 * turns) % 360.0, pitch, roll
+    return cameras.turned(heading, pitch, roll or 0.0, turns)
 
 
 def _fov(known: _Metadata, width: int, height: int, turns: int) -> float | None:
     """Return the horizontal field of view of the upright picture in degrees."""
     original = _number(known.exif.get(ExifTags.Base.ExifImageWidth)) or float(width)
     original_height = _number(known.exif.get(ExifTags.Base.ExifImageHeight)) or float(height)
-    if turns % 2 and original < original_height:  # some programs swap the sizes when they write the orientation
+    if (
+        abs(original_height / original * height / width - 1) <= _SAME
+    ):  # a program turned the picture, or swapped the sizes
         original, original_height = original_height, original
-    across = _fov_across(known, original)
+    across = _fov_across(known, original, original_height)
     if across is None:
         return None
     if abs(original / width - 1) > _SAME:
@@ -217,12 +237,15 @@ def _fov(known: _Metadata, width: int, height: int, turns: int) -> float | None:
                else "it was cropped, and its field of view may be too wide")
         )  # fmt: skip
     if turns % 2:
-        across = 2 * math.degrees(math.atan(math.tan(math.radians(across) / 2) * height / width))
+        across = _across(across, height / width)
     return across
 
 
-def _fov_across(known: _Metadata, original: float) -> float | None:
-    """Return the field of view in degrees across the width of the picture as it was taken, of `original` pixels."""
+def _fov_across(known: _Metadata, original: float, original_height: float) -> float | None:
+    """Return the field of view in degrees across the width of the picture as it was taken, of `original` pixels.
+
+    An equivalent focal length tells that across the longer side.
+    """
     if (calibrated := number(known.xmp, "CalibratedFocalLength")) is not None and calibrated > 0:
         return _possible(cameras.fov_of_sensor(original, calibrated))
     focal_length = _positive(known.exif.get(ExifTags.Base.FocalLength))
@@ -234,7 +257,15 @@ def _fov_across(known: _Metadata, original: float) -> float | None:
             zoom = _positive(known.exif.get(ExifTags.Base.DigitalZoomRatio)) or 1.0
             return _possible(cameras.fov_of_sensor(sensor / zoom, focal_length))
     equivalent = _positive(known.exif.get(ExifTags.Base.FocalLengthIn35mmFilm))
-    return None if equivalent is None else _possible(cameras.fov_of_equivalent(equivalent, focal_length))
+    if equivalent is None:
+        return None
+    longer = cameras.fov_of_equivalent(equivalent, focal_length)
+    return _possible(_across(longer, min(original / original_height, 1.0)))
+
+
+def _across(fov: float, ratio: float) -> float:
+    """Return the field of view in degrees across a length that is `ratio` times that of the field of view `fov`."""
+    return 2 * math.degrees(math.atan(math.tan(math.radians(fov) / 2) * ratio))
 
 
 def _possible(fov: float) -> float | None:

@@ -8,23 +8,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from lpn.core import images
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import printable
 from lpn.datasets.base import files_below
 from lpn.flights import logs, subtitles, videos
-from lpn.flights.base import Flight, Frame
+from lpn.flights.base import Flight, Frame, HeadingSource
 from lpn.flights.folder import FRAMES, check_folder, write_flight
 from lpn.flights.logs import Log
-from lpn.flights.photos import Photo, natural, read_photo, set_times
+from lpn.flights.photos import Photo, natural, read_photo, set_times, turned_oddity, upright_angles
 from lpn.flights.quality import flight_notes, with_courses
 from lpn.flights.subtitles import GpsOrder, Subtitles
 from lpn.flights.telemetry import VALUES, Telemetry, TelemetryEntry
 
 PHOTOS = (*images.SUFFIXES, ".tif", ".tiff")
+# Pictures of other kinds, which a note names.
+_OTHER_PICTURES = (
+    ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".heic", ".heif", ".avif", ".jp2", ".bmp", ".gif",
+)  # fmt: skip
 _NAMED = 5
+_ANGLES = ("heading", "pitch", "roll", "heading_source")
 # Frames closer together than this in seconds are one picture.
 _LEAST_EVERY = 0.04
 
@@ -103,19 +108,41 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
             raise DataError(_no_pictures(found))
         flight = flight_of_photos(photos, name, read)
     flight = _completed(flight, options)
-    if found.others:
-        some = ", ".join(printable(file.name) for file in found.others[:_NAMED])
-        more = f", and {len(found.others) - _NAMED} more" if len(found.others) > _NAMED else ""
-        flight = replace(flight, notes=(*flight.notes, f"Left out as of other kinds: {some}{more}."))
+    flight = replace(flight, notes=(*flight.notes, *_others_note(found.others)))
     write_flight(flight, out)
     return flight
+
+
+def flight_of_folder(folder: Path) -> Flight:
+    """Return the flight of the photos below a folder; a note names pictures of kinds that are not read.
+
+    Raises:
+        DataError: if there is no photo, or none can be read.
+    """
+    files = files_below(folder, PHOTOS)
+    if not files:
+        raise DataError(
+            f"{folder} has neither flight.json nor photos ({', '.join(PHOTOS)}); give a folder that lpn flight wrote, or one of "
+            "photos."
+        )
+    flight = flight_of_photos(files, folder.resolve().name)
+    return replace(flight, notes=(*flight.notes, *_others_note(files_below(folder, _OTHER_PICTURES))))
+
+
+def _others_note(files: Sequence[Path]) -> list[str]:
+    """Return the note, if any, that names files which are left out."""
+    if not files:
+        return []
+    some = ", ".join(printable(file.name) for file in files[:_NAMED])
+    more = f", and {len(files) - _NAMED} more" if len(files) > _NAMED else ""
+    return [f"Left out as of other kinds: {some}{more}."]
 
 
 def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log] = ()) -> Flight:
     """Return the flight of photos; those that cannot be read are left out, and a note names them.
 
     Args:
-        flight_logs: their values replace those that the photos tell.
+        flight_logs: their values replace those that the photos tell, except for headings of a worse source.
 
     Raises:
         DataError: if no photo can be read, or one is given twice.
@@ -151,11 +178,12 @@ def _sorted_files(paths: Sequence[Path]) -> _Files:
         ((".srt",), found.subtitles),
         ((".csv",), found.logs),
     )
+    taken = (*PHOTOS, *videos.SUFFIXES, ".srt", *_OTHER_PICTURES)
     for path in paths:
         if not path.exists():
             raise DataError(f"There is no {path}; give photos, videos, .SRT files, .csv logs, or folders of them.")
         inside = path.is_dir()
-        for file in files_below(path, (*images.SUFFIXES, *videos.SUFFIXES, ".srt")) if inside else [path]:
+        for file in files_below(path, taken) if inside else [path]:
             kind = next((kept for suffixes, kept in kinds if file.suffix.lower() in suffixes), found.others)
             kind.append(file)
     for kind in (found.photos, found.videos):
@@ -227,7 +255,22 @@ def _with_entry(photo: Photo, entry: TelemetryEntry | None, utc: bool) -> Photo:
 
 
 def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
-    return replace(photo, frame=replace(photo.frame, **values))
+    """Return a photo with a log's values; its angles are turned with the picture, or left out if their source is worse."""
+    frame, oddities = photo.frame, photo.oddities
+    if "heading" in values:
+        sources = get_args(HeadingSource)  # best first
+        ours, theirs = frame.heading_source, values["heading_source"]
+        if ours is not None and sources.index(ours) < sources.index(theirs):
+            values = {name: value for name, value in values.items() if name not in _ANGLES}
+            oddities = (
+                *oddities,
+                f"keeps the heading of its {ours}, which is better than that of the {theirs} in the log",
+            )
+        elif photo.turns:
+            angles = upright_angles(values["heading"], values.get("pitch"), values.get("roll"), photo.turns)
+            values = values | dict(zip(_ANGLES, (*angles, theirs), strict=True))
+            oddities = tuple(dict.fromkeys((*oddities, turned_oddity(photo.turns))))
+    return replace(photo, frame=replace(frame, **values), oddities=oddities)
 
 
 def _flight_of_videos(

@@ -48,6 +48,8 @@ _HOME = re.compile(rf"HOME ?\({_NUMBER}, ?{_NUMBER}[,)]")
 _DISTANCE, _HEIGHT = (re.compile(rf"\b{letter} {_NUMBER}(m|ft)\b") for letter in "DH")
 _ANGLES = re.compile(rf"\b([FG])\.PRY \({_NUMBER}[^0-9,]*, ?{_NUMBER}[^0-9,]*, ?{_NUMBER}[^0-9,]*\)")
 _FOOT = 0.3048
+# Zooms from 100 on are in ten-thousandths: [dzoom_ratio: 10000, delta:0].
+_LEAST_SCALED, _ZOOM_SCALE = 100.0, 10_000.0
 # HOME and D decide the order of GPS(a, b, c) from this many metres on, by this factor of the error.
 _FAR, _CLEAR = 50.0, 3.0
 
@@ -219,7 +221,8 @@ def _fov(focal_length: str | None, zoom: float | None) -> float | None:
     if focal_length is None:
         return None
     equivalent = float(focal_length) / (1.0 if "." in focal_length or len(focal_length) < 3 else 10.0)
-    equivalent *= max(zoom or 1.0, 1.0)
+    zoom = zoom or 1.0
+    equivalent *= max(zoom / _ZOOM_SCALE if zoom >= _LEAST_SCALED else zoom, 1.0)
     return cameras.fov_of_equivalent(equivalent) if 5 <= equivalent <= 1000 else None
 
 

@@ -80,6 +80,15 @@ def test_a_hundred_megapixels_and_more_are_refused_at_once() -> None:
         assert time.process_time() - started < 1
 
 
+def test_the_largest_pictures_of_drones_are_read_and_no_larger_ones() -> None:
+    for size, is_read in (((8192, 6144), True), ((8000, 8000), True), ((8001, 8000), False)):
+        data = io.BytesIO()
+        Image.new("1", size).save(data, "PNG")
+        assert (images.header_error(data) is None) == is_read
+        if size == (8192, 6144):
+            assert images.decode_picture(data.getvalue(), "a.png").shape == (6144, 8192, 3)
+
+
 def test_a_chunk_that_claims_gigabytes_takes_none() -> None:
     """OpenCV makes room for what a PNG says will follow; 164 bytes once took 2 GB."""
     whole = io.BytesIO()

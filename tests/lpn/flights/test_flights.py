@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 
 from lpn.cli import main
 from lpn.core.errors import DataError, InputError
+from lpn.core.images import load_picture
 from lpn.flights import FlightOptions, Frame, ground_width, make_flight, open_flight
 from lpn.flights.base import degrees, local_metres
 from lpn.flights.quality import flight_notes, with_courses
@@ -84,6 +86,24 @@ def test_the_command_prints_what_is_known(tmp_path: Path, capsys: pytest.Capture
     assert "height above ground        0 of 3\n" in printed
     assert "- Left out as of other kinds: notes.txt." in printed
     assert len(open_flight(tmp_path / "monday").frames) == 3
+
+
+def test_tiff_photos_are_read_and_other_pictures_named(tmp_path: Path) -> None:
+    folder = tmp_path / "photos"
+    turned = exif(47.0, 8.0, main={ExifTags.Base.Orientation: 6})
+    write_photo(folder / "1.jpg", exif(47.0, 8.0))
+    for name in ("2.tif", "3.TIFF"):
+        with Image.open(folder / "1.jpg") as picture:
+            picture.save(folder / name, "TIFF", exif=turned.tobytes())
+    (folder / "1.DNG").write_bytes(b"x")
+    (folder / "2.heic").write_bytes(b"x")
+    for flight in (open_flight(folder), make_flight([folder], tmp_path / "flight")):
+        assert [frame.name for frame in flight.frames] == ["1.jpg", "2.tif", "3.TIFF"]
+        assert {(round(frame.latitude or 0, 6), frame.longitude) for frame in flight.frames} == {(47.0, 8.0)}
+        assert "Left out as of other kinds: 1.DNG, 2.heic." in flight.notes
+        for frame in flight.frames:
+            assert load_picture(frame.file).shape == (frame.height, frame.width, 3)
+        assert [frame.width for frame in flight.frames] == [40, 30, 30]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from PIL import ExifTags
 from lpn.core.errors import DataError
 from lpn.flights import make_flight
 from lpn.flights.logs import for_photos, for_video, read_log
-from tools.fixtures.photos import exif, write_photo
+from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import write_video
 
 WILDNAV = (
@@ -72,6 +72,30 @@ def test_uav_visloc_brings_its_photos(tmp_path: Path) -> None:
     assert (frame.heading, frame.heading_source, frame.pitch, frame.roll) == (190.0, "aircraft", -88.5, -2.5)
     assert flight.times.tolist() == [0.0, 4.0]
     assert any("does not say above what" in note for note in flight.notes)
+
+
+def test_a_log_s_aircraft_does_not_replace_the_gimbal_s_heading(tmp_path: Path) -> None:
+    packet = dji_xmp(GimbalYawDegree=190, GimbalPitchDegree=-80, GimbalRollDegree=0)
+    write_photo(tmp_path / "gimbal.jpg", exif(1.0, 2.0), packet)
+    write_photo(tmp_path / "bare.jpg")
+    log = "filename,latitude,longitude,compass_heading\ngimbal.jpg,47,8,10\nbare.jpg,47,8,10\n"
+    flight = make_flight([tmp_path, written(tmp_path, log)], tmp_path / "flight")
+    found = {frame.name: (frame.latitude, frame.heading, frame.heading_source, frame.pitch) for frame in flight.frames}
+    assert found == {"gimbal.jpg": (47.0, 190.0, "gimbal", -80.0), "bare.jpg": (47.0, 10.0, "aircraft", None)}
+    assert any(
+        "keeps the heading of its gimbal, which is better than that of the aircraft" in note for note in flight.notes
+    )
+
+
+@pytest.mark.parametrize(("orientation", "heading"), [(1, 40.0), (3, 220.0), (6, 310.0), (8, 130.0)])
+def test_a_log_s_heading_turns_with_the_picture(tmp_path: Path, orientation: int, heading: float) -> None:
+    write_photo(tmp_path / "a.jpg", exif(1.0, 2.0, main={ExifTags.Base.Orientation: orientation}))
+    for columns, values, pitch in (("heading", "40", None), ("gimbal_yaw,gimbal_pitch", "40,-90", -90.0)):
+        log = written(tmp_path, f"filename,latitude,longitude,{columns}\na.jpg,47,8,{values}\n")
+        flight = make_flight([tmp_path / "a.jpg", log], tmp_path / "flight")
+        assert flight.frames[0].heading == pytest.approx(heading)
+        assert flight.frames[0].pitch == (None if pitch is None else pytest.approx(pitch))
+        assert any("by its EXIF orientation" in note for note in flight.notes) == (orientation != 1)
 
 
 def test_airdata_s_feet_become_metres_and_its_recordings_begin_with_the_video(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from PIL import ExifTags
 
 from lpn.core.errors import DataError, PictureError
 from lpn.flights import open_flight
-from lpn.flights.photos import natural, read_photo
+from lpn.flights.photos import natural, photo_of, read_photo
 from lpn.flights.xmp import read_xmp
 from tools.fixtures.photos import dji_xmp, exif, photo_bytes, sensefly_xmp, write_photo
 
@@ -103,6 +103,19 @@ def test_orientation_turns_size_heading_and_field_of_view(tmp_path: Path, orient
         assert ratio == pytest.approx(30 / 40)
     else:
         assert (frame.width, frame.height, frame.fov) == (40, 30, level.fov)
+
+
+def test_a_picture_that_was_saved_upright_has_the_longer_side_upright() -> None:
+    camera = {BASE.FocalLengthIn35mmFilm: 24}
+    wide = photo_of(photo_bytes(exif(camera=camera)), Path("a.jpg")).frame
+    assert wide.fov is not None
+    sizes = {BASE.ExifImageWidth: 40, BASE.ExifImageHeight: 30}
+    for told in (camera, camera | sizes):  # a program may leave the sizes as they were
+        upright = photo_of(photo_bytes(exif(camera=told), size=(30, 40)), Path("b.jpg"))
+        assert (upright.frame.width, upright.frame.height, upright.oddities) == (30, 40, ())
+        assert upright.frame.fov is not None
+        ratio = math.tan(math.radians(upright.frame.fov / 2)) / math.tan(math.radians(wide.fov / 2))
+        assert ratio == pytest.approx(30 / 40)
 
 
 def test_the_sensor_s_width_is_that_of_the_picture_as_taken(tmp_path: Path) -> None:

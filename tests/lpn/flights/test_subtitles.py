@@ -109,6 +109,9 @@ def test_focal_lengths_are_in_millimetres_or_in_tenths_of_them() -> None:
     assert whole is not None
     assert whole == tenths == pytest.approx(71.6, abs=0.1)
     assert one(BRACKETS.replace("24.00]", "24.00] [dzoom_ratio: 2.00]")).fov == pytest.approx(39.7, abs=0.1)
+    for zoom, fov in (("10000", whole), ("20000", 39.7)):
+        text = BRACKETS.replace("24.00]", f"24.00] [dzoom_ratio: {zoom}, delta:0]")
+        assert one(text).fov == pytest.approx(fov, abs=0.1)
 
 
 @pytest.mark.parametrize("spoil", ["crlf", "bom", "no blank lines", "no final line"])
