@@ -294,6 +294,7 @@ def locate(
     found = None
     if model is not None:
         found = retrieve(model, town, flight, options.sizes, options.overlap, options.centre, on_progress)
+        notes += found.notes
         _ranked(found, frames, options.top)
         if options.sequence:
             _sequenced(found, flight, frames, options)

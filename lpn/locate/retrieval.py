@@ -38,6 +38,9 @@ _PYRAMID = 1.4
 _SIZES = 5
 # Headings that are tried where none is known.
 _TURNS = 8
+# Distinct frames that centring needs, for the mean of few holds what tells them apart. Frames of a greater cosine are alike.
+_MIN_DISTINCT = 20
+_ALIKE = 0.99
 _FORMAT = "lpn-locate-descriptors/1"
 
 
@@ -73,6 +76,7 @@ class MapRetrieval:
         headings: degrees at which each frame was described.
         levels: the size of windows that each frame was cut for; NaN if all sizes are compared.
         broken: the error of each frame that cannot be read.
+        notes: sentences about how they were described.
     """
 
     windows: list[Window]
@@ -83,6 +87,7 @@ class MapRetrieval:
     headings: list[list[float]]
     levels: Float64Array
     broken: dict[int, str]
+    notes: list[str]
 
     def scores(self, frame: int) -> Float64Array:
         """Return the score of each window, (W,), the best heading counting; windows of other sizes get the lowest score."""
@@ -176,7 +181,7 @@ def retrieve(
         sizes: sides of windows in metres; by default those of `pyramid_sizes`.
         overlap: share of a window's side that its neighbour covers, too.
         centre: subtract the mean descriptor of the windows and that of the frames, part by part, which makes up for a difference
-            of views that the model has not seen.
+            of views that the model has not seen. With fewer than 20 distinct frames nothing is centred, and a note says so.
         on_progress: called with "windows" or "frames", the number described, and the total.
 
     Raises:
@@ -217,13 +222,21 @@ def retrieve(
     queries, broken = _described(model, jobs, of_frame, query, frame_key, on_progress, "frames")
     bad = {jobs[j][0]: reason for j, reason in broken.items()}
     good = np.array([job[0] not in bad for job in jobs], bool)
-    if centre and good.sum() > 1:
-        tiles, queries = _centred(tiles, tiles.mean(axis=0)), _centred(queries, queries[good].mean(axis=0))
-    owner = np.array([job[0] for job in jobs])
+    owner = np.array([job[0] for job in jobs], np.int64)
+    notes = []
+    if centre:
+        first = np.unique(owner[good], return_index=True)[1]
+        if (distinct := _distinct(queries[good][first])) >= _MIN_DISTINCT:
+            tiles, queries = _centred(tiles, tiles.mean(axis=0)), _centred(queries, queries[good].mean(axis=0))
+        else:
+            notes.append(
+                f"Descriptors were not centred by view: that needs {_MIN_DISTINCT} distinct frames, and the flight has "
+                f"{distinct}."
+            )
     found = [None if i in bad else queries[owner == i] for i in range(len(flight.frames))]
     places = np.array([(window.x, window.y) for window in windows])
     window_sizes = np.array([window.size for window in windows])
-    return MapRetrieval(windows, places, window_sizes, tiles, found, headings, levels, bad)
+    return MapRetrieval(windows, places, window_sizes, tiles, found, headings, levels, bad, notes)
 
 
 def map_identity(town: Map) -> str:
@@ -259,19 +272,19 @@ def _described(
     for start in range(0, len(items), _CHUNK):
         chunk = items[start : start + _CHUNK]
         file = folder / f"{start:07d}.npy"
-        read = _read_chunk(file, (len(chunk), *shape[1:]))
-        if read is None:
-            values = np.zeros((len(chunk), *shape[1:]), np.float32)
-            failed = False
-            for batch in describe_each(model, chunk, prepare, view):
-                values[batch.items] = batch.descriptors
-                for i, error in batch.broken:
-                    broken[start + i] = str(error)
-                    failed = True
-            if not failed:
-                _write_chunk(file, values)
-            read = values
-        found[start : start + len(chunk)] = read
+        values = _read_chunk(file, (len(chunk), *shape[1:]))
+        if values is None:
+            values = np.full((len(chunk), *shape[1:]), np.nan, np.float32)
+        # Broken items are not a number in the cache, and are tried again.
+        missing = np.flatnonzero(np.isnan(values[:, 0, 0]))
+        described = False
+        for batch in describe_each(model, [chunk[i] for i in missing], prepare, view) if len(missing) else ():
+            values[missing[batch.items]] = batch.descriptors
+            described = described or len(batch.items) > 0
+            broken |= {start + int(missing[i]): str(error) for i, error in batch.broken}
+        if described:
+            _write_chunk(file, values)
+        found[start : start + len(chunk)] = np.nan_to_num(values)
         if on_progress is not None:
             on_progress(what, min(start + _CHUNK, len(items)), len(items))
     return found, broken
@@ -289,6 +302,15 @@ def _write_chunk(file: Path, values: Float32Array) -> None:
     data = io.BytesIO()
     np.save(data, values)
     write_atomic(file, data.getvalue())
+
+
+def _distinct(described: Float32Array) -> int:
+    """Return how many of some descriptors (N, n, D) differ from all before them; counting stops where centring may start."""
+    kept: list[Float32Array] = []
+    for one in described.reshape(len(described), -1):
+        if len(kept) < _MIN_DISTINCT and all(float(one @ other) < _ALIKE for other in kept):
+            kept.append(one)
+    return len(kept)
 
 
 def _centred(descriptors: Float32Array, mean: Float32Array) -> Float32Array:

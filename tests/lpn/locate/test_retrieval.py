@@ -1,0 +1,134 @@
+"""Descriptors of windows and frames: centring, the cache, and headings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from lpn.core.arrays import Float32Array
+from lpn.flights import Flight, Frame
+from lpn.locate.retrieval import MapRetrieval, retrieve
+from lpn.maps import Map, open_map
+from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, ground_to_photo, land, photo_of
+
+SIZE = (64, 64)
+WIDTH = 60.0
+
+
+class _Spec:
+    embedding = 16
+
+
+class _Grid:
+    """Describes a picture by the colours of a grid, and counts what it describes."""
+
+    views = ("satellite", "drone")
+    fingerprint = "grid"
+    input_size = (32, 32)
+    n_parts = 2
+    batch = 8
+    parallel = True
+    spec = _Spec()
+
+    def __init__(self) -> None:
+        self.described = 0
+
+    def check_view(self, view: str) -> None:
+        assert view in self.views
+
+    def for_parallel_inference(self) -> _Grid:
+        return self
+
+    def prepare(self, picture: np.ndarray, view: str) -> Float32Array:
+        del view
+        return cv2.resize(picture, (32, 32), interpolation=cv2.INTER_AREA).transpose(2, 0, 1).astype(np.float32)
+
+    def descriptors(self, batch: Float32Array, view: str) -> Float32Array:
+        del view
+        self.described += len(batch)
+        grey = np.stack([cv2.resize(picture[1], (4, 8), interpolation=cv2.INTER_AREA) for picture in batch])
+        parts = grey.reshape(len(batch), 2, 16)
+        parts = parts - parts.mean(axis=2, keepdims=True)
+        norms = np.linalg.norm(parts, axis=2, keepdims=True)
+        return (parts / np.maximum(norms, 1e-6) / np.sqrt(2)).astype(np.float32)
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+
+
+def _write_map(file: Path, picture: np.ndarray) -> Map:
+    rasterio = pytest.importorskip("rasterio")
+    side = len(picture)
+    metres = SIDE * RESOLUTION / side
+    place = rasterio.Affine(metres, 0, 500_000 + CORNER[0], 0, -metres, 5_200_000 + CORNER[1])
+    kind = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
+    with rasterio.open(file, "w", transform=place, **kind) as written:
+        written.write(picture.transpose(2, 0, 1))
+    return open_map(file)
+
+
+@pytest.fixture
+def town(tmp_path: Path) -> Map:
+    return _write_map(tmp_path / "town.tif", cv2.resize(land(), (400, 400), interpolation=cv2.INTER_AREA))
+
+
+def _flight(folder: Path, places: list[tuple[float, float]], heading: float = 0.0) -> Flight:
+    folder.mkdir(exist_ok=True)
+    frames = []
+    for i, place in enumerate(places):
+        file = folder / f"{i}.png"
+        cv2.imwrite(str(file), photo_of(land(), ground_to_photo(place, heading, WIDTH, SIZE), SIZE)[..., ::-1])
+        height = WIDTH / 2  # the field of view is 90 degrees
+        frames.append(
+            Frame(file.name, file, *SIZE, 2.0 * i, None, None, height, None, None, heading, "gimbal", fov=90.0)
+        )
+    return Flight("monday", tuple(frames))
+
+
+def _retrieved(model: _Grid, town: Map, flight: Flight) -> MapRetrieval:
+    return retrieve(model, town, flight, overlap=0.88)  # type: ignore[arg-type]
+
+
+def _off(found: MapRetrieval, frame: int, place: tuple[float, float]) -> float:
+    return float(np.linalg.norm(found.places[found.scores(frame).argmax()] - place))
+
+
+def test_few_or_equal_frames_are_not_centred(town: Map, tmp_path: Path) -> None:
+    places = [(-40.0, 10.0)] * 30
+    found = _retrieved(_Grid(), town, _flight(tmp_path / "hovering", places))
+    assert found.scores(0).max() > 0.8
+    assert _off(found, 0, places[0]) < 10
+    assert "the flight has 1." in found.notes[0]
+    far = [(-40.0, 10.0), (30.0, -35.0)]
+    found = _retrieved(_Grid(), town, _flight(tmp_path / "two", far))
+    assert [_off(found, i, place) < 10 for i, place in enumerate(far)] == [True, True]
+    assert "the flight has 2." in found.notes[0]
+
+
+def test_many_distinct_frames_are_centred(town: Map, tmp_path: Path) -> None:
+    places = [(x, y) for x in (-60.0, -20.0, 20.0, 60.0) for y in (-60.0, -30.0, 0.0, 30.0, 60.0)]
+    found = _retrieved(_Grid(), town, _flight(tmp_path / "many", places))
+    assert not found.notes
+    described = np.concatenate([one for one in found.frames_described if one is not None])
+    np.testing.assert_allclose(np.linalg.norm(described, axis=2), 1 / np.sqrt(2), rtol=1e-5)
+    assert np.abs(found.windows_described.mean(axis=0)).max() < 0.02
+
+
+def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, tmp_path: Path) -> None:
+    flight = _flight(tmp_path / "photos", [(-40.0, 10.0), (30.0, -35.0), (0.0, 0.0)])
+    flight.frames[1].file.write_bytes(b"nothing")
+    first = _Grid()
+    found = _retrieved(first, town, flight)
+    again = _Grid()
+    second = _retrieved(again, town, flight)
+    assert first.described == len(found.windows) + 2
+    assert again.described == 0
+    assert list(found.broken) == list(second.broken) == [1]
+    assert second.broken[1]
+    assert second.frames_described[1] is None
+    np.testing.assert_array_equal(second.scores(2), found.scores(2))
