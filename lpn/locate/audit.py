@@ -29,6 +29,8 @@ class TagAudit:
         lag_error: its standard error in seconds.
         offset: metres east and north by which tags are off beside the lag.
         without_lag: median of the metres that remain without lag and offset.
+        ahead: metres flown in the lag at the median speed, which a tilted camera may look ahead instead (behind, if negative);
+            None if the positions are the camera's.
     """
 
     frames: int
@@ -38,6 +40,7 @@ class TagAudit:
     lag_error: float | None = None
     offset: tuple[float, float] | None = None
     without_lag: float | None = None
+    ahead: float | None = None
 
     @property
     def sentence(self) -> str:
@@ -51,13 +54,17 @@ class TagAudit:
         if abs(self.lag) < 3 * self.lag_error or abs(self.lag) < 0.3 or self.without_lag > 0.9 * self.median:
             return f"The tags of {self.frames} frames are {off}, against registered positions; no lag can be told."
         word = "lag" if self.lag > 0 else "are early"
+        tilted = ""
+        if self.ahead is not None:
+            side = "ahead" if self.ahead > 0 else "behind"
+            tilted = f", or the camera looks {abs(self.ahead):.1f} m {side}; they"
         return (
-            f"The tags {word} by {abs(self.lag):.1f} s (± {self.lag_error:.1f}) and are {off}, against registered positions of "
-            f"{self.frames} frames; without the lag, {self.without_lag:.1f} m remain in the median."
+            f"The tags {word} by {abs(self.lag):.1f} s (± {self.lag_error:.1f}){tilted or ' and'} are {off}, against registered "
+            f"positions of {self.frames} frames; without the lag, {self.without_lag:.1f} m remain in the median."
         )
 
 
-def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array) -> TagAudit:
+def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array, middles: bool = False) -> TagAudit:
     """Compare tags with registered positions, and estimate the lag of the tags.
 
     A tag that is late by s seconds shows the place of s seconds before: tag - position = -s v + offset. The lag is the robust
@@ -66,6 +73,7 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array)
     Args:
         times: seconds, (N,); NaN where unknown.
         tags, positions: metres east and north, (N, 2); NaN rows where there is none.
+        middles: whether positions are of the pictures' middles, so that a camera that looks ahead cannot be told from a lag.
 
     Raises:
         InputError: if the shapes differ.
@@ -100,6 +108,7 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array)
         float(errors[0]),
         (float(solution[1]), float(solution[2])),
         float(np.median(remaining)),
+        float(-solution[0] * np.median(np.linalg.norm(v, axis=1))) if middles else None,
     )
 
 

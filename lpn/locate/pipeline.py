@@ -305,7 +305,7 @@ def locate(
         places = np.array(
             [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64
         ).reshape(-1, 2)
-        audit = audit_tags(flight.times, tags, places)
+        audit = audit_tags(flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
         notes += _turn_notes(frames)
     return LocatedFlight(flight, town, frames, audit, notes, found)
 

@@ -31,7 +31,7 @@ _WIDTH_FACTOR = 1.35
 _FREE_FACTOR = 2.0
 # Degrees by which the heading found may differ from a known one, or from that known one turned by 180.
 _HEADING_TOLERANCE = 40.0
-# Support is the sum of 1 - (residual / radius)^2 over the inliers, each cell of the photo counting a few times at most.
+# Support is the sum of 1 - (residual / radius)^2 over the inliers, less what chance would give.
 MIN_SUPPORT = 15.0
 # The support must be this many times that of the best other place.
 MIN_RATIO = 1.7

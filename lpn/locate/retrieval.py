@@ -268,7 +268,8 @@ def _described(
     digest = hashlib.sha256(json.dumps([_FORMAT, key]).encode()).hexdigest()[:24]
     folder = cache_folder() / "locate" / "descriptors" / digest
     shape = (len(items), model.n_parts, model.spec.embedding)
-    found, broken = np.zeros(shape, np.float32), {}
+    found = np.zeros(shape, np.float32)
+    broken: dict[int, str] = {}
     for start in range(0, len(items), _CHUNK):
         chunk = items[start : start + _CHUNK]
         file = folder / f"{start:07d}.npy"
@@ -278,7 +279,7 @@ def _described(
         # Broken items are not a number in the cache, and are tried again.
         missing = np.flatnonzero(np.isnan(values[:, 0, 0]))
         described = False
-        for batch in describe_each(model, [chunk[i] for i in missing], prepare, view) if len(missing) else ():
+        for batch in describe_each(model, [chunk[i] for i in missing.tolist()], prepare, view) if len(missing) else ():
             values[missing[batch.items]] = batch.descriptors
             described = described or len(batch.items) > 0
             broken |= {start + int(missing[i]): str(error) for i, error in batch.broken}

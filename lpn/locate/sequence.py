@@ -8,8 +8,8 @@ probable path (Rabiner, Proceedings of the IEEE 77, 1989).
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from dataclasses import dataclass
-from functools import lru_cache, partial
 from typing import cast
 
 import numpy as np
@@ -22,8 +22,8 @@ from lpn.core.errors import InputError
 _REACH = 4.0
 # Rows of a transition matrix that are computed at once.
 _BLOCK = 256
-# Pairs of windows that a transition holds, at 28 bytes each.
-_MAX_PAIRS = 2 * 10**7
+# Pairs of windows that all transitions in memory hold together, at 20 bytes each.
+_MAX_PAIRS = 10**7
 # Steps are rounded to powers of this, so that frames share a few transitions.
 _STEP_FACTOR = 1.1
 # Probability that a step is not of the motion model: a gap in the flight, or a jump of the clock.
@@ -130,7 +130,7 @@ def smooth(
     """Run forward-backward and Viterbi.
 
     Transitions are sparse: steps of more than four standard deviations count as jumps. So do shorter ones where more than
-    2 * 10^7 pairs of windows would be near enough. Memory is O(frames x windows + pairs).
+    10^7 pairs of windows would be near enough. Memory is O(frames x windows + pairs).
 
     Args:
         log_emissions: (T, N), see `emissions`.
@@ -150,8 +150,7 @@ def smooth(
         )
     order = np.argsort(places[:, 0], kind="stable")
     sorted_places, emitted = places[order], log_emissions[:, order]
-    # Equal steps share one transition: most cameras trigger at one interval.
-    transition_of = lru_cache(maxsize=4)(partial(_Transition, sorted_places))
+    transition_of = _Transitions(sorted_places)
     forward = np.empty((frames, states))
     scores = np.empty((frames, states))
     total = 0.0
@@ -209,8 +208,33 @@ def _local_mean(shares: Float64Array, places: Float64Array, middle: Float64Array
     return cast(Float64Array, shares[kept] @ places[kept] / shares[kept].sum())
 
 
+class _Transitions:
+    """Transitions by step (LRU), of at most `_MAX_PAIRS` pairs together: most cameras trigger at one interval."""
+
+    def __init__(self, places: Float64Array) -> None:
+        self._places = places
+        self._kept: OrderedDict[float, _Transition] = OrderedDict()
+
+    def __call__(self, step: float) -> _Transition:
+        if step not in self._kept:
+            coming = min(_pairs_within(self._places, _REACH * step), _MAX_PAIRS)
+            while self._kept and self.pairs + coming > _MAX_PAIRS:
+                self._kept.popitem(last=False)
+            self._kept[step] = _Transition(self._places, step)
+        self._kept.move_to_end(step)
+        return self._kept[step]
+
+    @property
+    def pairs(self) -> int:
+        return sum(transition.pairs for transition in self._kept.values())
+
+
 class _Transition:
-    """The transition of one step: a sparse symmetric kernel, normalised by source, and a small probability of any jump."""
+    """The transition of one step: a sparse symmetric kernel, normalised by source, and a small probability of any jump.
+
+    Attributes:
+        pairs: of windows near enough.
+    """
 
     def __init__(self, places: Float64Array, step: float) -> None:
         reach = _REACH * step
@@ -228,29 +252,38 @@ class _Transition:
             columns.append((np.nonzero(near)[1] + low).astype(np.int32))
             kernel.append(np.exp(-squared[near] / (2 * step**2)))
             counts.append(near.sum(axis=1))
-        self._columns, weights = np.concatenate(columns), np.concatenate(kernel)
+        self._columns = np.concatenate(columns)
+        del columns
+        # Entry (target, source): the kernel is symmetric, and its normalisation is that of the source.
+        self._kernel = np.concatenate(kernel)
+        del kernel
         rows = np.concatenate(counts)
         self._starts = np.concatenate([[0], np.cumsum(rows)[:-1]])
-        scale = np.add.reduceat(weights, self._starts)
-        # Entry (target, source): the kernel is symmetric, and its normalisation is that of the source.
-        self._shares = (1 - _JUMP) * weights / scale[self._columns]
-        self._ways = np.log(self._shares + _JUMP / len(x))
-        self._targets = (1 - _JUMP) * weights / np.repeat(scale, rows)
+        self._scale = np.add.reduceat(self._kernel, self._starts) / (1 - _JUMP)
+        self._ways = self._kernel / self._scale[self._columns]
+        self._ways += _JUMP / len(x)
+        np.log(self._ways, out=self._ways)
+        self.pairs = len(self._columns)
 
     def push(self, weights: Float64Array) -> Float64Array:
         """Return the distribution (N,) after the step."""
-        pushed = np.add.reduceat(self._shares * weights[self._columns], self._starts)
-        return cast(Float64Array, pushed + _JUMP * weights.mean())
+        return cast(Float64Array, self._summed(weights / self._scale) + _JUMP * weights.mean())
 
     def pull(self, message: Float64Array) -> Float64Array:
         """Return the expectation (N,) of a message over the step's targets."""
-        pulled = np.add.reduceat(self._targets * message[self._columns], self._starts)
-        return cast(Float64Array, pulled + _JUMP * message.mean())
+        return cast(Float64Array, self._summed(message) / self._scale + _JUMP * message.mean())
+
+    def _summed(self, values: Float64Array) -> Float64Array:
+        near = values[self._columns]
+        near *= self._kernel
+        return cast(Float64Array, np.add.reduceat(near, self._starts))
 
     def best(self, scores: Float64Array) -> Float64Array:
         """Return the log probability (N,) of the best way to each target."""
-        near = np.maximum.reduceat(self._ways + scores[self._columns], self._starts)
-        return cast(Float64Array, np.maximum(near, scores.max() + np.log(_JUMP / len(scores))))
+        near = scores[self._columns]
+        near += self._ways
+        ways = np.maximum.reduceat(near, self._starts)
+        return cast(Float64Array, np.maximum(ways, scores.max() + np.log(_JUMP / len(scores))))
 
     def source(self, scores: Float64Array, target: int) -> int:
         """Return the source of the best way to one target."""

@@ -30,6 +30,21 @@ def test_the_lag_is_found_under_noise_and_outliers(lag: float) -> None:
     assert ("lag by" in found.sentence) == (lag > 0)
 
 
+@pytest.mark.parametrize(("ahead", "side"), [(4.4, "ahead"), (-3.0, "behind")])
+def test_a_camera_that_looks_ahead_is_not_told_as_a_lag_alone(ahead: float, side: str) -> None:
+    times = np.arange(0, 120, 2.0)
+    # Two legs of 5 m/s, there and back.
+    x = 5 * np.where(times < 60, times, 120 - times)
+    tags = np.stack([x, np.where(times < 60, 0.0, 30.0)], axis=1)
+    forwards = np.where(times < 60, 1.0, -1.0)
+    middles = tags + np.stack([ahead * forwards, np.zeros(len(times))], axis=1)
+    middles += np.random.default_rng(0).normal(0, 0.2, middles.shape)
+    found = audit_tags(times, tags, middles, middles=True)
+    assert found.ahead == pytest.approx(ahead, abs=0.4)
+    assert f"or the camera looks {abs(found.ahead):.1f} m {side}" in found.sentence
+    assert "the camera looks" not in audit_tags(times, tags, middles).sentence
+
+
 def test_tags_without_lag_are_said_to_have_none() -> None:
     times = np.arange(0, 90, 3.0)
     tags = _flown(times) + np.random.default_rng(1).normal(0, 2, (30, 2))

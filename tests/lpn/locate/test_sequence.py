@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -98,6 +99,22 @@ def test_wrong_numbers_are_refused() -> None:
         smooth(np.zeros((2, 3)), np.zeros((3, 2)), np.zeros(2))
     with pytest.raises(InputError, match="motion model"):
         MotionModel(speed=0)
+
+
+def test_transitions_together_hold_a_bounded_number_of_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    side = np.arange(40) * 25.0
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    scores = np.random.default_rng(0).normal(0, 0.05, (9, len(places)))
+    steps = np.array([60.0, 66.0, 72.6, 79.9, 60.0, 66.0, 72.6, 79.9])
+    free = smooth(emissions(scores), places, steps)
+    monkeypatch.setattr("lpn.locate.sequence._MAX_PAIRS", 200_000)
+    monkeypatch.setattr("lpn.locate.sequence._BLOCK", 16)
+    tracemalloc.start()
+    found = smooth(emissions(scores), places, steps)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 200_000 * 110
+    assert np.median(np.linalg.norm(found.positions - free.positions, axis=1)) < 25
 
 
 @pytest.mark.slow
