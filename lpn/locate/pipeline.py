@@ -25,7 +25,7 @@ from lpn.locate.audit import TagAudit, audit_tags
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.locate.matchers import MatcherName, SiftMatcher, open_matcher
 from lpn.locate.registration import Expectation, Registration, register
-from lpn.locate.retrieval import MapRetrieval, frame_identity, map_identity, retrieve
+from lpn.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain, map_identity, retrieve
 from lpn.locate.sequence import MotionModel, emissions, smooth
 from lpn.locate.tracks import State, TrackPoint
 from lpn.maps import Map
@@ -344,7 +344,7 @@ def _turn_notes(frames: list[LocatedFrame]) -> Iterator[str]:
     turned = [
         located.frame.name
         for located in frames
-        if (answer := located.stages["registration"]).accepted and answer.turn is not None and abs(answer.turn) > 90
+        if (answer := located.stages["registration"]).accepted and answer.turn is not None and abs(answer.turn) > 135
     ]
     if turned:
         one = len(turned) == 1
@@ -374,7 +374,7 @@ def _ranked(found: MapRetrieval, frames: list[LocatedFrame], k: int) -> None:
             for j, w in enumerate(top.indices[:k])
         ]
         best = located.windows[0]
-        turned = "" if located.frame.heading is not None else f", turned to {best.heading:.0f} degrees"
+        turned = "" if len(found.headings[i]) == 1 else f", turned to {best.heading:.0f} degrees"
         margin = _margin(found, i)
         others = (
             "no window lies apart from it"
@@ -502,7 +502,7 @@ def _register_frame(
                 f"More than {MAX_BLOCKS} blocks of {town.name} would have to be searched for this photo; give --model, or "
                 "--prior with the metres around the tag.",
             )
-        expected = Expectation(width if known else None, frame.heading)
+        expected = Expectation(width if known else None, frame.heading, heading_is_certain(frame))
         answer = register(kind.matcher, photo, ground, expected, [width], town.bounds)
         if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
             best, searched = answer, reach
@@ -542,8 +542,7 @@ def _record(frame: Frame, size: tuple[int, int], found: Registration, reach: flo
         agreed = f"{found.inliers} matches of {found.matcher} agree on a {found.model}"
         what = "the camera's place" if below is not None else "the picture's middle"
         sentence = f"{agreed}; the 1-sigma radius of {what} is {radius:.1f} m."
-        if found.turned:
-            sentence += f" The picture is turned by {abs(found.turn or 0):.0f} degrees against its heading."
+        sentence += f" {found.turn_sentence}".rstrip()
     return StageRecord(
         "accepted" if found.accepted else "refused",
         sentence + how,

@@ -76,10 +76,13 @@ class Expectation:
     Attributes:
         width: metres of ground across the picture.
         heading: of the picture's top, degrees clockwise from north.
+        certain: whether the heading is the picture's; that of a course or of an aircraft may be another. Where an uncertain
+            heading and its opposite fail, all headings are tried.
     """
 
     width: float | None = None
     heading: float | None = None
+    certain: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +126,15 @@ class Registration:
 
     @property
     def turned(self) -> bool:
-        """Whether the picture's top points away from where its heading says, by more than a right angle."""
-        return self.turn is not None and abs(self.turn) > 90
+        """Whether the picture's top points about opposite to its heading, as that of a file turned after it was taken."""
+        return self.turn is not None and abs(self.turn) > 135
+
+    @property
+    def turn_sentence(self) -> str:
+        """A sentence that names the turn against the heading; "" if they agree."""
+        if self.turn is None or abs(self.turn) <= _HEADING_TOLERANCE:
+            return ""
+        return f"The picture is turned by {abs(self.turn):.0f} degrees against its heading."
 
     def to_metres(self, pixels: npt.ArrayLike) -> Float64Array:
         """Map pixels of the photo (N, 2) to metres east and north (N, 2)."""
@@ -185,12 +195,15 @@ def register(
     if len(ground.points) < 8:
         return Registration(False, "The map has no detail where the photo may be.", matcher.name)
     seeds: list[_Seed] = []
-    guided: list[_Candidate] = []
-    for turns in _turns(matcher, expected.heading):
+    best, runner_up = None, 0.0
+    for turns, heading in _turns(matcher, expected):
+        # A heading that is not certain is dropped only where it places the photo nowhere.
+        if heading is None and best is not None and not _doubt(best, runner_up):
+            break
         for width in tried:
             for turn in turns:
                 seen = _described(matcher, photo, width / ground.resolution, turn)
-                seeds += _seeds(matcher, seen, ground, width, factor, expected.heading)
+                seeds += _seeds(matcher, seen, ground, width, factor, heading)
         guided = [_guided(seed, ground) for seed in _apart(seeds)]
         best, runner_up = _ranked(guided)
         if best is not None and best.support >= 2 * MIN_SUPPORT and best.support >= 2 * MIN_RATIO * runner_up:
@@ -241,18 +254,16 @@ class _Described:
     features: Features
 
 
-def _turns(matcher: Matcher, heading: float | None) -> Iterator[list[float]]:
-    """Yield groups of headings to turn the photo by; a later group is tried if the earlier ones find nothing."""
-    if matcher.tolerance >= 90:
-        yield [0.0]
-        return
-    count = round(180 / matcher.tolerance)
-    circle = [i * 360 / count for i in range(count)]
-    if heading is None:
-        yield circle
-        return
-    yield [heading]
-    yield [heading + 180]
+def _turns(matcher: Matcher, expected: Expectation) -> Iterator[tuple[list[float], float | None]]:
+    """Yield groups of headings to turn the photo by, and the heading that limits the answer; a later one if the earlier fail."""
+    count = max(round(180 / matcher.tolerance), 1)
+    circle = [i * 360 / count for i in range(count)] if matcher.tolerance < 90 else [0.0]
+    if expected.heading is not None:
+        known = [expected.heading, expected.heading + 180] if matcher.tolerance < 90 else [0.0]
+        for turn in known:
+            yield [turn], expected.heading
+    if expected.heading is None or not expected.certain:
+        yield circle, None
 
 
 def _described(matcher: Matcher, photo: UInt8Array, pixels: float, heading: float) -> _Described:
@@ -491,16 +502,9 @@ def _covariance(
     return variance * spread + np.outer(between, between)
 
 
-def _refusal(
-    best: _Candidate,
-    runner_up: float,
-    inliers: BoolArray,
-    width: float,
-    centre: Float64Array,
-    bounds: tuple[float, float, float, float] | None,
-) -> str:
-    """Return why a registration is refused, as a sentence; "" if it is not."""
-    count = int(inliers.sum())
+def _doubt(best: _Candidate, runner_up: float) -> str:
+    """Return why the support is too low for a place, as a sentence; "" if it is not."""
+    count = int((best.residuals < best.radius).sum())
     if best.support < MIN_SUPPORT:
         return (
             f"Only {count} of {len(best.u)} matches agree on a place, a support of {best.support:.0f} where "
@@ -511,7 +515,22 @@ def _refusal(
             f"Another place of the map agrees nearly as well: its support is {runner_up:.0f}, and that of the best place is "
             f"{best.support:.0f}."
         )
+    return ""
+
+
+def _refusal(
+    best: _Candidate,
+    runner_up: float,
+    inliers: BoolArray,
+    width: float,
+    centre: Float64Array,
+    bounds: tuple[float, float, float, float] | None,
+) -> str:
+    """Return why a registration is refused, as a sentence; "" if it is not."""
+    if reason := _doubt(best, runner_up):
+        return reason
     if (cells := _cells(best.u[inliers])) < MIN_CELLS:
+        count = int(inliers.sum())
         return f"All {count} agreeing matches lie in {cells} of {_GRID**2} cells of the photo, too few to trust its centre."
     margin = _OFF_MAP * width
     if bounds is not None and not (

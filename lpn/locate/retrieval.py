@@ -2,7 +2,7 @@
 
 A frame is turned north-up, cut to a square that shows as much ground as a window of the pyramid, and described as a drone
 picture; windows are described as satellite tiles. Where its width on the ground is unknown, a frame is compared with windows
-of all sizes; where its heading is unknown, it is described at several turns.
+of all sizes; where its heading is unknown or not certain, it is described at several turns.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import hashlib
 import io
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -36,7 +36,7 @@ _CHUNK = 256
 # Ratio of one size of the pyramid to the next, and the most sizes without a known width.
 _PYRAMID = 1.4
 _SIZES = 5
-# Headings that are tried where none is known.
+# Headings that are tried where none is certain.
 _TURNS = 8
 # Distinct frames that centring needs, for the mean of few holds what tells them apart. Frames of a greater cosine are alike.
 _MIN_DISTINCT = 20
@@ -87,7 +87,7 @@ class MapRetrieval:
     headings: list[list[float]]
     levels: Float64Array
     broken: dict[int, str]
-    notes: list[str]
+    notes: list[str] = field(default_factory=list)
 
     def scores(self, frame: int) -> Float64Array:
         """Return the score of each window, (W,), the best heading counting; windows of other sizes get the lowest score."""
@@ -121,6 +121,11 @@ class MapRetrieval:
         return RankedWindows(
             order, values[order], headings, cosines, scoring.contributions(cosines, scoring.part_weights(n))
         )
+
+
+def heading_is_certain(frame: Frame) -> bool:
+    """Return whether a frame's heading is its picture's: neither a course nor an aircraft's."""
+    return frame.heading is not None and frame.heading_source not in ("course", "aircraft")
 
 
 def pyramid_sizes(town: Map, frames: Sequence[Frame]) -> list[float]:
@@ -209,7 +214,8 @@ def retrieve(
         if cut is not None:
             levels[i] = min(chosen, key=lambda size: abs(np.log(size / cut)))
             share *= levels[i] / cut
-        headings.append([frame.heading] if frame.heading is not None else [360 / _TURNS * k for k in range(_TURNS)])
+        start, turns = frame.heading or 0.0, 1 if heading_is_certain(frame) else _TURNS
+        headings.append([(start + 360 / _TURNS * k) % 360 for k in range(turns)])
         jobs += [(i, heading, share) for heading in headings[-1]]
 
     def of_frame(job: tuple[int, float, float]) -> Float32Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -132,3 +133,11 @@ def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, tmp_path: Path
     assert second.broken[1]
     assert second.frames_described[1] is None
     np.testing.assert_array_equal(second.scores(2), found.scores(2))
+
+
+def test_a_course_is_one_of_several_turns(town: Map, tmp_path: Path) -> None:
+    flight = _flight(tmp_path / "sideways", [(-40.0, 10.0)], heading=90.0)
+    frame = replace(flight.frames[0], heading=0.0, heading_source="course")
+    found = _retrieved(_Grid(), town, replace(flight, frames=(frame,)))
+    assert found.top(0, 1).headings[0] == 90
+    assert _off(found, 0, (-40.0, 10.0)) < 10
