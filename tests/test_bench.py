@@ -35,6 +35,17 @@ describe.load_torch, describe.ROUNDS = without_compiler, 1
 print([figure.what.split()[-1] for figure in describe.on_device("cpu", 2, spec=gpu.TINY)])
 """
 
+FRESH_CACHE = """
+import sys
+from lpn.core.files import cache_folder
+from tools.bench import flights
+caches = []
+flights.measured = lambda *_: caches.append((cache_folder(), cache_folder().is_dir()))
+sys.argv = ["flights", "folder", "monday"]
+flights.main()
+print(caches[0][1], str(caches[0][0]) == USERS, caches[0][0].exists())
+"""
+
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "CUDA_VISIBLE_DEVICES": ""}
@@ -78,3 +89,9 @@ def test_parity_and_speed_at_tiny_size() -> None:
     assert len(found) == 2  # a checkpoint, and one that is exported
     for word in ("published arrays n4", "ONNX Runtime, cpu", "cpu, eager", "compiled", "ours, float32", "images/s"):
         assert word in done.stdout
+
+
+def test_flights_are_measured_with_a_fresh_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "users"))
+    program = FRESH_CACHE.replace("USERS", repr(str(tmp_path / "users")))
+    assert run("-c", program).stdout.split() == ["True", "False", "False"]

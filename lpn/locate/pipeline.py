@@ -229,25 +229,33 @@ class LocatedFlight:
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against the tags.
 
-        A window is a hit if it holds the tag. Empty without retrieval or tags.
+        A window is a hit if it holds the tag. A frame that cannot be read is a miss, and left out of Dis@K only. Empty without
+        retrieval or tags.
         """
         if self.retrieval is None:
             return {}
+        depth = min(10, len(self.retrieval.windows))
         rows, hits = [], []
         for i, located in enumerate(self.frames):
-            if located.tag is None or self.retrieval.frames_described[i] is None:
+            if located.tag is None:
                 continue
-            order = np.argsort(-self.retrieval.scores(i), kind="stable")[:10]
+            if i in self.retrieval.broken:
+                rows.append(np.full(depth, np.inf))
+                hits.append(np.zeros(depth, bool))
+                continue
+            order = np.argsort(-self.retrieval.scores(i), kind="stable")[:depth]
             off = self.retrieval.places[order] - located.tag
             rows.append(np.linalg.norm(off, axis=1))
             hits.append((np.abs(off) <= self.retrieval.sizes[order, None] / 2).all(axis=1))
         if not rows:
             return {}
         distances = np.array(rows)
+        read = distances[np.isfinite(distances).all(axis=1)]
         depths = [k for k in (1, 5, 10) if k <= distances.shape[1]]
         found = {f"recall@{k}": measures.recall_at(hits, k) for k in depths}
         found |= {f"sdm@{k}": float(measures.sdm_at(distances, k, measures.GTA_UAV_DECAY).mean()) for k in depths}
-        found |= {f"dis@{k}": float(measures.distance_at(distances, k).mean()) for k in depths}
+        if len(read):
+            found |= {f"dis@{k}": float(measures.distance_at(read, k).mean()) for k in depths}
         return found | {f"ma@{m}": measures.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}
 
 
@@ -295,6 +303,11 @@ def locate(
     if model is not None:
         found = retrieve(model, town, flight, options.sizes, options.overlap, options.centre, on_progress)
         notes += found.notes
+        if found.broken:
+            notes.append(
+                f"{len(found.broken)} of {len(frames)} frames cannot be read; the retrieval's measures count them as misses, and "
+                "Dis@K leaves them out."
+            )
         _ranked(found, frames, options.top)
         if options.sequence:
             _sequenced(found, flight, frames, options)
@@ -315,7 +328,8 @@ def _tags(town: Map, flight: Flight) -> tuple[Float64Array, list[str]]:
     total = len(flight.frames)
     tags = town.frame.xy(*flight.degrees.T)
     given = ~np.isnan(flight.degrees).any(axis=1)
-    # The projection has no place for positions that are a continent away.
+    if not np.isfinite(tags[given]).all():  # one position that the projection cannot place makes all of them NaN
+        tags = np.concatenate([town.frame.xy([latitude], [longitude]) for latitude, longitude in flight.degrees])
     known = np.isfinite(tags).all(axis=1)
     tags[~known] = np.nan
     notes = []

@@ -368,6 +368,19 @@ def test_retrievals_are_ordered_by_score_for_the_coverage(town: Map, flight: Fli
     assert (summary.answered, summary.coverage_at_zero) == (4, 75)
 
 
+def test_frames_that_cannot_be_read_are_misses(town: Map, flight: Flight, tmp_path: Path) -> None:
+    (tmp_path / "broken.jpg").write_bytes(b"nothing")
+    frames = (replace(flight.frames[0], file=tmp_path / "broken.jpg"), flight.frames[1], flight.frames[3])
+    options = LocateOptions(sequence=False, register=False, overlap=0.88)
+    found = locate(town, replace(flight, frames=frames), _ColourModel(), options)  # type: ignore[arg-type]
+    measured = found.field_measures()
+    assert measured["recall@10"] == pytest.approx(200 / 3)
+    assert measured["ma@100"] == pytest.approx(200 / 3)
+    assert measured["sdm@1"] < 0.67
+    assert measured["dis@1"] < 100
+    assert any("1 of 3 frames cannot be read; the retrieval's measures count them" in note for note in found.notes)
+
+
 def test_unknown_headings_are_searched_by_turns_and_descriptors_are_kept(
     town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
