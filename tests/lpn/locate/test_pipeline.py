@@ -331,6 +331,7 @@ def _ranked(flight: Flight, scores: np.ndarray, broken: dict[int, str]) -> list[
         [[0.0]] * len(scores),
         np.full(len(scores), np.nan),
         broken,
+        [],
     )
     pipeline._ranked(found, frames, 2)
     options = LocateOptions(overlap=0.0, temperature=0.02)
