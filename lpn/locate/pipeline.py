@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from lpn.core import images
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import cache_folder
 from lpn.flights import Flight, Frame, ground_width
@@ -235,7 +235,8 @@ class LocatedFlight:
         if self.retrieval is None:
             return {}
         depth = min(10, len(self.retrieval.windows))
-        rows, hits = [], []
+        rows: list[Float64Array] = []
+        hits: list[BoolArray] = []
         for i, located in enumerate(self.frames):
             if located.tag is None:
                 continue
