@@ -247,7 +247,7 @@ class LocatedFlight:
             order = np.argsort(-self.retrieval.scores(i), kind="stable")[:depth]
             off = self.retrieval.places[order] - located.tag
             rows.append(np.linalg.norm(off, axis=1))
-            hits.append((np.abs(off) <= self.retrieval.sizes[order, None] / 2).all(axis=1))
+            hits.append(np.all(np.abs(off) <= self.retrieval.sizes[order, None] / 2, axis=1))
         if not rows:
             return {}
         distances = np.array(rows)
