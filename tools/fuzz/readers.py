@@ -27,8 +27,8 @@ from tools.fuzz.targets import TARGETS, FuzzCase, complaint, described
 
 # Allowed seconds of processor time for an input.
 SLOW = 2.0
-# Allowed growth of peak memory for an input, in megabytes; a picture of 50 megapixels and its copy take 150 each.
-LARGE = 400
+# Allowed growth of peak memory for an input, in megabytes; a picture of 64 megapixels and its copy take 192 each.
+LARGE = 480
 # Seconds after which a read counts as endless; on a busy machine most of them belong to other processes.
 STUCK = 120.0
 # Bytes of address space for a reader, above its size at the start; it protects the machine.
