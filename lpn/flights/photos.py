@@ -62,7 +62,7 @@ class Photo:
 
 @dataclass
 class _Metadata:
-    """What a picture file tells about itself, and what was odd about it."""
+    """The metadata of a picture file, and the oddities found in them."""
 
     main: dict[int, Any]
     exif: dict[int, Any]

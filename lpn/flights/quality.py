@@ -1,4 +1,4 @@
-"""What the frames of a flight tell together: headings from the course, and notes about gaps and jumps."""
+"""Checks across the frames of a flight: headings from the course, and notes about gaps and jumps."""
 
 from __future__ import annotations
 

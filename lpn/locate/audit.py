@@ -1,4 +1,4 @@
-"""What registered positions say about the tags of a flight: how late they are, and how far off."""
+"""An audit of a flight's tags against its registered positions: their lag and their error."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ class StageRecord(msgspec.Struct, frozen=True):
 
     @property
     def accepted(self) -> bool:
-        """Whether the position may be used."""
+        """True if the position may be used."""
         return self.state == "accepted"
 
 
@@ -153,7 +153,7 @@ class LocatedFrame:
 
     @property
     def sentence(self) -> str:
-        """What the stages found, in one line."""
+        """Summarise in one line what the stages found."""
         return " ".join(f"{name.capitalize()}: {answer.sentence}" for name, answer in self.stages.items())
 
 

@@ -71,7 +71,7 @@ class Ground:
 
 @dataclass(frozen=True)
 class Expectation:
-    """What is known of a photo before it is registered; None where it is unknown.
+    """Prior knowledge of a photo, for its registration; None where it is unknown.
 
     Attributes:
         width: metres of ground across the picture.
@@ -126,7 +126,7 @@ class Registration:
 
     @property
     def turned(self) -> bool:
-        """Whether the picture's top points about opposite to its heading, as that of a file turned after it was taken."""
+        """True if the picture is turned by about 180 degrees against its heading, as a file that was turned later is."""
         return self.turn is not None and abs(self.turn) > 135
 
     @property

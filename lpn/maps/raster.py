@@ -32,7 +32,7 @@ _MIN_BORDER = 1e-3
 
 
 class Raster(Protocol):
-    """What a sheet reads: RGB and a mask of a rectangle of pixels.
+    """A source of pixels of a sheet: RGB and a mask of a rectangle.
 
     Attributes:
         path: the file or folder.

@@ -29,7 +29,7 @@ _SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".vrt", 
 
 @dataclass(frozen=True)
 class MapOptions:
-    """What is known about a map's files beyond what they say.
+    """Facts about a map's files that the files do not say.
 
     Attributes:
         crs: coordinate reference system, such as EPSG:32632; it takes precedence over that of the files.

@@ -1,4 +1,4 @@
-"""What a flight's frames tell together, the command `lpn flight`, and the three real flights."""
+"""Checks across the frames of a flight, the command `lpn flight`, and the three real flights."""
 
 from __future__ import annotations
 
