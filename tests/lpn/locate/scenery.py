@@ -7,7 +7,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 
 # Metres per pixel, and side in pixels, of the drawn map; its centre is the origin.
 RESOLUTION = 0.25
@@ -62,3 +62,41 @@ def photo_of(picture: UInt8Array, homography: Float64Array, pixels: tuple[int, i
     seen = cv2.warpPerspective(picture, homography @ to_metres, pixels, flags=cv2.INTER_CUBIC)
     noise = np.random.default_rng(seed).normal(0, 5, seen.shape)
     return (seen * 0.75 + 40 + noise).clip(0, 255).astype(np.uint8)
+
+
+class _Spec:
+    embedding = 16
+
+
+class GridModel:
+    """Describes a picture by the colours of a grid, as a network that has learned the place would; counts what it describes."""
+
+    views = ("satellite", "drone")
+    fingerprint = "grid"
+    input_size = (32, 32)
+    n_parts = 2
+    batch = 8
+    parallel = True
+    spec = _Spec()
+
+    def __init__(self) -> None:
+        self.described = 0
+
+    def check_view(self, view: str) -> None:
+        assert view in self.views
+
+    def for_parallel_inference(self) -> GridModel:
+        return self
+
+    def prepare(self, picture: np.ndarray, view: str) -> Float32Array:
+        del view
+        return cv2.resize(picture, (32, 32), interpolation=cv2.INTER_AREA).transpose(2, 0, 1).astype(np.float32)
+
+    def descriptors(self, batch: Float32Array, view: str) -> Float32Array:
+        del view
+        self.described += len(batch)
+        grey = np.stack([cv2.resize(picture[1], (4, 8), interpolation=cv2.INTER_AREA) for picture in batch])
+        parts = grey.reshape(len(batch), 2, 16)
+        parts = parts - parts.mean(axis=2, keepdims=True)
+        norms = np.linalg.norm(parts, axis=2, keepdims=True)
+        return (parts / np.maximum(norms, 1e-6) / np.sqrt(2)).astype(np.float32)

@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import pytest
 
-from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, InputError
 from lpn.flights import Flight, Frame, footprint
 from lpn.locate import pipeline
@@ -21,7 +20,7 @@ from lpn.locate.matchers import SiftMatcher
 from lpn.locate.pipeline import LocatedFlight, LocatedFrame, LocateOptions, StageRecord, locate, nadir_pixel
 from lpn.locate.retrieval import MapRetrieval, cut_square, pyramid_sizes, retrieve
 from lpn.maps import Map, Window, open_map
-from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, ground_to_photo, land, photo_of
+from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, GridModel, ground_to_photo, land, photo_of
 
 SIZE = (360, 270)
 HEIGHT = 80.0
@@ -164,12 +163,12 @@ def test_one_position_far_away_is_left_out(town: Map, flight: Flight, monkeypatc
 
 def test_a_flight_without_frames_is_refused(town: Map) -> None:
     with pytest.raises(DataError, match="monday has no frame"):
-        locate(town, Flight("monday", ()), _ColourModel(), SIFT)  # type: ignore[arg-type]
+        locate(town, Flight("monday", ()), GridModel(), SIFT)  # type: ignore[arg-type]
 
 
 def test_a_prior_beside_a_model_is_refused(town: Map, flight: Flight) -> None:
     with pytest.raises(InputError, match="leave --prior or --model out"):
-        locate(town, flight, _ColourModel(), replace(SIFT, prior=40.0))  # type: ignore[arg-type]
+        locate(town, flight, GridModel(), replace(SIFT, prior=40.0))  # type: ignore[arg-type]
 
 
 def test_an_expected_width_is_tried_freely_too(town: Map) -> None:
@@ -252,43 +251,8 @@ def test_too_large_a_search_is_refused(town: Map) -> None:
         features._map.bounds = (-100.0, -100.0, 100.0, 100.0)
 
 
-class _Spec:
-    embedding = 16
-
-
-class _ColourModel:
-    """Describes a picture by the mean colours of a grid, as a network that has learned the place would."""
-
-    views = ("satellite", "drone")
-    fingerprint = "colours"
-    input_size = (32, 32)
-    n_parts = 2
-    batch = 8
-    parallel = True
-    spec = _Spec()
-
-    def check_view(self, view: str) -> None:
-        assert view in self.views
-
-    def for_parallel_inference(self) -> _ColourModel:
-        return self
-
-    def prepare(self, picture: np.ndarray, view: str) -> Float32Array:
-        del view
-        small = cv2.resize(picture, (32, 32), interpolation=cv2.INTER_AREA)
-        return small.transpose(2, 0, 1).astype(np.float32)
-
-    def descriptors(self, batch: Float32Array, view: str) -> Float32Array:
-        del view
-        grey = np.stack([cv2.resize(picture[1], (4, 8), interpolation=cv2.INTER_AREA) for picture in batch])
-        parts = grey.reshape(len(batch), 2, 16)
-        parts = parts - parts.mean(axis=2, keepdims=True)
-        norms = np.linalg.norm(parts, axis=2, keepdims=True)
-        return (parts / np.maximum(norms, 1e-6) / np.sqrt(2)).astype(np.float32)
-
-
 def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) -> None:
-    model = _ColourModel()
+    model = GridModel()
     upright = replace(flight, frames=tuple(frame for i, frame in enumerate(flight.frames) if i != 2))
     options = replace(SIFT, overlap=0.88, temperature=0.03)
     found = locate(town, upright, model, options)  # type: ignore[arg-type]
@@ -373,7 +337,7 @@ def test_frames_that_cannot_be_read_are_misses(town: Map, flight: Flight, tmp_pa
     (tmp_path / "broken.jpg").write_bytes(b"nothing")
     frames = (replace(flight.frames[0], file=tmp_path / "broken.jpg"), flight.frames[1], flight.frames[3])
     options = LocateOptions(sequence=False, register=False, overlap=0.88)
-    found = locate(town, replace(flight, frames=frames), _ColourModel(), options)  # type: ignore[arg-type]
+    found = locate(town, replace(flight, frames=frames), GridModel(), options)  # type: ignore[arg-type]
     measured = found.field_measures()
     assert measured["recall@10"] == pytest.approx(200 / 3)
     assert measured["ma@100"] == pytest.approx(200 / 3)
@@ -385,13 +349,13 @@ def test_frames_that_cannot_be_read_are_misses(town: Map, flight: Flight, tmp_pa
 def test_unknown_headings_are_searched_by_turns_and_descriptors_are_kept(
     town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model = _ColourModel()
+    model = GridModel()
     frame = replace(flight.frames[0], heading=None)
     one = replace(flight, frames=(frame,))
     found = retrieve(model, town, one, centre=False, overlap=0.88)  # type: ignore[arg-type]
     assert found.headings[0] == [45 * k for k in range(8)]
     assert found.top(0, 1).headings[0] == 90
-    monkeypatch.setattr(_ColourModel, "descriptors", None)  # nothing is described again
+    monkeypatch.setattr(GridModel, "descriptors", None)  # nothing is described again
     again = retrieve(model, town, one, centre=False, overlap=0.88)  # type: ignore[arg-type]
     np.testing.assert_array_equal(again.scores(0), found.scores(0))
 

@@ -9,52 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from lpn.core.arrays import Float32Array
 from lpn.flights import Flight, Frame
 from lpn.locate.retrieval import MapRetrieval, retrieve
 from lpn.maps import Map, open_map
-from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, ground_to_photo, land, photo_of
+from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, GridModel, ground_to_photo, land, photo_of
 
 SIZE = (64, 64)
 WIDTH = 60.0
-
-
-class _Spec:
-    embedding = 16
-
-
-class _Grid:
-    """Describes a picture by the colours of a grid, and counts what it describes."""
-
-    views = ("satellite", "drone")
-    fingerprint = "grid"
-    input_size = (32, 32)
-    n_parts = 2
-    batch = 8
-    parallel = True
-    spec = _Spec()
-
-    def __init__(self) -> None:
-        self.described = 0
-
-    def check_view(self, view: str) -> None:
-        assert view in self.views
-
-    def for_parallel_inference(self) -> _Grid:
-        return self
-
-    def prepare(self, picture: np.ndarray, view: str) -> Float32Array:
-        del view
-        return cv2.resize(picture, (32, 32), interpolation=cv2.INTER_AREA).transpose(2, 0, 1).astype(np.float32)
-
-    def descriptors(self, batch: Float32Array, view: str) -> Float32Array:
-        del view
-        self.described += len(batch)
-        grey = np.stack([cv2.resize(picture[1], (4, 8), interpolation=cv2.INTER_AREA) for picture in batch])
-        parts = grey.reshape(len(batch), 2, 16)
-        parts = parts - parts.mean(axis=2, keepdims=True)
-        norms = np.linalg.norm(parts, axis=2, keepdims=True)
-        return (parts / np.maximum(norms, 1e-6) / np.sqrt(2)).astype(np.float32)
 
 
 @pytest.fixture(autouse=True)
@@ -91,7 +52,7 @@ def _flight(folder: Path, places: list[tuple[float, float]], heading: float = 0.
     return Flight("monday", tuple(frames))
 
 
-def _retrieved(model: _Grid, town: Map, flight: Flight) -> MapRetrieval:
+def _retrieved(model: GridModel, town: Map, flight: Flight) -> MapRetrieval:
     return retrieve(model, town, flight, overlap=0.88)  # type: ignore[arg-type]
 
 
@@ -101,19 +62,19 @@ def _off(found: MapRetrieval, frame: int, place: tuple[float, float]) -> float:
 
 def test_few_or_equal_frames_are_not_centred(town: Map, tmp_path: Path) -> None:
     places = [(-40.0, 10.0)] * 30
-    found = _retrieved(_Grid(), town, _flight(tmp_path / "hovering", places))
+    found = _retrieved(GridModel(), town, _flight(tmp_path / "hovering", places))
     assert found.scores(0).max() > 0.8
     assert _off(found, 0, places[0]) < 10
     assert "the flight has 1." in found.notes[0]
     far = [(-40.0, 10.0), (30.0, -35.0)]
-    found = _retrieved(_Grid(), town, _flight(tmp_path / "two", far))
+    found = _retrieved(GridModel(), town, _flight(tmp_path / "two", far))
     assert [_off(found, i, place) < 10 for i, place in enumerate(far)] == [True, True]
     assert "the flight has 2." in found.notes[0]
 
 
 def test_many_distinct_frames_are_centred(town: Map, tmp_path: Path) -> None:
     places = [(x, y) for x in (-60.0, -20.0, 20.0, 60.0) for y in (-60.0, -30.0, 0.0, 30.0, 60.0)]
-    found = _retrieved(_Grid(), town, _flight(tmp_path / "many", places))
+    found = _retrieved(GridModel(), town, _flight(tmp_path / "many", places))
     assert not found.notes
     described = np.concatenate([one for one in found.frames_described if one is not None])
     np.testing.assert_allclose(np.linalg.norm(described, axis=2), 1 / np.sqrt(2), rtol=1e-5)
@@ -123,9 +84,9 @@ def test_many_distinct_frames_are_centred(town: Map, tmp_path: Path) -> None:
 def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, tmp_path: Path) -> None:
     flight = _flight(tmp_path / "photos", [(-40.0, 10.0), (30.0, -35.0), (0.0, 0.0)])
     flight.frames[1].file.write_bytes(b"nothing")
-    first = _Grid()
+    first = GridModel()
     found = _retrieved(first, town, flight)
-    again = _Grid()
+    again = GridModel()
     second = _retrieved(again, town, flight)
     assert first.described == len(found.windows) + 2
     assert again.described == 0
@@ -138,6 +99,6 @@ def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, tmp_path: Path
 def test_a_course_is_one_of_several_turns(town: Map, tmp_path: Path) -> None:
     flight = _flight(tmp_path / "sideways", [(-40.0, 10.0)], heading=90.0)
     frame = replace(flight.frames[0], heading=0.0, heading_source="course")
-    found = _retrieved(_Grid(), town, replace(flight, frames=(frame,)))
+    found = _retrieved(GridModel(), town, replace(flight, frames=(frame,)))
     assert found.top(0, 1).headings[0] == 90
     assert _off(found, 0, (-40.0, 10.0)) < 10
