@@ -36,7 +36,7 @@ LARGEST_CITY = 2_800_000
 SAME = {"query_drone": "gallery_drone", "gallery_satellite": "query_satellite"}
 """The other role of each folder's pictures, so that satellite-to-drone is offered too: a link."""
 
-LARGEST = {".onnx": 4_000_000, ".safetensors": 7_000_000}
+LARGEST = {".onnx": 4_000_000, ".safetensors": 4_000_000}
 """Bytes of a model's file."""
 
 
@@ -75,7 +75,7 @@ def main() -> None:
 def pack_model(trained: Path, name: str, out: Path, stores: Path) -> None:
     """Write a model in both formats, and its descriptors of the pictures in `out`."""
     export(trained, out / f"{name}.onnx", "int8")
-    save(load_torch(trained).network, out / f"{name}.safetensors", half=True)
+    save(load_torch(trained).network, out / f"{name}.safetensors", storage="int8")
     for suffix, largest in LARGEST.items():
         if (size := (out / name).with_suffix(suffix).stat().st_size) > largest:
             sys.exit(

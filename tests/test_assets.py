@@ -55,13 +55,11 @@ def test_the_demo_s_descriptors_are_its_models_(view: View, file: Path) -> None:
 def test_the_demo_s_models_are_small_and_of_one_training(file: Path) -> None:
     assert file.stat().st_size < pack.LARGEST[".onnx"]
     weights = file.with_suffix(".safetensors")
-    if file != DEMO_BASELINE and not weights.is_file():
-        pytest.skip("the demo has no lpn.safetensors yet; assets/README.md says why")
     assert weights.stat().st_size < pack.LARGEST[".safetensors"]
     exported, trained, pictures = lpn.load(file), lpn.load(weights), seeded.pictures(0, 1, 256, 256)
     assert exported.n_parts == trained.n_parts == (1 if file == DEMO_BASELINE else 4)
     cosines = (exported.descriptors(pictures, "drone") * trained.descriptors(pictures, "drone")).sum((1, 2))
-    assert cosines.min() > 0.99  # 8 bits against 16
+    assert cosines.min() > 0.99  # kernels are rounded to 8 bits, in the export after BatchNorm is folded into them
 
 
 @pytest.mark.slow
@@ -136,4 +134,4 @@ def test_every_picture_of_the_demo_has_its_position() -> None:
         queries, gallery = dataset.queries(view), dataset.gallery(view)
         assert where.of(queries) == where.of(gallery)
         assert len(queries) > 0
-    assert sum(file.stat().st_size for file in DEMO.parent.rglob("*") if file.is_file()) < 40e6
+    assert sum(file.stat().st_size for file in DEMO.parent.rglob("*") if file.is_file()) < 45e6

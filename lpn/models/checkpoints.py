@@ -28,10 +28,13 @@ from lpn.models.base import ForwardPass, Heads, Model
 from lpn.models.network import LPN, map_size
 from lpn.models.published_checkpoints import State, infer_backbone, infer_spec, read_options
 from lpn.models.spec import ModelSpec
+from lpn.models.weight_storage import Storage, to_eight_bits
 
 log = logging.getLogger(__name__)
 
 FORMAT = "lpn-explorer/1"
+# Behind the name of kernels of 8 bits, the name of their scales.
+_SCALE = ".scale"
 _AGAIN = "copy it again from where it came, or make it again"
 
 
@@ -173,28 +176,39 @@ def device_of(provider: ProviderName, name: str) -> torch.device:
     return best_device() if provider == "auto" else torch.device(provider)
 
 
-def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None, half: bool = False) -> None:
+def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None, storage: Storage = "float32") -> None:
     """Write a network and its description atomically as `.safetensors`.
 
     Weights that branches share are stored once.
 
     Args:
         extra: further metadata (recipe, figures).
-        half: store matrices and kernels as float16, and no class layers, which retrieval does not use.
+        storage: of the weights in the file. float16 stores matrices and kernels in half; int8 stores kernels in a quarter, with
+            one scale per output channel, and matrices in half. Neither stores the class layers, which retrieval does not use.
 
     Raises:
-        InputError: if `half`, and a weight exceeds the range of float16.
+        InputError: if a weight exceeds the range of float16.
     """
     own = _own_keys(network)
     tensors = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items() if k in own}
-    if half:
-        # The statistics of BatchNorm are few and span more than the range of float16.
-        tensors = {k: v.half() if v.ndim > 1 else v for k, v in tensors.items() if ".classifier." not in k}
-        for key, tensor in tensors.items():
-            if not bool(tensor.isfinite().all()):
-                raise InputError(f"The weights {key} are too large for float16; store them as float32.")
+    if storage != "float32":
+        tensors = {
+            k: v for key, value in tensors.items() if ".classifier." not in key for k, v in _narrow(key, value, storage)
+        }
     metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json(), SEAL: UNSEALED}
     write_atomic(Path(path), with_seal(_with_sorted_header(save_tensors(tensors, metadata))))
+
+
+def _narrow(key: str, tensor: Tensor, storage: Storage) -> list[tuple[str, Tensor]]:
+    """Return the tensors that store one of a network in fewer bits, by name."""
+    if tensor.ndim < 2:  # the statistics of BatchNorm are few and span more than the range of float16
+        return [(key, tensor)]
+    if storage == "int8" and tensor.ndim == 4 and bool(tensor.isfinite().all()):
+        kernels, scale = (torch.from_numpy(array) for array in to_eight_bits(tensor.numpy()))
+        return [(key, kernels), (key + _SCALE, scale)]
+    if not bool((half := tensor.half()).isfinite().all()):
+        raise InputError(f"The weights {key} are too large for {storage}; store them as float32.")
+    return [(key, half)]
 
 
 def _with_sorted_header(data: bytes) -> bytes:
@@ -381,11 +395,23 @@ def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
     try:
         with safe_open(str(path), framework="pt") as file:
             state, metadata = {key: file.get_tensor(key) for key in file.keys()}, file.metadata() or {}  # noqa: SIM118
+            state = _widened(state, path.name)
     except (SafetensorError, OSError, ValueError) as error:
         raise ModelFileError(f"{path.name} is not a .safetensors file or is truncated ({error}).") from error
     if SEAL in metadata and not sealed_file:
         raise ModelFileError(f"{path.name} is damaged: its checksum is malformed; {_AGAIN}.")
     return state, metadata
+
+
+def _widened(state: State, name: str) -> State:
+    """Return a file's tensors with kernels of 8 bits as float32, see `save`."""
+    found = {key: tensor for key, tensor in state.items() if not key.endswith(_SCALE)}
+    for key in state.keys() - found.keys():
+        kernels, scale = state.get(key.removesuffix(_SCALE)), state[key]
+        if kernels is None or kernels.dtype != torch.int8 or scale.shape != (len(kernels), 1, 1, 1):
+            raise ModelFileError(f"In {name}, {key} scales no kernels of 8 bits; {_AGAIN}.")
+        found[key.removesuffix(_SCALE)] = kernels * scale
+    return found
 
 
 def _read_safetensors(path: Path) -> tuple[ModelSpec, State]:

@@ -8,13 +8,15 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
+import numpy.typing as npt
 import onnx
 import torch
 from torch import Tensor, nn
 
+from lpn.core.arrays import Int8Array
 from lpn.core.checksums import SEAL, UNSEALED, with_seal
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, write_atomic
@@ -23,8 +25,7 @@ from lpn.models.checkpoints import TorchModel, load_torch
 from lpn.models.network import weigh
 from lpn.models.onnx_engine import FORMAT, OUTPUTS, extra_outputs, graph_files
 from lpn.models.spec import SLOPES
-
-Storage = Literal["float32", "float16", "int8"]
+from lpn.models.weight_storage import Storage, to_eight_bits
 
 
 class _SafaGraph(nn.Module):
@@ -155,14 +156,14 @@ def _shrink(proto: onnx.ModelProto, storage: Storage) -> None:
         if values.dtype != np.float32:
             continue
         name, stored = weight.name, f"{weight.name}.stored"
+        narrow: npt.NDArray[np.float16] | Int8Array
         # Heads and cells are small, and the graph's constants must be the values that it computes with.
         if storage == "float16" or values.ndim != 4:
             widened, narrow = name, values.astype(np.float16)
         else:
             widened = f"{name}.wide"
-            scale = np.maximum(np.abs(values).max(axis=(1, 2, 3), keepdims=True), 1e-30) / np.float32(127)
-            narrow = np.round(values / scale).astype(np.int8)
-            graph.initializer.append(onnx.numpy_helper.from_array(scale.astype(np.float32), f"{name}.scale"))
+            narrow, scale = to_eight_bits(values)
+            graph.initializer.append(onnx.numpy_helper.from_array(scale, f"{name}.scale"))
             widening.append(onnx.helper.make_node("Mul", [widened, f"{name}.scale"], [name]))
         if not np.isfinite(narrow).all():
             raise InputError(f"The weights {name} are too large for {storage}; export them as float32.")

@@ -320,7 +320,7 @@ def test_init_says_how_far_it_goes(places: Path, tmp_path: Path) -> None:
 
 def test_init_from_a_whole_model_fills_its_backbone_and_no_head(places: Path, tmp_path: Path) -> None:
     model = small_worlds.make_network()
-    save(model, tmp_path / "init.safetensors", half=True)
+    save(model, tmp_path / "init.safetensors", storage="float16")
     run, said = trainer(places, tmp_path / "run", init=tmp_path / "init.safetensors")
     plain, _ = trainer(places, tmp_path / "plain")
     assert "init.safetensors fills 90 of the backbone's 90 tensors.\n" in said.getvalue()
