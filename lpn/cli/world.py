@@ -32,8 +32,19 @@ class WorldCommand:
     """Part i/k of the work: k processes with the same --out render one world."""
     threads: int = 0
     """Processor threads; 0 for all."""
+    flight: bool = False
+    """Render a flight over the city in place of the data set: photos, a video with .SRT, a map, and the truth."""
+    frames: int = 150
+    """Pictures of --flight."""
+    width: int = 960
+    """Width of a picture of --flight, whose proportions are 4:3."""
+    map_pixel: float = 0.3
+    """Metres a pixel of the map of --flight."""
 
     def run(self) -> None:
+        if self.flight:
+            self._render_flight()
+            return
         from lpn.world.atlas import Settings
         from lpn.world.build import RenderShare, build_world
 
@@ -49,6 +60,12 @@ class WorldCommand:
         )
         tally = build_world(settings, self.out, RenderShare.parse(self.part), self.threads)
         print(f"{tally.describe()} The world is in {self.out}.")
+
+    def _render_flight(self) -> None:
+        from lpn.world.flight import FlightSettings, build_flight
+
+        settings = FlightSettings(self.seed, self.buildings, self.frames, self.width, self.samples, self.map_pixel)
+        print(f"{build_flight(settings, self.out, self.threads).describe()} The flight is in {self.out}.")
 
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""

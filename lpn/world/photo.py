@@ -65,6 +65,13 @@ SATELLITES = (
          (0.5, 0.5, 0.5), 0.7, 0.018, 4),
 )  # fmt: skip
 
+_AUTUMN = ((0.11, 0.095, 0.02), (0.17, 0.09, 0.02), (0.05, 0.07, 0.022), (0.20, 0.10, 0.02), (0.13, 0.11, 0.03))
+# The day of a flight, in autumn, and that of its map, in spring.
+FLIGHT = replace(
+    DRONE, season=Season((0.11, 0.12, 0.045), (0.25, 0.20, 0.09), 0.55, _AUTUMN), sun=(34.0, 190.0), exposure=1.75,
+    balance=(1.05, 1.0, 0.95), haze=0.05, traffic=8,
+)  # fmt: skip
+FLIGHT_MAP = replace(SATELLITES[1], sun=(55.0, 140.0), traffic=9)
 
 STREETS = (
     Look(Season((0.075, 0.125, 0.035), (0.2, 0.18, 0.09), 0.15, _SPRING), (34.0, 130.0), 1.6, (1.0, 1.0, 1.02), 1.15, 1.05,
@@ -91,6 +98,16 @@ def street_look(seed: int, district: int) -> Look:
     """Draw the pedestrians' day for a district: a variation of one of a few."""
     rng = np.random.default_rng([seed, 43, district])
     return _varied(STREETS[int(rng.integers(len(STREETS)))], rng)
+
+
+def flight_look(seed: int) -> Look:
+    """Vary the autumn day of a rendered flight."""
+    return _varied(FLIGHT, np.random.default_rng([seed, 44]))
+
+
+def map_look(seed: int) -> Look:
+    """Vary the spring day of a rendered flight's map."""
+    return _varied(FLIGHT_MAP, np.random.default_rng([seed, 45]))
 
 
 def metered(look: Look, light: Float32Array) -> Look:

@@ -20,6 +20,7 @@ from lpn.core.arrays import Float32Array, Float64Array
 from lpn.world import closeup, meshes, paint, textures
 from lpn.world.cameras import Panorama, Pose, SatelliteImage
 from lpn.world.city import SPECIES, VEHICLES, City
+from lpn.world.flight_plan import AerialPose
 from lpn.world.photo import Look
 
 SCALE = 0.25  # metres a pixel of the ground's texture
@@ -59,14 +60,14 @@ class BlenderScene:
         self._hedges()
         self._bridges()
 
-    def frame(self, pose: Pose, pixels: int) -> Float32Array:
-        """Render a drone picture: (pixels, pixels, 3) linear light."""
+    def frame(self, pose: Pose | AerialPose, width: int, height: int | None = None) -> Float32Array:
+        """Render a drone picture: (height, width, 3) linear light; square without a height."""
         data = self._camera.data
         data.type = "PERSP"
         data.sensor_fit = "HORIZONTAL"
         data.angle = np.radians(pose.fov)
         self._aim(pose.axes(), (pose.x, pose.y, pose.z))
-        return self._render(pixels, pixels)
+        return self._render(width, width if height is None else height)
 
     def panorama(self, panorama: Panorama, pixels: int) -> Float32Array:
         """Render a panorama from the ground: (h, w, 3) linear light of `panorama.size(pixels)`."""

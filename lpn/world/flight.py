@@ -1,0 +1,203 @@
+"""Building a rendered flight: plan it, then render missing pictures, the video, and the map.
+
+flight_world.json  settings, middle, errors of the tags
+truth.csv          where each camera was
+photos/            the pictures of both paths
+video/             the pictures of the free path as a video, with its .SRT
+map/map.tif        the map
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from lpn.core.errors import InputError, OutputError
+from lpn.core.files import check_writable, write_atomic
+from lpn.core.formats import is_newer, newer_version
+from lpn.datasets.rendered import PLAN, UNFINISHED
+from lpn.world import flight_files, photo
+from lpn.world.atlas import EDITION
+from lpn.world.cameras import SatelliteImage, Site
+from lpn.world.flight_plan import MAP_SIDE, TAG_ERRORS, FlightPicture, FlightPlan, plan_flight
+from lpn.world.plan import plan_city
+
+if TYPE_CHECKING:
+    from lpn.world.city import City
+    from lpn.world.render import BlenderScene
+
+FORMAT = "lpn-world-flight/1"
+NAME = "flight_world.json"
+TRUTH = Path("truth.csv")
+MAP = Path("map/map.tif")
+_VIDEO = "video/LPN_FREE"
+_SPARE = 25.0  # metres around the map whose things may be seen, or throw shadows
+
+
+@dataclass(frozen=True)
+class FlightSettings:
+    """The settings that determine a rendered flight.
+
+    Attributes:
+        seed, buildings: of the city, as for a world.
+        frames: pictures of both paths.
+        width: of a picture, in pixels; its height is three quarters of it.
+        samples: light paths per pixel.
+        map_pixel: metres a pixel of the map.
+    """
+
+    seed: int
+    buildings: int
+    frames: int
+    width: int
+    samples: int
+    map_pixel: float
+
+
+@dataclass
+class FlightTally:
+    """Numbers of what was made, and seconds."""
+
+    photos: int = 0
+    photo_seconds: float = 0.0
+    video: bool = False
+    map: bool = False
+
+    def describe(self) -> str:
+        """One sentence for the console."""
+        made = [f"{self.photos} photo{'s' * (self.photos > 1)}"] * (self.photos > 0)
+        made += ["the video"] * self.video + ["the map"] * self.map
+        if not made:
+            return "Every file was there already."
+        each = f", {self.photo_seconds / self.photos:.1f} s a photo" if self.photos else ""
+        return f"Made {' and '.join(', '.join(made).rsplit(', ', 1))}{each}."
+
+
+def build_flight(settings: FlightSettings, out: Path, threads: int = 0) -> FlightTally:
+    """Render a flight, skipping files that exist, so that an interrupted run can continue.
+
+    Raises:
+        InputError: when the settings are invalid.
+        OutputError: when `out` cannot be written, or holds a world or a flight with other settings.
+        ModuleNotFoundError: when Blender or rasterio is needed and missing.
+    """
+    import_module("rasterio")  # before an hour of rendering
+    _check(settings)
+    _check_out(settings, out)
+    if not (out / NAME).is_file() or (out / UNFINISHED).is_file():
+        import_module("lpn.world.render")  # asks for bpy before anything is planned
+    check_writable(out / NAME)
+    city, site = plan_city(settings.seed, settings.buildings), Site()
+    plan = plan_flight(city, site, settings.frames)
+    video = [out / f"{_VIDEO}{suffix}" for suffix in (".SRT", ".MP4")]
+    photos = [(picture, out / "photos" / picture.name) for picture in plan.pictures]
+    missing = [(picture, file) for picture, file in photos if not file.is_file()]
+    tally = FlightTally(
+        video=bool(plan.video) and not all(file.is_file() for file in video), map=not (out / MAP).is_file()
+    )
+    if missing or tally.video or tally.map:
+        write_atomic(out / UNFINISHED, b"Files are missing here; lpn world --flight with the same settings goes on.\n")
+    write_atomic(out / NAME, _settings_json(settings, plan, site))
+    write_atomic(out / TRUTH, plan.truth_csv(city, site))
+    if missing or tally.map:
+        _render(settings, city, site, plan, missing, out, threads, tally)
+    if tally.video:
+        write_atomic(video[0], flight_files.subtitles_bytes(plan.video))
+        write_atomic(video[1], flight_files.video_bytes([out / "photos" / picture.name for picture in plan.video]))
+    (out / UNFINISHED).unlink(missing_ok=True)
+    return tally
+
+
+def _render(
+    settings: FlightSettings, city: City, site: Site, plan: FlightPlan, missing: list[tuple[FlightPicture, Path]], out: Path,
+    threads: int, tally: FlightTally,
+) -> None:  # fmt: skip
+    """Render the map, then the missing photos."""
+    from lpn.world import render
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with (
+        render.quiet() as stream,
+        Progress(*columns, console=Console(file=stream)) as bar,
+        render.scratch_folder() as folder,
+    ):
+        task = bar.add_task("Rendering", total=len(missing) + tally.map)
+
+        def scene(look: photo.Look) -> BlenderScene:
+            return render.BlenderScene(
+                city, plan.x, plan.y, MAP_SIDE + 2 * _SPARE, look, settings.samples, folder, threads
+            )
+
+        if tally.map:
+            write_atomic(out / MAP, _map(settings, site, plan, scene))
+            bar.advance(task)
+        if missing:
+            day = photo.flight_look(settings.seed)
+            made = scene(day)
+            for picture, file in missing:
+                start = time.perf_counter()
+                rng = np.random.default_rng([settings.seed, 73, plan.pictures.index(picture)])
+                look = replace(day, exposure=day.exposure * float(rng.normal(1, 0.03)))
+                light = made.frame(picture.pose, settings.width, settings.width * 3 // 4)
+                write_atomic(file, flight_files.photo_bytes(picture, photo.develop(light, look, rng)))
+                tally.photos += 1
+                tally.photo_seconds += time.perf_counter() - start
+                bar.advance(task)
+
+
+def _map(settings: FlightSettings, site: Site, plan: FlightPlan, scene: Callable[[photo.Look], BlenderScene]) -> bytes:
+    """Render the map as an orthophoto: buildings stand upright, and roofs lie where they are."""
+    look = photo.map_look(settings.seed)
+    grid = flight_files.MapGrid(site, plan.x, plan.y, MAP_SIDE, settings.map_pixel)
+    size = MAP_SIDE + 2 * _SPARE  # the zone's grid is turned by up to some degrees
+    sweep = SatelliteImage(plan.x, plan.y, plan.ground, size, round(size / settings.map_pixel), 0.0, 0.0)
+    light = grid.cut(scene(look).sweep(sweep), sweep)
+    return grid.geotiff(photo.develop(light, look, np.random.default_rng([settings.seed, 72])))
+
+
+def _settings_json(settings: FlightSettings, plan: FlightPlan, site: Site) -> bytes:
+    values = {
+        "format": FORMAT, "edition": EDITION, "settings": asdict(settings), "site": asdict(site),
+        "middle": {"x": round(plan.x, 3), "y": round(plan.y, 3), "ground": round(plan.ground, 3)},
+        "tag errors": asdict(TAG_ERRORS),
+    }  # fmt: skip
+    return (json.dumps(values, indent=1) + "\n").encode()
+
+
+def _check(settings: FlightSettings) -> None:
+    limits = {"frames": (2, 5000), "width": (64, 4096), "samples": (1, 4096), "map_pixel": (0.15, 2.0)}
+    for name, (low, high) in limits.items():
+        value = getattr(settings, name)
+        if not low <= value <= high:
+            raise InputError(f"The flight's {name} is {value}; expected {low} to {high}.")
+    if settings.width % 4:
+        raise InputError(f"The flight's width is {settings.width}; expected a multiple of 4, as pictures are 4:3.")
+
+
+def _check_out(settings: FlightSettings, out: Path) -> None:
+    if (out / PLAN).is_file():
+        raise OutputError(f"{out} holds a world; choose another folder for the flight.")
+    file = out / NAME
+    if not file.is_file():
+        return
+    try:
+        held: dict[str, Any] = json.loads(file.read_bytes())
+        if is_newer(held.get("format"), FORMAT):
+            raise OutputError(newer_version(file, held["format"], FORMAT))
+        had, edition = held["settings"], held["edition"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise OutputError(f"{file} is not a rendered flight's; choose another folder.") from error
+    if had != asdict(settings) or edition != EDITION:
+        raise OutputError(
+            f"{out} holds a flight of edition {edition} made with other settings ({had}); choose another folder, or "
+            "delete that one."
+        )
