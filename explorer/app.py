@@ -17,10 +17,12 @@ import viser
 
 from explorer.client_session import ClientSession
 from explorer.failure_lab.service import FailureLab
+from explorer.flight_window.pictures import FlightPictures
 from explorer.opening import open_model, open_saved
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, is_loopback, make_authenticator
 from explorer.server.gateway import Gateway
+from explorer.server.picture_route import PictureRoute
 from explorer.url_state import UrlState
 from explorer.workspace import Workspace
 from lpn.core import images
@@ -52,7 +54,9 @@ class App:
         self.authenticator = authenticator or make_authenticator(host, None, False, ())
         conceal(self.authenticator.token)
         conceal(self.authenticator.cookie_value)
-        self.gateway = Gateway(self.authenticator)
+        flight_pictures = FlightPictures(workspace)
+        self._pictures = PictureRoute(flight_pictures.find)
+        self.gateway = Gateway(self.authenticator, self._pictures)
         viser_compat.use_thread_safe_buffers()
         make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
         with redirect_stdout(io.StringIO()):  # viser prints an address without the token
@@ -62,7 +66,9 @@ class App:
         self.server.scene.world_axes.visible = False
         self._sessions: dict[int, ClientSession] = {}
         failure_lab, url_state = FailureLab(workspace), UrlState(workspace)
-        self.server.on_client_connect(lambda client: self._connected(client, workspace, failure_lab, url_state))
+        self.server.on_client_connect(
+            lambda client: self._connected(client, workspace, failure_lab, url_state, flight_pictures)
+        )
         self.server.on_client_disconnect(self._disconnected)
 
     def close(self) -> None:
@@ -70,6 +76,7 @@ class App:
         until = time.monotonic() + _CLOSE_TIMEOUT
         for session in list(self._sessions.values()):
             session.leave()
+        self._pictures.close()
         # viser waits for its connections, up to six seconds.
         stopping = threading.Thread(target=self.server.stop, name="explorer-stop", daemon=True)
         with redirect_stdout(io.StringIO()):
@@ -79,10 +86,15 @@ class App:
             log.warning("A file is still being written")
 
     def _connected(
-        self, client: viser.ClientHandle, workspace: Workspace, failure_lab: FailureLab, url_state: UrlState
+        self,
+        client: viser.ClientHandle,
+        workspace: Workspace,
+        failure_lab: FailureLab,
+        url_state: UrlState,
+        flight_pictures: FlightPictures,
     ) -> None:
         log.info("Browser %d connected", client.client_id)
-        self._sessions[client.client_id] = ClientSession(client, workspace, failure_lab, url_state)
+        self._sessions[client.client_id] = ClientSession(client, workspace, failure_lab, url_state, flight_pictures)
         if client.client_id not in self.server.get_clients():  # it left while its session was being built
             self._disconnected(client)
 

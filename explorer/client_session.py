@@ -18,6 +18,8 @@ from explorer.compute.worker import DelayedCall, Worker
 from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.window import FailureLabWindow
+from explorer.flight_window.pictures import FlightPictures
+from explorer.flight_window.window import FlightWindow
 from explorer.panels import shortcuts, tour
 from explorer.panels.glossary import Glossary
 from explorer.panels.panels import Panels
@@ -49,10 +51,16 @@ class ClientSession:
     Args:
         failure_lab: computes the failure laboratory's tables for all browsers.
         url_state: converts states to addresses and back, for all browsers.
+        flight_pictures: serves the flight window's pictures to all browsers.
     """
 
     def __init__(
-        self, client: viser.ClientHandle, workspace: Workspace, failure_lab: FailureLab, url_state: UrlState
+        self,
+        client: viser.ClientHandle,
+        workspace: Workspace,
+        failure_lab: FailureLab,
+        url_state: UrlState,
+        flight_pictures: FlightPictures,
     ) -> None:
         self._client, self._workspace, self._url_state = client, workspace, url_state
         self._lock = threading.RLock()
@@ -81,6 +89,7 @@ class ClientSession:
                 lambda name: self._bridge.call("tab", name),
             )
             self._lab = FailureLabWindow(client, workspace, failure_lab, self.change, viewport, self._reporter)
+            self._flight = FlightWindow(client, workspace, flight_pictures, self.change, viewport, self._on_error)
             self._panels.navigation.order = self._lab.order
             self._panels.query.compare_models = self._explain_window.compare_models
             glossary = Glossary(client.gui)
@@ -92,10 +101,12 @@ class ClientSession:
                 "dark": lambda _: self.change(session_state.flip_dark),
                 "glossary": lambda _: glossary.show(),
             }
-            handlers |= self._explain_window.handlers() | self._lab.handlers()
+            handlers |= self._explain_window.handlers() | self._lab.handlers() | self._flight.handlers()
             properties = {"steps": [asdict(step) for step in tour.steps(workspace)], "scene": SCENE}
             self._bridge = PageBridge(client.gui, handlers, properties, style.STYLE)
-            commands = [*self._explain_window.commands(), *self._lab.commands(), ("Glossary", glossary.show)]
+            windows = (self._explain_window, self._lab, self._flight)
+            commands = [command for window in windows for command in window.commands()]
+            commands.append(("Glossary", glossary.show))
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, commands)
             self._stage = Stage(client, workspace, self._on_select)
             self._worker = Worker(self._work, self._on_error)
@@ -128,6 +139,7 @@ class ClientSession:
         self._explain_window.leave()
         self._worker.stop()
         self._lab.leave()
+        self._flight.leave()
         self._requests.close()
 
     def _on_select(self, shown: SessionState, index: int) -> None:
@@ -174,6 +186,7 @@ class ClientSession:
                 self._stage.show(analysis)
                 self._explain_window.show(analysis)
                 self._lab.show(analysis)
+                self._flight.show(analysis)
                 slow.cancel()
                 self._panels.show(analysis, self._sequence, started)
         except BusyError:

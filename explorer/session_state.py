@@ -42,6 +42,7 @@ class SessionState:
         region: cells of the query's feature map to search by, row by row; empty for the whole query.
         why: True while the explain window is open.
         lab: True while the failure laboratory is open.
+        flight: True while the flight window is open; it is visible while neither of the two other windows is.
         heat: True while heatmaps are drawn.
         heat_kind: the heatmap's values: one picture's activation, or the compared pair's evidence.
         heat_part: the part that the heatmap shows; None for all parts.
@@ -70,6 +71,7 @@ class SessionState:
     region: tuple[int, ...] = ()
     why: bool = False
     lab: bool = False
+    flight: bool = False
     heat: bool = True
     heat_kind: HeatKind = "activation"
     heat_part: int | None = None
@@ -230,6 +232,13 @@ def flip_why(state: SessionState) -> SessionState:
 def flip_lab(state: SessionState) -> SessionState:
     """Open or close the failure laboratory."""
     return replace(state, lab=not state.lab)
+
+
+def flip_flight(state: SessionState) -> SessionState:
+    """Open the flight window in place of the other windows, or close it."""
+    if state.flight and not (state.why or state.lab):
+        return replace(state, flight=False)
+    return replace(state, flight=True, why=False, lab=False)
 
 
 def flip_same_scale(state: SessionState) -> SessionState:

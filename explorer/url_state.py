@@ -59,6 +59,7 @@ class UrlState:
             _switch("city"),
             _switch("why"),
             _switch("lab"),
+            _switch("flight"),
             _switch("exploded", "apart"),
             _switch("rings"),
             _switch("heat"),

@@ -27,6 +27,7 @@ from lpn.core.views import View
 from lpn.datasets import Picture as Picture
 from lpn.datasets.city_model import CityModel
 from lpn.drawing import mosaic, overlays
+from lpn.locate.pipeline import LocatedFlight
 from lpn.models.base import Model
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import DescribedPicture
@@ -74,6 +75,9 @@ class Workspace:
         self.first_query = 0
         # Another model on the same data to compare with, if there is one.
         self.second: SecondModel | None = None
+        # The flight over a map that the first task was made of, if it was, once it is located.
+        self.flight: LocatedFlight | None = None
+        self.has_flight = False
         self.part_names = self._part_names()
         self._tiles: SingleFlightCache[tuple[str, int], DescribedPicture] = SingleFlightCache(TILES)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
@@ -112,6 +116,8 @@ class Workspace:
 
         Without a network, these are changes of the query, uploads, heatmaps, and the explain window.
         """
+        if not self.has_flight:
+            state = replace(state, flight=False)
         return (
             state
             if self.model is not None

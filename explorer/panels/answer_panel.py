@@ -44,7 +44,7 @@ class AnswerPanel:
             self._table = Html(gui)
             why = gui.add_button("Why this tile?", icon=viser.Icon.ZOOM_QUESTION, visible=workspace.model is not None)
             why.on_click(lambda _: change(session_state.flip_why))
-        gui.add_html(pages.keys())
+        gui.add_html(pages.keys(workspace))
 
     def compare(self, slot: int) -> Callable[[Any], None]:
         """Return a callback that compares the query with the tile in a slot of the ranking."""

@@ -42,9 +42,9 @@ def note(text: str, element_id: str = "") -> str:
     return render("panels/note", text=text, id=element_id)
 
 
-def keys() -> str:
+def keys(workspace: Workspace) -> str:
     """Return the list of keyboard shortcuts."""
-    return render("panels/keys")
+    return render("panels/keys", flight=workspace.has_flight)
 
 
 def header(workspace: Workspace, task: Task) -> str:

@@ -55,6 +55,9 @@ class QueryPanel:
         buttons.on_click(lambda _: change(moves.get(buttons.value, lambda state: state)))
         laboratory = gui.add_button("Failure laboratory", icon=viser.Icon.FLASK)
         laboratory.on_click(lambda _: change(session_state.flip_lab))
+        if workspace.has_flight:
+            flight = gui.add_button("Flight over its map", icon=viser.Icon.MAP_2)
+            flight.on_click(lambda _: change(session_state.flip_flight))
         self.compare_models: Callable[[], None] = lambda: None
         if workspace.second is not None:
             compare = gui.add_button(f"Compare with {workspace.second.label}", icon=viser.Icon.COLUMNS_2)

@@ -63,6 +63,7 @@ def _changes(workspace: Workspace, panels: Panels) -> list[tuple[str, str | None
         ("Map on or off", "M", lambda state: _flip_map(workspace, state)),
         ("Why: evidence for the compared pair", "Y", session_state.flip_why),
         ("Failure laboratory: all queries", "B", session_state.flip_lab),
+        *([("Flight over its map", "W", session_state.flip_flight)] if workspace.has_flight else []),
         ("Heatmap: activation or evidence", "V", session_state.flip_heat_kind),
         ("3-D city on the map on or off", "C", lambda state: _flip_city(workspace, state)),
         ("Light or dark theme", "O", session_state.flip_dark),

@@ -27,6 +27,7 @@ from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, HttpRequest, Redirect, Refusal
 from explorer.server.auth_pages import redirect_page, refusal_page
 from explorer.server.message_filter import FIELDS, MAX_MESSAGE, MessageFilter, RejectedMessageError
+from explorer.server.picture_route import PictureRoute
 from explorer.server.rate_limiter import RateLimiter, TokenBucket
 from lpn.core.errors import MissingPackageError
 
@@ -57,13 +58,14 @@ class Gateway:
 
     Args:
         authenticator: decides which requests are let in.
+        pictures: answers requests for pictures; None refuses them like any other unknown address.
 
     Raises:
         MissingPackageError: when viser's private API is not that of the supported version.
     """
 
-    def __init__(self, authenticator: Authenticator) -> None:
-        self.authenticator = authenticator
+    def __init__(self, authenticator: Authenticator, pictures: PictureRoute | None = None) -> None:
+        self.authenticator, self._pictures = authenticator, pictures
         self._rate_limiter = RateLimiter()
         self._server: viser.ViserServer | None = None
         self._protecting = False
@@ -106,8 +108,10 @@ class Gateway:
     def _is_upload_button(self, uuid: str) -> bool:
         return self._server is not None and viser_compat.is_upload_button(self._server, uuid)
 
-    def _respond(self, page: PageServer, connection: ServerConnection, request: WebsocketRequest) -> Response | None:
-        """Return the response to a request, or None if it may open a websocket."""
+    def _respond(
+        self, page: PageServer, connection: ServerConnection, request: WebsocketRequest
+    ) -> Response | Awaitable[Response] | None:
+        """Return the response to a request, at once or later, or None if it may open a websocket."""
         try:
             return self._authenticate_and_respond(page, connection, request)
         except Exception as error:  # for example a path that the file system rejects, or a repeated header
@@ -116,7 +120,7 @@ class Gateway:
 
     def _authenticate_and_respond(
         self, page: PageServer, connection: ServerConnection, raw: WebsocketRequest
-    ) -> Response | None:
+    ) -> Response | Awaitable[Response] | None:
         port = int(connection.local_address[1])
         request = _http_request(connection, raw)
         if self.authenticator.has_token(request) and self._rate_limiter.blocked(request.address):
@@ -130,8 +134,13 @@ class Gateway:
                 log.warning("A wrong token came from %s", request.address)
                 self._rate_limiter.wrong_token(request.address)
             return refusal_page(verdict)
+        if self._pictures is not None and self._pictures.serves(raw.path) and not request.upgrade:
+            return self._picture(self._pictures, raw.path, request.only("host"))
         response = page(connection, raw)
         return None if response is None else _add_security_headers(response, request.only("host"))
+
+    async def _picture(self, pictures: PictureRoute, path: str, host: str) -> Response:
+        return _add_security_headers(await pictures.respond(path), host)
 
 
 class _Connection(ServerConnection):

@@ -13,13 +13,13 @@ import viser
 from explorer.server.message_filter import MAX_TEXT
 from explorer.server.viser_compat import uuid_of
 from explorer.web.html import Html
-from explorer.web.render import call, render
+from explorer.web.render import call, render, run
 
 log = logging.getLogger(__name__)
 
 _SCRIPT = ";".join(
     (Path(__file__).parent / "js" / name).read_text("utf-8")
-    for name in ("page.js", "viewport.js", "tour.js", "url_state.js")
+    for name in ("page.js", "viewport.js", "tour.js", "flight.js", "url_state.js")
 )
 
 
@@ -45,18 +45,18 @@ class PageBridge:
         uuid = uuid_of(self._text)
         initial = json.dumps({**properties, "bridge": uuid})
         script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet()"
-        gui.add_html(render("hide_bridge", uuid=uuid) + _run(script))
+        gui.add_html(render("hide_bridge", uuid=uuid) + run(script))
         self._address, self._call = Html(gui), Html(gui)
         self._calls = 0
 
     def set_address(self, query: str, keys: Sequence[str]) -> None:
         """Replace the values of `keys` in the page's address by a query string without "?"."""
-        self._address.show(_run(call("address", query, keys)))
+        self._address.show(run(call("address", query, keys)))
 
     def call(self, function: str, *arguments: object) -> None:
         """Call a function of the page's script. The page may run only the last of several quick calls."""
         self._calls += 1
-        self._call.show(_run(f"{call(function, *arguments)};/*{self._calls}*/"))
+        self._call.show(run(f"{call(function, *arguments)};/*{self._calls}*/"))
 
     def receive(self, message: Any) -> None:
         """Hand a message to its handler; drop anything else."""
@@ -70,7 +70,3 @@ class PageBridge:
             log.debug("Dropped a message of %d characters", len(message))
             return
         handler(value)
-
-
-def _run(script: str) -> str:
-    return render("run_script", body=json.dumps(script))

@@ -30,6 +30,11 @@ def call(function: str, *arguments: object) -> str:
     return f"lpn.{function}({','.join(json.dumps(argument) for argument in arguments)})"
 
 
+def run(script: str) -> str:
+    """Return HTML that runs a script when the page shows it."""
+    return render("run_script", body=json.dumps(script))
+
+
 def render(template: str, **context: object) -> str:
     """Render a template of `explorer/web/templates`; values are escaped."""
     return _ENVIRONMENT.get_template(f"{template}.html.j2").render(context)

@@ -7,7 +7,7 @@ from pathlib import Path
 from lpn.drawing import charts, theme
 
 # In the order of the cascade: a later sheet overrides an earlier one.
-_SHEETS = ("panels", "page", "tour", "explain", "failure_lab")
+_SHEETS = ("panels", "page", "tour", "explain", "failure_lab", "flight")
 _VARIABLES = {f"part-{i}": colour for i, colour in enumerate(theme.PART_COLOURS)} | {
     "true": theme.TRUE_COLOUR,
     "false": theme.FALSE_COLOUR,

@@ -21,6 +21,16 @@ def state() -> SessionState:
     return SessionState("drone-to-satellite", 4, query=3, angle=20, selected=7)
 
 
+def test_the_flight_window_opens_in_place_of_the_others_and_comes_back_when_they_close() -> None:
+    state = SessionState("drone-to-satellite", 4, why=True, lab=True)
+    opened = session_state.flip_flight(state)
+    assert (opened.flight, opened.why, opened.lab) == (True, False, False)
+    behind = session_state.flip_why(opened)
+    assert behind.flight
+    assert session_state.flip_flight(behind) == opened
+    assert not session_state.flip_flight(opened).flight
+
+
 def test_another_query_starts_upright_with_its_top_match(state: SessionState) -> None:
     stepped = session_state.step(state, 1, 10)
     assert (stepped.query, stepped.angle, stepped.selected) == (4, 0, None)

@@ -25,15 +25,16 @@ from websockets.exceptions import InvalidStatus
 
 from explorer.app import App
 from explorer.opening import open_model
-from explorer.server import gateway
+from explorer.server import gateway, picture_route
 from explorer.server.auth import Authenticator
 from explorer.server.gateway import Gateway
 from explorer.server.message_filter import MAX_UPLOADS
+from explorer.server.picture_route import PREFIX, EncodedPicture, PictureRoute
 from explorer.server.rate_limiter import GUESSES, RateLimiter
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
-from lpn.core.errors import MissingPackageError
+from lpn.core.errors import DataError, MissingPackageError
 from tools.fixtures import small_worlds
 from tools.fixtures.websocket_client import WebSocketClient
 
@@ -75,6 +76,58 @@ def locked(app: App) -> Iterator[App]:
     app.authenticator.token = TOKEN
     yield app
     app.authenticator.token = None
+
+
+@pytest.fixture
+def picture_source(app: App, monkeypatch: pytest.MonkeyPatch) -> dict[str, Callable[[], EncodedPicture]]:
+    """The pictures below the route's folder, by their paths."""
+    found: dict[str, Callable[[], EncodedPicture]] = {}
+    monkeypatch.setattr(app.gateway, "_pictures", PictureRoute(found.get))
+    return found
+
+
+def broken_picture() -> EncodedPicture:
+    raise DataError("The sheet is damaged.")
+
+
+def test_pictures_have_addresses_that_are_protected_like_the_page(
+    picture_source: dict[str, Callable[[], EncodedPicture]], locked: App
+) -> None:
+    picture_source["tile/0/0/0"] = lambda: EncodedPicture(b"JPEG", "image/jpeg")
+    picture_source["broken"] = broken_picture
+    cookie = f"lpn-{locked.server.get_port()}={locked.authenticator.cookie_value}"
+    assert get(locked, f"{PREFIX}tile/0/0/0")[0] == 401
+    assert get(locked, f"{PREFIX}tile/0/0/0", host="evil.example", cookie=cookie)[0] == 421
+    status, headers, body = get(locked, f"{PREFIX}tile/0/0/0", cookie=cookie)
+    assert (status, body, headers["Content-Type"]) == (200, "JPEG", "image/jpeg")
+    assert headers["Cache-Control"].startswith("private")
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    for path, expected in (("unknown", 404), ("", 404), ("%2e%2e/etc", 404), ("broken", 500)):
+        assert get(locked, PREFIX + path, cookie=cookie)[::2] == (expected, "")
+
+
+def test_pages_are_answered_while_pictures_are_computed_and_too_many_pictures_are_refused(
+    app: App, picture_source: dict[str, Callable[[], EncodedPicture]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(picture_route, "_MAX_WAITING", 3)
+    may_end = threading.Event()
+
+    def slow() -> EncodedPicture:
+        may_end.wait(60)
+        return EncodedPicture(b"late", "image/jpeg")
+
+    picture_source["slow"] = slow
+    statuses: list[int] = []
+    clients = [threading.Thread(target=lambda: statuses.append(get(app, f"{PREFIX}slow")[0])) for _ in range(4)]
+    for client in clients:
+        client.start()
+    # Two are computed, one waits, and the fourth is refused at once.
+    assert until(lambda: statuses == [503])
+    assert get(app)[0] == 200
+    may_end.set()
+    for client in clients:
+        client.join(60)
+    assert sorted(statuses) == [200, 200, 200, 503]
 
 
 def refused(app: App, **options: object) -> int:

@@ -30,6 +30,16 @@ def test_metres_of_the_frame_are_those_of_the_ellipsoid() -> None:
     assert length == pytest.approx(10_000, rel=1e-6)
 
 
+@pytest.mark.parametrize(("half", "metres"), [(1_000, 1e-4), (20_000, 1e-2), (100_000, 1.0)])
+def test_polynomials_stand_for_the_projection(half: float, metres: float) -> None:
+    frame = LocalFrame(48.0, 9.0)
+    u, v = np.random.default_rng(0).uniform(-1, 1, (2, 200))
+    terms = np.stack([np.ones(200), u, v, u * u, u * v, v * v, u**3, u * u * v, u * v * v, v**3])
+    found = (frame.polynomials((-half, -2 * half, half, half)) @ terms).T
+    exact = frame.degrees(np.stack([u * half, (3 * v - 1) * half / 2], axis=1))
+    assert (np.abs(found - exact) * (111_000, 75_000)).max() < metres
+
+
 def test_unknown_positions_stay_unknown() -> None:
     frame = LocalFrame(48.0, 9.0)
     xy = frame.xy([48.0, np.nan, 48.0], [9.0, 9.0, np.nan])

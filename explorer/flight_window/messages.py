@@ -1,0 +1,55 @@
+"""The messages of the flight window's html, validated by msgspec; none of them is trusted."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+Index = Annotated[int, Meta(ge=0, le=10**7)]
+Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
+
+
+class FlightMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
+    """A message of the flight window's HTML."""
+
+
+class ChooseFrame(FlightMessage):
+    frame: Index
+
+
+class PaintScores(FlightMessage):
+    """Paint the scores of all parts, of one part, or none."""
+
+    part: Index | Literal["all", "off"]
+
+
+class ShowSpot(FlightMessage):
+    """List the frames that show a spot, in metres of the map's frame."""
+
+    spot: tuple[Metres, Metres]
+
+
+class ToggleHeight(FlightMessage): ...
+
+
+class CloseFlight(FlightMessage): ...
+
+
+MESSAGES: dict[str, type[FlightMessage]] = {
+    "flight-frame": ChooseFrame,
+    "flight-paint": PaintScores,
+    "flight-spot": ShowSpot,
+    "flight-tall": ToggleHeight,
+    "flight-close": CloseFlight,
+}
+
+
+def decode(kind: str, value: Any) -> FlightMessage | None:
+    """Return the message that a JSON value holds, None if it holds none of this kind."""
+    message_type = MESSAGES[kind]
+    try:
+        return msgspec.convert([value][: len(message_type.__struct_fields__)], message_type)
+    except (msgspec.ValidationError, UnicodeEncodeError):
+        return None

@@ -1,0 +1,267 @@
+"""HTML and data of the flight window. The page's script draws the map, the tracks, and the timeline from the data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from explorer.flight_window.pictures import Pyramid, ground_window
+from explorer.web.render import call, render, run
+from explorer.workspace import StateAnalysis
+from lpn.core.arrays import FloatingArray
+from lpn.core.files import printable
+from lpn.drawing import overlays, score_map, theme
+from lpn.locate.belief import Belief, Disagreement, belief, disagreements
+from lpn.locate.coverage import Outline, outline
+from lpn.locate.pipeline import LocatedFlight, LocatedFrame
+
+# The part whose cosines are painted, or all parts under the current weights.
+Painted = int | Literal["all", "off"]
+# Colours of the tracks on the map, which is bright or dark; Okabe and Ito's, as in the track files.
+COLOURS = {
+    "tag": (255, 255, 255),
+    "retrieval": (230, 159, 0),
+    "sequence": (86, 180, 233),
+    "registration": (0, 190, 136),
+}
+LABELS = {"tag": "GPS tags", "retrieval": "Retrieval", "sequence": "Sequence", "registration": "Registration"}
+# Length of the lists of refused and of contradicting frames.
+_MAX_LISTED = 200
+_STATES = {"accepted": 0, "not verified": 1, "refused": 2}
+
+
+@dataclass(frozen=True, eq=False)
+class FlightView:
+    """What the window derives from a flight once.
+
+    Attributes:
+        outlines: the ground that each frame shows; None where it is unknown.
+        contradictions: frames whose answers lie too far apart.
+    """
+
+    flight: LocatedFlight
+    outlines: list[Outline | None]
+    contradictions: list[Disagreement]
+
+    @classmethod
+    def of(cls, flight: LocatedFlight) -> FlightView:
+        """Derive outlines and contradictions of a flight."""
+        return cls(flight, [outline(located) for located in flight.frames], disagreements(flight.frames))
+
+    def belief(self, frame: int) -> Belief:
+        """Return the verdict on a frame."""
+        return belief(self.flight.frames[frame], [one for one in self.contradictions if one.frame == frame])
+
+
+def shell(part_names: Sequence[str], height: int) -> str:
+    """Return the elements that the script fills; `height` is that of the window's content in pixels."""
+    return render("flight/shell", part_names=part_names, height=height)
+
+
+def data(view: FlightView, address: str) -> dict[str, Any]:
+    """Return all that the script draws of a flight, as JSON takes it.
+
+    Args:
+        address: folder of the pictures, relative to the page.
+    """
+    flight = view.flight
+    town, frames, pyramid = flight.town, flight.frames, Pyramid.of(flight.town)
+    known = [frame.frame.time for frame in frames]
+    sheets = [
+        {
+            "name": printable(sheet.name),
+            "colour": theme.css(theme.part_colour(i)),
+            "outline": _rounded(town.frame.xy(*sheet.outline.T)),
+        }
+        for i, sheet in enumerate(town.sheets)
+    ]
+    return {
+        "address": address,
+        "bounds": list(town.bounds),
+        "pyramid": {"west": pyramid.west, "north": pyramid.north, "side": pyramid.side, "levels": pyramid.levels},
+        "resolution": town.resolution,
+        "degrees": town.frame.polynomials(town.bounds).tolist(),
+        "sheets": sheets if len(sheets) > 1 else [],
+        "names": [printable(frame.frame.name) for frame in frames],
+        "times": None if any(time is None for time in known) else known,
+        "heights": [_number(frame.frame.flying_height, 2) for frame in frames],
+        "outlines": [None if one is None else [*_rounded(one.corners), one.registered] for one in view.outlines],
+        "tracks": {name: _track(flight, name) for name in ("tag", *flight.stages)},
+        "bar": overlays.png_data_uri(overlays.heat_cells(np.linspace(0, 1, 128)[None], 0, 1)),
+        "signs": [view.belief(i).sign for i in range(len(frames))],
+    }
+
+
+def _track(flight: LocatedFlight, name: str) -> dict[str, Any]:
+    """Return a track: x, y, state, radius, and error of each frame, None where unknown; a tag counts as accepted."""
+    found: dict[str, Any] = {"label": LABELS[name], "colour": theme.css(COLOURS[name])}
+    rows: list[tuple[float | None, float | None, int, float | None, float | None]] = []
+    for located in flight.frames:
+        if name == "tag":
+            x, y = (None, None) if located.tag is None else (float(located.tag[0]), float(located.tag[1]))
+            rows.append((x, y, 0, None, None))
+            continue
+        answer = located.stages.get(name)
+        if answer is None:
+            rows.append((None, None, 2, None, None))
+        else:
+            rows.append((answer.x, answer.y, _STATES[answer.state], answer.radius, located.error(name)))
+    columns = list(zip(*rows, strict=True)) or [()] * 5
+    for key, values in zip(("x", "y", "state", "radius", "error"), columns, strict=True):
+        found[key] = list(values) if key == "state" else [_number(value, 2) for value in values]
+    states, total = found["state"], len(flight.frames)
+    if name == "tag":
+        found["count"] = f"{sum(x is not None for x in found['x'])} of {total}"
+    elif 1 in states:
+        found["count"] = "not verified"
+    else:
+        found["count"] = f"{states.count(0)} of {total}"
+    return found
+
+
+def card(view: FlightView, frame: int, address: str) -> str:
+    """Return the query, the answer, and the verdict for the chosen frame."""
+    located = view.flight.frames[frame]
+    verdict = view.belief(frame)
+    stage = verdict.stage
+    place = None if stage is None else located.stages[stage]
+    degrees = None
+    if place is not None and place.x is not None and place.y is not None:
+        degrees = view.flight.town.frame.degrees([(place.x, place.y)])[0]
+    stages = [
+        (LABELS[name], theme.css(COLOURS[name]), answer, located.error(name)) for name, answer in located.stages.items()
+    ]
+    return render(
+        "flight/card",
+        frame=frame,
+        total=len(view.flight.frames),
+        name=printable(located.frame.name),
+        address=address,
+        verdict=verdict,
+        colour=_verdict_colour(verdict.sign),
+        place=place,
+        degrees=degrees,
+        ground=ground_window(located),
+        stages=stages,
+        height=located.frame.flying_height,
+        tagged=located.tag is not None,
+    )
+
+
+def _verdict_colour(sign: bool | None) -> str:
+    return theme.css(COLOURS["registration"] if sign else theme.FOR if sign is None else theme.AGAINST)
+
+
+def chosen(view: FlightView, frame: int, address: str) -> dict[str, Any]:
+    """Return what the script draws of the chosen frame."""
+    located = view.flight.frames[frame]
+    answer = located.stages.get("registration")
+    laid = answer is not None and answer.accepted
+    return {
+        "frame": frame,
+        "card": card(view, frame, address),
+        "homography": answer.homography if laid and answer is not None else None,
+        "size": [located.frame.width, located.frame.height],
+    }
+
+
+def answer_window(view: FlightView, analysis: StateAnalysis) -> list[float] | None:
+    """Return centre and side, in metres, of the window that the stage compares with the query."""
+    found, tile = view.flight.retrieval, analysis.chosen.index
+    if found is None or tile >= len(found.windows):
+        return None
+    return [float(found.places[tile, 0]), float(found.places[tile, 1]), float(found.sizes[tile])]
+
+
+def painting(
+    view: FlightView, analysis: StateAnalysis, painted: Painted, part_names: Sequence[str]
+) -> dict[str, Any] | None:
+    """Return the picture of all windows' scores for the query that is shown, or None.
+
+    Args:
+        painted: all parts under the current weights, or one part, whose score is its cosine.
+    """
+    found = view.flight.retrieval
+    if painted == "off" or found is None:
+        return None
+    ranking = analysis.ranking
+    values: FloatingArray = ranking.scores if painted == "all" else ranking.cosines[:, painted]
+    if len(values) != len(found.windows):
+        return None
+    drawn = score_map.score_map(found.places, found.sizes, values.astype(np.float64))
+    cells = overlays.heat_cells(drawn.cells, drawn.low, drawn.high)
+    return {
+        "picture": overlays.png_data_uri(cells),
+        "bounds": list(drawn.bounds),
+        "low": f"{drawn.low:.2f}",
+        "high": f"{drawn.high:.2f}",
+        "label": "score" if painted == "all" else f"cosine of {part_names[painted]}",
+        "part": painted,
+    }
+
+
+def lists(view: FlightView) -> dict[str, str]:
+    """Return the lists beside the map by their names, as HTML."""
+    flight = view.flight
+    refused = [
+        (i, printable(located.frame.name), _refusals(located))
+        for i, located in enumerate(flight.frames)
+        if view.belief(i).stage != "registration" and _refusals(located)
+    ]
+    apart = [(one.frame, printable(flight.frames[one.frame].frame.name), [one.sentence]) for one in view.contradictions]
+    audit = "" if flight.audit is None else flight.audit.sentence
+    return {
+        "refused": _list(refused, "", "No frame was refused."),
+        "audit": _list(apart, audit, "Registration, sequence, and tags agree within their radii."),
+        "notes": render("flight/notes", notes=[*flight.notes, *flight.flight.notes, *flight.town.notes]),
+        "counts": render("flight/counts", refused=len(refused), apart=len({one[0] for one in apart})),
+    }
+
+
+def spot_list(view: FlightView, frames: Sequence[int], place: tuple[float, float]) -> str:
+    """Return the list of the frames that show a spot."""
+    degrees = view.flight.town.frame.degrees([place])[0]
+    entries = []
+    for i in frames:
+        one = view.outlines[i]
+        told = "by its registration" if one is not None and one.registered else "by its tag and the camera's angles"
+        entries.append((i, printable(view.flight.frames[i].frame.name), [told]))
+    unknown = sum(one is None for one in view.outlines)
+    sentence = f"{len(frames)} of {len(view.outlines)} frames show {degrees[0]:.6f}, {degrees[1]:.6f}."
+    if unknown:
+        sentence += f" The ground of {unknown} frames is unknown."
+    return _list(entries, sentence, "")
+
+
+def _list(entries: Sequence[tuple[int, str, Sequence[str]]], sentence: str, empty: str) -> str:
+    return render(
+        "flight/list",
+        entries=entries[:_MAX_LISTED],
+        total=len(entries),
+        sentence=sentence,
+        empty="" if entries else empty,
+    )
+
+
+def _refusals(located: LocatedFrame) -> list[str]:
+    return [
+        f"{LABELS[name]}: {answer.sentence}" for name, answer in located.stages.items() if answer.state == "refused"
+    ]
+
+
+def _number(value: float | None, digits: int) -> float | None:
+    return None if value is None or not math.isfinite(value) else round(value, digits)
+
+
+def _rounded(points: FloatingArray) -> list[list[float]]:
+    found: list[list[float]] = np.round(points, 2).tolist()
+    return found
+
+
+def calls(values: Mapping[str, Any]) -> str:
+    """Return HTML that hands values to the script's flight window, by the names of its functions."""
+    return run("".join(f"{call(f'flight.{name}', value)};" for name, value in values.items()))

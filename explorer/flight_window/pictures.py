@@ -1,0 +1,139 @@
+"""The pictures of a flight over its map, which the page loads by their addresses: tiles, photos, and cuts of the map."""
+
+from __future__ import annotations
+
+import math
+import re
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from explorer.compute.cache import SingleFlightCache
+from explorer.server.picture_route import PREFIX, EncodedPicture
+from explorer.workspace import Workspace
+from lpn.core import images
+from lpn.core.arrays import BoolArray, UInt8Array
+from lpn.locate.pipeline import LocatedFrame
+from lpn.maps import Map, Window
+
+TILE = 256
+# Tiles and photos in the cache, some 20 KB and 150 KB each.
+_TILES, _PHOTOS = 1000, 40
+# Longer side of a photo, and side of the pictures that compare a photo with the map, in pixels.
+_PHOTO, _PAIR = 1280, 220
+_QUALITY = 82
+_TILE_PATH = re.compile(r"tile/(\d{1,2})/(\d{1,7})/(\d{1,7})")
+_FRAME_PATH = re.compile(r"(photo|pair|ground)/(\d{1,7})")
+
+
+@dataclass(frozen=True)
+class Pyramid:
+    """The levels of tiles of a map; level z divides a square into 2^z by 2^z tiles.
+
+    Attributes:
+        west, north: corner of the square in metres of the map's frame.
+        side: of the square in metres.
+        levels: the finest level has the map's own resolution or less than twice it.
+    """
+
+    west: float
+    north: float
+    side: float
+    levels: int
+
+    @classmethod
+    def of(cls, town: Map) -> Pyramid:
+        """Lay a pyramid over a map from its north-west corner on."""
+        west, south, east, north = town.bounds
+        side = max(east - west, north - south)
+        levels = max(0, math.ceil(math.log2(side / (TILE * town.resolution))))
+        return cls(west, north, side, levels)
+
+    def window(self, level: int, column: int, row: int) -> Window | None:
+        """Return the window of a tile, None if there is no such tile."""
+        if not (0 <= level <= self.levels and 0 <= column < 1 << level and 0 <= row < 1 << level):
+            return None
+        size = self.side / (1 << level)
+        return Window(self.west + (column + 0.5) * size, self.north - (row + 0.5) * size, size)
+
+
+class FlightPictures:
+    """The pictures of a workspace's flight, encoded once for all browsers; thread-safe.
+
+    Attributes:
+        address: folder of the pictures, relative to the page; it is another one each time that the app starts.
+    """
+
+    def __init__(self, workspace: Workspace) -> None:
+        self._workspace, self._name = workspace, secrets.token_hex(4)
+        self.address = f"{PREFIX.lstrip('/')}{self._name}/"
+        self._tiles: SingleFlightCache[str, EncodedPicture] = SingleFlightCache(_TILES)
+        self._photos: SingleFlightCache[str, EncodedPicture] = SingleFlightCache(_PHOTOS)
+
+    def find(self, path: str) -> Callable[[], EncodedPicture] | None:
+        """Return what computes the picture of a path; None if there is no such picture. The path is untrusted."""
+        flight = self._workspace.flight
+        name, _, rest = path.partition("/")
+        if flight is None or name != self._name:
+            return None
+        if match := _TILE_PATH.fullmatch(rest):
+            window = Pyramid.of(flight.town).window(*map(int, match.groups()))
+            if window is None:
+                return None
+            return lambda: self._tiles.get(rest, lambda: encoded(*flight.town.read(window, TILE)))
+        if (match := _FRAME_PATH.fullmatch(rest)) and int(match[2]) < len(flight.frames):
+            located = flight.frames[int(match[2])]
+            if match[1] == "ground":
+                return lambda: _ground(flight.town, located)
+            make = _photo if match[1] == "photo" else _square_photo
+            return lambda: self._photos.get(rest, lambda: make(located))
+        return None
+
+
+def encoded(picture: UInt8Array, valid: BoolArray | None = None) -> EncodedPicture:
+    """Return a picture, (H, W, 3), as JPEG, or as WebP with transparency where a part of it is not valid, (H, W)."""
+    if valid is None or valid.all():
+        data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+        return EncodedPicture(data.tobytes(), "image/jpeg")
+    layers = np.dstack([picture[..., ::-1], np.where(valid, 255, 0).astype(np.uint8)])
+    data = cv2.imencode(".webp", layers, [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])[1]
+    return EncodedPicture(data.tobytes(), "image/webp")
+
+
+def ground_window(located: LocatedFrame) -> Window | None:
+    """Return the square of the map that a frame's middle shows, turned like the frame; None without an answer.
+
+    It is that of an accepted registration, else that of the best window.
+    """
+    frame, answer = located.frame, located.stages.get("registration")
+    if answer is not None and answer.accepted and answer.homography is not None and answer.width is not None:
+        matrix = np.array(answer.homography).reshape(3, 3)
+        x, y, w = matrix @ ((frame.width - 1) / 2, (frame.height - 1) / 2, 1.0)
+        share = min(frame.width, frame.height) / frame.width
+        return Window(float(x / w), float(y / w), answer.width * share, answer.heading or 0.0)
+    if located.windows:
+        best = located.windows[0]
+        return Window(best.x, best.y, best.size, best.heading)
+    return None
+
+
+def _photo(located: LocatedFrame) -> EncodedPicture:
+    return encoded(images.shrink(images.load_picture(located.frame.file), _PHOTO))
+
+
+def _square_photo(located: LocatedFrame) -> EncodedPicture:
+    picture = images.load_picture(located.frame.file)
+    height, width = picture.shape[:2]
+    side = min(height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    return encoded(images.resize(picture[top : top + side, left : left + side], _PAIR, _PAIR))
+
+
+def _ground(town: Map, located: LocatedFrame) -> EncodedPicture:
+    window = ground_window(located)
+    if window is None:
+        return encoded(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), bool))
+    return encoded(*town.read(window, _PAIR))

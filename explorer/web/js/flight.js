@@ -1,0 +1,692 @@
+// The flight window: a map in tiles with tracks, a timeline, and a registered photo, on 2-D canvases.
+// The server hands over data by `show`, `lists`, `follow`, `answer`, `paint`, and `spot`, in any order; the elements come and go.
+(() => {
+  const lpn = window.lpn;
+  if (lpn.flight) return;
+  const flight = (lpn.flight = {});
+  const TILE = 256;
+  // Tiles that load at once, and tiles in memory.
+  const LOADING = 6, KEPT = 300;
+  // Pixels within which the mouse points at a frame, and seconds that playing waits for the stage.
+  const REACH = 12, PATIENCE = 8;
+
+  let root, data, followed, painted, spotted, answer;
+  let chosen = -1; // the frame that the window shows; the stage may still be on its way to it
+  let pending = null; // the frame that the stage was asked for, and since when
+  let view = null; // metres in the middle of the map, and pixels per metre
+  let mouse = null, photo = "off", blinking = 0, plot = "error", list = "refused", asking = false;
+  let playing = 0, position = 0, last = 0, skipped = 0;
+  const hidden = new Set();
+  const tiles = new Map();
+  const overlay = { picture: null, source: "" };
+
+  const find = (selector) => root && root.querySelector(selector);
+  const all = (selector) => (root ? [...root.querySelectorAll(selector)] : []);
+  const ink = () => getComputedStyle(root).color;
+  const total = () => data.names.length;
+  const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
+  // ---- from metres to pixels and to degrees
+  const size = () => [root.map.clientWidth, root.map.clientHeight];
+  const toPixels = ([x, y]) => {
+    const [width, height] = size();
+    return [width / 2 + (x - view.x) * view.scale, height / 2 - (y - view.y) * view.scale];
+  };
+  const toMetres = ([left, top]) => {
+    const [width, height] = size();
+    return [view.x + (left - width / 2) / view.scale, view.y - (top - height / 2) / view.scale];
+  };
+  flight.degrees = ([x, y]) => {
+    const [west, south, east, north] = data.bounds;
+    const u = (2 * x - west - east) / (east - west), v = (2 * y - south - north) / (north - south);
+    const terms = [1, u, v, u * u, u * v, v * v, u * u * u, u * u * v, u * v * v, v * v * v];
+    return data.degrees.map((row) => row.reduce((sum, value, i) => sum + value * terms[i], 0));
+  };
+  const place = (track, i) => (track.x[i] === null || track.y[i] === null ? null : [track.x[i], track.y[i]]);
+
+  const look = (points) => {
+    const [width, height] = size();
+    if (!points.length || !width) return;
+    const span = (axis) => [Math.min(...points.map((p) => p[axis])), Math.max(...points.map((p) => p[axis]))];
+    const [west, east] = span(0), [south, north] = span(1);
+    const scale = 0.88 * Math.min(width / Math.max(east - west, 1), height / Math.max(north - south, 1));
+    view = { x: (west + east) / 2, y: (south + north) / 2, scale: limited(scale) };
+  };
+  const limited = (scale) => clamp(scale, 20 / data.pyramid.side, 8 / data.resolution);
+  flight.fit = () => {
+    const [west, south, east, north] = data.bounds;
+    const points = data.outlines.flatMap((one) => (one ? one.slice(0, 4) : []));
+    for (const [name, track] of Object.entries(data.tracks))
+      if (name !== "retrieval") track.x.forEach((x, i) => place(track, i) && track.state[i] < 2 && points.push(place(track, i)));
+    const inside = points.filter(([x, y]) => x > west - 500 && x < east + 500 && y > south - 500 && y < north + 500);
+    look(inside.length > 1 ? inside : [[west, south], [east, north]]);
+    draw();
+  };
+  const zoom = (factor, at) => {
+    const [width, height] = size();
+    const [left, top] = at || [width / 2, height / 2];
+    const [x, y] = toMetres([left, top]);
+    view.scale = limited(view.scale * factor);
+    view.x = x - (left - width / 2) / view.scale;
+    view.y = y + (top - height / 2) / view.scale;
+    draw();
+  };
+
+  // ---- tiles
+  const tile = (level, column, row) => {
+    const key = level + "/" + column + "/" + row;
+    let found = tiles.get(key);
+    if (found) {
+      tiles.delete(key); // the newest is last
+      tiles.set(key, found);
+    }
+    return found && found.ready ? found : null;
+  };
+  const request = (wanted) => {
+    let busy = [...tiles.values()].filter((one) => !one.ready && !one.failed).length;
+    for (const key of wanted) {
+      if (busy >= LOADING) return;
+      const known = tiles.get(key);
+      if (known && !(known.failed && performance.now() - known.failed > 2000)) continue;
+      const image = new Image();
+      tiles.set(key, image);
+      busy++;
+      image.onload = () => ((image.ready = true), draw());
+      image.onerror = () => ((image.failed = performance.now()), setTimeout(draw, 2100));
+      image.src = data.address + "tile/" + key;
+    }
+    for (const [key, one] of tiles) {
+      if (tiles.size <= KEPT) break;
+      if (one.ready) tiles.delete(key);
+    }
+  };
+  const drawTiles = (pen, ratio) => {
+    const { west, north, side, levels } = data.pyramid;
+    const level = clamp(Math.ceil(Math.log2((side * view.scale * ratio) / TILE) - 0.2), 0, levels);
+    const step = side / 2 ** level;
+    const [width, height] = size();
+    const [left, top] = toMetres([0, 0]), [right, bottom] = toMetres([width, height]);
+    const most = 2 ** level - 1;
+    const first = [clamp(Math.floor((left - west) / step), 0, most), clamp(Math.floor((north - top) / step), 0, most)];
+    const final = [clamp(Math.floor((right - west) / step), 0, most), clamp(Math.floor((north - bottom) / step), 0, most)];
+    const missing = [];
+    const inBounds = (column, row, metres) =>
+      west + column * metres < data.bounds[2] && north - row * metres > data.bounds[1];
+    for (let row = first[1]; row <= final[1]; row++)
+      for (let column = first[0]; column <= final[0]; column++) {
+        if (!inBounds(column, row, step)) continue;
+        const at = toPixels([west + column * step, north - row * step]), end = toPixels([west + (column + 1) * step, north - (row + 1) * step]);
+        const box = [Math.round(at[0]), Math.round(at[1])];
+        box.push(Math.round(end[0]) - box[0], Math.round(end[1]) - box[1]);
+        let image = tile(level, column, row);
+        if (image) {
+          pen.drawImage(image, ...box);
+          continue;
+        }
+        missing.push([Math.hypot(column - (first[0] + final[0]) / 2, row - (first[1] + final[1]) / 2), level + "/" + column + "/" + row]);
+        for (let up = 1; up <= level && !image; up++) {
+          image = tile(level - up, column >> up, row >> up);
+          const part = TILE / 2 ** up;
+          if (image) pen.drawImage(image, (column % 2 ** up) * part, (row % 2 ** up) * part, part, part, ...box);
+        }
+      }
+    const wanted = missing.sort((one, two) => one[0] - two[0]).map((one) => one[1]);
+    request(tiles.has("0/0/0") || !level ? wanted : ["0/0/0", ...wanted]);
+    root.map.dataset.missing = missing.length;
+  };
+
+  // ---- drawing
+  const canvas = (element) => {
+    const ratio = window.devicePixelRatio || 1;
+    const [width, height] = [Math.round(element.clientWidth * ratio), Math.round(element.clientHeight * ratio)];
+    if (element.width !== width || element.height !== height) [element.width, element.height] = [width, height];
+    const pen = element.getContext("2d");
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    pen.clearRect(0, 0, element.clientWidth, element.clientHeight);
+    return [pen, ratio];
+  };
+  const path = (pen, points, close) => {
+    pen.beginPath();
+    points.forEach((point, i) => pen[i ? "lineTo" : "moveTo"](...toPixels(point)));
+    if (close) pen.closePath();
+  };
+  // A line with a dark border can be seen on any ground.
+  const stroke = (pen, colour, width, dash = []) => {
+    pen.setLineDash([]);
+    pen.lineWidth = width + 2;
+    pen.strokeStyle = "rgba(0,0,0,.55)";
+    pen.stroke();
+    pen.setLineDash(dash);
+    pen.lineWidth = width;
+    pen.strokeStyle = colour;
+    pen.stroke();
+    pen.setLineDash([]);
+  };
+  const dot = (pen, [left, top], radius, colour, hollow) => {
+    pen.beginPath();
+    pen.arc(left, top, radius, 0, 7);
+    pen.fillStyle = hollow ? "rgba(0,0,0,.35)" : colour;
+    pen.fill();
+    pen.lineWidth = hollow ? 2 : 1;
+    pen.strokeStyle = hollow ? colour : "rgba(0,0,0,.75)";
+    pen.stroke();
+  };
+  const text = (pen, words, left, top, align = "left") => {
+    pen.font = "12px system-ui, sans-serif";
+    pen.textAlign = align;
+    pen.textBaseline = "middle";
+    pen.lineWidth = 3;
+    pen.strokeStyle = "rgba(0,0,0,.75)";
+    pen.strokeText(words, left, top);
+    pen.fillStyle = "#fff";
+    pen.fillText(words, left, top);
+  };
+  const shown = () => Object.entries(data.tracks).filter(([name]) => !hidden.has(name));
+
+  const drawTracks = (pen) => {
+    for (const [name, track] of shown()) {
+      // A line joins neighbours that were not refused; nothing has verified the retrieval, so it has no line.
+      if (name !== "retrieval") {
+        pen.beginPath();
+        let down = false;
+        for (let i = 0; i < total(); i++) {
+          const at = place(track, i);
+          if (track.state[i] === 2) continue;
+          if (!at) {
+            down = false;
+            continue;
+          }
+          pen[down ? "lineTo" : "moveTo"](...toPixels(at));
+          down = true;
+        }
+        stroke(pen, track.colour, name === "tag" ? 1.5 : 2, name === "tag" ? [5, 4] : []);
+      }
+      for (let i = 0; i < total(); i++) {
+        const at = place(track, i);
+        if (at) dot(pen, toPixels(at), name === "tag" ? 3 : 4, track.colour, track.state[i] === 2);
+      }
+    }
+  };
+
+  const drawChosen = (pen) => {
+    if (spotted) {
+      for (const i of spotted.frames) {
+        path(pen, data.outlines[i].slice(0, 4), true);
+        pen.fillStyle = "rgba(255,255,255,.05)";
+        pen.fill();
+        pen.lineWidth = 1;
+        pen.strokeStyle = "rgba(255,255,255,.6)";
+        pen.stroke();
+      }
+      const [left, top] = toPixels(spotted.spot);
+      pen.beginPath();
+      for (const [right, down] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+        pen.moveTo(left + 4 * right, top + 4 * down);
+        pen.lineTo(left + 13 * right, top + 13 * down);
+      }
+      stroke(pen, "#fff", 2);
+    }
+    if (chosen < 0) return;
+    const outline = data.outlines[chosen];
+    if (outline) {
+      path(pen, outline.slice(0, 4), true);
+      stroke(pen, "#ffe14d", 2, outline[4] ? [] : [7, 5]);
+      // The picture's top edge is thicker.
+      path(pen, outline.slice(0, 2));
+      stroke(pen, "#ffe14d", 4);
+    }
+    if (answer && followed && followed.frame === chosen) {
+      const [x, y, side] = answer;
+      const half = side / 2;
+      path(pen, [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]], true);
+      stroke(pen, data.tracks.retrieval ? data.tracks.retrieval.colour : "#e69f00", 1.5, [2, 3]);
+    }
+    for (const [name, track] of shown()) {
+      const at = place(track, chosen);
+      if (!at) continue;
+      const [left, top] = toPixels(at);
+      if (track.radius[chosen]) {
+        pen.beginPath();
+        pen.arc(left, top, Math.max(track.radius[chosen] * view.scale, 1), 0, 7);
+        stroke(pen, track.colour, 1.5, track.state[chosen] === 2 ? [3, 4] : []);
+      }
+      dot(pen, [left, top], name === "tag" ? 5 : 7, track.colour, track.state[chosen] === 2);
+    }
+  };
+
+  const drawFrame = (pen) => {
+    const [width, height] = size();
+    for (const sheet of data.sheets) {
+      path(pen, sheet.outline, true);
+      stroke(pen, sheet.colour, 2);
+      const corner = sheet.outline.reduce((best, p) => (p[1] - p[0] > best[1] - best[0] ? p : best));
+      const [left, top] = toPixels(corner);
+      text(pen, sheet.name, clamp(left + 8, 8, width - 60), clamp(top + 14, 14, height - 40));
+    }
+    // The scale bar has a round length of at most 130 pixels.
+    const longest = 130 / view.scale, power = 10 ** Math.floor(Math.log10(longest));
+    const metres = [5, 2, 1].map((n) => n * power).find((n) => n <= longest);
+    const left = 12, top = height - 16, right = left + metres * view.scale;
+    pen.beginPath();
+    pen.moveTo(left, top - 5);
+    pen.lineTo(left, top);
+    pen.lineTo(right, top);
+    pen.lineTo(right, top - 5);
+    stroke(pen, "#fff", 2);
+    text(pen, metres >= 1000 ? metres / 1000 + " km" : metres + " m", right + 8, top - 3);
+    root.map.dataset.metres = metres;
+    // North is up.
+    const x = width - 20, y = 30;
+    pen.beginPath();
+    pen.moveTo(x, y - 18);
+    pen.lineTo(x + 7, y + 4);
+    pen.lineTo(x, y - 1);
+    pen.lineTo(x - 7, y + 4);
+    pen.closePath();
+    stroke(pen, "#fff", 1);
+    pen.fillStyle = "#fff";
+    pen.fill();
+    text(pen, "N", x, y + 13, "center");
+  };
+
+  let drawing = 0;
+  const draw = () => {
+    if (!drawing) drawing = requestAnimationFrame(paintAll);
+  };
+  const paintAll = () => {
+    drawing = 0;
+    if (!root || !root.isConnected || !data || !root.map.clientWidth) return;
+    if (!view) flight.fit();
+    if (!view) return;
+    const [ground, ratio] = canvas(find(".ground"));
+    ground.imageSmoothingEnabled = true;
+    drawTiles(ground, ratio);
+    if (painted && overlay.picture) {
+      const [west, south, east, north] = painted.bounds;
+      const [left, top] = toPixels([west, north]), [right, bottom] = toPixels([east, south]);
+      ground.globalAlpha = 0.6;
+      ground.imageSmoothingEnabled = false;
+      ground.drawImage(overlay.picture, left, top, right - left, bottom - top);
+      ground.globalAlpha = 1;
+    }
+    layPhoto();
+    const [pen] = canvas(find(".over"));
+    drawTracks(pen);
+    drawChosen(pen);
+    drawFrame(pen);
+    drawTime();
+  };
+
+  // ---- the registered photo: one projective transform of the page lays it over the map
+  const laid = () => followed && followed.frame === chosen && followed.homography;
+  const layPhoto = () => {
+    const layer = find(".laid"), swipe = find(".swipe");
+    const there = photo !== "off" && laid();
+    layer.style.display = there ? "block" : "none";
+    swipe.style.display = there && photo === "swipe" ? "block" : "none";
+    find("#lpn-flight-photo").title = laid() ? "Lay the registered photo over the map" : "This frame is not registered, so there is no photo to lay over the map";
+    all("[data-photo]").forEach((one) => one.classList.toggle("off", one.dataset.photo !== "off" && !laid()));
+    if (!there) return;
+    const image = layer.firstElementChild, source = data.address + "photo/" + chosen;
+    if (image.getAttribute("src") !== source) image.setAttribute("src", source);
+    if (!image.naturalWidth) {
+      image.onload = draw;
+      return;
+    }
+    const h = followed.homography, [width, height] = size();
+    const ratio = followed.size[0] / image.naturalWidth, down = followed.size[1] / image.naturalHeight;
+    // Columns: of the photo's pixels (whole numbers are centres of pixels), then of the served picture's edges.
+    const rows = [
+      [view.scale, 0, width / 2 - view.x * view.scale],
+      [0, -view.scale, height / 2 + view.y * view.scale],
+      [0, 0, 1],
+    ].map((row) => [0, 1, 2].map((k) => row[0] * h[k] + row[1] * h[3 + k] + row[2] * h[6 + k]));
+    const m = rows.map(([a, b, c]) => [a * ratio, b * down, c - 0.5 * a - 0.5 * b]);
+    const scale = m[2][2];
+    const n = m.map((row) => row.map((value) => value / scale));
+    image.style.width = image.naturalWidth + "px";
+    image.style.transform = `matrix3d(${[n[0][0], n[1][0], 0, n[2][0], n[0][1], n[1][1], 0, n[2][1], 0, 0, 1, 0, n[0][2], n[1][2], 0, 1].join(",")})`;
+    layer.style.clipPath = photo === "swipe" ? `inset(0 0 0 ${swipe.value}%)` : "none";
+  };
+  const setPhoto = (mode) => {
+    photo = mode;
+    clearInterval(blinking);
+    blinking = 0;
+    if (!root) return;
+    const layer = find(".laid");
+    layer.style.visibility = "visible";
+    if (mode === "blink") blinking = setInterval(() => (layer.style.visibility = layer.style.visibility === "hidden" ? "visible" : "hidden"), 600);
+    mark();
+    draw();
+  };
+
+  // ---- the timeline
+  const timed = () => data.times || data.names.map((_, i) => i);
+  const across = (i, width) => {
+    const times = timed(), low = Math.min(...times), high = Math.max(...times);
+    return 44 + ((width - 56) * (times[i] - low)) / (high - low || 1);
+  };
+  const series = () =>
+    plot === "height"
+      ? [{ label: "Height", colour: ink(), values: data.heights, state: data.heights.map(() => 0), line: true }]
+      : shown()
+          .filter(([name]) => name !== "tag" && (plot === "error" || name !== "retrieval"))
+          .map(([, track]) => ({ colour: track.colour, values: track[plot], state: track.state }));
+  const drawTime = () => {
+    const element = find(".time canvas");
+    const [pen] = canvas(element);
+    const [width, height] = [element.clientWidth, element.clientHeight];
+    const foot = height - 16, head = 8, colour = ink();
+    const lines = series();
+    const values = lines.flatMap((one) => one.values.filter((value) => value !== null)).sort((a, b) => a - b);
+    const most = values.length ? values[values.length - 1] : 1;
+    // One wrong guess far away must not flatten the others: the scale ends at the 90th percentile if that is much lower.
+    const usual = values.length ? values[Math.floor(0.9 * (values.length - 1))] : 1;
+    const top = (plot === "height" ? most : Math.min(most, 3 * usual)) || 1;
+    const low = plot === "height" && values.length ? Math.max(values[0] - 0.3 * (most - values[0]) - 1, 0) : 0;
+    const level = (value) => foot - ((foot - head) * (Math.min(value, top) - low)) / (top - low || 1);
+    pen.strokeStyle = pen.fillStyle = colour;
+    pen.globalAlpha = 0.25;
+    pen.lineWidth = 1;
+    pen.strokeRect(44, head - 0.5, width - 56, foot - head + 0.5);
+    pen.globalAlpha = 0.85;
+    pen.font = "12px system-ui, sans-serif";
+    pen.textBaseline = "middle";
+    pen.textAlign = "right";
+    pen.fillText(top.toFixed(top < 10 ? 1 : 0) + " m", 40, head + 5);
+    pen.fillText(low.toFixed(0), 40, foot - 4);
+    pen.textAlign = "center";
+    pen.globalAlpha = 1;
+    if (!values.length) pen.fillText({ error: "No frame has a tag to compare with.", radius: "No stage tells a radius.", height: "No height is known." }[plot], width / 2, (head + foot) / 2);
+    for (const one of lines) {
+      pen.strokeStyle = pen.fillStyle = one.colour;
+      pen.beginPath();
+      one.values.forEach((value, i) => {
+        if (value === null) return;
+        const at = [across(i, width), level(value)];
+        if (one.line) pen[i && one.values[i - 1] !== null ? "lineTo" : "moveTo"](...at);
+      });
+      pen.lineWidth = 1.5;
+      pen.stroke();
+      one.values.forEach((value, i) => {
+        if (value === null) return;
+        pen.beginPath();
+        pen.arc(across(i, width), level(value), total() > 300 ? 1.5 : 2.5, 0, 7);
+        pen.lineWidth = 1;
+        one.state[i] === 2 ? pen.stroke() : pen.fill();
+      });
+    }
+    // Below: what may be believed of each frame.
+    const colours = { true: "#00be88", false: "#8f7bff", null: "#ff8c1a" };
+    data.signs.forEach((sign, i) => {
+      pen.fillStyle = colours[sign];
+      pen.fillRect(across(i, width) - 2, foot + 4, 4, 8);
+    });
+    if (chosen >= 0) {
+      const at = across(chosen, width);
+      pen.strokeStyle = "#e6c300";
+      pen.lineWidth = 2;
+      pen.beginPath();
+      pen.moveTo(at, head - 4);
+      pen.lineTo(at, foot + 14);
+      pen.stroke();
+    }
+    element.setAttribute("aria-valuemax", total());
+    element.setAttribute("aria-valuenow", chosen + 1);
+    element.setAttribute("aria-valuetext", chosen < 0 ? "no frame" : data.names[chosen]);
+    const since = data.times && chosen >= 0 ? data.times[chosen] - data.times[0] : null;
+    const clock = since === null ? "" : ", " + Math.floor(since / 60) + ":" + String(Math.floor(since % 60)).padStart(2, "0");
+    find(".now").textContent =
+      (chosen < 0 ? "your own picture" : chosen + 1 + " of " + total() + clock) + (skipped ? ", " + skipped + " skipped" : "");
+  };
+  const nearest = (left) => {
+    const width = find(".time canvas").clientWidth;
+    let best = 0;
+    for (let i = 1; i < total(); i++) if (Math.abs(across(i, width) - left) < Math.abs(across(best, width) - left)) best = i;
+    return best;
+  };
+
+  // ---- choosing a frame: the window follows at once, the stage when it can
+  flight.choose = (frame) => {
+    if (!data || frame < 0 || frame >= total()) return;
+    if (frame === chosen && !pending) return;
+    chosen = frame;
+    position = frame;
+    pending = { frame: frame, since: performance.now() };
+    lpn.send("flight-frame", frame);
+    draw();
+  };
+  const tick = () => {
+    if (!playing) return;
+    if (!root || !root.isConnected) return flight.play(false);
+    const now = performance.now();
+    position += (Number(find("[data-act=speed]").value) * (now - last)) / 1000;
+    last = now;
+    const frame = Math.min(Math.floor(position), total() - 1);
+    // A frame that comes while the stage still works on an earlier one is skipped; the next takes its place.
+    const busy = pending && now - pending.since < 1000 * PATIENCE;
+    if (frame !== chosen && !busy) {
+      skipped += Math.max(frame - chosen - 1, 0);
+      const at = position;
+      flight.choose(frame);
+      position = at;
+    }
+    if (frame >= total() - 1 && !busy) flight.play(false);
+  };
+  flight.play = (on = !playing) => {
+    clearInterval(playing);
+    playing = 0;
+    if (on && data) {
+      skipped = 0;
+      if (chosen >= total() - 1) flight.choose(0);
+      position = Math.max(chosen, 0);
+      last = performance.now();
+      playing = setInterval(tick, 50);
+    }
+    mark();
+  };
+
+  // ---- from the server
+  flight.show = (given) => {
+    if (data && data.address !== given.address) tiles.clear();
+    const same = data && String(data.bounds) === String(given.bounds);
+    data = given;
+    if (!same) view = null;
+    refresh();
+  };
+  flight.lists = (given) => ((flight.html = { ...flight.html, ...given }), refresh());
+  flight.follow = (given) => {
+    followed = given;
+    if (pending && given && given.frame !== pending.frame && performance.now() - pending.since < 1000 * PATIENCE) return refresh();
+    pending = null;
+    const frame = given ? given.frame : -1;
+    if (frame !== chosen && !playing) position = frame;
+    chosen = frame;
+    refresh();
+  };
+  flight.answer = (given) => ((answer = given), draw());
+  flight.paint = (given) => {
+    painted = given;
+    if (given && overlay.source !== given.picture) {
+      overlay.source = given.picture;
+      const picture = new Image();
+      picture.onload = () => ((overlay.picture = picture), draw());
+      picture.src = given.picture;
+    }
+    refresh();
+  };
+  flight.spot = (given) => {
+    spotted = given;
+    list = "spot";
+    flight.html = { ...flight.html, spot: given.html };
+    refresh();
+  };
+
+  // ---- elements
+  const fill = (element, html) => {
+    if (element && element._html !== html) element.innerHTML = element._html = html;
+  };
+  const legend = () =>
+    Object.entries(data.tracks)
+      .map(
+        ([name, track]) =>
+          `<a role="switch" tabindex="0" data-track="${name}" aria-checked="${!hidden.has(name)}"><i style="background:${track.colour}"></i>${track.label} <span class="dim num">${track.count}</span></a>`,
+      )
+      .join("") + '<span class="dim">hollow: refused</span>';
+  const refresh = () => {
+    if (!root || !data) return;
+    const html = flight.html || {};
+    fill(find(".legend"), legend());
+    fill(find(".lists"), html.counts || "");
+    fill(find(".listed"), html[list] || '<p class="dim">Shift and click on the map: the frames that show the spot.</p>');
+    if (followed && followed.frame === chosen) fill(find(".about"), followed.card);
+    if (chosen < 0) fill(find(".about"), "<p>Your own picture is not a frame of this flight.</p>");
+    const bar = find(".scores");
+    bar.style.display = painted ? "flex" : "none";
+    if (painted) {
+      bar.querySelector("img").src = data.bar;
+      for (const [name, key] of [["low", "low"], ["what", "label"], ["high", "high"]]) bar.querySelector("." + name).textContent = painted[key];
+    }
+    mark();
+    draw();
+  };
+  const mark = () => {
+    if (!root) return;
+    const set = (selector, name, value) =>
+      all(selector).forEach((one) => {
+        one.classList.toggle("chosen", one.dataset[name] === String(value));
+        one.setAttribute("aria-pressed", one.dataset[name] === String(value));
+      });
+    set("[data-part]", "part", painted ? painted.part : "off");
+    set("[data-photo]", "photo", photo);
+    set("[data-plot]", "plot", plot);
+    set("[data-list]", "list", list);
+    all("[data-act=spot]").forEach((one) => one.classList.toggle("chosen", asking));
+    all(".entry").forEach((one) => one.classList.toggle("chosen", Number(one.dataset.frame) === chosen));
+    all("[data-act=play]").forEach((one) => (one.textContent = playing ? "❚❚" : "▶"));
+    root.map.classList.toggle("asking", asking);
+  };
+  const acts = {
+    fit: () => flight.fit(),
+    in: () => zoom(1.5),
+    out: () => zoom(1 / 1.5),
+    spot: () => ((asking = !asking), mark()),
+    play: () => flight.play(),
+  };
+  const onClick = (event) => {
+    const link = event.target.closest("[data-act],[data-photo],[data-plot],[data-list],[data-track]");
+    if (!link || !data) return;
+    const given = link.dataset;
+    if (given.act && acts[given.act]) acts[given.act]();
+    if (given.photo) setPhoto(given.photo);
+    if (given.plot) plot = given.plot;
+    if (given.list) list = given.list;
+    if (given.track) hidden.has(given.track) ? hidden.delete(given.track) : hidden.add(given.track);
+    refresh();
+  };
+  const onKey = (event) => {
+    const key = event.key;
+    if (event.ctrlKey || event.metaKey || event.altKey || !data) return;
+    if (event.target.closest("select,input")) return event.stopPropagation();
+    if (["Enter", " "].includes(key) && event.target.matches("a")) {
+      event.preventDefault();
+      event.stopPropagation();
+      return event.target.click();
+    }
+    const timeline = event.target.closest(".time");
+    const turn = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageUp: 10, PageDown: -10 }[key];
+    const [width, height] = size();
+    const move = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[key];
+    if (key === " ") flight.play();
+    else if (timeline && turn) flight.choose(clamp(chosen + turn, 0, total() - 1));
+    else if (timeline && key === "Home") flight.choose(0);
+    else if (timeline && key === "End") flight.choose(total() - 1);
+    else if (!timeline && move) {
+      view.x += (move[0] * width) / 6 / view.scale;
+      view.y += (move[1] * height) / 6 / view.scale;
+      draw();
+    } else if (["+", "="].includes(key)) zoom(1.5);
+    else if (["-", "−"].includes(key)) zoom(1 / 1.5);
+    else if (key === "0") flight.fit();
+    else return;
+    event.preventDefault();
+    event.stopPropagation();
+  };
+  const hit = (at) => {
+    let best = [REACH, -1];
+    for (const [, track] of shown())
+      for (let i = 0; i < total(); i++) {
+        const point = place(track, i);
+        if (!point) continue;
+        const [left, top] = toPixels(point);
+        const far = Math.hypot(left - at[0], top - at[1]);
+        if (far < best[0]) best = [far, i];
+      }
+    return best[1];
+  };
+  const read = (at) => {
+    const [x, y] = toMetres(at), [latitude, longitude] = flight.degrees([x, y]), frame = hit(at);
+    find(".read").textContent =
+      (frame >= 0 ? data.names[frame] + " · " : "") + latitude.toFixed(6) + ", " + longitude.toFixed(6) + " · " + x.toFixed(1) + " m E, " + y.toFixed(1) + " m N";
+  };
+  const onMap = (event) => {
+    if (!view || event.target.closest(".swipe,.zoom")) return;
+    const box = root.map.getBoundingClientRect();
+    const at = [event.clientX - box.left, event.clientY - box.top];
+    if (event.type === "wheel") {
+      event.preventDefault();
+      event.stopPropagation();
+      return zoom(Math.exp(-clamp(event.deltaY, -240, 240) / 300), at);
+    }
+    if (event.type === "pointerdown") {
+      root.map.setPointerCapture(event.pointerId);
+      mouse = { at: at, from: at, moved: false };
+    } else if (event.type === "pointermove") {
+      if (mouse && (mouse.moved || Math.hypot(at[0] - mouse.from[0], at[1] - mouse.from[1]) > 4)) {
+        mouse.moved = true;
+        view.x -= (at[0] - mouse.at[0]) / view.scale;
+        view.y += (at[1] - mouse.at[1]) / view.scale;
+        mouse.at = at;
+        draw();
+      }
+      read(at);
+    } else if (mouse) {
+      const { moved } = mouse;
+      mouse = null;
+      if (moved || event.type !== "pointerup") return;
+      if (event.shiftKey || asking) {
+        asking = false;
+        return lpn.send("flight-spot", toMetres(at).map((value) => Math.round(100 * value) / 100));
+      }
+      const frame = hit(at);
+      if (frame >= 0) flight.choose(frame);
+    }
+  };
+  const resized = new ResizeObserver(() => draw());
+
+  flight.attach = () => {
+    const found = document.getElementById("lpn-flight");
+    if (!found || found === root) return refresh();
+    root = found;
+    root.map = find(".view");
+    root.addEventListener("click", onClick);
+    root.addEventListener("keydown", onKey);
+    for (const kind of ["pointerdown", "pointermove", "pointerup", "pointercancel"]) root.map.addEventListener(kind, onMap);
+    root.map.addEventListener("wheel", onMap, { passive: false });
+    find(".swipe").addEventListener("input", layPhoto);
+    const time = find(".time canvas");
+    let held = false;
+    time.addEventListener("pointerdown", (event) => {
+      held = true;
+      time.setPointerCapture(event.pointerId);
+      flight.choose(nearest(event.offsetX));
+    });
+    time.addEventListener("pointermove", (event) => held && flight.choose(nearest(event.offsetX)));
+    for (const kind of ["pointerup", "pointercancel"]) time.addEventListener(kind, () => (held = false));
+    resized.disconnect();
+    resized.observe(root.map);
+    resized.observe(time);
+    setPhoto(photo);
+    refresh();
+  };
+})();

@@ -1,0 +1,122 @@
+"""The answers of all stages for one frame in one verdict, and the frames whose answers contradict each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+from lpn.locate.pipeline import LocatedFrame, StageRecord
+
+# 1-sigma radius in metres of a tag by a consumer's receiver in the open.
+TAG_RADIUS = 5.0
+# Answers contradict each other beyond this multiple of their common 1-sigma radius.
+SIGMAS = 3.0
+# A camera of unknown tilt looks this many degrees away from straight down at most, and nearly always.
+_TILT = 15.0
+
+
+@dataclass(frozen=True)
+class Belief:
+    """The verdict on one frame.
+
+    Attributes:
+        sign: True if its position may be believed, None if nothing has verified it or answers contradict each other, False if
+            there is no position.
+        headline: the verdict in some words.
+        reason: its grounds in a sentence.
+        stage: the stage whose position counts; None without a position.
+    """
+
+    sign: bool | None
+    headline: str
+    reason: str
+    stage: str | None = None
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """Two answers for one frame that lie farther apart than their radii allow.
+
+    Attributes:
+        frame: position in the flight.
+        one, other: stages, or "tag".
+        metres: between them.
+        allowed: metres that their radii allow.
+    """
+
+    frame: int
+    one: str
+    other: str
+    metres: float
+    allowed: float
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        return f"{self.one.capitalize()} and {self.other} lie {self.metres:.0f} m apart; their radii allow {self.allowed:.0f} m."
+
+
+def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
+    """Return the contradictions between accepted registration, accepted sequence, and tag, frame by frame.
+
+    Two answers contradict each other if they lie farther apart than three times the root of the sum of their squared 1-sigma
+    radii. A tag counts with 5 m. An answer that is the picture's middle is moved by an unknown tilt: the tangent of 15 degrees
+    times the flying height, or times half of the picture's width on the ground, is allowed in addition.
+    """
+    found = []
+    for i, located in enumerate(frames):
+        places: dict[str, tuple[float, float, float, bool]] = {}
+        for stage in ("registration", "sequence"):
+            answer = located.stages.get(stage)
+            if answer is not None and answer.accepted and answer.x is not None and answer.y is not None:
+                places[stage] = answer.x, answer.y, answer.radius or 0.0, answer.camera
+        if located.tag is not None:
+            places["tag"] = float(located.tag[0]), float(located.tag[1]), TAG_RADIUS, True
+        for (one, a), (other, b) in combinations(places.items(), 2):
+            metres = math.hypot(a[0] - b[0], a[1] - b[1])
+            allowed = SIGMAS * math.hypot(a[2], b[2]) + (_shift(located) if a[3] != b[3] else 0.0)
+            if metres > allowed:
+                found.append(Disagreement(i, one, other, metres, allowed))
+    return found
+
+
+def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -> Belief:
+    """Return the verdict on a frame.
+
+    Args:
+        contradictions: those of this frame.
+    """
+    registration, sequence, retrieval = (located.stages.get(s) for s in ("registration", "sequence", "retrieval"))
+    why = "" if registration is None else registration.sentence
+    if registration is not None and registration.accepted:
+        headline = f"Registered to ± {registration.radius or 0:.1f} m"
+        error = located.error("registration")
+        beside = "" if error is None else f" It lies {error:.1f} m from the tag."
+        if contradictions:
+            worst = max(contradictions, key=lambda one: one.metres - one.allowed)
+            return Belief(
+                None, f"{headline}, but {worst.one} and {worst.other} disagree", worst.sentence, "registration"
+            )
+        return Belief(True, headline, why + beside, "registration")
+    if sequence is not None and sequence.accepted:
+        return Belief(
+            None, f"Within ± {sequence.radius or 0:.0f} m by its neighbours", why or sequence.sentence, "sequence"
+        )
+    if retrieval is not None and retrieval.x is not None:
+        refused = _first_refusal(registration, sequence)
+        return Belief(None, "A best window only, not verified", refused or retrieval.sentence, "retrieval")
+    return Belief(False, "Not located", _first_refusal(registration, sequence, retrieval) or "No stage has an answer.")
+
+
+def _first_refusal(*answers: StageRecord | None) -> str:
+    return next((answer.sentence for answer in answers if answer is not None and answer.state == "refused"), "")
+
+
+def _shift(located: LocatedFrame) -> float:
+    """Return the metres by which an unknown tilt may move the picture's middle from below the camera."""
+    answer = located.stages.get("registration")
+    width = 0.0 if answer is None or answer.width is None else answer.width
+    height = located.frame.flying_height or width / 2
+    return height * math.tan(math.radians(_TILT))

@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+import base64
+import json
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from explorer.flight_window import page
+from explorer.flight_window.page import FlightView
+from lpn.locate.pipeline import LocatedFlight
+
+
+@pytest.fixture
+def view(flight: LocatedFlight) -> FlightView:
+    return FlightView.of(flight)
+
+
+def analysis(flight: LocatedFlight, tile: int = 0) -> Any:
+    """An analysis with scores of all windows, the part 1 in the opposite order of the whole."""
+    assert flight.retrieval is not None
+    values = np.linspace(0.2, 0.8, len(flight.retrieval.windows)).astype(np.float32)
+    ranking = SimpleNamespace(scores=values, cosines=np.column_stack([values, values[::-1]]))
+    return SimpleNamespace(ranking=ranking, chosen=SimpleNamespace(index=tile))
+
+
+def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightView) -> None:
+    data = json.loads(json.dumps(page.data(view, "pictures/x/"), allow_nan=False))
+    assert list(data["tracks"]) == ["tag", "retrieval", "sequence", "registration"]
+    track = data["tracks"]["registration"]
+    assert track["x"] == [-20.0, 45.0, None]
+    assert track["state"] == [0, 0, 2]
+    assert track["error"] == [1.0, 45.0, None]
+    assert track["count"] == "2 of 3"
+    assert data["tracks"]["retrieval"]["count"] == "not verified"
+    assert data["tracks"]["retrieval"]["state"] == [1, 1, 1]
+    assert data["times"] == [0.0, 2.0, 4.0]
+    # The first frame is registered, the second contradicts its tag, and only neighbours tell the third.
+    assert data["signs"] == [True, None, None]
+    assert [one[4] for one in data["outlines"]] == [True, True, False]
+    assert data["outlines"][0][0] == pytest.approx([-40.0, 16.0])
+    assert data["sheets"] == []
+
+
+def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_says(view: FlightView) -> None:
+    first, third = page.card(view, 0, "pictures/x/"), page.card(view, 2, "pictures/x/")
+    assert "Registered to ± 1.0 m" in first
+    assert "1.0 m from the tag" in first
+    assert "pictures/x/pair/0" in first
+    assert "pictures/x/ground/0" in first
+    assert "by its neighbours" in third
+    assert "<b>photo2" not in third
+    assert "<i>4" not in third
+    assert "Only &lt;i&gt;4&lt;/i&gt; matches agree." in third
+
+
+def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView) -> None:
+    lists = page.lists(view)
+    assert "Registration: Only &lt;i&gt;4&lt;/i&gt; matches agree." in lists["refused"]
+    assert "photo0" not in lists["refused"]
+    assert "up to 45 m off" in lists["audit"]
+    assert "Registration and tag lie 45 m apart" in lists["audit"]
+    assert lists["notes"].count("<p>") == 2
+    assert "Refused 1" in lists["counts"]
+
+
+def test_the_photo_is_laid_only_where_a_registration_was_accepted(view: FlightView) -> None:
+    assert page.chosen(view, 0, "x/")["homography"] == view.flight.frames[0].stages["registration"].homography
+    assert page.chosen(view, 2, "x/")["homography"] is None
+
+
+def test_scores_are_painted_whole_or_by_a_part(view: FlightView, flight: LocatedFlight) -> None:
+    names = ["centre", "outer"]
+    assert page.painting(view, analysis(flight), "off", names) is None
+    whole, outer = (page.painting(view, analysis(flight), part, names) for part in ("all", 1))
+    assert whole is not None
+    assert outer is not None
+    assert (whole["low"], whole["high"], whole["label"]) == ("0.20", "0.80", "score")
+    assert outer["label"] == "cosine of outer"
+    # Windows lie 30 m apart: five columns and three rows of cells.
+    assert whole["bounds"] == [-75.0, -45.0, 75.0, 45.0]
+    cells = [_decoded(one["picture"]) for one in (whole, outer)]
+    assert cells[0].shape == (3, 5, 4)
+    assert (cells[0] == cells[1][::-1, ::-1]).all()
+    assert not (cells[0] == cells[1]).all()
+
+
+def test_the_answer_is_the_window_that_the_stage_compares(view: FlightView, flight: LocatedFlight) -> None:
+    assert page.answer_window(view, analysis(flight, 7)) == [0.0, 0.0, 60.0]
+
+
+def test_a_spot_lists_the_frames_that_show_it(view: FlightView) -> None:
+    html = page.spot_list(view, [0, 2], (0.0, 0.0))
+    assert "2 of 3 frames show" in html
+    assert html.count('data-frame="') == 2
+    assert "by its registration" in html
+
+
+def _decoded(uri: str) -> Any:
+    data = base64.b64decode(uri.partition(",")[2])
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)

@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from explorer.flight_window.pictures import TILE, FlightPictures, Pyramid, ground_window
+from explorer.server.picture_route import PREFIX
+from lpn.core.arrays import AnyArray
+from lpn.locate.pipeline import LocatedFlight
+from lpn.maps import Window
+
+
+@pytest.fixture
+def pictures(flight: LocatedFlight) -> FlightPictures:
+    return FlightPictures(SimpleNamespace(flight=flight))  # type: ignore[arg-type]
+
+
+def loaded(pictures: FlightPictures, path: str) -> AnyArray:
+    """Return a picture as the page gets it, BGR or BGRA."""
+    compute = pictures.find(pictures.address.removeprefix(PREFIX.lstrip("/")) + path)
+    assert compute is not None
+    found = compute()
+    assert found.mime == ("image/webp" if found.data[8:12] == b"WEBP" else "image/jpeg")
+    return cv2.imdecode(np.frombuffer(found.data, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def test_tiles_of_a_level_cover_the_map_without_gap_or_overlap(flight: LocatedFlight) -> None:
+    pyramid = Pyramid.of(flight.town)
+    west, south, east, north = flight.town.bounds
+    assert pyramid.side == pytest.approx(max(east - west, north - south))
+    # 400 pixels need two tiles of 256.
+    assert pyramid.levels == 1
+    whole, first, final = pyramid.window(0, 0, 0), pyramid.window(1, 0, 0), pyramid.window(1, 1, 1)
+    assert whole is not None
+    assert first is not None
+    assert final is not None
+    assert (whole.x - whole.size / 2, whole.y + whole.size / 2) == pytest.approx((west, north))
+    assert (first.x + first.size / 2, first.y - first.size / 2) == pytest.approx((whole.x, whole.y))
+    assert (final.x - final.size / 2, final.y + final.size / 2) == pytest.approx((whole.x, whole.y))
+    assert all(pyramid.window(*one) is None for one in ((2, 0, 0), (1, 2, 0), (1, 0, 2)))
+
+
+def test_a_tile_shows_its_window_and_is_transparent_where_the_map_is_unknown(
+    flight: LocatedFlight, pictures: FlightPictures
+) -> None:
+    tile = loaded(pictures, "tile/1/1/0")
+    window = Pyramid.of(flight.town).window(1, 1, 0)
+    assert window is not None
+    expected, valid = flight.town.read(window, TILE)
+    assert tile.shape[:2] == (TILE, TILE)
+    assert np.abs(tile[..., 2::-1].astype(int) - expected)[valid].mean() < 3
+    edge = loaded(pictures, "tile/1/0/0")
+    # The western 20 m of a tile of 100 m are not valid.
+    assert edge[10:100, :40, 3].max() == 0
+    assert edge[10:100, 60:, 3].min() == 255
+
+
+def test_a_photo_and_the_ground_there_are_the_same_scene(flight: LocatedFlight, pictures: FlightPictures) -> None:
+    assert loaded(pictures, "photo/0").shape == (60, 80, 3)
+    assert loaded(pictures, "pair/0").shape[:2] == loaded(pictures, "ground/0").shape[:2]
+    found = ground_window(flight.frames[0])
+    assert found is not None
+    # The square of the photo's shorter side: 60 of 80 pixels of 40 m, about the registered middle.
+    assert (found.x, found.y, found.size) == pytest.approx((-20.0, 1.0, 30.0))
+    assert ground_window(flight.frames[2]) == Window(0.0, 0.0, 60.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "",
+        "tile",
+        "tile/9/0/0",
+        "tile/0/0/1",
+        "tile/-1/0/0",
+        "photo/3",
+        "photo/../../etc",
+        "other/0",
+        "tile/0/0/0/",
+        "tile/0/0/0x",
+    ],
+)
+def test_no_other_path_leads_to_a_picture(pictures: FlightPictures, path: str) -> None:
+    name = pictures.address.removeprefix(PREFIX.lstrip("/"))
+    assert pictures.find(name + path) is None
+    assert pictures.find("00000000/tile/0/0/0") is None
+
+
+def test_there_are_no_pictures_without_a_flight() -> None:
+    pictures = FlightPictures(SimpleNamespace(flight=None))  # type: ignore[arg-type]
+    assert pictures.find(pictures.address.removeprefix(PREFIX.lstrip("/")) + "tile/0/0/0") is None

@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpn.flights import Frame
+from lpn.locate.belief import TAG_RADIUS, belief, disagreements
+from lpn.locate.pipeline import LocatedFrame, StageRecord
+
+FRAME = Frame("a", Path("a"), 80, 60, height_above_ground=100.0)
+TAG = np.zeros(2)
+REFUSED = StageRecord("refused", "Too few matches.")
+
+
+def registration(x: float, camera: bool = True, radius: float = 1.0) -> StageRecord:
+    return StageRecord("accepted", "Matches agree.", x, 0.0, camera, radius, width=100.0)
+
+
+def sequence(x: float, radius: float = 10.0) -> StageRecord:
+    return StageRecord("accepted", "Neighbours agree.", x, 0.0, radius=radius)
+
+
+def located(tag: np.ndarray | None = TAG, **stages: StageRecord) -> LocatedFrame:
+    return LocatedFrame(FRAME, tag, stages)
+
+
+def test_answers_disagree_beyond_three_times_their_common_radius() -> None:
+    allowed = 3 * np.hypot(1.0, TAG_RADIUS)
+    assert not disagreements([located(registration=registration(allowed - 0.1))])
+    found = disagreements([located(), located(registration=registration(allowed + 0.1))])
+    assert [(one.frame, one.one, one.other) for one in found] == [(1, "registration", "tag")]
+    assert found[0].metres == pytest.approx(allowed + 0.1)
+    assert found[0].allowed == pytest.approx(allowed)
+    assert found[0].sentence == "Registration and tag lie 15 m apart; their radii allow 15 m."
+
+
+def test_the_middle_of_a_picture_may_be_moved_by_an_unknown_tilt() -> None:
+    # 100 m high, 15 degrees: 26.8 m more.
+    assert not disagreements([located(registration=registration(41.0, camera=False))])
+    assert disagreements([located(registration=registration(43.0, camera=False))])
+    # Sequence and registration both tell the picture's middle.
+    both = {"registration": registration(40.0, camera=False), "sequence": sequence(0.0)}
+    assert [one.other for one in disagreements([located(tag=None, **both)])] == ["sequence"]
+
+
+def test_answers_that_were_refused_or_not_verified_contradict_nothing() -> None:
+    retrieval = StageRecord("not verified", "", 500.0, 0.0)
+    far = StageRecord("refused", "", 500.0, 0.0, radius=1.0)
+    assert not disagreements([located(retrieval=retrieval, sequence=far, registration=far)])
+
+
+def test_only_a_registration_that_nothing_contradicts_is_believed() -> None:
+    good = located(registration=registration(3.0), sequence=sequence(5.0))
+    assert belief(good).sign is True
+    assert belief(good).headline == "Registered to ± 1.0 m"
+    assert belief(good).reason == "Matches agree. It lies 3.0 m from the tag."
+    bad = located(registration=registration(60.0), sequence=sequence(50.0))
+    found = belief(bad, disagreements([bad]))
+    assert found.sign is None
+    assert found.stage == "registration"
+    assert found.headline == "Registered to ± 1.0 m, but registration and tag disagree"
+
+
+def test_without_a_registration_the_reason_is_its_refusal() -> None:
+    one = belief(located(registration=REFUSED, sequence=sequence(5.0)))
+    assert (one.sign, one.stage, one.reason) == (None, "sequence", "Too few matches.")
+    assert one.headline == "Within ± 10 m by its neighbours"
+    retrieval = StageRecord("not verified", "The best window.", 1.0, 1.0)
+    two = belief(located(registration=REFUSED, sequence=REFUSED, retrieval=retrieval))
+    assert (two.sign, two.stage, two.reason) == (None, "retrieval", "Too few matches.")
+    three = belief(located(retrieval=REFUSED))
+    assert (three.sign, three.stage, three.reason) == (False, None, "Too few matches.")
+    assert belief(located()).reason == "No stage has an answer."
