@@ -18,7 +18,7 @@ import viser
 from explorer.client_session import ClientSession
 from explorer.failure_lab.service import FailureLab
 from explorer.flight_window.pictures import FlightPictures
-from explorer.opening import open_model, open_saved
+from explorer.opening import open_flight_over, open_model, open_saved
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, is_loopback, make_authenticator
 from explorer.server.gateway import Gateway
@@ -132,6 +132,27 @@ def run(
         LPNError: when model, data set, or address cannot be used.
     """
     _serve(lambda: open_model(data, model, query, second_model, baseline, provider), host, port, authenticator)
+
+
+def run_flight(
+    map_path: Path,
+    flight_path: Path,
+    model: Path,
+    query: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    second_model: Path | None = None,
+    register: bool = True,
+    authenticator: Authenticator | None = None,
+    provider: ProviderName = "auto",
+) -> None:
+    """Serve a flight over a map like `run`; see `opening.open_flight_over`."""
+    _serve(
+        lambda: open_flight_over(map_path, flight_path, model, query, second_model, register, provider),
+        host,
+        port,
+        authenticator,
+    )
 
 
 def run_saved(

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
+
+if TYPE_CHECKING:
+    from explorer.server.auth import Authenticator
 
 
 @dataclass
@@ -21,6 +24,12 @@ class Explore:
     """Data set in any layout of docs/data.md, of which the test split is shown; by default the demo."""
     model: Path | None = None
     """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth; by default the demo's, for the demo."""
+    map: Path | None = None
+    """Map under a flight: a folder of lpn map, or a georeferenced picture; needs --flight and --model."""
+    flight: Path | None = None
+    """Flight over the map: a folder of lpn flight, or one of photos; its frames are the queries."""
+    register: bool = True
+    """Lay each photo of the flight over the map; this goes on in the background, and its answers are kept."""
     beside: Path | None = None
     """Second trained LPN to compare on every query (key Y, tab Two models), such as one with other parts."""
     provider: ProviderName = "auto"
@@ -48,6 +57,11 @@ class Explore:
         from lpn.retrieval.published_results import check_n_parts
 
         authenticator = make_authenticator(self.host or "0.0.0.0", self.token, self.ask_token, self.allow_host)
+        if self.map is not None or self.flight is not None:
+            self._explore_flight(authenticator)
+            return
+        if not self.register:
+            raise InputError("Only photos of a flight are registered; give --no-register with --map and --flight.")
         if self.saved is not None:
             if self.data is None or self.model is not None or self.beside is not None:
                 raise InputError(
@@ -77,6 +91,32 @@ class Explore:
             self.port,
             self.beside,
             DEMO_BASELINE if offers else None,
+            authenticator,
+            self.provider,
+        )
+
+    def _explore_flight(self, authenticator: Authenticator) -> None:
+        from explorer.app import run_flight
+
+        if self.map is None or self.flight is None:
+            given, missing = ("--map", "--flight") if self.flight is None else ("--flight", "--map")
+            raise InputError(f"A flight is explored over its map; give {missing} beside {given}.")
+        others = {"--data": self.data, "--saved": self.saved, "--n-parts": self.n_parts}
+        if other := next((name for name, value in others.items() if value is not None), None):
+            raise InputError(
+                f"The frames of the flight are the queries, and the map is the gallery; leave {other} out."
+            )
+        if self.model is None:
+            raise InputError("A flight is explored with a model; give a trained LPN with --model.")
+        run_flight(
+            self.map,
+            self.flight,
+            self.model,
+            self.query,
+            self.host,
+            self.port,
+            self.beside,
+            self.register,
             authenticator,
             self.provider,
         )

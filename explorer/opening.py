@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import logging
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from rich.console import Console
+from rich.progress import Progress as Bars
+from rich.progress import TaskID
 
 import lpn
+from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import SecondModel, Workspace
 from lpn.analysis.task import Task, gallery_geometry, offered_tasks, open_task
@@ -17,6 +21,11 @@ from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.datasets import open_dataset
 from lpn.datasets.city_model import CityModel, city_model
+from lpn.flights import open_flight
+from lpn.locate.pipeline import LocatedFlight, LocateOptions, Progress, locate, registered
+from lpn.locate.task import flight_task
+from lpn.maps import open_map
+from lpn.models.base import Model
 from lpn.models.spec import Layout, ModelSpec
 from lpn.retrieval.published_results import PublishedResult
 
@@ -24,6 +33,8 @@ log = logging.getLogger(__name__)
 
 # Size of the feature map for drawing rings without a network: that of a ResNet-50 at 256 pixels.
 SAVED_MAP = (16, 16)
+# Seconds that the start waits for registration; answers from the cache take less.
+REGISTRATION_WAIT = 8.0
 
 
 def open_model(
@@ -121,11 +132,82 @@ def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> 
     return workspace
 
 
+def open_flight_over(
+    map_path: Path,
+    flight_path: Path,
+    model: Path,
+    query: str | None = None,
+    second_model: Path | None = None,
+    register: bool = True,
+    provider: ProviderName = "auto",
+) -> Workspace:
+    """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.locate.task`.
+
+    Retrieval and sequence are computed before the app starts, from the user's cache where they were computed before.
+    Registration goes on in the background, unless its answers are in the cache.
+
+    Args:
+        map_path: what `lpn.maps.open_map` opens.
+        flight_path: a folder of lpn flight, or one of photos.
+        query: name of the frame that a new browser shows first; by default the flight's first.
+        second_model: another model to compare with on the same flight; it is opened, too.
+        register: whether photos are laid over the map.
+
+    Raises:
+        LPNError: when map, flight, or model cannot be used, or there is no such frame.
+    """
+    with _status(f"Opening {printable(map_path.name)}, {printable(flight_path.name)}, and {printable(model.name)}"):
+        town, flight, opened = open_map(map_path), open_flight(flight_path), lpn.load(model, provider)
+    for view in ("satellite", "drone"):
+        opened.check_view(view)
+    with _progress() as report:
+        located = locate(town, flight, opened, LocateOptions(register=False), report)
+    task = flight_task(opened, model.name, located, flight_path)
+    ranking = _begin_ranking(task)
+    workspace = Workspace(
+        task.model_name, task.data_name, [ranking], task.spec, dict(task.map_sizes), task.model, None, flight_path
+    )
+    workspace.flight = located
+    workspace.choose_first_query(query)
+    if second_model is not None:
+        second = open_flight_over(map_path, flight_path, second_model, None, None, False, provider)
+        workspace.second = SecondModel(second.model_name, lambda: second)
+        workspace.second.open()
+    if register:
+        _begin_registration(workspace, located, opened)
+    return workspace
+
+
+def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Model) -> None:
+    """Register in the background, and wait as long as answers come from the cache."""
+
+    def register(report: ReportProgress) -> LocatedFlight:
+        return registered(located, model, on_progress=lambda _, done, total: report(done, total))
+
+    job = workspace.register_flight(register)
+    with _status("Registering frames; the page opens while this goes on"):
+        job.wait(REGISTRATION_WAIT)
+
+
 def _begin_ranking(task: Task) -> RankingJob:
     ranking = RankingJob(task)
     with _status(f"Ranking {len(task.gallery):,} pictures for {len(task.queries):,} queries, {task.name}"):
         ranking.start()
     return ranking
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    """Show a bar on the terminal for each stage."""
+    with Bars(console=Console(stderr=True), transient=True) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(f"Describing {stage}", total=total)
+            bars.update(tasks[stage], completed=done)
+
+        yield report
 
 
 def _status(text: str) -> AbstractContextManager[object]:

@@ -11,7 +11,7 @@ from threading import Lock
 import numpy as np
 
 from explorer import session_state
-from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs
+from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.inference_scheduler import InferenceScheduler
 from explorer.compute.ranking_job import RankingJob
@@ -75,9 +75,9 @@ class Workspace:
         self.first_query = 0
         # Another model on the same data to compare with, if there is one.
         self.second: SecondModel | None = None
-        # The flight over a map that the first task was made of, if it was, once it is located.
+        # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
         self.flight: LocatedFlight | None = None
-        self.has_flight = False
+        self.registration: BackgroundJob[None] | None = None
         self.part_names = self._part_names()
         self._tiles: SingleFlightCache[tuple[str, int], DescribedPicture] = SingleFlightCache(TILES)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
@@ -86,7 +86,7 @@ class Workspace:
         self._mosaics: dict[str, UInt8Array] = {}
         self._mosaic_lock = Lock()
         self.layout = layout_for(self.spec.input_size)
-        self.load_picture = lru_cache(maxsize=64)(images.load_picture)
+        self.load_picture = lru_cache(maxsize=64)(Picture.load)
 
     def choose_first_query(self, query: str | None) -> None:
         """Choose by name the query that a new browser shows first.
@@ -132,9 +132,23 @@ class Workspace:
         """
         return self._tiles.get((task.name, index), lambda: describe_tile(task, index, model or self.model))
 
-    def thumbnail(self, path: Path) -> str:
-        """Return a 64-pixel JPEG of a picture file as a data URI."""
-        return self._thumbnail(path)
+    @property
+    def has_flight(self) -> bool:
+        """Return True if the queries are the frames of a flight."""
+        return self.flight is not None
+
+    def register_flight(self, register: Callable[[ReportProgress], LocatedFlight]) -> BackgroundJob[None]:
+        """Start the registration of the flight in the background; `flight` has its answers when it is done."""
+
+        def work(report: ReportProgress) -> None:
+            self.flight = register(report)
+
+        self.registration = BackgroundJob(work, self)
+        return self.registration
+
+    def thumbnail(self, picture: Picture) -> str:
+        """Return a 64-pixel JPEG of a picture as a data URI."""
+        return self._thumbnail(picture)
 
     def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
         """Return the picture on which parts are drawn, see `Model.as_partitioned`."""
@@ -153,7 +167,11 @@ class Workspace:
         assert task.geometry is not None
         with self._mosaic_lock:
             if task.name not in self._mosaics:
-                self._mosaics[task.name] = mosaic.draw(task.geometry, [entry.path for entry in task.gallery])
+                self._mosaics[task.name] = (
+                    mosaic.draw(task.geometry, task.gallery)
+                    if self.flight is None
+                    else mosaic.draw_map(task.geometry, self.flight.town)
+                )
             return self._mosaics[task.name]
 
     def _part_names(self) -> list[str]:
@@ -163,11 +181,11 @@ class Workspace:
 
     def _make_card(self, name: str, index: int) -> UInt8Array:
         task = self.tasks[name]
-        picture = self.load_picture(task.gallery[index].path)
+        picture = self.load_picture(task.gallery[index])
         return images.resize(self.as_partitioned(picture, task.gallery_view), *self.layout.card_pixels)
 
-    def _make_thumbnail(self, path: Path) -> str:
-        return overlays.data_uri(overlays.square(images.load_picture(path), 64))
+    def _make_thumbnail(self, picture: Picture) -> str:
+        return overlays.data_uri(overlays.square(picture.load(), 64))
 
 
 class SecondModel:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass
 
+import numpy as np
+
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from lpn.analysis import ranking_cache
 from lpn.analysis.ranking_cache import ResumableRanking
@@ -122,5 +124,7 @@ class RankingJob:
     def _result(self, ranking: Retrieval) -> TaskRanking:
         shares: dict[str, float] = {}
         if self.task.geometry is not None:
-            shares = error_shares(self.task.geometry.answer_errors_m(ranking.best))
-        return TaskRanking(ranking, ranking.metrics() | shares)
+            errors = self.task.geometry.answer_errors_m(ranking.best)
+            placed = ~np.isnan(errors)
+            shares = error_shares(errors[placed]) if placed.any() else {}
+        return TaskRanking(ranking, ranking.metrics(self.task.known) | shares)

@@ -98,6 +98,7 @@ class QueuedModel(Model):
             model.precision,
             model.batch,
         )
+        self.means = model.means
 
     def cancellable(self) -> QueuedModel:
         """Return a copy of this model whose requests a newer state may supersede.

@@ -84,7 +84,7 @@ def _column(analysis: StateAnalysis, workspace: Workspace) -> _Column:
         analysis.matches[0].true,
         None if truth is None else truth.rank,
         [
-            (match, task.gallery[match.index].name, workspace.thumbnail(task.gallery[match.index].path))
+            (match, task.gallery[match.index].name, workspace.thumbnail(task.gallery[match.index]))
             for match in analysis.matches[:_MATCHES]
         ],
     )

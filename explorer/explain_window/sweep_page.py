@@ -98,5 +98,6 @@ def _before(profile: SweepResult, point: Point) -> str:
 
 def _known_heading(analysis: StateAnalysis) -> str:
     places = analysis.task.geometry
-    heading = None if places is None else places.queries[analysis.state.query].heading
-    return "" if heading is None or analysis.state.upload else f" It is known to be {heading:.0f}°."
+    place = None if places is None or analysis.state.upload else places.queries[analysis.state.query]
+    heading = None if place is None else place.heading
+    return "" if heading is None else f" It is known to be {heading:.0f}°."

@@ -86,7 +86,7 @@ def _pair_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card
     for confusion in confusions[:_MAX_PAIRS]:
         names = state.place_names(findings, confusion)
         tiles = int(findings.outcomes.true[confusion.queries[0]]), confusion.tile
-        pictures = [workspace.thumbnail(findings.task.gallery[tile].path) if tile >= 0 else "" for tile in tiles]
+        pictures = [workspace.thumbnail(findings.task.gallery[tile]) if tile >= 0 else "" for tile in tiles]
         lines.append(
             _Line(
                 "lab-pair",

@@ -34,7 +34,7 @@ class DrawnMap:
         picture: (2 height, 2 width, 3) RGB.
         bounds: west, south, east, and north border of the picture, in the plane's units.
         size: width and height on the page, in pixels.
-        points: the queries in the plane's units, (Q, 2).
+        points: the queries in the plane's units, (Q, 2); NaN where their places are unknown.
         selected: which queries are selected, (Q,).
     """
 
@@ -54,7 +54,7 @@ class DrawnMap:
         Selected queries go before others, which are returned only if no selected one is near.
         """
         offsets = (_fractions(self.points, self.bounds) - (x, y)) * self.size
-        distance = np.hypot(offsets[:, 0], offsets[:, 1])
+        distance = np.nan_to_num(np.hypot(offsets[:, 0], offsets[:, 1]), nan=np.inf)
         for among in (self.selected, ~self.selected):
             nearest = float(distance[among].min(initial=np.inf))
             if nearest <= _REACH:
@@ -88,6 +88,8 @@ def draw(
         query: the current query, which gets a ring.
         positive: its nearest true tile, -1 if it has none.
     """
+    placed: BoolArray = ~np.isnan(points.queries[:, 0])
+    selected = selected & placed
     bounds = _bounds(points, selected if zoomed and selected.any() else None, size)
     width, height = (_SCALE * side for side in size)
     canvas = _background(points, bounds, (width, height))
@@ -108,7 +110,7 @@ def draw(
     _stamp(canvas, hits, _disc(radius - 2), theme.TRUE_COLOUR)
     _stamp(canvas, misses, _cross(radius + 2, 3.4), _OUTLINE)
     _stamp(canvas, misses, _cross(radius + 1, 1.6), theme.FALSE_COLOUR)
-    if query is not None:
+    if query is not None and placed[query]:
         _mark_query(canvas, points, places[query], tiles, int(answers[query]), positive)
     return DrawnMap(canvas, bounds, size, points.queries, selected)
 
@@ -152,7 +154,7 @@ def _draw_pies(canvas: UInt8Array, places: Int64Array, failed: BoolArray, select
 def _bounds(points: MapPoints, selected: BoolArray | None, size: tuple[int, int]) -> Bounds:
     """Return the bounds of the picture; a map of the ground has one scale in both directions."""
     shown = points.queries[selected] if selected is not None else np.concatenate([points.queries, points.tiles])
-    low, high = shown.min(axis=0), shown.max(axis=0)
+    low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
     if points.ground is not None and selected is None:
         west, south, east, north = points.ground[1]
         low, high = np.minimum(low, (west, south)), np.maximum(high, (east, north))
@@ -172,7 +174,7 @@ def _fractions(points: Float64Array, bounds: Bounds) -> Float64Array:
 
 
 def _pixels(points: Float64Array, bounds: Bounds, size: tuple[int, int]) -> Int64Array:
-    near = np.clip(_fractions(points, bounds), -2, 3)
+    near = np.nan_to_num(np.clip(_fractions(points, bounds), -2, 3), nan=-2.0)
     return np.rint(near * size).astype(np.int64)
 
 

@@ -18,7 +18,6 @@ from lpn.analysis.task import Task
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import LPNError
 from lpn.core.tables import Table
-from lpn.datasets import geo
 from lpn.datasets.metadata import NOTE, TAGS
 
 MapKind = Literal["pca", "umap", "ground"]
@@ -51,7 +50,7 @@ class MapPoints:
     """Queries and tiles on a plane.
 
     Attributes:
-        queries, tiles: (Q, 2) and (G, 2), y upwards.
+        queries, tiles: (Q, 2) and (G, 2), y upwards; NaN for queries whose places are unknown.
         axes: the axes in words; may be empty.
         ground: a picture of the ground, and its west, south, east, and north border; None for embeddings.
     """
@@ -115,10 +114,11 @@ class FailureLab:
     def _build(self, task: Task, progress: ReportProgress) -> None:
         progress(0, len(task.queries))
         ranking = self._workspace.rankings[task.name].wait(self, progress).ranking
-        outcomes = query_outcomes.outcomes_of(ranking, task.query_descriptors, task.gallery_descriptors)
+        descriptors = task.query_descriptors, task.gallery_descriptors
+        outcomes = query_outcomes.outcomes_of(ranking, *descriptors, known=task.known)
         progress(len(task.queries), len(task.queries))
         part_names = self._workspace.part_names
-        table = query_outcomes.table(self._workspace.root, task.queries, task.gallery, outcomes, part_names)
+        table = task.tabulate(outcomes, part_names)
         with self._lock:
             stored, error = self._read_notes()
             table = table.with_columns(notes.columns(stored, table.paths))
@@ -133,9 +133,8 @@ class FailureLab:
     def _points(self, kind: MapKind, task: Task, progress: ReportProgress) -> MapPoints:
         if kind == "ground":
             assert task.geometry is not None
-            queries = geo.on_plane(task.geometry.queries, task.geometry.origin)
             ground = self._workspace.mosaic(task), task.geometry.bounds()
-            return MapPoints(queries, task.geometry.ground, ground=ground)
+            return MapPoints(task.geometry.query_ground, task.geometry.ground, ground=ground)
         if kind == "umap":
             descriptors = np.asarray(task.query_descriptors), np.asarray(task.gallery_descriptors)
             embedding = run_in_process(progress, embedding_map.umap, *descriptors)

@@ -90,7 +90,7 @@ def table(findings: Findings, lab: LabState, workspace: Workspace, rows: Int64Ar
     lines = [
         (
             row,
-            workspace.thumbnail(findings.task.queries[row].path),
+            workspace.thumbnail(findings.task.queries[row]),
             [_cell(findings, workspace, column, row, limit) for column in columns],
         )
         for row in rows.tolist()
@@ -144,7 +144,7 @@ def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: in
         "failure_lab/tip",
         row=row,
         revision=revision,
-        thumbnail=workspace.thumbnail(picture.path),
+        thumbnail=workspace.thumbnail(picture),
         name=picture.name,
         right=bool(findings.outcomes.rank[row] == 0),
         rank=rank,
@@ -164,7 +164,7 @@ def _cell(findings: Findings, workspace: Workspace, column: Column, row: int, li
         return _Cell(column.kind, "")
     if column.name == "answer":
         tile = findings.task.gallery[outcomes.answer[row]]
-        return _Cell("text pic", text, picture=workspace.thumbnail(tile.path))
+        return _Cell("text pic", text, picture=workspace.thumbnail(tile))
     if column.name == "part":
         return _Cell("text", text, swatch=int(outcomes.deciding_part[row]))
     if column.name == "margin":

@@ -172,7 +172,7 @@ class GalleryMap:
                 chosen = match.index == analysis.chosen.index
                 framed = overlays.outlined(160, colour, 7 if chosen else 4, 0.12 if chosen else 0.03)
             else:
-                picture = overlays.square(self._workspace.load_picture(analysis.task.gallery[match.index].path), 96)
+                picture = overlays.square(self._workspace.load_picture(analysis.task.gallery[match.index]), 96)
                 framed = overlays.framed(picture, colour, 5)
             plane.show(captions.numbered(framed, match.rank))
             plane.handle.render_width = plane.handle.render_height = side

@@ -242,11 +242,11 @@ class Stage:
         return picture
 
     def _query_caption(self, analysis: StateAnalysis) -> UInt8Array:
-        changed = analysis.state.change.describe()
-        source = "your picture" if analysis.state.upload else analysis.task.query_view
-        return title(
-            "QUERY", f"{source} {analysis.name}{', ' if changed else ''}{changed}", None, analysis.state.palette
-        )
+        own = analysis.state.upload is not None
+        source = "your picture" if own else analysis.task.query_view
+        note = "" if own else analysis.task.queries[analysis.state.query].note
+        text = ", ".join(filter(None, (f"{source} {analysis.name}", note, analysis.state.change.describe())))
+        return title("QUERY", text, None, analysis.state.palette)
 
     def _tile_caption(self, analysis: StateAnalysis) -> UInt8Array:
         chosen = analysis.chosen

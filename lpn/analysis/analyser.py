@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -123,14 +122,14 @@ class QueryAnalyser:
     Args:
         model: describes queries; None if only stored descriptors are available.
         describe_tile: describes a tile of a task by its gallery position, see the function `describe_tile`; may use a cache.
-        load: reads a picture file; may use a cache.
+        load: reads a picture without regard to its box; may use a cache.
     """
 
     def __init__(
         self,
         model: Model | None,
         describe_tile: Callable[[Task, int], DescribedPicture],
-        load: Callable[[Path], UInt8Array] = images.load_picture,
+        load: Callable[[Picture], UInt8Array] = Picture.load,
     ) -> None:
         self._model, self._describe_tile, self._load = model, describe_tile, load
         self._source: _LastValue[UInt8Array] = _LastValue()
@@ -155,7 +154,7 @@ class QueryAnalyser:
             raise InputError(f"There is no query {index}; queries have positions 0 to {len(task.queries) - 1}.")
         picture = task.queries[index or 0]
         source_key = own or (picture.path, picture.box)
-        source = self._source.get(source_key, lambda: own.picture if own else load_cropped(picture, self._load))
+        source = self._source.get(source_key, lambda: own.picture if own else self._load_cropped(picture))
         query_key = source_key, task.name, index, request.change
         query = self._query.get(query_key, lambda: self._describe(task, index, source, request.change))
         weights = scoring.part_weights(task.spec.n_parts, request.weights)
@@ -183,6 +182,9 @@ class QueryAnalyser:
             seconds=time.perf_counter() - started,
         )
 
+    def _load_cropped(self, picture: Picture) -> UInt8Array:
+        return images.crop(self._load(picture), picture.box, picture.name)
+
     def _describe(self, task: Task, index: int | None, source: UInt8Array, change: Change) -> DescribedPicture:
         if self._model is not None:
             change = change.for_picture(task.queries[index or 0])
@@ -207,15 +209,10 @@ def pair_evidence(
 
 def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPicture:
     """Describe a gallery picture; without a model, take its stored descriptor."""
-    picture = load_cropped(task.gallery[index])
+    picture = task.gallery[index].load_cropped()
     if model is None:
         return DescribedPicture(picture, task.gallery_descriptors[index], None, None)
     return retrieval.describe_picture(model, picture, task.gallery_view)
-
-
-def load_cropped(picture: Picture, load: Callable[[Path], UInt8Array] = images.load_picture) -> UInt8Array:
-    """Read a picture, cropped to its box: (H, W, 3) uint8."""
-    return images.crop(load(picture.path), picture.box, picture.name)
 
 
 def _compare(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,20 +23,20 @@ class GalleryGeometry:
     """The positions of one task's pictures.
 
     Attributes:
-        queries, tiles: positions, in the order of the pictures.
+        queries, tiles: positions, in the order of the pictures; a query's may be unknown.
         origin: the middle of the tiles.
         ground: centre of each tile in metres east and north of the origin, (G, 2).
         width: side of a tile on the ground in metres; by default the median distance from a position to the nearest other.
     """
 
-    queries: list[Position]
-    tiles: list[Position]
+    queries: Sequence[Position | None]
+    tiles: Sequence[Position]
     origin: Position
     ground: Float64Array
     width: float
 
     @classmethod
-    def of(cls, queries: list[Position], tiles: list[Position]) -> GalleryGeometry:
+    def of(cls, queries: Sequence[Position | None], tiles: Sequence[Position]) -> GalleryGeometry:
         """Lay out a task's pictures around the middle of its tiles."""
         latitudes, longitudes = ([getattr(tile, key) for tile in tiles] for key in ("latitude", "longitude"))
         origin = Position((min(latitudes) + max(latitudes)) / 2, (min(longitudes) + max(longitudes)) / 2)
@@ -43,14 +45,27 @@ class GalleryGeometry:
         width = float(np.median(widths)) if widths else _neighbour_distance(ground[_distinct(ground)])
         return cls(queries, tiles, origin, ground, width)
 
-    def errors_m(self, query: int) -> Float64Array:
-        """Metres from the place that a query shows to the centre of each tile, (G,)."""
-        return geo.metres_between(geo.radians([self.queries[query]]), self._radians)
+    def errors_m(self, query: int) -> Float64Array | None:
+        """Metres from the place that a query shows to the centre of each tile, (G,); None if its place is unknown."""
+        place = self.queries[query]
+        return None if place is None else geo.metres_between(geo.radians([place]), self._radians)
 
     def answer_errors_m(self, answers: Int64Array) -> Float64Array:
-        """Metres from the place that each query shows to its answer, (Q,); infinite for the answer -1, that is, none."""
-        metres = geo.metres_between(geo.radians(self.queries), self._radians[answers])
-        return np.where(answers < 0, np.inf, metres)
+        """Metres from the place that each query shows to its answer, (Q,).
+
+        Infinite for the answer -1, that is, none; NaN for a query whose place is unknown.
+        """
+        metres = geo.metres_between(geo.radians(self._known_or_nan), self._radians[answers])
+        return np.where((answers < 0) & ~np.isnan(metres), np.inf, metres)
+
+    @cached_property
+    def query_ground(self) -> Float64Array:
+        """Place that each query shows in metres east and north of the origin, (Q, 2); NaN where it is unknown."""
+        return geo.on_plane(self._known_or_nan, self.origin)
+
+    @property
+    def _known_or_nan(self) -> list[Position]:
+        return [Position(math.nan, math.nan) if place is None else place for place in self.queries]
 
     @cached_property
     def _radians(self) -> Float64Array:

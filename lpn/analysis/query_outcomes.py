@@ -16,16 +16,17 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table, number_column, text_column
-from lpn.datasets import Picture, Truth, geo, metadata
+from lpn.datasets import Picture, Truth, metadata
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.retrieval import metrics, scoring
 from lpn.retrieval.metrics import Retrieval
 
 _CHUNK_BYTES = 64_000_000
-# Columns of every table besides `margin_1` .. `margin_n`. A data set without geo.csv has no `distance`.
+# Columns of every table besides `margin_1` .. `margin_n`. A task without positions has no `distance`.
 OUTCOME_COLUMNS = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance")
 
 
@@ -43,6 +44,7 @@ class Outcomes:
         deciding_part: the part, from 0, with the highest term if `rank` is 0, else the part with the lowest term;
             -1 without a margin, (Q,).
         weights: the part weights, summing to one, (n,).
+        known: the queries whose truth is known, (Q,).
     """
 
     rank: Int64Array
@@ -53,11 +55,15 @@ class Outcomes:
     margin: Float64Array
     deciding_part: Int64Array
     weights: Float64Array
+    known: BoolArray
 
     @property
     def failed(self) -> BoolArray:
-        """The queries that Recall@1 counts as missed, those without a true match included, (Q,)."""
-        return np.asarray(self.rank != 0)
+        """The queries that Recall@1 counts as missed, those without a true match included, (Q,).
+
+        A query whose truth is not known is no failure.
+        """
+        return np.asarray(self.known & (self.rank != 0))
 
     def __len__(self) -> int:
         return len(self.rank)
@@ -92,20 +98,29 @@ def build(
     # Without weights, scores are not scaled, so that even ties are ranked as in the published protocol.
     factors = None if weights is None else np.repeat(n * _normalised(n, weights), size)
     ranking = metrics.retrieve(queries, query_labels, gallery, labels, truth, factors, progress)
-    return outcomes_of(ranking, queries, gallery, weights)
+    return outcomes_of(ranking, queries, gallery, weights, metrics.known_queries(truth))
 
 
 def outcomes_of(
-    ranking: Retrieval, queries: Float32Array, gallery: Float32Array, weights: npt.ArrayLike | None = None
+    ranking: Retrieval,
+    queries: Float32Array,
+    gallery: Float32Array,
+    weights: npt.ArrayLike | None = None,
+    known: BoolArray | None = None,
 ) -> Outcomes:
-    """The outcomes of queries (Q, n, D) that are ranked already under the same part weights."""
+    """The outcomes of queries (Q, n, D) that are ranked already under the same part weights.
+
+    Args:
+        known: the queries whose truth is known, (Q,); None for all.
+    """
     n = queries.shape[1]
     used = _normalised(n, weights)
     parts = _part_margins(queries, gallery, ranking.true, ranking.false, 2 * n * used)
     margin = parts.sum(axis=1)
     deciding_part = np.where(ranking.first == 0, np.argmax(parts, axis=1), np.argmin(parts, axis=1))
     deciding_part = np.where(np.isnan(margin), -1, deciding_part)
-    return Outcomes(ranking.first, ranking.best, ranking.true, ranking.false, parts, margin, deciding_part, used)
+    known = np.ones(len(queries), bool) if known is None else known
+    return Outcomes(ranking.first, ranking.best, ranking.true, ranking.false, parts, margin, deciding_part, used, known)
 
 
 def table(
@@ -114,6 +129,8 @@ def table(
     gallery: Sequence[Picture],
     outcomes: Outcomes,
     part_names: Sequence[str] | None = None,
+    geometry: GalleryGeometry | None = None,
+    more: Sequence[Column] = (),
 ) -> Table:
     """One row per query: its outcome, and the metadata of its picture (`lpn.datasets.metadata`).
 
@@ -123,13 +140,15 @@ def table(
         margin: in d².
         part: the deciding part.
         truth, answer, false: names of the nearest positive, the nearest tile, and the hardest negative.
-        distance: metres from the query's place to the answer; only with a geo.csv.
+        distance: metres from the query's place to the answer; only with positions.
         margin_1 .. margin_n: each part's term of the margin, in d².
 
     Args:
         root: the data set's folder.
         queries, gallery: the pictures.
         part_names: "1" .. "n" by default.
+        geometry: positions of the pictures.
+        more: further columns, which come before those of the metadata.
 
     Raises:
         InputError: when there are not as many pictures as outcomes.
@@ -149,8 +168,9 @@ def table(
         Column("truth", "text", tiles[outcomes.true]),
         Column("answer", "text", tiles[outcomes.answer]),
         Column("false", "text", tiles[outcomes.false]),
-        *_distance(root, queries, gallery, outcomes),
+        *([] if geometry is None else [_distance(geometry, outcomes)]),
         *(number_column(f"margin_{i + 1}", outcomes.parts[:, i]) for i in range(n)),
+        *more,
     ]
     paths = metadata.relative(root, queries)
     return Table(paths, columns).with_columns(metadata.columns(root, paths, [column.name for column in columns]))
@@ -177,13 +197,9 @@ def _normalised(n: int, weights: npt.ArrayLike | None) -> Float64Array:
     return used
 
 
-def _distance(root: Path, queries: Sequence[Picture], gallery: Sequence[Picture], outcomes: Outcomes) -> list[Column]:
-    positions = geo.positions(root)
-    if positions is None:
-        return []
-    tiles = positions.of(gallery)
-    metres = geo.metres(positions.of(queries), [tiles[index] for index in outcomes.answer])
-    return [number_column("distance", np.where(outcomes.answer < 0, np.nan, metres), "m")]
+def _distance(geometry: GalleryGeometry, outcomes: Outcomes) -> Column:
+    metres = geometry.answer_errors_m(outcomes.answer)
+    return number_column("distance", np.where(outcomes.answer < 0, np.nan, metres), "m")
 
 
 def _part_margins(

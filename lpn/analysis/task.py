@@ -14,10 +14,10 @@ from lpn.analysis import notes, query_outcomes
 from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import Outcomes
-from lpn.core.arrays import Float32Array, Int64Array
+from lpn.core.arrays import BoolArray, Float32Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.tables import Table
+from lpn.core.tables import Column, Table
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.explain import counterfactual
@@ -41,10 +41,11 @@ class Task:
         query_labels, gallery_labels: the place that each picture shows, (Q,) and (G,), -1 for junk.
         query_descriptors, gallery_descriptors: (Q, n, D) and (G, n, D), without part weights.
         truth: true matches and junk of each query, for data sets that list them; None if labels define the true matches.
-        geometry: positions of the pictures; None without a `geo.csv`.
+        geometry: positions of the pictures; None without positions, such as those of a `geo.csv`.
         identity: digests of both sides' descriptors, for the key of the cached ranking; empty if a digest is missing.
         weights: part weights, see `scoring.part_weights`; None for equal ones.
         notes: a person's tags and notes by the query's path, see `lpn.analysis.notes`.
+        columns: further columns of the table about the queries.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Task:
     identity: str = ""
     weights: npt.ArrayLike | None = None
     notes: Mapping[str, Note] = field(default_factory=dict)
+    columns: Sequence[Column] = ()
 
     @property
     def query_view(self) -> View:
@@ -111,8 +113,19 @@ class Task:
     @cached_property
     def table(self) -> Table:
         """One row per query: outcome, metadata, tags, and notes; see `query_outcomes.table` for the errors."""
-        table = query_outcomes.table(self.root, self.queries, self.gallery, self.outcomes, self.part_names)
+        table = self.tabulate(self.outcomes, self.part_names)
         return table.with_columns(notes.columns(self.notes, table.paths))
+
+    def tabulate(self, outcomes: Outcomes, part_names: Sequence[str]) -> Table:
+        """One row per query, without tags and notes; see `query_outcomes.table`."""
+        return query_outcomes.table(
+            self.root, self.queries, self.gallery, outcomes, part_names, self.geometry, self.columns
+        )
+
+    @property
+    def known(self) -> BoolArray | None:
+        """The queries whose truth is known, (Q,); None for all."""
+        return metrics.known_queries(self.truth)
 
     @cached_property
     def metrics(self) -> dict[str, float]:

@@ -79,7 +79,6 @@ class SweepCommand:
         from rich.progress import track
 
         from lpn import descriptors
-        from lpn.core import images
         from lpn.explain import sweeps
         from lpn.retrieval import scoring
 
@@ -96,7 +95,7 @@ class SweepCommand:
             )
         position = names.index(self.query)
         entry, truth = queries[position], dataset.truth(task)
-        picture = images.crop(images.load_picture(entry.path), entry.box, entry.name)
+        picture = entry.load_cropped()
         changes = [change.for_picture(entry) for change in sweeps.changes_over(self.over, self.step, self.reach, side)]
         tiles = descriptors.cached_descriptors(model, gallery, gallery_view)
         labels = np.array([tile.label for tile in gallery], np.int64)

@@ -7,14 +7,14 @@ import logging
 import os
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from lpn.core.arrays import Int64Array
+from lpn.core.arrays import Int64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.core.images import SUFFIXES
+from lpn.core.images import SUFFIXES, crop, load_picture
 from lpn.core.views import views_of
 
 log = logging.getLogger(__name__)
@@ -35,16 +35,18 @@ MAX_LIST_BYTES = 100_000_000
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture file.
+    """A picture: a file, or one that is cut out of a larger raster when it is needed.
 
     Attributes:
-        path: the file.
+        path: the file; with `cut`, a path that tells the picture from others, where no file need be.
         label: number of its place. Pictures of equal label are true matches, unless `Dataset.truth` lists the true
             matches.
         name: name for display. If the data set gives none, it is the place's folder. If the place has several pictures,
             the file is added ("0005/01" for 0005/image-01.jpeg).
         box: the query region (left, top, right, bottom) in pixels, in Oxford5k and Paris6k; else None.
         panorama: True if it shows the full circle with north in the middle column.
+        note: a remark to display beside the name.
+        cut: returns the pixels, (H, W, 3) uint8 RGB; None reads the file.
     """
 
     path: Path
@@ -52,6 +54,16 @@ class Picture:
     name: str
     box: tuple[float, float, float, float] | None = None
     panorama: bool = False
+    note: str = field(default="", compare=False)
+    cut: Callable[[], UInt8Array] | None = field(default=None, compare=False, repr=False)
+
+    def load(self) -> UInt8Array:
+        """Return the picture without regard to its box, (H, W, 3) uint8 RGB; PictureError if it cannot be read."""
+        return load_picture(self.path) if self.cut is None else self.cut()
+
+    def load_cropped(self) -> UInt8Array:
+        """Return the picture within its box, (H, W, 3) uint8 RGB; errors as for `load`."""
+        return crop(self.load(), self.box, self.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +73,12 @@ class Truth:
     Attributes:
         good: the true matches, (M,).
         junk: pictures that are removed from the ranking before it is scored, (J,).
+        known: False if nobody knows the query's place. It is ranked, but counts neither as found nor as missed.
     """
 
     good: Int64Array
     junk: Int64Array
+    known: bool = True
 
 
 @dataclass(frozen=True)

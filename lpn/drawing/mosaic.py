@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from lpn.analysis.gallery_geometry import GalleryGeometry
-from lpn.core import images
 from lpn.core.arrays import UInt8Array
+from lpn.datasets import Picture
 from lpn.drawing import overlays, theme
+from lpn.maps import Map, Window
 
 # Pixels of the mosaic's longer side.
 LARGEST = 1536
@@ -19,8 +19,8 @@ MOST_TILES = 2000
 _EARTH: theme.Colour = (38, 40, 42)
 
 
-def draw(geometry: GalleryGeometry, files: Sequence[Path]) -> UInt8Array:
-    """Draw the tiles' picture files on a map, north up: (H, W, 3) uint8, at most LARGEST pixels a side.
+def draw(geometry: GalleryGeometry, gallery: Sequence[Picture]) -> UInt8Array:
+    """Draw the tiles' pictures on a map, north up: (H, W, 3) uint8, at most LARGEST pixels a side.
 
     Only the first of several tiles at the same position is drawn. No tile is rotated.
     """
@@ -31,10 +31,20 @@ def draw(geometry: GalleryGeometry, files: Sequence[Path]) -> UInt8Array:
     side = max(round(geometry.width * scale), 1)
     places = geometry.places
     for index in places[:: max(1, len(places) // MOST_TILES)]:
-        tile = overlays.square(images.load_picture(files[index]), side)
+        tile = overlays.square(gallery[index].load(), side)
         x, y = geometry.ground[index]
         _paste(canvas, tile, round((x - west) * scale - side / 2), round((north - y) * scale - side / 2))
     return canvas
+
+
+def draw_map(geometry: GalleryGeometry, town: Map) -> UInt8Array:
+    """Draw the ground of a geometry from the map whose windows are its tiles: as `draw`; black where the map has no data."""
+    west, south, east, north = geometry.bounds()
+    side = max(east - west, north - south)
+    x, y = town.frame.xy([geometry.origin.latitude], [geometry.origin.longitude])[0]
+    picture, _ = town.read(Window(x + west + side / 2, y + north - side / 2, side), LARGEST)
+    rows, columns = (max(round(length / side * LARGEST), 1) for length in (north - south, east - west))
+    return np.ascontiguousarray(picture[:rows, :columns])
 
 
 def _paste(canvas: UInt8Array, tile: UInt8Array, left: int, top: int) -> None:

@@ -13,9 +13,10 @@ flipped back. If u_i is the tile's part i, scaled to norm one, then
 
     cos_i = sum_x <sum_p a_pi(x) A_i F_p(x), u_i> / |e_i|  +  <c_i, u_i> / |e_i|,
 
-which is a signed map and one constant. The tile's side is analogous. The slopes of a final ReLU or LeakyReLU, and SAFA's cell
-weights, are held fixed at their values for this picture. Evidence accounts for the score as it is. `lpn.explain.occlusion`
-measures how the score changes without a cell.
+which is a signed map and one constant. The tile's side is analogous. The slopes of a final ReLU or LeakyReLU, the length
+of a subtracted mean descriptor (`Model.centring`, which joins c_i), and SAFA's cell weights are held fixed at their values
+for this picture. Evidence accounts for the score as it is. `lpn.explain.occlusion` measures how the score changes without a
+cell.
 """
 
 from __future__ import annotations

@@ -312,16 +312,32 @@ def locate(
         _ranked(found, frames, options.top)
         if options.sequence:
             _sequenced(found, flight, frames, options)
-    audit = None
-    if options.register:
-        _registered(town, flight, frames, options, model, found, on_progress)
-        answers = [located.stages["registration"] for located in frames]
-        places = np.array(
-            [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64
-        ).reshape(-1, 2)
-        audit = audit_tags(flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
-        notes += _turn_notes(frames)
-    return LocatedFlight(flight, town, frames, audit, notes, found)
+    located = LocatedFlight(flight, town, frames, None, notes, found)
+    return registered(located, model, options, on_progress) if options.register else located
+
+
+def registered(
+    located: LocatedFlight,
+    model: Model | None,
+    options: LocateOptions | None = None,
+    on_progress: Progress | None = None,
+) -> LocatedFlight:
+    """Register the frames of a flight whose other stages are done, and audit its tags; `located` is not changed.
+
+    Args:
+        model, options: those that the flight was located with, so that answers of `locate` are found in the cache.
+        on_progress: as for `locate`; an exception that it raises stops the run, and a later one goes on.
+    """
+    options = replace(options or LocateOptions(), register=True)
+    frames = [replace(frame, stages=dict(frame.stages)) for frame in located.frames]
+    _registered(located.town, located.flight, frames, options, model, located.retrieval, on_progress)
+    answers = [frame.stages["registration"] for frame in frames]
+    places = np.array(
+        [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64
+    ).reshape(-1, 2)
+    tags = np.array([(np.nan, np.nan) if frame.tag is None else frame.tag for frame in frames])
+    audit = audit_tags(located.flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
+    return replace(located, frames=frames, audit=audit, notes=[*located.notes, *_turn_notes(frames)])
 
 
 def _tags(town: Map, flight: Flight) -> tuple[Float64Array, list[str]]:

@@ -75,6 +75,9 @@ class MapRetrieval:
         frames_described: of each frame, (headings, n, D) float32; None if it cannot be read.
         headings: degrees at which each frame was described.
         levels: the size of windows that each frame was cut for; NaN if all sizes are compared.
+        shares: of its width that each frame's square shows, see `cut_square`, (N,).
+        pixels: side of the pictures that were described.
+        means: the mean descriptor that was subtracted from each view's, (n, D); empty if they were not centred.
         broken: the error of each frame that cannot be read.
         notes: sentences about how they were described.
     """
@@ -86,12 +89,20 @@ class MapRetrieval:
     frames_described: list[Float32Array | None]
     headings: list[list[float]]
     levels: Float64Array
+    shares: Float64Array
+    pixels: int
+    means: dict[View, Float32Array]
     broken: dict[int, str]
     notes: list[str] = field(default_factory=list)
 
     def scores(self, frame: int) -> Float64Array:
         """Return the score of each window, (W,), the best heading counting; windows of other sizes get the lowest score."""
         return self._scored(frame)[0]
+
+    def best_turn(self, frame: int) -> int:
+        """Return the position among its headings at which a frame's best window has its score."""
+        values, turns = self._scored(frame)
+        return int(turns[values.argmax()])
 
     def _scored(self, frame: int) -> tuple[Float64Array, Int64Array]:
         described = self.frames_described[frame]
@@ -206,6 +217,7 @@ def retrieve(
         return model.prepare(town.read(window, side)[0], "satellite")
 
     levels = np.full(len(flight.frames), np.nan)
+    shares = np.zeros(len(flight.frames))
     jobs: list[tuple[int, float, float]] = []
     headings: list[list[float]] = []
     for i, frame in enumerate(flight.frames):
@@ -214,6 +226,7 @@ def retrieve(
         if cut is not None:
             levels[i] = min(chosen, key=lambda size: abs(np.log(size / cut)))
             share *= levels[i] / cut
+        shares[i] = share
         start, turns = frame.heading or 0.0, 1 if heading_is_certain(frame) else _TURNS
         headings.append([(start + 360 / _TURNS * k) % 360 for k in range(turns)])
         jobs += [(i, heading, share) for heading in headings[-1]]
@@ -229,11 +242,14 @@ def retrieve(
     bad = {jobs[j][0]: reason for j, reason in broken.items()}
     good = np.array([job[0] not in bad for job in jobs], bool)
     owner = np.array([job[0] for job in jobs], np.int64)
-    notes = []
+    notes: list[str] = []
+    means: dict[View, Float32Array] = {}
     if centre:
         first = np.unique(owner[good], return_index=True)[1]
         if (distinct := _distinct(queries[good][first])) >= _MIN_DISTINCT:
-            tiles, queries = _centred(tiles, tiles.mean(axis=0)), _centred(queries, queries[good].mean(axis=0))
+            of_tiles, of_queries = tiles.mean(axis=0), queries[good].mean(axis=0)
+            means = {"satellite": of_tiles} | ({} if query == "satellite" else {query: of_queries})
+            tiles, queries = _centred(tiles, of_tiles), _centred(queries, of_queries)
         else:
             notes.append(
                 f"Descriptors were not centred by view: that needs {_MIN_DISTINCT} distinct frames, and the flight has "
@@ -242,7 +258,7 @@ def retrieve(
     found = [None if i in bad else queries[owner == i] for i in range(len(flight.frames))]
     places = np.array([(window.x, window.y) for window in windows])
     window_sizes = np.array([window.size for window in windows])
-    return MapRetrieval(windows, places, window_sizes, tiles, found, headings, levels, bad, notes)
+    return MapRetrieval(windows, places, window_sizes, tiles, found, headings, levels, shares, side, means, bad, notes)
 
 
 def map_identity(town: Map) -> str:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import copy
+import hashlib
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from types import MappingProxyType
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 
@@ -58,6 +62,7 @@ class Model(ABC):
         device: what it computes on, "cpu", "cuda", or "tensorrt".
         parallel: whether several threads can call it in parallel, each on one core.
         batch: the best batch size for `descriptors`.
+        means: the mean descriptor of a view, (n, D), that is subtracted from each of its descriptors; see `centred`.
     """
 
     spec: ModelSpec
@@ -66,6 +71,7 @@ class Model(ABC):
     device: str = "cpu"
     parallel: bool = False
     batch: int = 4
+    means: Mapping[View, Float32Array] = MappingProxyType({})
 
     def describe(self) -> str:
         """Return one line for a header or a log: the architecture, a precision other than float32, and the GPU."""
@@ -141,7 +147,34 @@ class Model(ABC):
         raw = self.part_embeddings(images, view)
         if mirror and self.spec.mirrored:
             raw = raw + self.part_embeddings(np.ascontiguousarray(self._batch(images, view)[..., ::-1]), view)
-        return normalise(raw)
+        return normalise(raw + self.centring(raw, view))
+
+    def centred(self, means: Mapping[View, Float32Array]) -> Self:
+        """Return this model with descriptors from which the mean of their view is subtracted, part by part.
+
+        The parts are scaled to norm 1/sqrt(n) again. The fingerprint changes with the means.
+
+        Args:
+            means: mean descriptors (n, D) by view; a view without one is not centred.
+        """
+        moved = copy.copy(self)
+        moved.means = dict(means)
+        digest = hashlib.sha256(self.fingerprint.encode())
+        for view in sorted(means):
+            digest.update(view.encode() + np.ascontiguousarray(means[view], np.float32).tobytes())
+        moved.fingerprint = digest.hexdigest()
+        return moved
+
+    def centring(self, raw: Float32Array, view: View) -> Float32Array:
+        """Return what is added to raw part embeddings (..., n, D), mirror included, before they are scaled: (..., n, D).
+
+        It is -sqrt(n) |e_i| m_i for an embedding e_i and the view's mean m_i, as q_i = e_i / (sqrt(n) |e_i|); 0 without a mean.
+        """
+        mean = self.means.get(view)
+        if mean is None:
+            return np.zeros((), np.float32)
+        norms = np.linalg.norm(raw, axis=-1, keepdims=True) * np.float32(np.sqrt(raw.shape[-2]))
+        return cast(Float32Array, (-norms * mean).astype(np.float32))
 
     def for_parallel_inference(self) -> Model:
         """Return this model configured for several threads, see `lpn.descriptors.parallel_inference`."""

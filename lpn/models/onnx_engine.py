@@ -114,7 +114,11 @@ class Engine(Model):
 
     def for_parallel_inference(self) -> Model:
         """Return the same model with one thread per forward pass; on a GPU, itself."""
-        return self if self.parallel or self.device != "cpu" else Engine(self._path, threads=1)
+        if self.parallel or self.device != "cpu":
+            return self
+        twin = Engine(self._path, threads=1)
+        twin.means, twin.fingerprint = self.means, self.fingerprint
+        return twin
 
     def calibration_providers(self) -> list[tuple[str, dict[str, str]]]:
         """Return ONNX Runtime's providers with their options for other graphs of this model, as in a quantisation."""

@@ -18,7 +18,6 @@ import numpy as np
 import onnx
 from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
-from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.checksums import SEAL, UNSEALED, with_seal
 from lpn.core.errors import DataError, InputError
@@ -112,7 +111,7 @@ def _pictures(dataset: Dataset, view: View) -> list[Picture]:
 
 def _inputs(engine: Engine, view: View, picture: Picture) -> Float32Array:
     """Return the network input of a picture: (1, 3, H, W), or with its mirror (2, 3, H, W)."""
-    prepared = engine.prepare(images.crop(images.load_picture(picture.path), picture.box, picture.name), view)
+    prepared = engine.prepare(picture.load_cropped(), view)
     batch = [prepared, prepared[..., ::-1]] if engine.spec.mirrored else [prepared]
     return np.stack(batch)
 

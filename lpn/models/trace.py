@@ -19,11 +19,12 @@ class Trace:
     """The intermediate results from which exact evidence is computed.
 
     Attributes:
-        embedding: raw part embeddings, the mirror's added, (n, D).
+        embedding: part embeddings, the mirror's and `centring` added, (n, D).
         features: the feature map of each of P passes, the mirror's flipped back, (P, C, h, w).
         cells: the weight of each cell in each part of each pass, (P, n, M, h, w); M is 1, or SAFA's number of maps.
         heads: the affine heads; None with SAFA, whose parts are the weighted sums.
         slopes: the activation's slope for each number of each pass's embedding, (P, n, D); None without an activation.
+        centring: the term that subtracts the view's mean descriptor, (n, D), see `Model.centring`; part of the constants.
     """
 
     embedding: Float32Array
@@ -31,6 +32,7 @@ class Trace:
     cells: Float32Array
     heads: Heads | None
     slopes: Float32Array | None
+    centring: Float32Array
 
     @classmethod
     def from_pass(cls, model: Model, outputs: ForwardPass, view: View) -> Trace:
@@ -48,7 +50,8 @@ class Trace:
         below = np.float32(SLOPES[model.spec.activation])
         slopes = np.where(outputs.parts > 0, np.float32(1), below) if bent else None
         embedding = cast(Float32Array, outputs.parts.sum(axis=0))
-        return cls(embedding, _upright(outputs.features), _upright(cells), heads, slopes)
+        centring = np.broadcast_to(model.centring(embedding, view), embedding.shape)
+        return cls(embedding + centring, _upright(outputs.features), _upright(cells), heads, slopes, centring)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -60,14 +63,14 @@ class Trace:
         passes, channels = self.features.shape[:2]
         parts, maps = self.cells.shape[1:3]
         direction = direction.astype(np.float32)
-        constants = np.zeros(parts)
+        constants = np.einsum("nd,nd->n", direction, self.centring, dtype=np.float64)
         if self.heads is None:
             pulled = np.broadcast_to(direction.reshape(1, parts * maps, channels), (passes, parts * maps, channels))
         else:
             turned = np.broadcast_to(direction, (passes, *direction.shape))
             turned = turned if self.slopes is None else turned * self.slopes
             pulled = np.matmul(turned.transpose(1, 0, 2), self.heads.weight).transpose(1, 0, 2)
-            constants = np.einsum("pnd,nd->n", turned, self.heads.bias, dtype=np.float64)
+            constants = constants + np.einsum("pnd,nd->n", turned, self.heads.bias, dtype=np.float64)
         responses = np.matmul(pulled, self.features.reshape(passes, channels, -1))
         shares = responses.reshape(self.cells.shape) * self.cells
         return shares.sum(axis=(0, 2), dtype=np.float64), constants

@@ -145,7 +145,7 @@ class Cases:
         errors_m = analysis.errors_m
         case = Case(
             name=analysis.name,
-            known=index is not None,
+            known=ranking.relevant is not None,
             facts=self._facts(index),
             picture=self._partitioned(analysis.query.picture, 0),
             ranking=ranking,

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from datetime import datetime
 
 import lpn
-from lpn.analysis.analyser import OwnPicture, load_cropped
+from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.task import Task
-from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.report._rendering import render, style_sheet, thumbnail
 from lpn.report.cases import Case, Cases, Options
@@ -129,7 +128,7 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
 
 
 def _line(case: Case, task: Task, query: int | OwnPicture) -> _ContentsLine:
-    picture = query.picture if isinstance(query, OwnPicture) else load_cropped(task.queries[query])
+    picture = query.picture if isinstance(query, OwnPicture) else task.queries[query].load_cropped()
     first, truth = case.matches[0], case.positive
     tiles = [first] if truth is None or truth.rank == 1 else [first, truth]
     return _ContentsLine(
@@ -138,7 +137,7 @@ def _line(case: Case, task: Task, query: int | OwnPicture) -> _ContentsLine:
         case.name,
         summary(case, task)[0],
         [
-            _ContentsTile(match.true, thumbnail(images.load_picture(entry.path)), entry.name)
+            _ContentsTile(match.true, thumbnail(entry.load()), entry.name)
             for match, entry in ((match, task.gallery[match.index]) for match in tiles)
         ],
         None if truth is None else truth.rank,

@@ -100,7 +100,7 @@ def _matches(case: Case, task: Task) -> list[tuple[Match, str, Markup, bool]]:
     return [
         (
             match,
-            thumbnail(images.load_picture(task.gallery[match.index].path)),
+            thumbnail(task.gallery[match.index].load()),
             charts.share_bar(match.shares, full, task.part_names),
             match.rank > above + 1,
         )

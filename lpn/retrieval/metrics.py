@@ -5,6 +5,7 @@ Labels (University-1652, CVUSA) or lists (Oxford5k, Paris6k) give a query's true
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import AnyArray, Float64Array, Int64Array
+from lpn.core.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.models.base import as_array
@@ -20,7 +21,7 @@ from lpn.retrieval import ranks
 from lpn.retrieval.inner_products import Scores, norms
 from lpn.retrieval.ranks import JUNK, GroundTruth, Ranked
 
-__all__ = ["JUNK", "Retrieval", "check_truth", "checked_labels", "evaluate", "flat_sides", "retrieve"]
+__all__ = ["JUNK", "Retrieval", "check_truth", "checked_labels", "evaluate", "flat_sides", "known_queries", "retrieve"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,20 +38,25 @@ class Retrieval(Ranked):
         """Gallery position of each query's nearest picture that is not junk, on ties the first; -1 if all are junk, (Q,)."""
         return np.where(self.first == 0, self.true, self.false)
 
-    def metrics(self) -> dict[str, float]:
-        """Return the values that `evaluate` returns."""
+    def metrics(self, known: BoolArray | None = None) -> dict[str, float]:
+        """Return the values that `evaluate` returns; they count the queries that are `known`, (Q,), or all."""
+        if known is not None and not known.all():
+            kept = self.first[known], self.true[known], self.false[known], self.precision[known]
+            return Retrieval(*kept, self.gallery).metrics()
         return {
             "recall@1": self.recall(1),
             "recall@5": self.recall(5),
             "recall@10": self.recall(10),
             "recall@1%": self.recall(round(0.01 * self.gallery) + 1),
-            "ap": 100.0 * float(np.mean(self.precision)),
+            "ap": 100.0 * float(np.mean(self.precision)) if len(self.first) else math.nan,
             "queries": len(self.first),
             "gallery": self.gallery,
         }
 
     def recall(self, within: int) -> float:
-        """Percentage of queries whose first true match is among the nearest `within`."""
+        """Percentage of queries whose first true match is among the nearest `within`; NaN without queries."""
+        if not len(self.first):
+            return math.nan
         return 100.0 * int(np.count_nonzero((self.first >= 0) & (self.first < within))) / len(self.first)
 
 
@@ -63,8 +69,9 @@ def evaluate(
 ) -> dict[str, float]:
     """Score a retrieval.
 
-    A query without a true match counts as missed. AP is the trapezoid rule over the precision-recall points, as in the Oxford
-    protocol. Recall@Top1% is Recall@K with K = round(0.01 G) + 1, where G includes junk.
+    A query without a true match counts as missed, and one whose truth is not known does not count. AP is the trapezoid rule over
+    the precision-recall points, as in the Oxford protocol. Recall@Top1% is Recall@K with K = round(0.01 G) + 1, where G includes
+    junk.
 
     Args:
         query, gallery: descriptors, (Q, n, D) or (Q, F) and (G, n, D) or (G, F), compared by inner product.
@@ -77,7 +84,12 @@ def evaluate(
     Raises:
         InputError: when shapes do not fit, a value is not finite, a side is empty, or a list names an unknown tile.
     """
-    return retrieve(query, query_labels, gallery, gallery_labels, truth).metrics()
+    return retrieve(query, query_labels, gallery, gallery_labels, truth).metrics(known_queries(truth))
+
+
+def known_queries(truth: Sequence[Truth] | None) -> BoolArray | None:
+    """Return the queries whose truth is known, (Q,); None for all."""
+    return None if truth is None else np.array([lists.known for lists in truth], bool)
 
 
 def retrieve(

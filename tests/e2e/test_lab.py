@@ -16,6 +16,7 @@ import lpn
 from lpn import datasets, descriptors
 from lpn.analysis import breakdown, query_outcomes
 from lpn.analysis.query_outcomes import Outcomes
+from lpn.analysis.task import gallery_geometry
 from lpn.core.tables import Table
 from tests.e2e.conftest import ExplorerPage, RunningApp, started
 from tools.fixtures import small_worlds
@@ -54,7 +55,9 @@ def truth(lab_app: RunningApp) -> tuple[Outcomes, Table]:
     ]
     outcomes = query_outcomes.build(*described, query_outcomes.labels_of(queries), query_outcomes.labels_of(gallery))
     names = model.spec.partition("drone").names()
-    return outcomes, query_outcomes.table(dataset.root, queries, gallery, outcomes, names)
+    return outcomes, query_outcomes.table(
+        dataset.root, queries, gallery, outcomes, names, gallery_geometry(dataset.root, queries, gallery)
+    )
 
 
 class LabPage(ExplorerPage):

@@ -75,6 +75,9 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> LocatedFlight:
         [np.zeros((1, 2, 4), np.float32)] * 3,
         [[0.0]] * 3,
         np.full(3, 60.0),
+        np.ones(3),
+        32,
+        {},
         {},
     )
     audit = TagAudit(2, 22.0, 45.0)

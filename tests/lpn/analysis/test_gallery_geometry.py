@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lpn.analysis.gallery_geometry import GalleryGeometry
-from lpn.datasets import geo, open_dataset
+from lpn.datasets import Picture, geo, open_dataset
 from lpn.datasets.geo import Position, Positions
 from lpn.drawing import mosaic
 from tools.fixtures import small_worlds
@@ -45,7 +45,7 @@ def test_the_picture_of_all_tiles_shows_each_at_its_place(tmp_path: Path) -> Non
     files = []
     for i, colour in enumerate(colours):
         small_worlds.write(tmp_path / f"{i}.png", np.full((40, 40, 3), colour, np.uint8))
-        files.append(tmp_path / f"{i}.png")
+        files.append(Picture(tmp_path / f"{i}.png", i, str(i)))
     tiles = [Position(0.0, 0.0, width=100), Position(0.003, 0.0, width=100), Position(0.0, 0.003, width=100)]
     laid = GalleryGeometry.of(tiles, tiles)
     picture = mosaic.draw(laid, files)
@@ -72,6 +72,6 @@ def test_several_pictures_of_a_place_are_no_neighbours(tmp_path: Path) -> None:
     files = [tmp_path / f"{index}.png" for index in range(len(tiles))]
     for index, file in enumerate(files):
         small_worlds.write(file, np.full((8, 8, 3), 100 + 20 * index, np.uint8))
-    picture = mosaic.draw(laid, files)
+    picture = mosaic.draw(laid, [Picture(file, 0, file.name) for file in files])
     middle = picture[picture.shape[0] // 2, :, 0]
     assert [int(middle[round(part * len(middle))]) for part in (1 / 6, 3 / 6, 5 / 6)] == [100, 140, 180]

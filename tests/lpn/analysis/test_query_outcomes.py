@@ -12,6 +12,7 @@ import lpn
 from lpn import retrieval
 from lpn.analysis import breakdown, notes
 from lpn.analysis.query_outcomes import OUTCOME_COLUMNS, Outcomes, build, labels_of, picture_columns, table
+from lpn.analysis.task import gallery_geometry
 from lpn.cli import main
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, InputError
@@ -188,7 +189,9 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_table_has_a_row_for_each_query_and_a_column_for_all_that_is_known(known: Path, model_file: Path) -> None:
     queries, gallery, outcomes = described(known, model_file)
-    made = table(known, queries, gallery, outcomes, ["1 centre", "2", "3", "4 outer"])
+    made = table(
+        known, queries, gallery, outcomes, ["1 centre", "2", "3", "4 outer"], gallery_geometry(known, queries, gallery)
+    )
     assert list(made.columns)[:8] == list(OUTCOME_COLUMNS)
     of_pictures = [column.name for column in picture_columns(made)]
     assert of_pictures == [
@@ -257,7 +260,8 @@ def outcomes_of(rank: list[int], first: list[int], decides: list[int]) -> Outcom
     """Outcomes of which nothing else matters."""
     count = len(rank)
     columns = [np.array(values, np.int64) for values in (rank, first, [0] * count, [0] * count)]
-    return Outcomes(*columns, np.zeros((count, 3)), np.zeros(count), np.array(decides), np.ones(3) / 3)  # type: ignore[arg-type]
+    numbers = np.zeros((count, 3)), np.zeros(count), np.array(decides), np.ones(3) / 3
+    return Outcomes(*columns, *numbers, np.ones(count, bool))  # type: ignore[arg-type]
 
 
 def test_confusions_and_blame_count_failures() -> None:

@@ -294,6 +294,9 @@ def _ranked(flight: Flight, scores: np.ndarray, broken: dict[int, str]) -> list[
         described,
         [[0.0]] * len(scores),
         np.full(len(scores), np.nan),
+        np.ones(len(scores)),
+        32,
+        {},
         broken,
         [],
     )

@@ -1,0 +1,207 @@
+"""A flight over a map as a task: frames are the queries, windows of the map are the gallery.
+
+Everything that shows a task shows a flight then: rankings, contributions, evidence, outcomes, reports. No picture is described
+again, and a window is cut from the map when its picture is needed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lpn.analysis.gallery_geometry import GalleryGeometry
+from lpn.analysis.task import Task
+from lpn.core import images
+from lpn.core.arrays import Float32Array, Int64Array, UInt8Array
+from lpn.core.errors import InputError
+from lpn.core.files import printable
+from lpn.core.tables import Column, number_column, text_column
+from lpn.datasets import Picture, Truth
+from lpn.datasets.geo import Position
+from lpn.flights import Frame
+from lpn.locate.pipeline import LocatedFlight, LocatedFrame
+from lpn.locate.retrieval import MapRetrieval, cut_square, heading_is_certain
+from lpn.maps import Map, Window
+from lpn.models.base import Model
+
+TASK = "drone-to-satellite"
+
+
+@dataclass(frozen=True)
+class _WindowCut:
+    """Cuts a window's picture from the map, as the retrieval does."""
+
+    town: Map
+    window: Window
+    pixels: int
+
+    def __call__(self) -> UInt8Array:
+        return self.town.read(self.window, self.pixels)[0]
+
+
+@dataclass(frozen=True)
+class _FrameCut:
+    """Turns a frame north-up and cuts its square, as the retrieval does."""
+
+    frame: Frame
+    heading: float
+    share: float
+    pixels: int
+
+    def __call__(self) -> UInt8Array:
+        return cut_square(images.load_picture(self.frame.file), self.heading, self.share, self.pixels)
+
+
+def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> Task:
+    """Return the task of a located flight; query i is frame i, and gallery picture j is window j of the retrieval.
+
+    Scores are those of the retrieval. Where it centred the descriptors, the task's model centres them too
+    (`Model.centred`). Where a frame was described at several headings, the query is the frame at the heading of its best
+    window; its ranking below that window is the one at this heading.
+
+    The true tiles of a frame are the windows that hold its tag, among those of its own size where its width on the ground is
+    known; windows of other sizes are junk then, as the retrieval does not rank them either. The truth of a frame without a
+    tag, or that cannot be read, is not known.
+
+    Args:
+        model_name: the model's name to display.
+        root: the flight's folder, which holds a person's notes.
+
+    Raises:
+        InputError: if the flight was located without a model, or the model lacks a view.
+    """
+    found = located.retrieval
+    if found is None:
+        raise InputError("The flight was located without a model, so there is no ranking to explore; give a model.")
+    for view in ("satellite", "drone"):
+        model.check_view(view)
+    turns = [0 if i in found.broken else found.best_turn(i) for i in range(len(located.frames))]
+    truth, geometry = _truth(located, found), _geometry(located, found)
+    queries = _descriptors(found, turns)
+    digest = hashlib.sha256(queries.tobytes() + np.ascontiguousarray(found.windows_described).tobytes()).hexdigest()
+    return Task(
+        name=TASK,
+        model=model.centred(found.means) if found.means else model,
+        model_name=printable(model_name),
+        data_name=printable(f"{located.flight.name} over {located.town.name}"),
+        root=root,
+        spec=model.spec,
+        map_sizes={view: model.map_size(view) for view in model.views},
+        queries=[
+            _query(found, i, located.frames[i].frame, found.headings[i][turn], root) for i, turn in enumerate(turns)
+        ],
+        gallery=_gallery(located.town, found, root),
+        query_labels=np.arange(len(turns), dtype=np.int64),
+        gallery_labels=np.arange(len(turns), len(turns) + len(found.windows), dtype=np.int64),
+        query_descriptors=queries,
+        gallery_descriptors=found.windows_described,
+        truth=truth,
+        geometry=geometry,
+        identity=digest,
+        columns=_columns(located, found, turns),
+    )
+
+
+def _query(found: MapRetrieval, i: int, frame: Frame, heading: float, root: Path) -> Picture:
+    file = frame.file if frame.file.is_relative_to(root) else root / frame.name
+    tried = len(found.headings[i])
+    note = f"turned to {heading:.0f}°, the best of {tried} headings" if tried > 1 else ""
+    cut = _FrameCut(frame, heading, float(found.shares[i]), found.pixels)
+    return Picture(file, i, frame.name, note=note, cut=cut)
+
+
+def _gallery(town: Map, found: MapRetrieval, root: Path) -> list[Picture]:
+    """Return windows as pictures, named by metres east and north of the map's origin and by their side."""
+    first = len(found.headings)
+    return [
+        Picture(
+            root / "windows" / str(j),
+            first + j,
+            f"{window.x:+.0f} {window.y:+.0f}, {window.size:.0f} m",
+            cut=_WindowCut(town, window, found.pixels),
+        )
+        for j, window in enumerate(found.windows)
+    ]
+
+
+def _descriptors(found: MapRetrieval, turns: list[int]) -> Float32Array:
+    """Return the descriptor of each frame at its turn, (Q, n, D); 0 for a frame that cannot be read."""
+    descriptors = np.zeros((len(turns), *found.windows_described.shape[1:]), np.float32)
+    for i, turn in enumerate(turns):
+        if (described := found.frames_described[i]) is not None:
+            descriptors[i] = described[turn]
+    return descriptors
+
+
+def _truth(located: LocatedFlight, found: MapRetrieval) -> list[Truth]:
+    none = np.zeros(0, np.int64)
+    others: dict[float, Int64Array] = {}
+    truth = []
+    for i, frame in enumerate(located.frames):
+        level = float(found.levels[i])
+        if math.isnan(level):
+            eligible, junk = np.ones(len(found.windows), bool), none
+        else:
+            eligible = found.sizes == level
+            junk = others.setdefault(level, np.flatnonzero(~eligible))
+        if frame.tag is None or i in found.broken:
+            truth.append(Truth(none, junk, known=False))
+            continue
+        holds = np.all(np.abs(found.places - frame.tag) <= found.sizes[:, None] / 2, axis=1)
+        truth.append(Truth(np.flatnonzero(eligible & holds), junk))
+    return truth
+
+
+def _geometry(located: LocatedFlight, found: MapRetrieval) -> GalleryGeometry:
+    degrees = located.town.frame.degrees
+    tiles = [
+        Position(float(latitude), float(longitude), width=float(size))
+        for (latitude, longitude), size in zip(degrees(found.places), found.sizes, strict=True)
+    ]
+    middle = (found.places.min(axis=0) + found.places.max(axis=0)) / 2
+    latitude, longitude = (float(value) for value in degrees([middle])[0])
+    positions = [
+        _position(located, frame, float(level)) for frame, level in zip(located.frames, found.levels, strict=True)
+    ]
+    width = float(np.median(found.sizes))
+    return GalleryGeometry(positions, tiles, Position(latitude, longitude), found.places - middle, width)
+
+
+def _position(located: LocatedFlight, frame: LocatedFrame, level: float) -> Position | None:
+    """Return the camera's position; its picture is north-up, and as wide as the windows that it is compared with."""
+    if frame.tag is None:
+        return None
+    latitude, longitude = (float(value) for value in located.town.frame.degrees([frame.tag])[0])
+    height = frame.frame.flying_height
+    if height is None or height <= 0 or math.isnan(level):
+        return Position(latitude, longitude)
+    fov = 2 * math.degrees(math.atan(level / 2 / height))
+    return Position(latitude, longitude, altitude=height, heading=0.0, fov=fov, width=level)
+
+
+def _columns(located: LocatedFlight, found: MapRetrieval, turns: list[int]) -> list[Column]:
+    """Return what is known of each frame, for the table of outcomes."""
+    frames = [one.frame for one in located.frames]
+    times = located.flight.times
+    columns = [
+        number_column("seconds", times - np.nanmin(times) if np.isfinite(times).any() else times, "s"),
+        _numbers("altitude", [frame.flying_height for frame in frames], "m"),
+        number_column("heading", [found.headings[i][turn] for i, turn in enumerate(turns)], "°"),
+        _numbers("pitch", [frame.pitch for frame in frames], "°"),
+        _numbers("roll", [frame.roll for frame in frames], "°"),
+    ]
+    sources = [
+        str(frame.heading_source) if heading_is_certain(frame) else f"best of {len(found.headings[i])}"
+        for i, frame in enumerate(frames)
+    ]
+    columns.append(text_column("heading from", sources))
+    return [column for column in columns if column.known.any()]
+
+
+def _numbers(name: str, values: Sequence[float | None], unit: str) -> Column:
+    return number_column(name, [math.nan if value is None else value for value in values], unit)

@@ -1,0 +1,148 @@
+"""A flight as a task: the same answers as the retrieval, exact evidence, truth, and pictures cut when they are needed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import lpn
+from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
+from lpn.analysis.task import Task
+from lpn.flights import Flight, Frame
+from lpn.locate import retrieval
+from lpn.locate.pipeline import LocatedFlight, LocateOptions, locate
+from lpn.locate.task import flight_task
+from lpn.maps import Map
+from lpn.models.base import Model
+from tests.lpn.locate.scenery import ground_to_photo, land, photo_of
+from tests.lpn.locate.test_retrieval import _write_map
+
+SIZE = (96, 96)
+WIDTH = 60.0
+PLACES = [(x, y) for x in (-60.0, -20.0, 20.0, 60.0) for y in (-60.0, -30.0, 0.0, 30.0, 60.0)]
+
+
+@pytest.fixture(scope="module")
+def model(model_file: Path) -> Model:
+    return lpn.load(model_file)
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Map:
+    picture = cv2.resize(land(), (400, 400), interpolation=cv2.INTER_AREA)
+    return _write_map(tmp_path_factory.mktemp("map") / "town.tif", picture)
+
+
+@pytest.fixture(scope="module")
+def flight(town: Map, tmp_path_factory: pytest.TempPathFactory) -> Flight:
+    """Photos turned by 40 degrees; the first has no position, the second no certain heading, the third is no picture."""
+    folder = tmp_path_factory.mktemp("monday")
+    frames = []
+    degrees = town.frame.degrees(PLACES)
+    for i, place in enumerate(PLACES):
+        file = folder / f"{i:02d}.png"
+        cv2.imwrite(str(file), photo_of(land(), ground_to_photo(place, 40.0, WIDTH, SIZE), SIZE)[..., ::-1])
+        latitude, longitude = degrees[i].tolist()
+        known = {"heading": 40.0, "heading_source": "gimbal", "fov": 90.0}
+        frames.append(Frame(file.name, file, *SIZE, 2.0 * i, latitude, longitude, WIDTH / 2, **known))  # type: ignore[arg-type]
+    frames[0] = replace(frames[0], latitude=None, longitude=None)
+    frames[1] = replace(frames[1], heading_source="course")
+    (folder / "02.png").write_bytes(b"no picture")
+    frames.append(replace(frames[3], name="high.png", height_above_ground=WIDTH * 0.7))
+    return Flight("monday", tuple(frames))
+
+
+@pytest.fixture(scope="module")
+def located(town: Map, flight: Flight, model: Model) -> LocatedFlight:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(retrieval, "_MIN_DISTINCT", 2)  # what an untrained network describes is much alike
+        return locate(town, flight, model, LocateOptions(register=False, overlap=0.5, sizes=(51.0, 71.0)))
+
+
+@pytest.fixture(scope="module")
+def task(located: LocatedFlight, model: Model) -> Task:
+    return flight_task(model, "a.onnx", located, located.flight.frames[0].file.parent)
+
+
+def _analyser(task: Task) -> QueryAnalyser:
+    return QueryAnalyser(task.model, lambda of, index: describe_tile(of, index, of.model))
+
+
+@pytest.mark.parametrize("query", [1, 5])
+def test_rankings_and_contributions_are_those_of_the_retrieval(task: Task, located: LocatedFlight, query: int) -> None:
+    assert located.retrieval is not None
+    assert set(located.retrieval.means) == {"satellite", "drone"}  # so the descriptors are centred
+    analysis = _analyser(task).analyse(task, QueryRequest(query, evidence=True), 5)
+    top = located.retrieval.top(query, 5)
+    count = 1 if task.queries[query].note else 5  # below the best window, other headings may have won
+    for i in range(count):
+        assert analysis.matches[i].index == top.indices[i]
+        assert analysis.matches[i].score == pytest.approx(top.scores[i], abs=1e-5)
+        np.testing.assert_allclose(analysis.matches[i].shares, top.shares[i], atol=1e-5)
+    assert bool(task.queries[query].note) == (query == 1)
+
+
+def test_evidence_of_centred_descriptors_adds_up(task: Task) -> None:
+    analysis = _analyser(task).analyse(task, QueryRequest(5, evidence=True), 3)
+    np.testing.assert_allclose(analysis.query.descriptor, task.query_descriptors[5], atol=1e-5)
+    np.testing.assert_allclose(analysis.tile.descriptor, task.gallery_descriptors[analysis.chosen.index], atol=1e-5)
+    assert analysis.pair_evidence is not None
+    evidence = analysis.pair_evidence.evidence
+    assert evidence.score == pytest.approx(analysis.chosen.score, abs=1e-5)
+    for side in (evidence.query, evidence.tile):
+        np.testing.assert_allclose(side.cells.sum(axis=(1, 2)) + side.constants, evidence.cosines, atol=1e-5)
+
+
+def test_true_tiles_hold_the_tag_and_have_the_frame_s_own_size(task: Task, located: LocatedFlight) -> None:
+    found = located.retrieval
+    assert found is not None
+    assert task.truth is not None
+    assert len(set(found.sizes)) > 1
+    for i in (5, len(PLACES)):
+        tag, truth = located.frames[i].tag, task.truth[i]
+        assert tag is not None
+        own = found.sizes == found.levels[i]
+        holds = np.abs(found.places - tag).max(axis=1) <= found.sizes / 2
+        assert len(truth.good)
+        assert set(truth.good) == set(np.flatnonzero(own & holds))
+        assert set(truth.junk) == set(np.flatnonzero(~own))
+        ranking = _analyser(task).analyse(task, QueryRequest(i), 3).ranking
+        assert set(ranking.order) == set(np.flatnonzero(own))
+
+
+def test_frames_without_a_position_or_that_cannot_be_read_are_no_failures(task: Task) -> None:
+    assert task.known is not None
+    assert np.flatnonzero(~task.known).tolist() == [0, 2]
+    assert not task.outcomes.failed[[0, 2]].any()
+    assert task.metrics["queries"] == len(task.queries) - 2
+    analysis = _analyser(task).analyse(task, QueryRequest(0), 3)
+    assert analysis.matches[0].true is None
+    assert analysis.positive is None
+    assert analysis.errors_m is None
+
+
+def test_errors_are_metres_from_the_tag(task: Task, located: LocatedFlight) -> None:
+    analysis = _analyser(task).analyse(task, QueryRequest(5), 3)
+    assert analysis.errors_m is not None
+    assert analysis.errors_m[analysis.matches[0].index] == pytest.approx(located.frames[5].error("retrieval"), abs=0.5)
+    distance = task.table.columns["distance"]
+    assert np.flatnonzero(~distance.known).tolist() == [0]
+    assert distance.values[5] == pytest.approx(located.frames[5].error("retrieval"), abs=0.5)
+
+
+def test_no_window_is_cut_before_it_is_shown(
+    located: LocatedFlight, model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cuts = []
+    read = Map.read
+    monkeypatch.setattr(Map, "read", lambda town, window, pixels: cuts.append(window) or read(town, window, pixels))
+    task = flight_task(model, "a.onnx", located, located.flight.frames[0].file.parent)
+    assert task.outcomes.rank.shape == (len(task.queries),)
+    assert not cuts
+    assert task.gallery[7].load().shape == (*model.input_size, 3)
+    assert located.retrieval is not None
+    assert cuts == [located.retrieval.windows[7]]
