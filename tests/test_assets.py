@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 from collections import Counter
+from dataclasses import replace
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -22,14 +25,23 @@ from lpn.datasets import open_dataset
 from lpn.datasets.city_model import city_model
 from lpn.datasets.geo import Positions, on_plane
 from lpn.doctor import environment_check
+from lpn.flights.sources import make_flight
 from lpn.models.checkpoints import save
-from tools.fixtures import seeded, small_worlds
+from lpn.world.flight import FlightSettings, build_flight
+from tools.fixtures import painting, seeded, small_worlds
 
-_spec = spec_from_file_location("pack", DEMO.parent / "pack.py")
-assert _spec is not None
-assert _spec.loader is not None
-pack = module_from_spec(_spec)
-_spec.loader.exec_module(pack)
+
+def _program(name: str) -> ModuleType:
+    """Import a program of the folder `assets`."""
+    spec = spec_from_file_location(name, DEMO.parent / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+pack, pack_flight = _program("pack"), _program("pack_flight")
 
 
 MODELS = [DEMO / "lpn.onnx", DEMO_BASELINE]
@@ -135,3 +147,27 @@ def test_every_picture_of_the_demo_has_its_position() -> None:
         assert where.of(queries) == where.of(gallery)
         assert len(queries) > 0
     assert sum(file.stat().st_size for file in DEMO.parent.rglob("*") if file.is_file()) < 45e6
+
+
+def test_a_packed_flight_keeps_its_metadata_and_its_map_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    monkeypatch.setitem(sys.modules, "lpn.world.render", painting)
+    made, packed = tmp_path / "made", tmp_path / "packed"
+    build_flight(FlightSettings(seed=1, buildings=2, frames=9, width=64, samples=1, map_pixel=2.0), made)
+    monkeypatch.setattr(pack_flight, "COUNT", 5)
+    monkeypatch.setattr(sys, "argv", ["pack_flight.py", str(made), str(packed)])
+    pack_flight.main()
+    before = {frame.name: frame for frame in make_flight([made / "photos", made / "truth.csv"], tmp_path / "a").frames}
+    after = make_flight([packed / "photos", packed / "truth.csv"], tmp_path / "b").frames
+    assert [frame.name for frame in after] == [f"LPN_{number:04d}.webp" for number in (1, 3, 5, 7, 9)]
+    for frame in after:
+        original = before[frame.file.with_suffix(".JPG").name]
+        assert replace(frame, name=original.name, file=original.file) == original
+    with rasterio.open(made / "map/map.tif") as large, rasterio.open(packed / "map.tif") as small:
+        assert (large.crs, large.transform, large.shape) == (small.crs, small.transform, small.shape)
+    (made / "unfinished.txt").touch()
+    monkeypatch.setattr(sys, "argv", ["pack_flight.py", str(made), str(tmp_path / "other")])
+    with pytest.raises(SystemExit, match="is not rendered to its end"):
+        pack_flight.main()

@@ -208,21 +208,36 @@ class MapGrid:
 
     def geotiff(self, shown: NDArray[np.uint8]) -> bytes:
         """Encode the map (n, n, 3) as a tiled GeoTIFF with overviews, JPEG-compressed."""
-        import rasterio
         from rasterio import Affine
-        from rasterio.enums import Resampling
-        from rasterio.io import MemoryFile
 
-        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True, JPEG_QUALITY_OVERVIEW=_MAP_QUALITY), MemoryFile() as file:
-            with file.open(
-                driver="GTiff", width=self.pixels, height=self.pixels, count=3, dtype="uint8", crs=self.crs,
-                transform=Affine(self._pixel, 0.0, self.west, 0.0, -self._pixel, self.north),
-                tiled=True, blockxsize=256, blockysize=256, compress="jpeg", photometric="ycbcr",
-                jpeg_quality=_MAP_QUALITY,
-            ) as written:  # fmt: skip
-                written.write(np.moveaxis(shown, 2, 0))
-                written.build_overviews([2, 4, 8], Resampling.average)
-            return bytes(file.read())
+        return _geotiff(
+            shown, self.crs, Affine(self._pixel, 0.0, self.west, 0.0, -self._pixel, self.north), _MAP_QUALITY
+        )
+
+
+def compressed_map(file: Path, quality: int) -> bytes:
+    """Return a map's GeoTIFF with another quality of JPEG, 1 to 100."""
+    import rasterio
+
+    with rasterio.open(file) as opened:
+        return _geotiff(np.moveaxis(opened.read(), 0, 2), opened.crs, opened.transform, quality)
+
+
+def _geotiff(shown: NDArray[np.uint8], crs: Any, transform: Any, quality: int) -> bytes:
+    """Encode a picture (h, w, 3) as a tiled GeoTIFF with overviews."""
+    import rasterio
+    from rasterio.enums import Resampling
+    from rasterio.io import MemoryFile
+
+    height, width = shown.shape[:2]
+    with rasterio.Env(JPEG_QUALITY_OVERVIEW=quality), MemoryFile() as file:
+        with file.open(
+            driver="GTiff", width=width, height=height, count=3, dtype="uint8", crs=crs, transform=transform,
+            tiled=True, blockxsize=256, blockysize=256, compress="jpeg", photometric="ycbcr", jpeg_quality=quality,
+        ) as written:  # fmt: skip
+            written.write(np.moveaxis(shown, 2, 0))
+            written.build_overviews([2, 4, 8], Resampling.average)
+        return bytes(file.read())
 
 
 def _terms(x: NDArray[np.floating], y: NDArray[np.floating]) -> Float64Array:

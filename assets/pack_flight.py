@@ -1,0 +1,75 @@
+"""Makes `assets/demo-flight` from a rendered flight: `python assets/pack_flight.py FLIGHT OUT`.
+
+FLIGHT is what `lpn world --flight` made. OUT gets `photos`, as many as `COUNT` evenly from the whole flight, as WebP with EXIF
+and XMP unchanged; `map.tif`, the map with stronger compression; and `truth.csv` with the rows of these photos.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from lpn.core.files import write_atomic
+from lpn.datasets.rendered import UNFINISHED
+from lpn.world.flight import MAP, TRUTH
+from lpn.world.flight_files import compressed_map
+
+COUNT = 40
+"""Photos that are packed."""
+
+QUALITY = {"photo": 68, "map": 70}
+"""Of WebP, and of the map's JPEG; leaves and sensor noise cost most, and matching needs them least."""
+
+LARGEST = 3_500_000
+"""Bytes of the whole folder."""
+
+
+def main() -> None:
+    """Choose, shrink, and check the size."""
+    flight, out = (Path(argument) for argument in sys.argv[1:3])
+    if out.exists():
+        sys.exit(f"{out} is there already; delete it or choose another place.")
+    if (flight / UNFINISHED).is_file():
+        sys.exit(f"{flight} is not rendered to its end; lpn world --flight with the same settings goes on.")
+    whole, out = out, out.with_name(out.name + ".part")
+    shutil.rmtree(out, ignore_errors=True)
+    pack(flight, out)
+    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    if size > LARGEST:
+        sys.exit(f"{out} has {size:,} bytes, and it may have {LARGEST:,}; lower COUNT or QUALITY.")
+    out.rename(whole)
+    print(f"{whole} has {size:,} bytes.")
+
+
+def pack(flight: Path, out: Path) -> None:
+    """Write photos, map, and truth."""
+    with (flight / TRUTH).open(newline="") as file:
+        header, *rows = csv.reader(file)
+    chosen = [rows[i] for i in np.linspace(0, len(rows) - 1, min(COUNT, len(rows))).round().astype(int)]
+    for row in chosen:
+        name, row[0] = row[0], Path(row[0]).with_suffix(".webp").name
+        write_atomic(out / "photos" / row[0], as_webp((flight / "photos" / name).read_bytes()))
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([header, *chosen])
+    write_atomic(out / TRUTH, text.getvalue().encode())
+    write_atomic(out / MAP.name, compressed_map(flight / MAP, QUALITY["map"]))
+
+
+def as_webp(data: bytes) -> bytes:
+    """Encode a JPEG as WebP with its EXIF and XMP."""
+    packed = io.BytesIO()
+    with Image.open(io.BytesIO(data)) as picture:
+        picture.save(
+            packed, "WEBP", quality=QUALITY["photo"], method=6, exif=picture.info["exif"], xmp=picture.info["xmp"]
+        )
+    return packed.getvalue()
+
+
+if __name__ == "__main__":
+    main()
