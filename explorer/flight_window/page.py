@@ -117,7 +117,7 @@ def _track(flight: LocatedFlight, name: str) -> dict[str, Any]:
     if name == "tag":
         found["count"] = f"{sum(x is not None for x in found['x'])} of {total}"
     elif 1 in states:
-        found["count"] = "not verified"
+        found["count"] = ""
     else:
         found["count"] = f"{states.count(0)} of {total}"
     return found
@@ -132,9 +132,6 @@ def card(view: FlightView, frame: int, address: str) -> str:
     degrees = None
     if place is not None and place.x is not None and place.y is not None:
         degrees = view.flight.town.frame.degrees([(place.x, place.y)])[0]
-    stages = [
-        (LABELS[name], theme.css(COLOURS[name]), answer, located.error(name)) for name, answer in located.stages.items()
-    ]
     return render(
         "flight/card",
         frame=frame,
@@ -145,10 +142,8 @@ def card(view: FlightView, frame: int, address: str) -> str:
         colour=_verdict_colour(verdict.sign),
         place=place,
         degrees=degrees,
-        ground=ground_window(located),
-        stages=stages,
+        ground=ground_window(located, stage),
         height=located.frame.flying_height,
-        tagged=located.tag is not None,
     )
 
 
@@ -190,9 +185,8 @@ def painting(
         return None
     ranking = analysis.ranking
     values: FloatingArray = ranking.scores if painted == "all" else ranking.cosines[:, painted]
-    if len(values) != len(found.windows):
-        return None
-    drawn = score_map.score_map(found.places, found.sizes, values.astype(np.float64))
+    ranked = ranking.order  # without windows of other sizes, which the retrieval does not rank
+    drawn = score_map.score_map(found.places[ranked], found.sizes[ranked], values[ranked].astype(np.float64))
     cells = overlays.heat_cells(drawn.cells, drawn.low, drawn.high)
     return {
         "picture": overlays.png_data_uri(cells),

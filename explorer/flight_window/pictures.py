@@ -16,6 +16,7 @@ from explorer.server.picture_route import PREFIX, EncodedPicture
 from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import BoolArray, UInt8Array
+from lpn.locate.belief import belief
 from lpn.locate.pipeline import LocatedFrame
 from lpn.maps import Map, Window
 
@@ -103,21 +104,23 @@ def encoded(picture: UInt8Array, valid: BoolArray | None = None) -> EncodedPictu
     return EncodedPicture(data.tobytes(), "image/webp")
 
 
-def ground_window(located: LocatedFrame) -> Window | None:
-    """Return the square of the map that a frame's middle shows, turned like the frame; None without an answer.
+def ground_window(located: LocatedFrame, stage: str | None) -> Window | None:
+    """Return the square of the map that a frame's middle shows by a stage's answer, turned like the frame; None without one.
 
-    It is that of an accepted registration, else that of the best window.
+    For stages other than the registration it is as large as the best window, and turned like it.
     """
-    frame, answer = located.frame, located.stages.get("registration")
-    if answer is not None and answer.accepted and answer.homography is not None and answer.width is not None:
+    frame, answer = located.frame, None if stage is None else located.stages.get(stage)
+    if answer is None or answer.x is None or answer.y is None:
+        return None
+    if stage == "registration" and answer.homography is not None and answer.width is not None:
         matrix = np.array(answer.homography).reshape(3, 3)
         x, y, w = matrix @ ((frame.width - 1) / 2, (frame.height - 1) / 2, 1.0)
         share = min(frame.width, frame.height) / frame.width
         return Window(float(x / w), float(y / w), answer.width * share, answer.heading or 0.0)
-    if located.windows:
-        best = located.windows[0]
-        return Window(best.x, best.y, best.size, best.heading)
-    return None
+    if not located.windows:
+        return None
+    best = located.windows[0]
+    return Window(answer.x, answer.y, best.size, best.heading)
 
 
 def _photo(located: LocatedFrame) -> EncodedPicture:
@@ -133,7 +136,7 @@ def _square_photo(located: LocatedFrame) -> EncodedPicture:
 
 
 def _ground(town: Map, located: LocatedFrame) -> EncodedPicture:
-    window = ground_window(located)
+    window = ground_window(located, belief(located).stage)
     if window is None:
         return encoded(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), bool))
     return encoded(*town.read(window, _PAIR))

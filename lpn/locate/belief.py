@@ -55,7 +55,7 @@ class Disagreement:
     @property
     def sentence(self) -> str:
         """The finding in words."""
-        return f"{self.one.capitalize()} and {self.other} lie {self.metres:.0f} m apart; their radii allow {self.allowed:.0f} m."
+        return f"{self.one.capitalize()} and {self.other} lie {self.metres:.1f} m apart; their radii allow {self.allowed:.1f} m."
 
 
 def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:

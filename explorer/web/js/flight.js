@@ -266,7 +266,7 @@
     // The scale bar has a round length of at most 130 pixels.
     const longest = 130 / view.scale, power = 10 ** Math.floor(Math.log10(longest));
     const metres = [5, 2, 1].map((n) => n * power).find((n) => n <= longest);
-    const left = 12, top = height - 16, right = left + metres * view.scale;
+    const left = 12, top = height - 38, right = left + metres * view.scale;
     pen.beginPath();
     pen.moveTo(left, top - 5);
     pen.lineTo(left, top);
@@ -452,6 +452,7 @@
     if (frame === chosen && !pending) return;
     chosen = frame;
     position = frame;
+    fill(find(".legend"), legend());
     pending = { frame: frame, since: performance.now() };
     lpn.send("flight-frame", frame);
     draw();
@@ -526,13 +527,20 @@
   const fill = (element, html) => {
     if (element && element._html !== html) element.innerHTML = element._html = html;
   };
-  const legend = () =>
-    Object.entries(data.tracks)
-      .map(
-        ([name, track]) =>
-          `<a role="switch" tabindex="0" data-track="${name}" aria-checked="${!hidden.has(name)}"><i style="background:${track.colour}"></i>${track.label} <span class="dim num">${track.count}</span></a>`,
-      )
-      .join("") + '<span class="dim">hollow: refused</span>';
+  const SIGNS = ["\u2713", "?", "\u2717"];
+  const legend = () => {
+    const metres = (value) => (value === null ? "" : value.toFixed(value < 100 ? 1 : 0) + " m");
+    const rows = Object.entries(data.tracks).map(([name, track]) => {
+      const here = chosen >= 0 && (track.x[chosen] !== null || track.state[chosen] === 2) ? SIGNS[track.state[chosen]] + " " : "";
+      const cells = [
+        `<a role="switch" tabindex="0" data-track="${name}" aria-checked="${!hidden.has(name)}"><i style="background:${track.colour}"></i>${track.label}</a>`,
+        ...(name === "retrieval" ? ["not verified", ""] : [track.count, name === "tag" || chosen < 0 ? "" : here + metres(track.radius[chosen])]),
+        chosen < 0 ? "" : metres(track.error[chosen]),
+      ];
+      return `<tr data-state="${chosen < 0 ? "" : track.state[chosen]}">${cells.map((cell) => `<td>${cell}</td>`).join("")}</tr>`;
+    });
+    return `<table class="num"><tr class="dim"><th title="Switch a track on or off">hollow: refused</th><th>accepted</th><th title="1-sigma radius of the chosen frame">± here</th><th title="Distance of the chosen frame's answer from its tag">off tag</th></tr>${rows.join("")}</table>`;
+  };
   const refresh = () => {
     if (!root || !data) return;
     const html = flight.html || {};
@@ -662,6 +670,7 @@
       if (frame >= 0) flight.choose(frame);
     }
   };
+  new MutationObserver(draw).observe(document.documentElement, { attributeFilter: ["data-mantine-color-scheme"] });
   const resized = new ResizeObserver(() => draw());
 
   flight.attach = () => {

@@ -23,7 +23,8 @@ def analysis(flight: LocatedFlight, tile: int = 0) -> Any:
     """An analysis with scores of all windows, the part 1 in the opposite order of the whole."""
     assert flight.retrieval is not None
     values = np.linspace(0.2, 0.8, len(flight.retrieval.windows)).astype(np.float32)
-    ranking = SimpleNamespace(scores=values, cosines=np.column_stack([values, values[::-1]]))
+    order = np.arange(len(values))
+    ranking = SimpleNamespace(scores=values, cosines=np.column_stack([values, values[::-1]]), order=order)
     return SimpleNamespace(ranking=ranking, chosen=SimpleNamespace(index=tile))
 
 
@@ -35,7 +36,7 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightVie
     assert track["state"] == [0, 0, 2]
     assert track["error"] == [1.0, 45.0, None]
     assert track["count"] == "2 of 3"
-    assert data["tracks"]["retrieval"]["count"] == "not verified"
+    assert data["tracks"]["tag"]["count"] == "3 of 3"
     assert data["tracks"]["retrieval"]["state"] == [1, 1, 1]
     assert data["times"] == [0.0, 2.0, 4.0]
     # The first frame is registered, the second contradicts its tag, and only neighbours tell the third.
@@ -62,7 +63,7 @@ def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView) ->
     assert "Registration: Only &lt;i&gt;4&lt;/i&gt; matches agree." in lists["refused"]
     assert "photo0" not in lists["refused"]
     assert "up to 45 m off" in lists["audit"]
-    assert "Registration and tag lie 45 m apart" in lists["audit"]
+    assert "Registration and tag lie 45.0 m apart" in lists["audit"]
     assert lists["notes"].count("<p>") == 2
     assert "Refused 1" in lists["counts"]
 
@@ -86,6 +87,15 @@ def test_scores_are_painted_whole_or_by_a_part(view: FlightView, flight: Located
     assert cells[0].shape == (3, 5, 4)
     assert (cells[0] == cells[1][::-1, ::-1]).all()
     assert not (cells[0] == cells[1]).all()
+
+
+def test_windows_that_are_not_ranked_are_not_painted(view: FlightView, flight: LocatedFlight) -> None:
+    one = analysis(flight)
+    one.ranking.order = one.ranking.order[:5]
+    painted = page.painting(view, one, "all", [])
+    assert painted is not None
+    assert painted["bounds"] == [-75.0, 15.0, 75.0, 45.0]
+    assert painted["high"] == "0.37"
 
 
 def test_the_answer_is_the_window_that_the_stage_compares(view: FlightView, flight: LocatedFlight) -> None:

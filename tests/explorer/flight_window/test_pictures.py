@@ -61,11 +61,13 @@ def test_a_tile_shows_its_window_and_is_transparent_where_the_map_is_unknown(
 def test_a_photo_and_the_ground_there_are_the_same_scene(flight: LocatedFlight, pictures: FlightPictures) -> None:
     assert loaded(pictures, "photo/0").shape == (60, 80, 3)
     assert loaded(pictures, "pair/0").shape[:2] == loaded(pictures, "ground/0").shape[:2]
-    found = ground_window(flight.frames[0])
+    found = ground_window(flight.frames[0], "registration")
     assert found is not None
     # The square of the photo's shorter side: 60 of 80 pixels of 40 m, about the registered middle.
     assert (found.x, found.y, found.size) == pytest.approx((-20.0, 1.0, 30.0))
-    assert ground_window(flight.frames[2]) == Window(0.0, 0.0, 60.0, 0.0)
+    assert ground_window(flight.frames[2], "sequence") == Window(20.0, 5.0, 60.0, 0.0)
+    assert ground_window(flight.frames[2], "registration") is None
+    assert ground_window(flight.frames[2], None) is None
 
 
 @pytest.mark.parametrize(
